@@ -1,0 +1,18 @@
+"""Data sets that come with the engine."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+from engine.series import Series
+from engine.series_files import read_series_bytes
+
+
+def nile() -> Series:
+    """Annual discharge of the Nile at Aswan, 1871-1970, in 1e8 m^3; 100 values, public domain.
+
+    The time step is one year and the series' times count years, not seconds: t = 1871, 1872, ...
+    ``local-level`` takes the same unit, since nothing in it depends on the time step.
+    """
+    data = (files("engine.data") / "nile.csv").read_bytes()
+    return read_series_bytes(data, "nile.csv", y=["flow"], t="year")

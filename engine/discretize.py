@@ -1,0 +1,86 @@
+"""Continuous-time linear parts to discrete time: matrix exponential and van Loan's integrals.
+
+For dx = (F x + G u) dt + dw with E dw dw' = Qc dt, u held over the step (zero-order hold),
+
+    x_{t+dt} = A x_t + B u_t + w_t,   w_t ~ N(0, Q)
+    A = exp(F dt),   B = int_0^dt exp(F s) ds G,   Q = int_0^dt exp(F s) Qc exp(F s)' ds
+
+Source: C. F. van Loan, "Computing integrals involving the matrix exponential", IEEE Transactions
+on Automatic Control 23 (1978) 395-404. A and B come from one exponential of [[F, G], [0, 0]] dt,
+Q from one of [[-F, Qc], [0, F']] dt = [[., A^-1 Q], [0, A']]. Since exp(-F dt) overflows where a
+stable F is fast beside dt, the step is halved until it is short and doubled back by
+A(2h) = A A, B(2h) = B + A B, Q(2h) = Q + A Q A'.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from engine.errors import OptionError
+from engine.model import Array
+
+
+def discretize(
+    F: ArrayLike,
+    G: ArrayLike | None = None,
+    Qc: ArrayLike | None = None,
+    *,
+    dt: float | Array,
+) -> tuple[Array, Array, Array]:
+    """A (n, n), B (n, m), Q (n, n) of a linear system over a step of dt seconds.
+
+    F (n, n) in 1/s, G (n, m), Qc (n, n) the noise's intensity per second. F, G, Qc may have
+    leading axes and dt may be an array; what is returned has their common leading axes. Without
+    G, B is (n, 0); without Qc, Q is zero. Raises OptionError naming the argument.
+    """
+    F = _matrix(F, "F")
+    n = F.shape[-1]
+    if F.shape[-2] != n:
+        raise OptionError(f"F has shape {F.shape}; a square matrix is needed", "F")
+    G = np.zeros((n, 0)) if G is None else _matrix(G, "G")
+    Qc = np.zeros((n, n)) if Qc is None else _matrix(Qc, "Qc")
+    if G.shape[-2] != n:
+        raise OptionError(f"G has shape {G.shape}; {n} rows are needed, as F has", "G")
+    if Qc.shape[-2:] != (n, n):
+        raise OptionError(f"Qc has shape {Qc.shape}; ({n}, {n}) is needed, as F has", "Qc")
+    step = np.asarray(dt, dtype=float)
+    if not (np.isfinite(step).all() and (step > 0.0).all()):
+        raise OptionError(f"dt = {dt} s; positive time steps are needed", "dt")
+    batch = np.broadcast_shapes(F.shape[:-2], G.shape[:-2], Qc.shape[:-2], step.shape)
+
+    stiffness = float((np.abs(F).sum(axis=-1).max(axis=-1, initial=0.0) * step).max(initial=0.0))
+    halvings = max(0, int(np.ceil(np.log2(stiffness)))) if stiffness > 0.0 else 0
+    h = (step / 2.0**halvings)[..., None, None]
+    m = G.shape[-1]
+    driven = np.zeros((*batch, n + m, n + m))
+    driven[..., :n, :n] = F * h
+    driven[..., :n, n:] = G * h
+    exponential = expm(driven)
+    A, B = exponential[..., :n, :n], exponential[..., :n, n:]
+    if Qc.any():
+        pair = np.zeros((*batch, 2 * n, 2 * n))
+        pair[..., :n, :n] = -F * h
+        pair[..., :n, n:] = Qc * h
+        pair[..., n:, n:] = np.swapaxes(F, -1, -2) * h
+        Q = A @ expm(pair)[..., :n, n:]
+    else:
+        Q = np.zeros((*batch, n, n))
+    for _ in range(halvings):
+        B = B + A @ B
+        Q = Q + A @ Q @ np.swapaxes(A, -1, -2)
+        A = A @ A
+    Q = 0.5 * (Q + np.swapaxes(Q, -1, -2))
+    return np.ascontiguousarray(A), np.ascontiguousarray(B), np.ascontiguousarray(Q)
+
+
+def _matrix(value: Any, name: str) -> Array:
+    array = np.asarray(value, dtype=float)
+    if array.ndim < 2:
+        raise OptionError(f"{name} has shape {array.shape}; a matrix is needed", name)
+    if not np.isfinite(array).all():
+        raise OptionError(f"{name} is not finite: {array}", name)
+    return array
