@@ -1,0 +1,53 @@
+"""Maximum-likelihood identification of mixed linear/nonlinear state-space models.
+
+Start with :func:`get_model` or your own :class:`MixedModel`, put measured data into a
+:class:`Series`, and estimate with :func:`rbps_em`.
+"""
+
+from engine.conditional import condition_on_trajectories
+from engine.discretize import discretize
+from engine.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
+from engine.errors import EngineError, ModelError, OptionError, SeriesError
+from engine.free_run import free_run
+from engine.kalman import kalman_smoother
+from engine.model import Gaussian, MixedModel, Parameter, Theta
+from engine.outcome import Outcome
+from engine.rb_ffbsi import Smoothed, rb_ffbsi
+from engine.rbpf import Filtered, rbpf
+from engine.registry import get_model, model_names, plugin_errors, register
+from engine.series import Series
+from engine.simulate import Simulation, simulate
+from engine.simulation_fit import fit_simulation
+
+__all__ = [
+    "Checkpoint",
+    "EmResult",
+    "EngineError",
+    "Filtered",
+    "Gaussian",
+    "Iteration",
+    "MixedModel",
+    "ModelError",
+    "OptionError",
+    "Outcome",
+    "Parameter",
+    "Series",
+    "SeriesError",
+    "Simulation",
+    "Smoothed",
+    "Theta",
+    "condition_on_trajectories",
+    "discretize",
+    "fit_simulation",
+    "free_run",
+    "get_model",
+    "kalman_smoother",
+    "model_names",
+    "plugin_errors",
+    "rb_ffbsi",
+    "rbpf",
+    "rbps_em",
+    "register",
+    "rts_em",
+    "simulate",
+]

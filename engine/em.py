@@ -1,0 +1,338 @@
+"""Maximum likelihood by EM; paper, Algorithm 1: one loop, several E steps.
+
+Iteration k draws all its random numbers from ``SeedSequence(seed, spawn_key=(k,))`` and looks at
+nothing but the trace before it, so a run stopped after any iteration and resumed from its
+:class:`Checkpoint` gives the same bits as one that was never stopped.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from engine.conditional import condition_on_trajectories
+from engine.convergence import WINDOW, has_settled
+from engine.errors import OptionError
+from engine.expectation import Moments, QFunction, expectation, parameter_scale
+from engine.kalman import kalman_smoother
+from engine.linear import as_linear
+from engine.maximization import maximize
+from engine.model import Array, MixedModel, Theta, ThetaLike
+from engine.outcome import Outcome
+from engine.points import Points
+from engine.proposals import Proposal, get_proposal
+from engine.rb_ffbsi import rb_ffbsi
+from engine.rbpf import Filtered, check_options, rbpf
+from engine.series import Series, as_series_list
+
+LOST_SHARE = 0.05  # a filter that collapses at more than this share of its rows is run again ...
+RETRIES = (4, 16)  # ... with this many times the particles
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What the callback sees: iteration k of n, theta_k, and how the E step before it went.
+
+    ``log_likelihood`` is that of the previous theta; ``ess`` the mean effective sample size;
+    ``collapsed`` the share of rows at which the filter had one particle left.
+    """
+
+    k: int
+    n_iterations: int
+    theta: Theta
+    log_likelihood: float
+    ess: float
+    seconds: float
+    collapsed: float
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """All that resuming needs: trace (k+1, n_theta), log_likelihood, ess, seconds, collapsed (k,)."""
+
+    trace: Array
+    log_likelihood: Array
+    ess: Array
+    seconds: Array
+    collapsed: Array
+
+
+@dataclass(frozen=True, eq=False)
+class EmResult:
+    """The estimate and how it came about.
+
+    ``theta`` the estimate; ``trace`` (K+1, n_theta) with the start first; ``log_likelihood`` (K,) of
+    trace[:K] as estimated by each E step; ``ess`` (K,); ``seconds`` (K,); ``collapsed`` (K,) share of
+    rows at which the filter collapsed; ``outcome``; ``message`` with the particulars.
+    """
+
+    model: MixedModel
+    free: tuple[str, ...]
+    theta: Theta
+    trace: Array
+    log_likelihood: Array
+    ess: Array
+    seconds: Array
+    collapsed: Array
+    outcome: Outcome
+    message: str
+
+    @property
+    def checkpoint(self) -> Checkpoint:
+        """What ``resume=`` takes to go on from here."""
+        return Checkpoint(self.trace, self.log_likelihood, self.ess, self.seconds, self.collapsed)
+
+
+@dataclass(frozen=True, eq=False)
+class EStep:
+    """The Q-function at theta_k with the log-likelihood and health of the filter behind it."""
+
+    q: QFunction
+    log_likelihood: float
+    ess: float
+    collapsed: float
+
+
+Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
+Callback: TypeAlias = Callable[[Iteration], Any]
+
+
+def rbps_em(
+    model: MixedModel,
+    series: Series | Sequence[Series],
+    theta0: ThetaLike = None,
+    free: Sequence[str] | None = None,
+    n_particles: int = 50,
+    n_trajectories: int | None = None,
+    n_iterations: int = 100,
+    seed: int = 0,
+    callback: Callback | None = None,
+    resume: Checkpoint | EmResult | None = None,
+    *,
+    proposal: str | Proposal = "adapted",
+    resampling: str = "systematic",
+    ess_threshold: float = 0.5,
+    smoother: str = "exact",
+    m_step: str = "scoring",
+    tolerance: float | None = 1e-3,
+) -> EmResult:
+    """Estimate theta from one or several series; paper, Algorithm 1 (RBPS-EM).
+
+    ``theta0`` start values (default: the parameters' defaults); ``free`` names of the parameters to
+    estimate (default: all); ``n_trajectories`` N (default: ``n_particles``); ``tolerance`` of the
+    convergence rule in :mod:`engine.convergence`, None to use all iterations; ``callback`` sees every
+    :class:`Iteration` and stops the run by returning True or raising StopIteration.
+
+    ``smoother``: "exact" uses moments of z given whole trajectories of a, which converge as M grows;
+    "algorithm-3" those of the report, eqs. (61), whose P and M keep the bias of Approximation 2.
+    ``m_step``: "scoring" or "bfgs", see :mod:`engine.maximization`.
+    Raises OptionError, SeriesError, ModelError.
+    """
+    listed = as_series_list(series, model)
+    check_options(n_particles, resampling, ess_threshold)
+    get_proposal(proposal)
+    if smoother not in ("exact", "algorithm-3"):
+        raise OptionError(
+            f"smoother '{smoother}' is not known; use exact or algorithm-3", "smoother"
+        )
+    n_trajectories = n_particles if n_trajectories is None else n_trajectories
+
+    def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> Filtered:
+        filtered = rbpf(model, theta, one, n_particles, rng, proposal, resampling, ess_threshold)
+        for times in RETRIES:
+            if len(filtered.collapsed) <= LOST_SHARE * len(one):
+                break
+            filtered = rbpf(
+                model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
+            )
+        return filtered
+
+    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
+        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
+        for one in listed:
+            filtered = run_filter(theta, one, rng)
+            draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
+            points = Points(model, one, draws.a, theta)
+            if smoother == "exact":
+                draws = condition_on_trajectories(draws, points)
+            smoothed.append((Moments(draws.a, draws.z, draws.cov, draws.cross), points))
+            log_likelihood += filtered.log_likelihood
+            ess += float(filtered.ess.sum())
+            lost += len(filtered.collapsed)
+        n = sum(map(len, listed))
+        return EStep(expectation(model, theta, smoothed), log_likelihood, ess / n, lost / n)
+
+    return iterate(
+        model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance
+    )
+
+
+def rts_em(
+    model: MixedModel,
+    series: Series | Sequence[Series],
+    theta0: ThetaLike = None,
+    free: Sequence[str] | None = None,
+    n_iterations: int = 100,
+    callback: Callback | None = None,
+    resume: Checkpoint | EmResult | None = None,
+    *,
+    m_step: str = "scoring",
+    tolerance: float | None = 1e-6,
+) -> EmResult:
+    """Exact EM for linear Gaussian models (RTS-EM of the paper, section V); no random numbers.
+
+    Raises ModelError where the model is not linear Gaussian.
+    """
+    listed = as_series_list(series, model)
+    linear = as_linear(model)
+
+    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
+        smoothed, log_likelihood = [], 0.0
+        for one in listed:
+            k = kalman_smoother(model, theta, one)
+            points = Points(linear, one, np.zeros((len(one), 1, 0)), theta)
+            moments = Moments(points.a, k.x[:, None], k.P[:, None], k.M[:, None])
+            smoothed.append((moments, points))
+            log_likelihood += k.log_likelihood
+        return EStep(expectation(linear, theta, smoothed), log_likelihood, 1.0, 0.0)
+
+    return iterate(
+        model, expect, theta0, free, n_iterations, 0, callback, resume, m_step, tolerance
+    )
+
+
+def iterate(
+    model: MixedModel,
+    expect: Expect,
+    theta0: ThetaLike,
+    free: Sequence[str] | None,
+    n_iterations: int,
+    seed: int,
+    callback: Callback | None,
+    resume: Checkpoint | EmResult | None,
+    m_step: str,
+    tolerance: float | None,
+) -> EmResult:
+    """The loop of Algorithm 1: E step, M step, settled?"""
+    if int(n_iterations) != n_iterations or n_iterations < 1:
+        raise OptionError(
+            f"n_iterations = {n_iterations}; a positive whole number is needed", "n_iterations"
+        )
+    indices = model.free_indices(free)
+    names = tuple(model.parameter_names[i] for i in indices)
+    log = _Log(model, theta0, resume, n_iterations)
+    outcome = Outcome.ITERATIONS_USED_UP
+    settled = log.settled(indices, tolerance)
+    for k in range(log.k + 1, n_iterations + 1):
+        if settled:
+            break
+        started = time.perf_counter()
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
+        theta = log.theta
+        step = expect(theta, rng)
+        new = theta
+        if np.isfinite(step.log_likelihood):
+            new = Theta(maximize(step.q, theta, indices, m_step), theta.names)
+        it = log.add(k, new, step, time.perf_counter() - started)
+        if not (np.isfinite(step.log_likelihood) and np.isfinite(np.asarray(new)).all()):
+            outcome = Outcome.DIVERGED
+            break
+        settled = log.settled(indices, tolerance)
+        if _stops(callback, it):
+            outcome = Outcome.STOPPED_BY_CALLER
+            break
+    if settled and outcome is not Outcome.STOPPED_BY_CALLER:
+        outcome = Outcome.CONVERGED
+    return log.result(names, indices, outcome)
+
+
+def _stops(callback: Callback | None, iteration: Iteration) -> bool:
+    if callback is None:
+        return False
+    try:
+        return callback(iteration) is True
+    except StopIteration:
+        return True
+
+
+class _Log:
+    """The trace as it grows."""
+
+    def __init__(
+        self,
+        model: MixedModel,
+        theta0: ThetaLike,
+        resume: Checkpoint | EmResult | None,
+        n_iterations: int,
+    ) -> None:
+        self.model, self.n_iterations = model, n_iterations
+        if resume is None:
+            self.trace = [model.theta(theta0)]
+            self.rows: list[tuple[float, float, float, float]] = []
+            return
+        if resume.trace.shape != (len(resume.log_likelihood) + 1, len(model.parameters)):
+            raise OptionError(
+                f"resume has a trace of shape {resume.trace.shape} and "
+                f"{len(resume.log_likelihood)} log-likelihoods; model '{model.name}' needs "
+                f"(k + 1, {len(model.parameters)}) and k",
+                "resume",
+            )
+        self.trace = [model.theta(row) for row in resume.trace]
+        self.rows = list(
+            zip(
+                resume.log_likelihood.tolist(),
+                resume.ess.tolist(),
+                resume.seconds.tolist(),
+                resume.collapsed.tolist(),
+                strict=True,
+            )
+        )
+
+    @property
+    def k(self) -> int:
+        return len(self.rows)
+
+    @property
+    def theta(self) -> Theta:
+        return self.trace[-1]
+
+    def add(self, k: int, theta: Theta, step: EStep, seconds: float) -> Iteration:
+        self.trace.append(theta)
+        self.rows.append((step.log_likelihood, step.ess, seconds, step.collapsed))
+        return Iteration(
+            k, self.n_iterations, theta, step.log_likelihood, step.ess, seconds, step.collapsed
+        )
+
+    def settled(self, indices: Any, tolerance: float | None) -> bool:
+        if tolerance is None or self.k < 2 * WINDOW:
+            return False
+        trace = np.array(self.trace[-2 * WINDOW - 1 :])
+        theta = np.asarray(self.theta)
+        scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
+        return has_settled(trace[:, indices], scale, tolerance)
+
+    def result(self, names: tuple[str, ...], indices: Any, outcome: Outcome) -> EmResult:
+        trace = np.array([np.asarray(row) for row in self.trace])
+        columns = np.array(self.rows).reshape(-1, 4).T
+        theta = trace[-1]
+        if outcome is Outcome.CONVERGED:
+            theta = trace[-WINDOW:].mean(axis=0)
+        lost = columns[3][-WINDOW:].mean() if self.k else 0.0
+        if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
+            outcome = Outcome.COLLAPSED
+        message = outcome.value
+        if lost > 0.0:
+            message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows."
+        return EmResult(
+            self.model,
+            names,
+            Theta(theta, self.model.parameter_names),
+            trace,
+            *columns,
+            outcome,
+            message,
+        )

@@ -1,0 +1,31 @@
+"""What can be wrong, as one tree of exceptions.
+
+    EngineError
+    +-- ModelError      a model's functions, shapes or covariances
+    +-- SeriesError     the measured data
+    +-- OptionError     an argument of an algorithm
+
+Every message names what was wrong, where, and what to do about it.
+"""
+
+from __future__ import annotations
+
+
+class EngineError(ValueError):
+    """Base class: something the caller can put right."""
+
+
+class ModelError(EngineError):
+    """A model returned something that no algorithm can use."""
+
+
+class SeriesError(EngineError):
+    """The measured data cannot be used as they are."""
+
+
+class OptionError(EngineError):
+    """An argument is outside what the algorithm accepts; ``field`` names it."""
+
+    def __init__(self, message: str, field: str = "") -> None:
+        super().__init__(message)
+        self.field = field

@@ -1,0 +1,301 @@
+"""The Q-function from smoothed moments; paper, eqs. (8)-(19)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.model import Array, Gaussian, MixedModel, Theta
+from engine.points import Points
+from engine.q_function import GaussianTerm
+from engine.rb_ffbsi import Smoothed
+
+STEP = 1e-5  # of a parameter's size, for differences of the model's functions
+
+
+class Term(Protocol):
+    """A summand of the Q-function."""
+
+    def value(self, record: Any, rank: int | None = None) -> float:
+        """The summand at theta."""
+
+    def rank(self, record: Any) -> int:
+        """Number of directions with noise."""
+
+    def derivatives(
+        self, record: Any, neighbours: list[tuple[Any, Any, float]]
+    ) -> tuple[float, Array, Array]:
+        """Value, gradient and scoring matrix along the parameters given by their neighbours."""
+
+
+@dataclass(frozen=True, eq=False)
+class QFunction:
+    """Q(theta, theta_k) = I1 + I2 + I3, paper, eq. (8), as a sum of terms.
+
+    ``depends[i]`` are the indices of the parameters that can enter ``terms[i]``; ``ranks[i]`` its number
+    of directions with noise at theta_k, which an M step must keep.
+    """
+
+    model: MixedModel
+    terms: Sequence[Term]
+    depends: Sequence[NDArray[np.bool_]]
+    ranks: Sequence[int]
+
+    def value(self, theta: Array) -> float:
+        """Q(theta, theta_k)."""
+        record = self.model.record(theta)
+        return sum(
+            term.value(record, rank) for term, rank in zip(self.terms, self.ranks, strict=True)
+        )
+
+    def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
+        """Value, gradient (n,) and scoring matrix (n, n) in the n free parameters."""
+        model = self.model
+        record = model.record(theta)
+        neighbours = [self._neighbours(theta, k) for k in free]
+        value, gradient, H = 0.0, np.zeros(len(free)), np.zeros((len(free), len(free)))
+        for term, depends in zip(self.terms, self.depends, strict=True):
+            which = np.flatnonzero(depends[free])
+            v, g, h = term.derivatives(record, [neighbours[i] for i in which])
+            value += v
+            gradient[which] += g
+            H[np.ix_(which, which)] += h
+        return value, gradient, H
+
+    def _neighbours(self, theta: Array, k: int) -> tuple[Any, Any, float]:
+        step = STEP * parameter_scale(self.model, theta, k)
+        below, above = np.array(theta), np.array(theta)
+        below[k] = max(theta[k] - step, self.model.lower[k])
+        above[k] = min(theta[k] + step, self.model.upper[k])
+        return self.model.record(below), self.model.record(above), float(above[k] - below[k])
+
+
+def parameter_scale(model: MixedModel, theta: Array, k: int) -> float:
+    """A typical size of parameter k: its value, else its default, else its bounds, else 1."""
+    size = max(abs(float(theta[k])), abs(model.parameters[k].default))
+    if size > 0.0:
+        return size
+    width = float(model.upper[k] - model.lower[k])
+    return min(width, 1.0) if np.isfinite(width) else 1.0
+
+
+def expectation(
+    model: MixedModel, theta: Theta, smoothed: Sequence[tuple[Smoothed | Moments, Points]]
+) -> QFunction:
+    """The Q-function at theta_k = theta from the smoothed moments of one or several series.
+
+    The moments are those the smoother was asked for: exact given each trajectory, or Algorithm 3's.
+    """
+    terms: list[Term] = []
+    kinds: list[int] = []
+    for moments, points in smoothed:
+        for kind, term in (
+            *((0, t) for t in initial_terms(model, theta, moments)),
+            (1, dynamics_term(model, moments, points)),
+            *((2, t) for t in measurement_terms(model, moments, points)),
+        ):
+            terms.append(term)
+            kinds.append(kind)
+    depends = dependence(model, theta, smoothed[0][1])
+    record = model.record(theta)
+    return QFunction(
+        model, terms, [depends[kind] for kind in kinds], [term.rank(record) for term in terms]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Smoothed moments from any E step; the same fields as :class:`engine.rb_ffbsi.Smoothed`."""
+
+    a: Array
+    z: Array
+    cov: Array
+    cross: Array
+
+
+def dynamics_term(model: MixedModel, s: Smoothed | Moments, points: Points) -> GaussianTerm:
+    """I2, paper, eqs. (14)-(17): x_{t+1} given x_t."""
+    T, B, nz = len(s.a), s.cov.shape[1], model.nz
+    na, nx = model.na, model.nx
+    cross = np.zeros((T - 1, B, nx, nz))
+    cross[:, :, na:] = np.swapaxes(s.cross, -1, -2)  # Cov(x_{t+1}, z_t) = (0, M')'
+    var = np.zeros((T - 1, B, nx, nx))
+    var[:, :, na:, na:] = s.cov[1:]
+    x_next = np.concatenate([s.a[1:], s.z[1:]], axis=2)
+    return GaussianTerm(points.transition, x_next, s.z[:-1], s.cov[:-1], cross, var)
+
+
+def measurement_terms(
+    model: MixedModel, s: Smoothed | Moments, points: Points
+) -> list[GaussianTerm]:
+    """I3, paper, eqs. (18b), (19b): y_t given x_t; one term per pattern of missing channels."""
+    observed = points.series.observed
+    patterns, which = np.unique(observed, axis=0, return_inverse=True)
+    which = which.ravel()
+    terms = []
+    for k, pattern in enumerate(patterns):
+        channels = np.flatnonzero(pattern)
+        if not channels.size:
+            continue
+        rows = np.flatnonzero(which == k)
+        B = s.cov.shape[1]
+        y = np.broadcast_to(
+            points.series.y[rows][:, None, channels], (len(rows), points.N, len(channels))
+        )
+        terms.append(
+            GaussianTerm(
+                _some_channels(points, rows, channels),
+                y,
+                s.z[rows],
+                s.cov[rows],
+                np.zeros((len(rows), B, len(channels), model.nz)),
+                np.zeros((len(rows), B, len(channels), len(channels))),
+            )
+        )
+    return terms
+
+
+def _some_channels(points: Points, rows: Any, channels: Any) -> Any:
+    everything = len(channels) == points.model.ny
+    square = np.ix_(channels, channels)
+
+    def evaluate(record: Any) -> tuple[Array, Array, Array]:
+        h, C, R = points.observation(record, rows)
+        if everything:
+            return h, C, R
+        return h[..., channels], C[..., channels, :], R[..., square[0], square[1]]
+
+    return evaluate
+
+
+def initial_terms(model: MixedModel, theta: Theta, s: Smoothed | Moments) -> list[Term]:
+    """I1, paper, eqs. (18a), (19a): a_1, and z_1 given a_1."""
+    terms: list[Term] = []
+    N, na, nz = s.a.shape[1], model.na, model.nz
+    a1 = s.a[:1]
+    if na:
+        if isinstance(model.start(model.record(theta)).density, Gaussian):
+            terms.append(
+                GaussianTerm(
+                    lambda record: _first_a(model, record, N),
+                    a1,
+                    np.zeros((1, N, 0)),
+                    np.zeros((1, 1, 0, 0)),
+                    np.zeros((1, 1, na, 0)),
+                    np.zeros((1, 1, na, na)),
+                )
+            )
+        else:
+            terms.append(DensityTerm(model, a1[0]))
+    if nz:
+        B = s.cov.shape[1]
+        terms.append(
+            GaussianTerm(
+                lambda record: _first_z(model, record, a1[0]),
+                s.z[:1],
+                np.zeros((1, N, 0)),
+                np.zeros((1, 1, 0, 0)),
+                np.zeros((1, B, nz, 0)),
+                s.cov[:1],
+            )
+        )
+    return terms
+
+
+def _first_a(model: MixedModel, record: Any, N: int) -> tuple[Array, Array, Array]:
+    density: Any = model.start(record).density
+    mean = np.broadcast_to(density.mean, (1, N, model.na))
+    return mean, np.zeros((1, 1, model.na, 0)), np.ascontiguousarray(density.cov)[None, None]
+
+
+def _first_z(model: MixedModel, record: Any, a1: Array) -> tuple[Array, Array, Array]:
+    z, P = model.start(record).linear(a1)
+    return z[None], np.zeros((1, 1, model.nz, 0)), P[None, None] if P.ndim == 2 else P[None]
+
+
+@dataclass(frozen=True, eq=False)
+class DensityTerm:
+    """Mean over j of log p(a_1^j) for a density that is not Gaussian."""
+
+    model: MixedModel
+    a1: Array
+
+    def _log_density(self, record: Any) -> Array:
+        return np.asarray(self.model.start(record).density.log_density(self.a1))
+
+    def value(self, record: Any, rank: int | None = None) -> float:
+        """The term at theta."""
+        value = float(self._log_density(record).mean())
+        return value if np.isfinite(value) else -np.inf
+
+    def rank(self, record: Any) -> int:
+        """Always 0: nothing to keep."""
+        return 0
+
+    def derivatives(
+        self, record: Any, neighbours: list[tuple[Any, Any, float]]
+    ) -> tuple[float, Array, Array]:
+        """Value, gradient, and the outer product of the scores for the scoring matrix."""
+        scores = np.array(
+            [
+                (self._log_density(above) - self._log_density(below)) / distance
+                for below, above, distance in neighbours
+            ]
+        ).reshape(len(neighbours), len(self.a1))
+        return self.value(record), scores.mean(axis=1), scores @ scores.T / len(self.a1)
+
+
+class _Forbidden:
+    """Stands in for a parameter's value; any use of it raises."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self, other: object) -> bool:
+        raise TypeError("used")
+
+    def __bool__(self) -> bool:
+        raise TypeError("used")
+
+    def __getattr__(self, name: str) -> Any:
+        raise TypeError("used")
+
+
+def dependence(model: MixedModel, theta: Theta, points: Points) -> list[NDArray[np.bool_]]:
+    """Which parameters enter initial, dynamics and measurement: three (n_theta,) masks.
+
+    Each parameter in turn is replaced by something that cannot be used: a function that still
+    returns does not need it. A model that cannot be evaluated in one call for all times may
+    branch on u or t in ways a few points do not show, so everything is then assumed.
+    """
+    n = len(model.parameters)
+    depends = [np.ones(n, dtype=bool) for _ in range(3)]
+    if not points.stacked:
+        return depends
+    a, u, t = points.a[0], points.series.u[0], float(points.series.t[0])
+    dt = float(points.series.steps[0])
+    calls = (
+        lambda record: _evaluate_start(model, record, a),
+        lambda record: model.transition(a, u, t, dt, record),
+        lambda record: model.observation(a, u, t, record),
+    )
+    for k in range(n):
+        values: list[Any] = theta.tolist()
+        values[k] = _Forbidden()
+        record = model.record(values)
+        for mask, call in zip(depends, calls, strict=True):
+            try:
+                call(record)
+            except Exception:  # noqa: BLE001 - whatever a use of the value leads to
+                continue
+            mask[k] = False
+    return depends
+
+
+def _evaluate_start(model: MixedModel, record: Any, a: Array) -> None:
+    start = model.start(record)
+    start.density.log_density(a)
+    start.linear(a)

@@ -1,0 +1,251 @@
+"""Backward simulation; report, Algorithm 3, as one call for the whole pass.
+
+Shapes: time T, M filter particles, N backward trajectories; covariances have a particle axis of
+length B = 1 (common to all) or M. What the filter stored is described in ``engine.rbpf``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.kernels.gaussian import EXACT, log_normalizer, psd_cholesky_into, solve_lower_transposed
+
+NEGLIGIBLE = -38.0  # exp of this is below the rounding of a sum of weights
+
+
+@njit(cache=True, error_model="numpy")
+def reduce(L, r, out):
+    """Out (n,) = L^{-1} r; in a direction without noise the raw remainder of r stays."""
+    for i in range(L.shape[0]):
+        s = r[i]
+        for k in range(i):
+            s -= L[i, k] * out[k]
+        out[i] = s / L[i, i] if L[i, i] > 0.0 else s
+
+
+@njit(cache=True, error_model="numpy")
+def pick(log_w, w, u):
+    """Index drawn from exp(log_w) (M,) with one uniform u; -1 when all are zero; w is scratch."""
+    M = log_w.shape[0]
+    top = -np.inf
+    for i in range(M):
+        if log_w[i] > top:
+            top = log_w[i]
+    if top == -np.inf:
+        return -1
+    total = 0.0
+    for i in range(M):
+        e = log_w[i] - top
+        if e > NEGLIGIBLE:
+            total += math.exp(e)
+        w[i] = total
+    goal = u * total
+    low, high = 0, M - 1
+    while low < high:
+        middle = (low + high) // 2
+        if w[middle] > goal:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@njit(cache=True, error_model="numpy")
+def backward_gain(P, L, AP, K, P_plus):
+    """Gain and covariance of z_t given x_{t+1}; report, eqs. (56)-(57b).
+
+    With L L' = Sigma = Q + A P A': K (nz, nx) = P A' Sigma^{-1} = P+ A' Q^{-1}, so that
+    z+ = z + K (x_{t+1} - f - A z), and P+ (nz, nz) = P - K A P. Only Sigma is factored.
+    """
+    nx, nz = AP.shape
+    W = np.empty((nx, nz))
+    v = np.empty(nx)
+    for c in range(nz):
+        for i in range(nx):
+            s = AP[i, c]
+            for k in range(i):
+                s -= L[i, k] * W[k, c]
+            W[i, c] = s / L[i, i] if L[i, i] > 0.0 else 0.0
+    for c in range(nz):
+        solve_lower_transposed(L, W[:, c], v)
+        for i in range(nx):
+            K[c, i] = v[i]
+    for r in range(nz):
+        for c in range(r + 1):
+            s = P[r, c]
+            for i in range(nx):
+                s -= W[i, r] * W[i, c]
+            P_plus[r, c] = s
+            P_plus[c, r] = s
+
+
+@njit(cache=True, error_model="numpy")
+def smooth_covariance(K, P_plus, P_next, na, P_out, M_out):
+    """P_{t|T} and M_{t|T}; paper, eqs. (33b)-(33c). Here Approximation 2 is made.
+
+    (Report (61c) is misprinted.) K_z = P+ W^z are the columns of K (nz, nx) for z_{t+1}.
+    """
+    nz = P_plus.shape[0]
+    for r in range(nz):
+        for c in range(nz):
+            s = 0.0
+            for k in range(nz):
+                s += K[r, na + k] * P_next[k, c]
+            M_out[r, c] = s
+    for r in range(nz):
+        for c in range(r + 1):
+            s = P_plus[r, c]
+            for k in range(nz):
+                s += M_out[r, k] * K[c, na + k]
+            P_out[r, c] = s
+            P_out[c, r] = s
+
+
+@njit(cache=True, error_model="numpy")
+def common_log_weights(log_w, m, pivots, v, out):
+    """Log w_i - 1/2 |v - m_i|^2 for reduced means m (nx, M) and one reduced state v (nx,)."""
+    nx, M = m.shape
+    for i in range(M):
+        out[i] = log_w[i]
+    for k in range(nx):
+        if pivots[k] > 0.0:
+            vk = v[k]
+            for i in range(M):
+                d = vk - m[k, i]
+                out[i] -= 0.5 * d * d
+        else:
+            tolerance = EXACT * (1.0 + abs(v[k]))
+            for i in range(M):
+                if abs(v[k] - m[k, i]) > tolerance:
+                    out[i] = -np.inf
+
+
+@njit(cache=True, error_model="numpy")
+def particle_log_weights(log_w, mu, L, constants, x, r, v, out):
+    """Log w_i + log N(x; mu_i, L_i L_i') for factors L (M, nx, nx); r, v (nx,) are scratch."""
+    M, nx = mu.shape
+    for i in range(M):
+        for k in range(nx):
+            r[k] = x[k] - mu[i, k]
+        reduce(L[i], r, v)
+        s = log_w[i] + constants[i]
+        for k in range(nx):
+            if L[i, k, k] > 0.0:
+                s -= 0.5 * v[k] * v[k]
+            elif abs(v[k]) > EXACT * (1.0 + abs(x[k])):
+                s = -np.inf
+        out[i] = s
+
+
+@njit(cache=True, error_model="numpy")
+def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, noise, joint):
+    """N backward trajectories through the filter's particles; report, Algorithm 3.
+
+    a (T, M, na), z (T, M, nz), P (T, B, nz, nz), log_w (T, M); mu (T-1, M, nx), L (T-1, B, nx, nx),
+    AP (T-1, B, nx, nz) of the predictions, ancestors (T, M); first (N,) the indices at time T;
+    uniforms (T-1, N), noise (T, N, nz) random numbers. ``joint`` chains the drawn z~ into whole
+    trajectories (a, z) drawn from the joint smoothing density (neither Approximation then enters
+    the draws); otherwise z~_{t+1} is drawn anew from N(z_{t+1|T}, P_{t+1|T}), report, eq. (42).
+
+    Returns index (T, N); z_{t|T} (T, N, nz); P_{t|T} (T, B', nz, nz); M_{t|T} (T-1, B', nz, nz) with
+    B' = 1 where all is common, else N; z~ (T, N, nz).
+    """
+    T, M, na = a.shape
+    nz = z.shape[2]
+    nx = na + nz
+    N = first.shape[0]
+    BP, BL = P.shape[1], L.shape[1]
+    common = BP == 1 and BL == 1
+    B = 1 if common else N
+    index = np.empty((T, N), np.int64)
+    z_s = np.empty((T, N, nz))
+    P_s = np.empty((T, B, nz, nz))
+    M_s = np.empty((T - 1, B, nz, nz))
+    z_draw = np.empty((T, N, nz))
+    index[T - 1] = first
+    LP = np.empty((B, nz, nz))
+    for b in range(B):
+        P_s[T - 1, b] = P[T - 1, 0 if BP == 1 else first[b]]
+    for b in range(B):
+        psd_cholesky_into(P_s[T - 1, b], LP[b])
+    for j in range(N):
+        Lj = LP[0 if common else j]
+        for k in range(nz):
+            s = z[T - 1, first[j], k]
+            z_s[T - 1, j, k] = s
+            for c in range(k + 1):
+                s += Lj[k, c] * noise[T - 1, j, c]
+            z_draw[T - 1, j, k] = s
+
+    K = np.empty((nz, nx))
+    P_plus = np.empty((nz, nz))
+    L_plus = np.empty((nz, nz))
+    m = np.empty((nx, M))
+    pivots = np.empty(nx)
+    constants = np.empty(M)
+    lw = np.empty(M)
+    scratch = np.empty(M)
+    x = np.empty(nx)
+    r = np.empty(nx)
+    v = np.empty(nx)
+    for t in range(T - 2, -1, -1):
+        if BL == 1:
+            for i in range(M):
+                reduce(L[t, 0], mu[t, i], v)
+                for k in range(nx):
+                    m[k, i] = v[k]
+            for k in range(nx):
+                pivots[k] = L[t, 0, k, k]
+        else:
+            for i in range(M):
+                constants[i] = log_normalizer(L[t, i])
+        if common:
+            backward_gain(P[t, 0], L[t, 0], AP[t, 0], K, P_plus)
+            smooth_covariance(K, P_plus, P_s[t + 1, 0], na, P_s[t, 0], M_s[t, 0])
+            psd_cholesky_into(P_plus if joint else P_s[t, 0], LP[0])
+        for j in range(N):
+            after = index[t + 1, j]
+            for k in range(na):
+                x[k] = a[t + 1, after, k]
+            for k in range(nz):
+                x[na + k] = z_draw[t + 1, j, k]
+            if BL == 1:
+                reduce(L[t, 0], x, v)
+                common_log_weights(log_w[t], m, pivots, v, lw)
+            else:
+                particle_log_weights(log_w[t], mu[t], L[t], constants, x, r, v, lw)
+            i = pick(lw, scratch, uniforms[t, j])
+            if i < 0:  # noise-free states: only the particle's own past leads to it
+                i = ancestors[t + 1, after]
+            index[t, j] = i
+
+            b = 0
+            if not common:
+                b = j
+                backward_gain(
+                    P[t, 0 if BP == 1 else i],
+                    L[t, 0 if BL == 1 else i],
+                    AP[t, 0 if BL == 1 else i],
+                    K,
+                    P_plus,
+                )
+                smooth_covariance(K, P_plus, P_s[t + 1, j], na, P_s[t, j], M_s[t, j])
+                psd_cholesky_into(P_plus if joint else P_s[t, j], LP[j])
+            L_plus = LP[b]
+            for k in range(nz):  # paper, eq. (33a)
+                s = z[t, i, k]
+                for c in range(na):
+                    s += K[k, c] * (x[c] - mu[t, i, c])
+                mean = s
+                for c in range(nz):
+                    s += K[k, na + c] * (z_s[t + 1, j, c] - mu[t, i, na + c])
+                    mean += K[k, na + c] * (x[na + c] - mu[t, i, na + c])
+                z_s[t, j, k] = s
+                d = mean if joint else s
+                for c in range(k + 1):
+                    d += L_plus[k, c] * noise[t, j, c]
+                z_draw[t, j, k] = d
+    return index, z_s, P_s, M_s, z_draw

@@ -1,0 +1,133 @@
+"""Small Gaussian algebra: Cholesky factors of singular matrices, triangular solves, densities.
+
+Every covariance is handled by its lower Cholesky factor L, S = L L'. A zero pivot (a direction
+without noise) gives a zero column; such a direction leaves solves and densities, and a residual
+in it beyond rounding makes the density zero. Nothing is inverted.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+LOG_2PI = math.log(2.0 * math.pi)
+PIVOT = 1e-12  # a pivot below this share of its own diagonal element is rounding, not noise
+EXACT = 1e-7  # a residual above this in a direction without noise contradicts it
+
+
+@njit(cache=True, error_model="numpy")
+def psd_cholesky_into(S, L):
+    """L (n, n) lower with L L' = S for a symmetric non-negative S (n, n); zero pivots allowed."""
+    n = S.shape[0]
+    for j in range(n):
+        d = S[j, j]
+        for k in range(j):
+            d -= L[j, k] * L[j, k]
+        for i in range(j):
+            L[i, j] = 0.0
+        if d > PIVOT * S[j, j]:
+            p = math.sqrt(d)
+            L[j, j] = p
+            for i in range(j + 1, n):
+                s = S[i, j]
+                for k in range(j):
+                    s -= L[i, k] * L[j, k]
+                L[i, j] = s / p
+        else:
+            for i in range(j, n):
+                L[i, j] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def psd_cholesky(S):
+    """The lower factor of S (n, n), or of each S (M, n, n) through ``psd_cholesky_many``."""
+    L = np.empty_like(S)
+    psd_cholesky_into(S, L)
+    return L
+
+
+@njit(cache=True, error_model="numpy")
+def psd_cholesky_many(S):
+    """The lower factors of S (M, n, n)."""
+    L = np.empty_like(S)
+    for i in range(S.shape[0]):
+        psd_cholesky_into(S[i], L[i])
+    return L
+
+
+@njit(cache=True, error_model="numpy")
+def whiten(L, r, out):
+    """Out (n,) = L^{-1} r with directions without noise set to zero; False if r contradicts one."""
+    n = L.shape[0]
+    possible = True
+    for i in range(n):
+        s = r[i]
+        for k in range(i):
+            s -= L[i, k] * out[k]
+        if L[i, i] > 0.0:
+            out[i] = s / L[i, i]
+        else:
+            out[i] = 0.0
+            if abs(s) > EXACT * (1.0 + abs(r[i])):
+                possible = False
+    return possible
+
+
+@njit(cache=True, error_model="numpy")
+def solve_lower_transposed(L, v, out):
+    """Out (n,) solves L' out = v, directions without noise set to zero."""
+    n = L.shape[0]
+    for i in range(n - 1, -1, -1):
+        s = v[i]
+        for k in range(i + 1, n):
+            s -= L[k, i] * out[k]
+        out[i] = s / L[i, i] if L[i, i] > 0.0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def log_normalizer(L):
+    """-1/2 log det(2 pi S) over the directions that have noise."""
+    s = 0.0
+    for i in range(L.shape[0]):
+        if L[i, i] > 0.0:
+            s -= math.log(L[i, i]) + 0.5 * LOG_2PI
+    return s
+
+
+@njit(cache=True, error_model="numpy")
+def log_normal_common(r, L):
+    """Log N(r_i; 0, L L') for residuals r (M, n) and one factor L (n, n) -> (M,)."""
+    M, n = r.shape
+    out = np.empty(M)
+    v = np.empty(n)
+    c = log_normalizer(L)
+    for i in range(M):
+        if whiten(L, r[i], v):
+            q = 0.0
+            for k in range(n):
+                q += v[k] * v[k]
+            out[i] = c - 0.5 * q
+        else:
+            out[i] = -np.inf
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def whiten_points(L, r):
+    """L^{-1} r for r (T, N, n) and L (T', N', n, n), T' in (1, T), N' in (1, N)."""
+    T, N, n = r.shape
+    out = np.empty((T, N, n))
+    for t in range(T):
+        for j in range(N):
+            Lj = L[t if L.shape[0] > 1 else 0, j if L.shape[1] > 1 else 0]
+            for i in range(n):
+                if Lj[i, i] > 0.0:
+                    s = r[t, j, i]
+                    for k in range(i):
+                        s -= Lj[i, k] * out[t, j, k]
+                    out[t, j, i] = s / Lj[i, i]
+                else:
+                    out[t, j, i] = 0.0
+    return out

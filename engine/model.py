@@ -1,0 +1,343 @@
+"""What a model is: the mixed linear/nonlinear state-space model of paper, eq. (1).
+
+    a_{t+1} = f_a(a_t, u_t, theta) + A_a(a_t, u_t, theta) z_t + w_a
+    z_{t+1} = f_z(a_t, u_t, theta) + A_z(a_t, u_t, theta) z_t + w_z      w ~ N(0, Q(a_t, theta))
+    y_t     = h(a_t, u_t, theta)   + C(a_t, u_t, theta) z_t   + e_t      e ~ N(0, R(a_t, theta))
+
+A model is three plain NumPy functions and the names of its channels. Each function is called
+with all particles of one time step at once:
+
+    dynamics(a, u, t, dt, theta) -> f, A, Q       from t to t + dt, x = (a, z)
+    measurement(a, u, t, theta)  -> h, C, R
+    initial(theta)               -> p(a_1), z_{1|0}, P_{1|0}
+
+``a`` is (M, na); ``u`` is (nu,); ``t`` and ``dt`` are seconds; ``theta`` is a record, so
+``theta.k1`` and ``k1, k2 = theta`` both work. What may be returned (nx = na + nz):
+
+    f, h      (M, nx), (M, ny)          or a list of rows, each a number or (M,)
+    A, C      (nx, nz), (ny, nz)        common to all particles, or (M, ., .), or a nested list
+    Q, R      (nx, nx), (ny, ny)        likewise; symmetric, non-negative, may be singular
+    p(a_1)    Gaussian(mean, cov), or any object with ``sample(rng, n)`` and ``log_density(a)``
+    z_{1|0}   (nz,) or a function of a_1 (M, na) -> (M, nz)
+    P_{1|0}   (nz, nz) or a function of a_1 -> (M, nz, nz); may be zero
+
+A matrix returned without a particle axis is common to all particles, and the engine is much
+faster for it.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol, Self, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from engine.errors import ModelError, OptionError
+
+Array: TypeAlias = NDArray[np.float64]
+ThetaLike: TypeAlias = "Mapping[str, float] | ArrayLike | None"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One component of theta: its name, default value, unit, closed bounds and meaning."""
+
+    name: str
+    default: float
+    unit: str = ""
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    description: str = ""
+
+
+class Density(Protocol):
+    """A density of a_1."""
+
+    def sample(self, rng: np.random.Generator, n: int) -> Array:
+        """Draw (n, na)."""
+
+    def log_density(self, a: Array) -> Array:
+        """Evaluate at a (M, na) -> (M,)."""
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """N(mean, cov): mean (na,), cov (na, na); a singular cov fixes components exactly."""
+
+    mean: Array
+    cov: Array
+
+    def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
+        m = np.atleast_1d(np.asarray(mean, dtype=float))
+        object.__setattr__(self, "mean", m)
+        object.__setattr__(self, "cov", np.asarray(cov, dtype=float).reshape(m.size, m.size))
+
+    def sample(self, rng: np.random.Generator, n: int) -> Array:
+        """Draw (n, na)."""
+        from engine.kernels.gaussian import psd_cholesky
+
+        return cast(
+            Array, self.mean + rng.standard_normal((n, self.mean.size)) @ psd_cholesky(self.cov).T
+        )
+
+    def log_density(self, a: Array) -> Array:
+        """Evaluate at a (M, na) -> (M,); a fixed component contributes nothing."""
+        from engine.kernels.gaussian import log_normal_common, psd_cholesky
+
+        return cast(Array, log_normal_common(a - self.mean, psd_cholesky(self.cov)))
+
+
+class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):
+    """Parameter values as a vector (n_theta,) with names: ``theta[0]``, ``theta["k1"]``."""
+
+    names: tuple[str, ...]
+
+    def __new__(cls, values: ArrayLike, names: Sequence[str]) -> Self:
+        """A copy of ``values`` that knows the ``names`` of its components."""
+        self = np.array(values, dtype=float).view(cls)
+        self.names = tuple(names)
+        return self
+
+    def __array_finalize__(self, obj: Any) -> None:
+        self.names = getattr(obj, "names", ())
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str):
+            return float(np.asarray(self)[self.names.index(key)])
+        value = np.asarray(self)[key]
+        return value if isinstance(value, np.ndarray) else float(value)
+
+    def asdict(self) -> dict[str, float]:
+        """{name: value}."""
+        return dict(zip(self.names, self.tolist(), strict=True))
+
+
+Dynamics: TypeAlias = Callable[[Array, Any, Any, Any, Any], tuple[Any, Any, Any]]
+Measurement: TypeAlias = Callable[[Array, Any, Any, Any], tuple[Any, Any, Any]]
+Initial: TypeAlias = Callable[[Any], tuple[Density, Any, Any]]
+
+
+@dataclass(frozen=True)
+class MixedModel:
+    """A mixed linear/nonlinear state-space model, paper, eq. (1); see the module's docstring.
+
+    ``nonlinear`` (a), ``linear`` (z), ``inputs`` (u) and ``outputs`` (y) map names to units.
+    ``equations`` are lines of text for people.
+    """
+
+    name: str
+    dynamics: Dynamics
+    measurement: Measurement
+    initial: Initial
+    outputs: Mapping[str, str]
+    parameters: Sequence[Parameter]
+    nonlinear: Mapping[str, str] = field(default_factory=dict)
+    linear: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    description: str = ""
+    equations: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", tuple(self.parameters))
+        object.__setattr__(self, "equations", tuple(self.equations))
+
+    @property
+    def na(self) -> int:
+        """Number of nonlinear states."""
+        return len(self.nonlinear)
+
+    @property
+    def nz(self) -> int:
+        """Number of linear states."""
+        return len(self.linear)
+
+    @property
+    def nx(self) -> int:
+        """Number of states, na + nz."""
+        return self.na + self.nz
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of theta, in order."""
+        return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower bounds (n_theta,)."""
+        return np.array([p.bounds[0] for p in self.parameters], dtype=float)
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper bounds (n_theta,)."""
+        return np.array([p.bounds[1] for p in self.parameters], dtype=float)
+
+    @cached_property
+    def _record(self) -> Any:
+        return namedtuple("theta", self.parameter_names)  # noqa: PYI024 - fields are dynamic
+
+    def record(self, theta: Sequence[Any] | Array) -> Any:
+        """Theta as the record handed to the model's functions."""
+        return self._record(*(theta.tolist() if isinstance(theta, np.ndarray) else theta))
+
+    def theta(self, values: ThetaLike = None) -> Theta:
+        """A full parameter vector from None (defaults), {name: value} or (n_theta,) values.
+
+        Raises OptionError naming the parameter that is unknown, not finite or out of bounds.
+        """
+        out = np.array([p.default for p in self.parameters], dtype=float)
+        if isinstance(values, Mapping):
+            for name, value in values.items():
+                out[self.index(name)] = float(value)
+        elif values is not None:
+            given = np.asarray(values, dtype=float).ravel()
+            if given.size != out.size:
+                raise OptionError(
+                    f"theta has {given.size} values; model '{self.name}' has {out.size} parameters: "
+                    f"{', '.join(self.parameter_names)}",
+                    "theta",
+                )
+            out[:] = given
+        for p, value in zip(self.parameters, out, strict=True):
+            if not p.bounds[0] <= value <= p.bounds[1]:  # also catches NaN
+                raise OptionError(
+                    f"parameter '{p.name}' = {value:g} is not within [{p.bounds[0]:g}, "
+                    f"{p.bounds[1]:g}] {p.unit}".rstrip(),
+                    p.name,
+                )
+        return Theta(out, self.parameter_names)
+
+    def index(self, name: str) -> int:
+        """Position of a parameter in theta. Raises OptionError for an unknown name."""
+        try:
+            return self.parameter_names.index(name)
+        except ValueError:
+            raise OptionError(
+                f"model '{self.name}' has no parameter '{name}'; it has "
+                f"{', '.join(self.parameter_names) or 'none'}",
+                name,
+            ) from None
+
+    def free_indices(self, free: Sequence[str] | None) -> NDArray[np.intp]:
+        """Positions of the free parameters; None means all of them."""
+        if free is None:
+            return np.arange(len(self.parameters))
+        return np.array(sorted({self.index(name) for name in free}), dtype=np.intp)
+
+    # ---- evaluation with shapes made regular; ``theta`` is a record ------------------------
+
+    def transition(
+        self, a: Array, u: Any, t: Any, dt: Any, theta: Any
+    ) -> tuple[Array, Array, Array]:
+        """F (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx)."""
+        f, A, Q = self.dynamics(a, u, t, dt, theta)
+        M, nx, nz = a.shape[0], self.nx, self.nz
+        return (
+            as_rows(f, M, nx, "dynamics: f"),
+            as_matrix(A, M, nx, nz, "dynamics: A"),
+            as_matrix(Q, M, nx, nx, "dynamics: Q"),
+        )
+
+    def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
+        """H (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny)."""
+        h, C, R = self.measurement(a, u, t, theta)
+        M, ny, nz = a.shape[0], self.ny, self.nz
+        return (
+            as_rows(h, M, ny, "measurement: h"),
+            as_matrix(C, M, ny, nz, "measurement: C"),
+            as_matrix(R, M, ny, ny, "measurement: R"),
+        )
+
+    def start(self, theta: Any) -> Start:
+        """The initial density p(a_1) N(z_1; z_{1|0}(a_1), P_{1|0}(a_1)), report, eq. (1f)."""
+        density, z1, P1 = self.initial(theta)
+        return Start(density, z1, P1, self.nz)
+
+
+@dataclass(frozen=True)
+class Start:
+    """The initial density with z_{1|0} and P_{1|0} as functions of a_1."""
+
+    density: Density
+    z1: Any
+    P1: Any
+    nz: int
+
+    def linear(self, a: Array) -> tuple[Array, Array]:
+        """z_{1|0} (M, nz); P_{1|0} (nz, nz) or (M, nz, nz) at a_1 = a (M, na)."""
+        M, nz = a.shape[0], self.nz
+        z = self.z1(a) if callable(self.z1) else self.z1
+        P = self.P1(a) if callable(self.P1) else self.P1
+        return as_rows(z, M, nz, "initial: z1"), as_matrix(P, M, nz, nz, "initial: P1")
+
+
+def as_rows(value: Any, M: int, n: int, where: str) -> Array:
+    """(M, n) float array from an array or a list of n rows, each a number or (M,)."""
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        if value.shape == (M, n):
+            return np.ascontiguousarray(value, dtype=float)
+        if value.shape == (n,):
+            return np.ascontiguousarray(np.broadcast_to(np.asarray(value, dtype=float), (M, n)))
+        raise _shape_error(where, value.shape, f"({M}, {n}) or ({n},)")
+    if _is_number(value):  # a single row may be written as a number
+        value = [value]
+    if len(value) != n:
+        raise _shape_error(where, (len(value),), f"a list of {n} rows")
+    out = np.empty((M, n))
+    for i, row in enumerate(value):
+        try:
+            out[:, i] = row
+        except (ValueError, TypeError) as error:
+            raise ModelError(
+                f"{where}: row {i} has shape {np.shape(row)}; a number or ({M},) is needed"
+            ) from error
+    return out
+
+
+def as_matrix(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
+    """(rows, columns) when common to all particles, else (M, rows, columns)."""
+    if not isinstance(value, np.ndarray) or value.dtype == object:
+        value = _nested(value, M, rows, columns, where)
+    shape = value.shape
+    if shape in ((rows, columns), (M, rows, columns)):
+        return np.ascontiguousarray(value, dtype=float)
+    if value.size == rows * columns == 0:
+        return np.zeros((rows, columns))
+    raise _shape_error(where, shape, f"({rows}, {columns}) or ({M}, {rows}, {columns})")
+
+
+def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
+    """A nested list whose entries are numbers or (M,)."""
+    if rows * columns == 0:
+        return np.zeros((rows, columns))
+    if _is_number(value):  # a 1 x 1 matrix may be written as a number
+        value = [[value]]
+    if len(value) != rows or any(_is_number(row) or len(row) != columns for row in value):
+        raise ModelError(f"{where} is not a list of {rows} rows of {columns} entries")
+    if all(_is_number(entry) for row in value for entry in row):
+        return np.array(value, dtype=float)
+    out = np.empty((M, rows, columns))
+    for i, row in enumerate(value):
+        for j, entry in enumerate(row):
+            out[:, i, j] = entry
+    return out
+
+
+def _is_number(value: Any) -> bool:
+    return not isinstance(value, (list, tuple)) and getattr(value, "ndim", 0) == 0
+
+
+def _shape_error(where: str, got: tuple[int, ...], needed: str) -> ModelError:
+    return ModelError(f"{where} has shape {got}; {needed} is needed")

@@ -1,0 +1,28 @@
+"""How an estimation ended, as sentences a person can act on."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Outcome(Enum):
+    """The end of an estimation; ``value`` is the sentence, ``success`` whether theta is an estimate."""
+
+    CONVERGED = "Converged: the last iterates show no trend beyond their Monte Carlo noise."
+    ITERATIONS_USED_UP = (
+        "Iterations used up before the iterates settled: continue with resume=, or allow more."
+    )
+    STOPPED_BY_CALLER = "Stopped by the caller: continue with resume=."
+    DIVERGED = (
+        "Diverged: the filter or the parameters are no longer finite. Start closer, tighten the "
+        "parameters' bounds, or check the model's units."
+    )
+    COLLAPSED = (
+        "Lost: at these parameters the particle filter collapses onto single particles, so the "
+        "iterates follow noise. Use more particles, another start, or a larger measurement noise."
+    )
+
+    @property
+    def success(self) -> bool:
+        """False where the last iterate must not be taken for an estimate."""
+        return self not in (Outcome.DIVERGED, Outcome.COLLAPSED)

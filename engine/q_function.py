@@ -1,0 +1,168 @@
+"""One Gaussian term of the Q-function, with its gradient and scoring matrix.
+
+Each of I1, I2 and I3 (paper, eq. (9)) is a sum over points (t, j) of
+
+    E log N(x; m(theta) + A(theta) z, S(theta)),    -2 log N = log det S + Tr(S^{-1} l) + const.,
+
+with l = E (x - m - A z)(x - m - A z)' over the smoothed x and z, paper, eqs. (12)-(19). In I2, x is
+x_{t+1}, z is z_t and (m, A, S) = (f, A, Q); in I3 they are y_t, z_t and (h, C, R). With
+r = x_bar - m - A z_bar and S = L L',
+
+    l = r r' + Var(x) + A P A' - A Cov(z, x) - Cov(x, z) A'.
+
+Derivatives of m, A and S by theta are differences of the model's own functions, exact to rounding
+where theta enters linearly; the chain rule does the rest. The scoring matrix is the expected
+negative Hessian: where theta enters m and A linearly and S not at all, it is the Hessian, and one
+step theta + H^{-1} g is the weighted least-squares solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from engine.kernels.gaussian import psd_cholesky_many, whiten_points
+from engine.model import Array
+
+# record of theta -> m (T, N, n), A (T', N', n, nz), S (T', N', n, n)
+Evaluate: TypeAlias = Callable[[Any], tuple[Array, Array, Array]]
+
+LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianTerm:
+    """Sum over t of the mean over j of E log N(x; m + A z, S).
+
+    ``x`` (T, N, n) mean of x; ``z`` (T, N, nz) mean of z; ``P`` (T, B, nz, nz) = Var(z), ``cross``
+    (T, B, n, nz) = Cov(x, z), ``var`` (T, B, n, n) = Var(x), with B = 1 where common to all j.
+    Directions in which S has no noise leave the term (paper, eq. (15), for singular Q).
+    """
+
+    evaluate: Evaluate
+    x: Array
+    z: Array
+    P: Array
+    cross: Array
+    var: Array
+
+    def value(self, record: Any, rank: int | None = None) -> float:
+        """The term at theta; -inf where S has not the rank it must keep, or is not finite."""
+        return self._at(self.evaluate(record), rank)[0]
+
+    def rank(self, record: Any) -> int:
+        """Number of directions with noise, summed over all points at which S was given."""
+        S = self.evaluate(record)[2]
+        return int(np.count_nonzero(_pivots(_factor(S))))
+
+    def _at(
+        self, model: tuple[Array, Array, Array], rank: int | None
+    ) -> tuple[float, Array, Array, Array, Array]:
+        """Value; whitened residual r~ (T, N, n); whitening W; E~ = W l W' - r~ r~' ; factor L."""
+        m, A, S = model
+        L = _factor(S)
+        pivots = _pivots(L)
+        noisy = pivots > 0.0
+        if not np.isfinite(S).all() or (rank is not None and np.count_nonzero(noisy) != rank):
+            return -np.inf, m, L, L, L
+        r = whiten_all(L, self.x - m - _apply(A, self.z))
+        W = whiten_all(L, np.broadcast_to(np.eye(L.shape[-1]), L.shape))
+        AP = A @ self.P
+        Across = A @ np.swapaxes(self.cross, -1, -2)
+        spread = self.var + AP @ np.swapaxes(A, -1, -2) - Across - np.swapaxes(Across, -1, -2)
+        spread = W @ spread @ np.swapaxes(W, -1, -2)
+        T, N = self.x.shape[:2]
+        log_det = 2.0 * np.log(np.where(noisy, pivots, 1.0)).sum(-1) + LOG_2PI * noisy.sum(-1)
+        value = -0.5 * (
+            _total(log_det, T)
+            + float(np.vdot(r, r)) / N
+            + _total(np.trace(spread, axis1=-2, axis2=-1), T)
+        )
+        return value if np.isfinite(value) else -np.inf, r, W, spread, L
+
+    def derivatives(
+        self, record: Any, neighbours: list[tuple[Any, Any, float]]
+    ) -> tuple[float, Array, Array]:
+        """Value, gradient (k,) and scoring matrix (k, k) along k parameters.
+
+        ``neighbours`` holds for each parameter the records of theta - step, theta + step, and the
+        distance between the two.
+        """
+        model = self.evaluate(record)
+        A = model[1]
+        value, r, W, spread, L = self._at(model, None)
+        T, N = self.x.shape[:2]
+        k = len(neighbours)
+        rho: list[Array | None] = []  # whitened change of the mean, (T, N, n)
+        slope: list[Array | None] = []  # whitened change of A
+        noise: list[Array | None] = []  # W dS W'
+        residual_cross = W @ (self.cross - A @ self.P)  # W Cov(r, z)
+        gradient = np.zeros(k)
+        for i, (below, above, distance) in enumerate(neighbours):
+            low, high = self.evaluate(below), self.evaluate(above)
+            dm, dA, dS = ((b - a) / distance for a, b in zip(low, high, strict=True))
+            has_m, has_A, has_S = dm.any(), dA.any(), dS.any()
+            change = None
+            if has_A:
+                change = _apply(dA, self.z) + (dm if has_m else 0.0)
+            elif has_m:
+                change = dm
+            rho.append(None if change is None else whiten_all(L, change))
+            slope.append(W @ dA if has_A else None)
+            noise.append(W @ dS @ np.swapaxes(W, -1, -2) if has_S else None)
+            if change is not None:
+                gradient[i] += float(np.vdot(rho[i], r)) / N  # type: ignore[arg-type]
+            if has_A:
+                gradient[i] += _total((slope[i] * residual_cross).sum((-1, -2)), T)
+            if has_S:
+                D = noise[i]
+                gradient[i] += 0.5 * (
+                    _total((D * spread).sum((-1, -2)), T)
+                    - _total(np.trace(D, axis1=-2, axis2=-1), T)  # type: ignore[arg-type]
+                    + float(np.sum(_apply(D, r) * r)) / N  # type: ignore[arg-type]
+                )
+        H = np.zeros((k, k))
+        for i in range(k):
+            for j in range(i + 1):
+                if rho[i] is not None and rho[j] is not None:
+                    H[i, j] += float(np.vdot(rho[i], rho[j])) / N  # type: ignore[arg-type]
+                if slope[i] is not None and slope[j] is not None:
+                    H[i, j] += _total(((slope[i] @ self.P) * slope[j]).sum((-1, -2)), T)  # type: ignore[operator]
+                if noise[i] is not None and noise[j] is not None:
+                    H[i, j] += 0.5 * _total((noise[i] * noise[j]).sum((-1, -2)), T)  # type: ignore[operator]
+                H[j, i] = H[i, j]
+        return value, gradient, H
+
+
+def _factor(S: Array) -> Array:
+    """Cholesky factors of S (T', N', n, n), zero pivots where there is no noise."""
+    return psd_cholesky_many(S.reshape(-1, *S.shape[2:])).reshape(S.shape)  # type: ignore[no-any-return]
+
+
+def _pivots(L: Array) -> Array:
+    return np.diagonal(L, axis1=-2, axis2=-1)
+
+
+def whiten_all(L: Array, r: Array) -> Array:
+    """L^{-1} r at every point, directions without noise set to zero; r (T, N, n) or (T', N', n, k)."""
+    if r.ndim == 3:
+        return whiten_points(L, np.ascontiguousarray(r))  # type: ignore[no-any-return]
+    columns = np.moveaxis(r, -1, 0)
+    return np.moveaxis(
+        np.stack([whiten_points(L, np.ascontiguousarray(c)) for c in columns]), 0, -1
+    )
+
+
+def _apply(A: Array, z: Array) -> Array:
+    """A z at every point: A (T', N', n, nz), z (T, N, nz) -> (T, N, n)."""
+    if A.shape[:2] == (1, 1):
+        return z @ A[0, 0].T
+    return np.einsum("tjnk,tjk->tjn", np.broadcast_to(A, (*z.shape[:2], *A.shape[2:])), z)
+
+
+def _total(values: Array, T: int) -> float:
+    """Sum over t of the mean over j of values (T', N')."""
+    return float(values.mean(axis=1).sum() * (T / values.shape[0]))

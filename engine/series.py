@@ -1,0 +1,178 @@
+"""Measured data: outputs y, inputs u and their times, with missing values as NaN in y."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from engine.errors import SeriesError
+from engine.model import Array, MixedModel
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One experiment: y (T, ny), u (T, nu), times in seconds, channel names.
+
+    ``Series(y, u, dt=0.01)`` is regularly sampled; ``Series(y, u, t=times)`` has a time stamp
+    per row. NaN in y is a missing value: a whole row or a single channel. A one-dimensional y
+    or u is one channel. Raises SeriesError naming the row and the channel.
+    """
+
+    y: Array
+    u: Array
+    t: Array
+    y_names: tuple[str, ...]
+    u_names: tuple[str, ...]
+
+    def __init__(
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        dt: float = 1.0,
+        t: ArrayLike | None = None,
+        y_names: Sequence[str] | None = None,
+        u_names: Sequence[str] | None = None,
+    ) -> None:
+        y_ = _columns(y, "y")
+        T = y_.shape[0]
+        u_ = np.zeros((T, 0)) if u is None else _columns(u, "u")
+        if T < 2:
+            raise SeriesError(f"y has {T} samples; at least 2 are needed")
+        if u_.shape[0] != T:
+            raise SeriesError(f"u has {u_.shape[0]} rows and y has {T}; they must be equal")
+        set_ = object.__setattr__
+        set_(self, "y_names", _names(y_names, y_.shape[1], "y"))
+        set_(self, "u_names", _names(u_names, u_.shape[1], "u"))
+        for row, column in np.argwhere(np.isinf(y_))[:1]:
+            raise SeriesError(
+                f"y is infinite at row {row}, channel '{self.y_names[column]}'; "
+                "use NaN for a missing value"
+            )
+        for row, column in np.argwhere(~np.isfinite(u_))[:1]:
+            raise SeriesError(
+                f"u is not finite at row {row}, channel '{self.u_names[column]}'; "
+                "an input must be known at every sample"
+            )
+        set_(self, "y", y_)
+        set_(self, "u", u_)
+        set_(self, "t", _times(t, dt, T))
+        for array in (self.y, self.u, self.t):
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return int(self.y.shape[0])
+
+    @cached_property
+    def steps(self) -> Array:
+        """The time steps dt_t = t_{t+1} - t_t in seconds, (T-1,)."""
+        return np.diff(self.t)
+
+    @cached_property
+    def dt(self) -> float | None:
+        """The common time step in seconds, or None where sampling is irregular."""
+        first = float(self.steps[0])
+        return first if np.allclose(self.steps, first, rtol=1e-6, atol=0.0) else None
+
+    @cached_property
+    def observed(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Which values are there, (T, ny)."""
+        return ~np.isnan(self.y)
+
+    def part(self, start: int, stop: int) -> Series:
+        """Rows start .. stop-1 as a series of its own, with its own times."""
+        return Series(
+            self.y[start:stop],
+            self.u[start:stop],
+            t=self.t[start:stop],
+            y_names=self.y_names,
+            u_names=self.u_names,
+        )
+
+    def masked(self, rows: ArrayLike) -> Series:
+        """The same series with the measurements of ``rows`` (mask or indices) missing."""
+        y = self.y.copy()
+        y[rows] = np.nan  # type: ignore[index]
+        return Series(y, self.u, t=self.t, y_names=self.y_names, u_names=self.u_names)
+
+    def check(self, model: MixedModel) -> Series:
+        """Return self if its widths fit the model, else raise SeriesError."""
+        for got, names, what in (
+            (self.y.shape[1], model.outputs, "y"),
+            (self.u.shape[1], model.inputs, "u"),
+        ):
+            if got != len(names):
+                raise SeriesError(
+                    f"{what} has {got} channels; model '{model.name}' needs {len(names)}"
+                    f" ({', '.join(names) or 'none'})"
+                )
+        if not self.observed.any():
+            raise SeriesError("every value of y is missing; at least one measurement is needed")
+        return self
+
+    @staticmethod
+    def read(
+        path: str | Path,
+        y: Sequence[str] | Mapping[str, str] | None = None,
+        u: Sequence[str] | Mapping[str, str] | None = None,
+        t: str | None = None,
+        dt: float | None = None,
+    ) -> Series:
+        """Read a .csv, .mat or .npz file; see :func:`engine.series_files.read_series`."""
+        from engine.series_files import read_series
+
+        return read_series(path, y=y, u=u, t=t, dt=dt)
+
+
+def as_series_list(series: Series | Sequence[Series], model: MixedModel) -> list[Series]:
+    """One series or several, each checked against the model."""
+    listed = [series] if isinstance(series, Series) else list(series)
+    if not listed:
+        raise SeriesError("no series was given; at least one is needed")
+    for one in listed:
+        one.check(model)
+    return listed
+
+
+def _columns(values: ArrayLike, name: str) -> Array:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise SeriesError(f"{name} is not a table of numbers (T, n{name}): {error}") from error
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2:
+        raise SeriesError(f"{name} has shape {array.shape}; (T, n{name}) is needed")
+    return array
+
+
+def _names(names: Sequence[str] | None, n: int, prefix: str) -> tuple[str, ...]:
+    if names is None:
+        return tuple(f"{prefix}{i + 1}" if n > 1 else prefix for i in range(n))
+    if len(names) != n:
+        raise SeriesError(f"{len(names)} names were given for {n} channels of {prefix}")
+    return tuple(names)
+
+
+def _times(t: ArrayLike | None, dt: float, T: int) -> Array:
+    if t is None:
+        if not (np.isfinite(dt) and dt > 0):
+            raise SeriesError(f"dt = {dt} s; a positive time step is needed")
+        return np.arange(T) * float(dt)
+    times = np.array(t, dtype=float).ravel()
+    if times.size != T:
+        raise SeriesError(f"t has {times.size} time stamps and y has {T} rows")
+    bad = np.flatnonzero(~np.isfinite(times))
+    if bad.size:
+        raise SeriesError(f"t is not finite at row {bad[0]}")
+    bad = np.flatnonzero(np.diff(times) <= 0)
+    if bad.size:
+        row = int(bad[0]) + 1
+        kind = "repeats" if times[row] == times[row - 1] else "decreases"
+        raise SeriesError(f"t {kind} at row {row} ({times[row]:g} s); time must increase")
+    return times
