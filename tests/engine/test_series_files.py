@@ -1,0 +1,202 @@
+"""Reading and writing series: what is read, and every error with its message."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import time
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from engine.data import nile
+from engine.errors import SeriesError
+from engine.series import Series
+from engine.series_files import read_series, read_series_bytes, write_series
+
+
+def npz(**arrays):
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return out.getvalue()
+
+
+def mat(**arrays):
+    out = io.BytesIO()
+    savemat(out, arrays)
+    return out.getvalue()
+
+
+def test_default_channels_are_columns_named_y_and_u():
+    text = b"t_s,u_V,Y2,year,y_m\n0,1,2,1900,3\n0.5,4,5,1901,6\n"
+    series = read_series_bytes(text, "a.csv")
+    assert series.y_names == ("Y2", "y_m")
+    assert series.u_names == ("u_V",)
+    np.testing.assert_array_equal(series.y, [[2, 3], [5, 6]])
+    np.testing.assert_array_equal(series.u, [[1], [4]])
+    assert series.dt == 0.5
+
+
+def test_channels_by_list_and_by_mapping():
+    text = b"time,pump,level,other\n10,1,2,3\n12,4,5,6\n"
+    listed = read_series_bytes(text, "a.csv", y=["other", "level"], u=["pump"], t="time")
+    np.testing.assert_array_equal(listed.y, [[3, 2], [6, 5]])
+    assert listed.y_names == ("other", "level")
+    np.testing.assert_array_equal(listed.t, [10, 12])
+    mapped = read_series_bytes(text, "a.csv", y={"y1": "level"}, u={"drive": "pump"}, dt=4.0)
+    assert mapped.y_names == ("y1",)
+    assert mapped.u_names == ("drive",)
+    assert mapped.dt == 4.0  # a given dt wins over the column of times
+
+
+@pytest.mark.parametrize("cell", ["", " ", "NaN", "nan", "null", "NA", "None", "-"])
+def test_missing_cells(cell):
+    series = read_series_bytes(f"y1,y2,u\n1,2,3\n{cell},5,6\n".encode(), "a.csv")
+    assert np.isnan(series.y[1, 0])
+    assert series.y[1, 1] == 5
+
+
+def test_empty_line_in_one_column_is_missing():
+    series = read_series_bytes(b"y\n1\n\n3\n", "a.csv")
+    np.testing.assert_array_equal(series.y[:, 0], [1, np.nan, 3])
+
+
+def test_semicolons_tabs_comments_quotes_and_byte_order_mark():
+    for text in (b"\xef\xbb\xbfu;y\r\n1;2\r\n3;4\r\n", b"# made by hand\nu\ty\n1\t2\n3\t4\n"):
+        series = read_series_bytes(text, "a.csv")
+        np.testing.assert_array_equal(series.y[:, 0], [2, 4])
+    quoted = read_series_bytes(b'"u [V]","y [mm]"\n"1","2"\n"3","4"\n', "a.csv")
+    assert quoted.y_names == ("y [mm]",)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        (b"u,y\n1,2\n3,x4\n", {}, r"a.csv, line 3, column 'y': 'x4' is not a number$"),
+        (b"u;y\n1;2\n3;4,5\n", {}, r"line 3, column 'y': '4,5' is not a number; .*decimal comma"),
+        (b"u,y\n1,5,2,5\n", {}, r"line 2: 4 cells for 2 columns \(u, y\); are these decimal comm"),
+        (b"u,y\n1,2\n3\n", {}, r"line 3: 1 cells for 2 columns \(u, y\)$"),
+        (b"1,2\n3,4\n", {}, r"line 1: the first line holds numbers; it must name the columns"),
+        (b"u,,y\n1,2,3\n", {}, r"line 1: column 2 has no name"),
+        (b"y,y\n1,2\n", {}, r"line 1: two columns are named 'y'"),
+        (b"", {}, r"a.csv is empty"),
+        (b"u,y\n", {}, r"a.csv has a header and no rows"),
+        (b"u,y\n1,2\n3,\xff\n", {}, r"line 3: not UTF-8 text"),
+        (b"u,y\n\0", {}, r"not a text file"),
+        (b"a,b\n1,2\n", {}, r"no column is named y.*There are 'a', 'b'"),
+        (b"u,y\n1,2\n", {"y": ["z"]}, r"no column 'z' \(asked for as y\); there are 'u', 'y'"),
+        (b"u,y\n1,2\n", {"u": {"v": "q"}}, r"no column 'q' \(asked for as u\); there are 'u'"),
+        (b"u,y\n1,2\n", {"t": "time"}, r"no column 'time' \(asked for as t\)"),
+        (b"u,y\n1,2\n,4\n", {}, r"a.csv: u is not finite at row 1, channel 'u'"),
+        (b"u,y\n1,inf\n2,4\n", {}, r"a.csv: y is infinite at row 0, channel 'y'"),
+        (b"u,y\n1,2\n", {}, r"a.csv: y has 1 samples; at least 2"),
+        (b"t,y\n0,1\n0,2\n", {}, r"a.csv: t repeats at row 1"),
+        (b"t,y\n0,1\n-1,2\n", {}, r"a.csv: t decreases at row 1"),
+        (b"t,y\n0,1\n,2\n", {}, r"a.csv: t is not finite at row 1"),
+        (b"u,y\n1,2\n3,4\n", {"dt": -1.0}, r"a.csv: dt = -1.0 s; a positive time step"),
+    ],
+)
+def test_csv_errors(text, options, message):
+    with pytest.raises(SeriesError, match=message):
+        read_series_bytes(text, "a.csv", **options)
+
+
+def test_missing_file_and_unknown_ending(tmp_path):
+    with pytest.raises(SeriesError, match=r"nothing\.csv cannot be read: No such file"):
+        read_series(tmp_path / "nothing.csv")
+    with pytest.raises(SeriesError, match=r"a\.xls: the ending must be \.csv, \.mat or \.npz"):
+        read_series_bytes(b"", "a.xls")
+    with pytest.raises(SeriesError, match=r"the ending must be"):
+        write_series(Series([1.0, 2.0]), tmp_path / "a.xls")
+
+
+def test_arrays_of_npz_and_mat():
+    y, u = np.arange(6.0).reshape(3, 2), np.arange(3.0)
+    for data, name in ((npz(y=y, u=u, dt=0.1), "a.npz"), (mat(y=y, u=u, dt=0.1), "a.mat")):
+        series = read_series_bytes(data, name)
+        np.testing.assert_array_equal(series.y, y)
+        np.testing.assert_array_equal(series.u[:, 0], u)
+        assert series.y_names == ("y1", "y2")
+        assert series.dt == pytest.approx(0.1)
+        second = read_series_bytes(data, name, y=["y2"], dt=2.0)
+        np.testing.assert_array_equal(second.y[:, 0], y[:, 1])
+        assert second.dt == 2.0
+        with pytest.raises(SeriesError, match=r"'y' has 2 columns .y1, y2.; name one of them"):
+            read_series_bytes(data, name, y={"level": "y"})
+
+
+def test_arrays_of_other_names_and_of_unequal_length():
+    data = mat(qm=np.arange(3.0)[:, None], vir=np.arange(3.0)[:, None], note="text")
+    series = read_series_bytes(data, "a.mat", y=["qm"], u={"drive": "vir"}, dt=1e-3)
+    assert series.u_names == ("drive",)
+    with pytest.raises(SeriesError, match=r"no column is named y.*'qm', 'vir' .not usable: 'note'"):
+        read_series_bytes(data, "a.mat")
+    with pytest.raises(SeriesError, match="differ in length: 'y1' 3, 'y2' 4"):
+        read_series_bytes(npz(y1=np.zeros(3), y2=np.zeros(4)), "a.npz")
+    with pytest.raises(SeriesError, match="u has 4 rows and y has 3"):
+        read_series_bytes(npz(y=np.zeros(3), u=np.zeros(4)), "a.npz")
+
+
+def test_object_arrays_are_never_unpickled():
+    class Bomb:
+        def __reduce__(self):
+            return (pytest.fail, ("unpickled",))
+
+    out = io.BytesIO()
+    np.savez(out, y=np.array([Bomb(), None], dtype=object), v=np.zeros(2))
+    with pytest.raises(SeriesError, match="not usable: 'y' is not a table of real numbers"):
+        read_series_bytes(out.getvalue(), "a.npz")
+    with pytest.raises(SeriesError, match=r"a\.npz is not a readable \.npz archive"):
+        read_series_bytes(pickle.dumps([1.0, 2.0]), "a.npz")
+
+
+def test_broken_and_too_new_matlab_files():
+    with pytest.raises(SeriesError, match=r"MATLAB 7\.3 file; save it with -v7"):
+        read_series_bytes(b"MATLAB 7.3 MAT-file, Platform: x".ljust(512) + b"\x89HDF\r\n", "a.mat")
+    with pytest.raises(SeriesError, match=r"a\.mat is not a readable MATLAB file"):
+        read_series_bytes(b"not a matlab file at all, but long enough to be tried" * 9, "a.mat")
+
+
+@pytest.mark.parametrize("ending", ["csv", "mat", "npz"])
+def test_what_is_written_is_read_back(tmp_path, ending):
+    rng = np.random.default_rng(0)
+    y = rng.standard_normal((50, 2))
+    y[3, 1] = y[7, 0] = np.nan
+    t = np.cumsum(rng.uniform(0.1, 1.0, 50))
+    series = Series(y, rng.standard_normal(50), t=t, y_names=["y_a", "y_b"], u_names=["u_V"])
+    path = tmp_path / f"series.{ending}"
+    write_series(series, path)
+    back = Series.read(path)
+    np.testing.assert_array_equal(back.y, series.y)
+    np.testing.assert_array_equal(back.u, series.u)
+    np.testing.assert_array_equal(back.t, series.t)
+    assert back.y_names == series.y_names
+    assert back.u_names == series.u_names
+
+
+def test_written_csv_gives_unrecognised_names_a_prefix(tmp_path):
+    write_series(Series([1.0, 2.0], y_names=["flow"]), tmp_path / "a.csv")
+    assert (tmp_path / "a.csv").read_text().startswith("t,y_flow\n")
+    assert read_series(tmp_path / "a.csv").y_names == ("y_flow",)
+
+
+def test_hundred_thousand_rows_are_read_within_seconds(tmp_path):
+    rng = np.random.default_rng(0)
+    y = rng.standard_normal(100_000)
+    y[::10] = np.nan
+    write_series(Series(y, rng.standard_normal(100_000)), tmp_path / "long.csv")
+    began = time.perf_counter()
+    back = read_series(tmp_path / "long.csv")
+    assert time.perf_counter() - began < 5.0
+    assert len(back) == 100_000
+    assert int((~back.observed).sum()) == 10_000
+
+
+def test_nile():
+    series = nile()
+    assert len(series) == 100
+    assert series.t[0] == 1871
+    assert series.y[0, 0] == 1120
+    assert series.y.mean() == pytest.approx(919.35)
+    assert series.dt == 1.0
