@@ -332,7 +332,10 @@ class _Log:
             names,
             Theta(theta, self.model.parameter_names),
             trace,
-            *columns,
+            columns[0],
+            columns[1],
+            columns[2],
+            columns[3],
             outcome,
             message,
         )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -277,10 +278,10 @@ def dependence(model: MixedModel, theta: Theta, points: Points) -> list[NDArray[
         return depends
     a, u, t = points.a[0], points.series.u[0], float(points.series.t[0])
     dt = float(points.series.steps[0])
-    calls = (
-        lambda record: _evaluate_start(model, record, a),
-        lambda record: model.transition(a, u, t, dt, record),
-        lambda record: model.observation(a, u, t, record),
+    calls: tuple[Callable[[Any], Any], ...] = (
+        partial(_evaluate_start, model, a),
+        partial(model.transition, a, u, t, dt),
+        partial(model.observation, a, u, t),
     )
     for k in range(n):
         values: list[Any] = theta.tolist()
@@ -295,7 +296,7 @@ def dependence(model: MixedModel, theta: Theta, points: Points) -> list[NDArray[
     return depends
 
 
-def _evaluate_start(model: MixedModel, record: Any, a: Array) -> None:
+def _evaluate_start(model: MixedModel, a: Array, record: Any) -> None:
     start = model.start(record)
     start.density.log_density(a)
     start.linear(a)

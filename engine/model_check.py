@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -19,11 +20,11 @@ def check_model(model: MixedModel) -> None:
     """Raise ModelError unless the model's names, shapes, values and covariances are usable."""
     _check_names(model)
     theta = model.record(model.theta())
-    a = _call(model, "initial", lambda: _check_start(model, theta))
+    a = _call(model, "initial", partial(_check_start, model, theta))
     u = np.zeros(model.nu)
     for t in (0.0, 1.0):
-        f, A, Q = _call(model, "dynamics", lambda t=t: model.transition(a, u, t, 1.0, theta))
-        h, C, R = _call(model, "measurement", lambda t=t: model.observation(a, u, t, theta))
+        f, A, Q = _call(model, "dynamics", partial(model.transition, a, u, t, 1.0, theta))
+        h, C, R = _call(model, "measurement", partial(model.observation, a, u, t, theta))
         for name, value in (("dynamics: f", f), ("dynamics: A", A), ("dynamics: Q", Q)):
             _check_finite(model, name, value)
         for name, value in (("measurement: h", h), ("measurement: C", C), ("measurement: R", R)):

@@ -92,54 +92,64 @@ class GaussianTerm:
         distance between the two.
         """
         model = self.evaluate(record)
-        A = model[1]
         value, r, W, spread, L = self._at(model, None)
         T, N = self.x.shape[:2]
-        k = len(neighbours)
-        rho: list[Array | None] = []  # whitened change of the mean, (T, N, n)
-        slope: list[Array | None] = []  # whitened change of A
-        noise: list[Array | None] = []  # W dS W'
-        residual_cross = W @ (self.cross - A @ self.P)  # W Cov(r, z)
-        gradient = np.zeros(k)
+        cross = W @ (self.cross - model[1] @ self.P)  # W Cov(r, z)
+        gradient, H = np.zeros(len(neighbours)), np.zeros((len(neighbours), len(neighbours)))
+        changes: list[_Change] = []
         for i, (below, above, distance) in enumerate(neighbours):
-            low, high = self.evaluate(below), self.evaluate(above)
-            dm, dA, dS = ((b - a) / distance for a, b in zip(low, high, strict=True))
-            has_m, has_A, has_S = dm.any(), dA.any(), dS.any()
-            change = None
-            if has_A:
-                change = _apply(dA, self.z) + (dm if has_m else 0.0)
-            elif has_m:
-                change = dm
-            rho.append(None if change is None else whiten_all(L, change))
-            slope.append(W @ dA if has_A else None)
-            noise.append(W @ dS @ np.swapaxes(W, -1, -2) if has_S else None)
-            if change is not None:
-                gradient[i] += float(np.vdot(rho[i], r)) / N  # type: ignore[arg-type]
-            if has_A:
-                gradient[i] += _total((slope[i] * residual_cross).sum((-1, -2)), T)
-            if has_S:
-                D = noise[i]
-                gradient[i] += 0.5 * (
-                    _total((D * spread).sum((-1, -2)), T)
-                    - _total(np.trace(D, axis1=-2, axis2=-1), T)  # type: ignore[arg-type]
-                    + float(np.sum(_apply(D, r) * r)) / N  # type: ignore[arg-type]
-                )
-        H = np.zeros((k, k))
-        for i in range(k):
-            for j in range(i + 1):
-                if rho[i] is not None and rho[j] is not None:
-                    H[i, j] += float(np.vdot(rho[i], rho[j])) / N  # type: ignore[arg-type]
-                if slope[i] is not None and slope[j] is not None:
-                    H[i, j] += _total(((slope[i] @ self.P) * slope[j]).sum((-1, -2)), T)  # type: ignore[operator]
-                if noise[i] is not None and noise[j] is not None:
-                    H[i, j] += 0.5 * _total((noise[i] * noise[j]).sum((-1, -2)), T)  # type: ignore[operator]
+            d = self._change(L, W, self.evaluate(below), self.evaluate(above), distance)
+            changes.append(d)
+            if d.mean is not None:
+                gradient[i] += float(np.vdot(d.mean, r)) / N
+            if d.slope is not None:
+                gradient[i] += _total((d.slope * cross).sum((-1, -2)), T)
+            if d.noise is not None:
+                trace = (d.noise * spread).sum((-1, -2)) - np.trace(d.noise, axis1=-2, axis2=-1)
+                gradient[i] += 0.5 * (_total(trace, T) + float(np.sum(_apply(d.noise, r) * r)) / N)
+            for j, e in enumerate(changes):
+                if d.mean is not None and e.mean is not None:
+                    H[i, j] += float(np.vdot(d.mean, e.mean)) / N
+                if d.slope is not None and e.slope is not None:
+                    H[i, j] += _total(((d.slope @ self.P) * e.slope).sum((-1, -2)), T)
+                if d.noise is not None and e.noise is not None:
+                    H[i, j] += 0.5 * _total((d.noise * e.noise).sum((-1, -2)), T)
                 H[j, i] = H[i, j]
         return value, gradient, H
+
+    def _change(
+        self,
+        L: Array,
+        W: Array,
+        low: tuple[Array, Array, Array],
+        high: tuple[Array, Array, Array],
+        distance: float,
+    ) -> _Change:
+        """The whitened derivatives along one parameter, None where there is none."""
+        dm, dA, dS = ((b - a) / distance for a, b in zip(low, high, strict=True))
+        mean = dm if dm.any() else None
+        if dA.any():
+            mean = _apply(dA, self.z) + dm
+        return _Change(
+            None if mean is None else whiten_all(L, mean),
+            W @ dA if dA.any() else None,
+            W @ dS @ np.swapaxes(W, -1, -2) if dS.any() else None,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """Derivatives along one parameter, whitened: of m + A z (T, N, n), of A, and of S."""
+
+    mean: Array | None
+    slope: Array | None
+    noise: Array | None
 
 
 def _factor(S: Array) -> Array:
     """Cholesky factors of S (T', N', n, n), zero pivots where there is no noise."""
-    return psd_cholesky_many(S.reshape(-1, *S.shape[2:])).reshape(S.shape)  # type: ignore[no-any-return]
+    factors: Array = psd_cholesky_many(S.reshape(-1, *S.shape[2:])).reshape(S.shape)
+    return factors
 
 
 def _pivots(L: Array) -> Array:
@@ -149,7 +159,7 @@ def _pivots(L: Array) -> Array:
 def whiten_all(L: Array, r: Array) -> Array:
     """L^{-1} r at every point, directions without noise set to zero; r (T, N, n) or (T', N', n, k)."""
     if r.ndim == 3:
-        return whiten_points(L, np.ascontiguousarray(r))  # type: ignore[no-any-return]
+        return np.asarray(whiten_points(L, np.ascontiguousarray(r)))
     columns = np.moveaxis(r, -1, 0)
     return np.moveaxis(
         np.stack([whiten_points(L, np.ascontiguousarray(c)) for c in columns]), 0, -1
@@ -159,8 +169,11 @@ def whiten_all(L: Array, r: Array) -> Array:
 def _apply(A: Array, z: Array) -> Array:
     """A z at every point: A (T', N', n, nz), z (T, N, nz) -> (T, N, n)."""
     if A.shape[:2] == (1, 1):
-        return z @ A[0, 0].T
-    return np.einsum("tjnk,tjk->tjn", np.broadcast_to(A, (*z.shape[:2], *A.shape[2:])), z)
+        common: Array = z @ A[0, 0].T
+        return common
+    every = np.broadcast_to(A, (*z.shape[:2], *A.shape[2:]))
+    each: Array = np.einsum("tjnk,tjk->tjn", every, z)
+    return each
 
 
 def _total(values: Array, T: int) -> float:

@@ -79,7 +79,10 @@ class Filtered:
 
     def mean(self) -> Array:
         """Filtered mean of x = (a, z), (T, nx)."""
-        return np.einsum("tm,tmx->tx", self.weights, np.concatenate([self.a, self.z], axis=2))
+        mean: Array = np.einsum(
+            "tm,tmx->tx", self.weights, np.concatenate([self.a, self.z], axis=2)
+        )
+        return mean
 
 
 def rbpf(
@@ -209,7 +212,7 @@ class _Kept:
 
     def __init__(self, T: int, M: int) -> None:
         self.T, self.M = T, M
-        self.rows: dict[str, Array] = {}
+        self.rows: dict[str, Any] = {}
 
     def __call__(self, t: int, **values: Any) -> None:
         for name, value in values.items():
@@ -225,5 +228,5 @@ class _Kept:
                 rows = self.rows[name] = full
             rows[t] = value
 
-    def arrays(self) -> dict[str, Array]:
+    def arrays(self) -> dict[str, Any]:
         return self.rows

@@ -71,7 +71,7 @@ class Series:
     @cached_property
     def steps(self) -> Array:
         """The time steps dt_t = t_{t+1} - t_t in seconds, (T-1,)."""
-        return np.diff(self.t)
+        return np.diff(self.t).astype(float)
 
     @cached_property
     def dt(self) -> float | None:
