@@ -14,23 +14,15 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from engine.conditional import condition_on_trajectories
 from engine.convergence import WINDOW, has_settled
+from engine.e_steps import LOST_SHARE, EStep, Expect, rbps_step, rts_step
 from engine.errors import OptionError
-from engine.expectation import Moments, QFunction, expectation, parameter_scale
-from engine.kalman import kalman_smoother
-from engine.linear import as_linear
+from engine.expectation import parameter_scale
 from engine.maximization import maximize
 from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.outcome import Outcome
-from engine.points import Points
-from engine.proposals import Proposal, get_proposal
-from engine.rb_ffbsi import rb_ffbsi
-from engine.rbpf import Filtered, check_options, rbpf
+from engine.proposals import Proposal
 from engine.series import Series, as_series_list
-
-LOST_SHARE = 0.05  # a filter that collapses at more than this share of its rows is run again ...
-RETRIES = (4, 16)  # ... with this many times the particles
 
 
 @dataclass(frozen=True)
@@ -87,17 +79,6 @@ class EmResult:
         return Checkpoint(self.trace, self.log_likelihood, self.ess, self.seconds, self.collapsed)
 
 
-@dataclass(frozen=True, eq=False)
-class EStep:
-    """The Q-function at theta_k with the log-likelihood and health of the filter behind it."""
-
-    q: QFunction
-    log_likelihood: float
-    ess: float
-    collapsed: float
-
-
-Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
 Callback: TypeAlias = Callable[[Iteration], Any]
 
 
@@ -117,6 +98,7 @@ def rbps_em(
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
     smoother: str = "exact",
+    recover: bool = True,
     m_step: str = "scoring",
     tolerance: float | None = 1e-3,
 ) -> EmResult:
@@ -129,43 +111,20 @@ def rbps_em(
 
     ``smoother``: "exact" uses moments of z given whole trajectories of a, which converge as M grows;
     "algorithm-3" those of the report, eqs. (61), whose P and M keep the bias of Approximation 2.
+    ``recover``: run a filter that collapsed again with more particles (the paper does not).
     ``m_step``: "scoring" or "bfgs", see :mod:`engine.maximization`.
     Raises OptionError, SeriesError, ModelError.
     """
-    listed = as_series_list(series, model)
-    check_options(n_particles, resampling, ess_threshold)
-    get_proposal(proposal)
-    if smoother not in ("exact", "algorithm-3"):
-        raise OptionError(
-            f"smoother '{smoother}' is not known; use exact or algorithm-3", "smoother"
-        )
-    n_trajectories = n_particles if n_trajectories is None else n_trajectories
-
-    def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> Filtered:
-        filtered = rbpf(model, theta, one, n_particles, rng, proposal, resampling, ess_threshold)
-        for times in RETRIES:
-            if len(filtered.collapsed) <= LOST_SHARE * len(one):
-                break
-            filtered = rbpf(
-                model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
-            )
-        return filtered
-
-    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
-        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
-        for one in listed:
-            filtered = run_filter(theta, one, rng)
-            draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
-            points = Points(model, one, draws.a, theta)
-            if smoother == "exact":
-                draws = condition_on_trajectories(draws, points)
-            smoothed.append((Moments(draws.a, draws.z, draws.cov, draws.cross), points))
-            log_likelihood += filtered.log_likelihood
-            ess += float(filtered.ess.sum())
-            lost += len(filtered.collapsed)
-        n = sum(map(len, listed))
-        return EStep(expectation(model, theta, smoothed), log_likelihood, ess / n, lost / n)
-
+    expect = rbps_step(
+        model,
+        as_series_list(series, model),
+        n_particles,
+        n_particles if n_trajectories is None else n_trajectories,
+        proposal=proposal,
+        resampling=resampling,
+        ess_threshold=ess_threshold,
+        smoother=smoother,
+    )
     return iterate(
         model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance
     )
@@ -187,19 +146,7 @@ def rts_em(
 
     Raises ModelError where the model is not linear Gaussian.
     """
-    listed = as_series_list(series, model)
-    linear = as_linear(model)
-
-    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
-        smoothed, log_likelihood = [], 0.0
-        for one in listed:
-            k = kalman_smoother(model, theta, one)
-            points = Points(linear, one, np.zeros((len(one), 1, 0)), theta)
-            moments = Moments(points.a, k.x[:, None], k.P[:, None], k.M[:, None])
-            smoothed.append((moments, points))
-            log_likelihood += k.log_likelihood
-        return EStep(expectation(linear, theta, smoothed), log_likelihood, 1.0, 0.0)
-
+    expect = rts_step(model, as_series_list(series, model))
     return iterate(
         model, expect, theta0, free, n_iterations, 0, callback, resume, m_step, tolerance
     )
