@@ -18,6 +18,7 @@ from engine.registry import get_model, model_names, plugin_errors, register
 from engine.series import Series
 from engine.simulate import Simulation, simulate
 from engine.simulation_fit import fit_simulation
+from engine.standard_errors import StandardErrors, standard_errors
 
 __all__ = [
     "Checkpoint",
@@ -35,6 +36,7 @@ __all__ = [
     "SeriesError",
     "Simulation",
     "Smoothed",
+    "StandardErrors",
     "Theta",
     "condition_on_trajectories",
     "discretize",
@@ -50,4 +52,5 @@ __all__ = [
     "register",
     "rts_em",
     "simulate",
+    "standard_errors",
 ]

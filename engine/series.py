@@ -163,7 +163,7 @@ def _times(t: ArrayLike | None, dt: float, T: int) -> Array:
     if t is None:
         if not (np.isfinite(dt) and dt > 0):
             raise SeriesError(f"dt = {dt} s; a positive time step is needed")
-        return np.arange(T) * float(dt)
+        return float(dt) * np.arange(T, dtype=np.float64)
     times = np.array(t, dtype=float).ravel()
     if times.size != T:
         raise SeriesError(f"t has {times.size} time stamps and y has {T} rows")

@@ -1,0 +1,107 @@
+"""The E steps of EM: from theta_k to the Q-function; paper, Algorithm 1, step 2.
+
+An E step is a function of theta and a random generator that returns an :class:`EStep`. RBPS-EM runs
+the RBPF and the RB-FFBSi, RTS-EM the Kalman smoother; what follows is the same for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from engine.conditional import condition_on_trajectories
+from engine.errors import OptionError
+from engine.expectation import Moments, QFunction, expectation
+from engine.kalman import kalman_smoother
+from engine.linear import as_linear
+from engine.model import MixedModel, Theta
+from engine.points import Points
+from engine.proposals import Proposal, get_proposal
+from engine.rb_ffbsi import rb_ffbsi
+from engine.rbpf import Filtered, check_options, rbpf
+from engine.series import Series
+
+LOST_SHARE = 0.05  # a filter that collapses at more than this share of its rows is run again ...
+RETRIES = (4, 16)  # ... with this many times the particles
+
+
+@dataclass(frozen=True, eq=False)
+class EStep:
+    """The Q-function at theta_k with the log-likelihood and health of the filter behind it.
+
+    ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left.
+    """
+
+    q: QFunction
+    log_likelihood: float
+    ess: float
+    collapsed: float
+
+
+Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
+
+
+def rbps_step(
+    model: MixedModel,
+    listed: Sequence[Series],
+    n_particles: int,
+    n_trajectories: int,
+    *,
+    proposal: str | Proposal = "adapted",
+    resampling: str = "systematic",
+    ess_threshold: float = 0.5,
+    smoother: str = "exact",
+) -> Expect:
+    """RBPF and RB-FFBSi over every series; options as in :func:`engine.rbps_em`."""
+    check_options(n_particles, resampling, ess_threshold)
+    get_proposal(proposal)
+    if smoother not in ("exact", "algorithm-3"):
+        raise OptionError(
+            f"smoother '{smoother}' is not known; use exact or algorithm-3", "smoother"
+        )
+
+    def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> Filtered:
+        for times in (1, *RETRIES):
+            filtered = rbpf(
+                model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
+            )
+            if len(filtered.collapsed) <= LOST_SHARE * len(one):
+                break
+        return filtered
+
+    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
+        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
+        for one in listed:
+            filtered = run_filter(theta, one, rng)
+            draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
+            points = Points(model, one, draws.a, theta)
+            if smoother == "exact":
+                draws = condition_on_trajectories(draws, points)
+            smoothed.append((Moments(draws.a, draws.z, draws.cov, draws.cross), points))
+            log_likelihood += filtered.log_likelihood
+            ess += float(filtered.ess.sum())
+            lost += len(filtered.collapsed)
+        n = sum(map(len, listed))
+        return EStep(expectation(model, theta, smoothed), log_likelihood, ess / n, lost / n)
+
+    return expect
+
+
+def rts_step(model: MixedModel, listed: Sequence[Series]) -> Expect:
+    """The exact Kalman smoother over every series, for linear Gaussian models."""
+    linear = as_linear(model)
+
+    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
+        smoothed, log_likelihood = [], 0.0
+        for one in listed:
+            k = kalman_smoother(model, theta, one)
+            points = Points(linear, one, np.zeros((len(one), 1, 0)), theta)
+            moments = Moments(points.a, k.x[:, None], k.P[:, None], k.M[:, None])
+            smoothed.append((moments, points))
+            log_likelihood += k.log_likelihood
+        return EStep(expectation(linear, theta, smoothed), log_likelihood, 1.0, 0.0)
+
+    return expect
