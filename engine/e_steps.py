@@ -54,6 +54,7 @@ def rbps_step(
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
     smoother: str = "exact",
+    recover: bool = True,
 ) -> Expect:
     """RBPF and RB-FFBSi over every series; options as in :func:`engine.rbps_em`."""
     check_options(n_particles, resampling, ess_threshold)
@@ -64,7 +65,7 @@ def rbps_step(
         )
 
     def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> Filtered:
-        for times in (1, *RETRIES):
+        for times in (1, *RETRIES) if recover else (1,):
             filtered = rbpf(
                 model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
             )

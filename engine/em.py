@@ -124,6 +124,7 @@ def rbps_em(
         resampling=resampling,
         ess_threshold=ess_threshold,
         smoother=smoother,
+        recover=recover,
     )
     return iterate(
         model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance
