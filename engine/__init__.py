@@ -12,6 +12,8 @@ from engine.free_run import free_run
 from engine.kalman import kalman_smoother
 from engine.model import Gaussian, MixedModel, Parameter, Theta
 from engine.outcome import Outcome
+from engine.particle import ParticleFiltered, ParticleSmoothed, ffbsi, particle_filter
+from engine.ps_em import ps_em
 from engine.rb_ffbsi import Smoothed, rb_ffbsi
 from engine.rbpf import Filtered, rbpf
 from engine.registry import get_model, model_names, plugin_errors, register
@@ -32,6 +34,8 @@ __all__ = [
     "OptionError",
     "Outcome",
     "Parameter",
+    "ParticleFiltered",
+    "ParticleSmoothed",
     "Series",
     "SeriesError",
     "Simulation",
@@ -40,12 +44,15 @@ __all__ = [
     "Theta",
     "condition_on_trajectories",
     "discretize",
+    "ffbsi",
     "fit_simulation",
     "free_run",
     "get_model",
     "kalman_smoother",
     "model_names",
+    "particle_filter",
     "plugin_errors",
+    "ps_em",
     "rb_ffbsi",
     "rbpf",
     "rbps_em",

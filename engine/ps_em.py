@@ -1,0 +1,96 @@
+"""PS-EM: EM with a particle smoother on the full state (Schon, Wills, Ninness 2011; poster)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from engine.e_steps import LOST_SHARE, RETRIES, EStep, Expect
+from engine.em import Callback, Checkpoint, EmResult, iterate
+from engine.expectation import expectation
+from engine.model import MixedModel, Theta, ThetaLike
+from engine.particle import ParticleFiltered, ffbsi, particle_filter
+from engine.points import Points
+from engine.proposals import Proposal, get_proposal
+from engine.rbpf import check_options
+from engine.series import Series, as_series_list
+
+
+def ps_em(
+    model: MixedModel,
+    series: Series | Sequence[Series],
+    theta0: ThetaLike = None,
+    free: Sequence[str] | None = None,
+    n_particles: int = 50,
+    n_trajectories: int | None = None,
+    n_iterations: int = 100,
+    seed: int = 0,
+    callback: Callback | None = None,
+    resume: Checkpoint | EmResult | None = None,
+    *,
+    proposal: str | Proposal = "bootstrap",
+    resampling: str = "multinomial",
+    ess_threshold: float = 1.0,
+    retry: bool = True,
+    m_step: str = "scoring",
+    tolerance: float | None = 1e-3,
+) -> EmResult:
+    """Estimate theta by EM with the bootstrap PF and FFBSi on x = (a, z); paper, section V.
+
+    The Q-function is that of paper, eqs. (8)-(19), with the drawn states in place of moments, P = 0
+    and M = 0. Arguments, result and errors as in :func:`engine.em.rbps_em`; ``retry=False`` is
+    the paper's method to the letter, which goes on with a filter that has collapsed.
+    """
+    expect = ps_step(
+        model,
+        as_series_list(series, model),
+        n_particles,
+        n_particles if n_trajectories is None else n_trajectories,
+        proposal=proposal,
+        resampling=resampling,
+        ess_threshold=ess_threshold,
+        retry=retry,
+    )
+    return iterate(
+        model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance
+    )
+
+
+def ps_step(
+    model: MixedModel,
+    listed: Sequence[Series],
+    n_particles: int,
+    n_trajectories: int,
+    *,
+    proposal: str | Proposal = "bootstrap",
+    resampling: str = "multinomial",
+    ess_threshold: float = 1.0,
+    retry: bool = True,
+) -> Expect:
+    """Particle filter and FFBSi over every series; options as in :func:`ps_em`."""
+    check_options(n_particles, resampling, ess_threshold)
+    get_proposal(proposal)
+
+    def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> ParticleFiltered:
+        for times in (1, *RETRIES) if retry else (1,):
+            filtered = particle_filter(
+                model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
+            )
+            if len(filtered.collapsed) <= LOST_SHARE * len(one):
+                break
+        return filtered
+
+    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
+        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
+        for one in listed:
+            filtered = run_filter(theta, one, rng)
+            draws = ffbsi(filtered, n_trajectories, rng)
+            smoothed.append((draws.moments, Points(model, one, draws.a, theta)))
+            log_likelihood += filtered.log_likelihood
+            ess += float(filtered.ess.sum())
+            lost += len(filtered.collapsed)
+        n = sum(map(len, listed))
+        return EStep(expectation(model, theta, smoothed), log_likelihood, ess / n, lost / n)
+
+    return expect
