@@ -32,14 +32,14 @@ def ps_em(
     proposal: str | Proposal = "bootstrap",
     resampling: str = "multinomial",
     ess_threshold: float = 1.0,
-    retry: bool = True,
+    recover: bool = True,
     m_step: str = "scoring",
     tolerance: float | None = 1e-3,
 ) -> EmResult:
     """Estimate theta by EM with the bootstrap PF and FFBSi on x = (a, z); paper, section V.
 
     The Q-function is that of paper, eqs. (8)-(19), with the drawn states in place of moments, P = 0
-    and M = 0. Arguments, result and errors as in :func:`engine.em.rbps_em`; ``retry=False`` is
+    and M = 0. Arguments, result and errors as in :func:`engine.em.rbps_em`; ``recover=False`` is
     the paper's method to the letter, which goes on with a filter that has collapsed.
     """
     expect = ps_step(
@@ -50,7 +50,7 @@ def ps_em(
         proposal=proposal,
         resampling=resampling,
         ess_threshold=ess_threshold,
-        retry=retry,
+        recover=recover,
     )
     return iterate(
         model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance
@@ -66,14 +66,14 @@ def ps_step(
     proposal: str | Proposal = "bootstrap",
     resampling: str = "multinomial",
     ess_threshold: float = 1.0,
-    retry: bool = True,
+    recover: bool = True,
 ) -> Expect:
     """Particle filter and FFBSi over every series; options as in :func:`ps_em`."""
     check_options(n_particles, resampling, ess_threshold)
     get_proposal(proposal)
 
     def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> ParticleFiltered:
-        for times in (1, *RETRIES) if retry else (1,):
+        for times in (1, *RETRIES) if recover else (1,):
             filtered = particle_filter(
                 model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
             )

@@ -129,7 +129,7 @@ def test_ps_em_without_retries_reports_the_collapse() -> None:
     rng = np.random.default_rng(5)
     one = engine.simulate(MIXED, None, 60, rng).series
     start = {"theta_2": 8.0}
-    bare = ps_em(MIXED, one, start, n_particles=20, n_iterations=2, retry=False)
+    bare = ps_em(MIXED, one, start, n_particles=20, n_iterations=2, recover=False)
     helped = ps_em(MIXED, one, start, n_particles=20, n_iterations=2)
     assert bare.collapsed[0] > helped.collapsed[0]
 
