@@ -1,0 +1,20 @@
+"""Every study by name."""
+
+from __future__ import annotations
+
+from engine.studies import states
+from engine.studies.study import Study
+
+STUDIES: dict[str, Study] = {
+    study.name: study
+    for study in (
+        states.TABLES_1_2,
+        states.TABLES_3_4,
+    )
+}
+ALIASES = {
+    "table-1": "table-1-2",
+    "table-2": "table-1-2",
+    "table-3": "table-3-4",
+    "table-4": "table-3-4",
+}
