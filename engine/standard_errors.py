@@ -6,8 +6,8 @@ Fisher's identity gives the score as the gradient of the Q-function at its own t
 
 and the observed information is its negative derivative. Louis' identity would subtract the variance
 of the complete-data score from the complete-data information: where EM contracts slowly the two
-nearly cancel, and their Monte Carlo noise does not. Differences of s over about one standard error
-need far fewer trajectories. The directions of the differences are the columns of a square root of
+nearly cancel, and their Monte Carlo noise does not. Differences of s over half a standard error to either
+side need far fewer trajectories. The directions of the differences are the columns of a square root of
 the covariance, so they are found in a first round and refined in a second.
 """
 
@@ -26,6 +26,7 @@ from engine.series import Series, as_series_list
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates
 GUESS = 0.1  # share of the complete-data information that the data usually hold, to start with
+REACH = 0.5  # length of the differences in standard errors: further out the curvature differs
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
 
@@ -148,12 +149,12 @@ def _whitened_information(
 
 
 def _within(x: Array, step: Array, lower: Array, upper: Array) -> float:
-    """The largest share (at most 1) of a step that stays well within the bounds."""
+    """The largest share (at most REACH) of a step that stays well within the bounds."""
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(
             step > 0.0, (upper - x) / step, np.where(step < 0.0, (lower - x) / step, np.inf)
         )
-    return float(min(1.0, 0.9 * room.min()))
+    return float(min(REACH, 0.9 * room.min()))
 
 
 def _root(S: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -17,23 +16,19 @@ C = np.array([[0.0, 0.0, 0.0], [1.0, -1.0, 1.0]])
 def dynamics(a: Array, u: Array, t: float, dt: float, theta: Any) -> tuple[Any, Any, Any]:
     """Paper, eqs. (35a)-(35b)."""
     th1, th2, th3, th4, th5 = theta
-    f = np.zeros((len(a), 4))
-    f[:, 0] = th1 * np.arctan(a[:, 0])
-    A = np.array(
-        [
-            [th2, 0.0, 0.0],
-            [1.0, th3, 0.0],
-            [0.0, th4 * cos(th5), -th4 * sin(th5)],
-            [0.0, th4 * sin(th5), th4 * cos(th5)],
-        ]
-    )
+    f = [th1 * np.arctan(a[:, 0]), 0.0, 0.0, 0.0]
+    A = [
+        [th2, 0.0, 0.0],
+        [1.0, th3, 0.0],
+        [0.0, th4 * np.cos(th5), -th4 * np.sin(th5)],
+        [0.0, th4 * np.sin(th5), th4 * np.cos(th5)],
+    ]
     return f, A, Q
 
 
 def measurement(a: Array, u: Array, t: float, theta: Any) -> tuple[Any, Any, Any]:
     """Paper, eq. (35c): y_1 = 0.1 a|a|, y_2 = z_1 - z_2 + z_3."""
-    h = np.zeros((len(a), 2))
-    h[:, 0] = 0.1 * a[:, 0] * np.abs(a[:, 0])
+    h = [0.1 * a[:, 0] * np.abs(a[:, 0]), 0.0]
     return h, C, R
 
 

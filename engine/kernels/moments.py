@@ -1,0 +1,200 @@
+"""Gaussian filtering by sigma points in a, exact in z, for many parameter vectors at once.
+
+K copies of the filter run side by side, each with its own theta. A density N(m, P) of x = (a, z) is
+represented by S = 2 na + 1 points of a, the centre and +- ``spread`` columns of the Cholesky factor of
+P_aa, with z given a linear Gaussian at each of them. Expectations over a are sums with the weights
+of that rule, which is exact to third order (to fifth for na = 1); over z they are exact.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.kernels.gaussian import (
+    log_normalizer,
+    psd_cholesky_into,
+    solve_lower_transposed,
+    whiten,
+)
+
+TINY = 1e-7  # least standard deviation of a, relative to 1 + |a|, so that slopes exist
+
+
+@njit(cache=True, error_model="numpy")
+def spread_of(na):
+    """Distance of the outer points in standard deviations, and their weight."""
+    square = max(3.0, float(na))
+    return math.sqrt(square), 0.5 / square
+
+
+@njit(cache=True, error_model="numpy")
+def sigma_points(m, P, na):
+    """a (K, S, na) and E(z | a) (K, S, nz) at the points; Var(z | a) (K, nz, nz); offsets (K, na, nx).
+
+    ``offsets[k, i]`` is the change of the whole mean x that goes with point 1 + 2 i.
+    """
+    K, nx = m.shape
+    nz = nx - na
+    S = 2 * na + 1
+    spread, _ = spread_of(na)
+    a = np.empty((K, S, na))
+    z = np.empty((K, S, nz))
+    V = np.empty((K, nz, nz))
+    offsets = np.zeros((K, na, nx))
+    Paa = np.empty((na, na))
+    L = np.empty((na, na))
+    W = np.empty((na, nz))
+    for k in range(K):
+        for i in range(na):
+            for j in range(na):
+                Paa[i, j] = P[k, i, j]
+            least = TINY * (1.0 + abs(m[k, i]))
+            Paa[i, i] += least * least
+        psd_cholesky_into(Paa, L)
+        for c in range(nz):
+            for i in range(na):
+                s = P[k, i, na + c]
+                for j in range(i):
+                    s -= L[i, j] * W[j, c]
+                W[i, c] = s / L[i, i] if L[i, i] > 0.0 else 0.0
+        for r in range(nz):
+            for c in range(nz):
+                s = P[k, na + r, na + c]
+                for i in range(na):
+                    s -= W[i, r] * W[i, c]
+                V[k, r, c] = s
+        for i in range(na):
+            for j in range(na):
+                offsets[k, i, j] = spread * L[j, i]
+            for c in range(nz):
+                offsets[k, i, na + c] = spread * W[i, c]
+        for s_ in range(S):
+            i = (s_ - 1) // 2
+            sign = 0.0 if s_ == 0 else (1.0 if s_ % 2 == 1 else -1.0)
+            for j in range(na):
+                a[k, s_, j] = m[k, j] + (sign * offsets[k, i, j] if s_ > 0 else 0.0)
+            for c in range(nz):
+                z[k, s_, c] = m[k, na + c] + (sign * offsets[k, i, na + c] if s_ > 0 else 0.0)
+    return a, z, V, offsets
+
+
+@njit(cache=True, error_model="numpy")
+def transform(f, A, Q, z, V, offsets, na):
+    """Moments of f(a) + A(a) z + noise: mean (K, n), covariance (K, n, n), Cov(., x) (K, n, nx).
+
+    f (K S, n), A (1 or K S, n, nz), Q (1 or K S, n, n) at the points of :func:`sigma_points`.
+    """
+    K, S, nz = z.shape
+    n = f.shape[1]
+    nx = na + nz
+    _, outer = spread_of(na)
+    mean = np.zeros((K, n))
+    cov = np.zeros((K, n, n))
+    cross = np.zeros((K, n, nx))
+    value = np.empty((S, n))
+    AV = np.empty((n, nz))
+    for k in range(K):
+        for s in range(S):
+            row = k * S + s
+            weight = outer if s > 0 else 1.0 - 2.0 * na * outer
+            As = A[row if A.shape[0] > 1 else 0]
+            Qs = Q[row if Q.shape[0] > 1 else 0]
+            for i in range(n):
+                v = f[row, i]
+                for c in range(nz):
+                    v += As[i, c] * z[k, s, c]
+                value[s, i] = v
+                mean[k, i] += weight * v
+            if s > 0 and A.shape[0] == 1 and Q.shape[0] == 1:
+                continue  # common matrices: their share was added with weight 1 at s = 0
+            if A.shape[0] == 1 and Q.shape[0] == 1:
+                weight = 1.0
+            for i in range(n):
+                for c in range(nz):
+                    v = 0.0
+                    for d in range(nz):
+                        v += As[i, d] * V[k, d, c]
+                    AV[i, c] = v
+                    cross[k, i, na + c] += weight * v
+            for i in range(n):
+                for j in range(n):
+                    v = Qs[i, j]
+                    for c in range(nz):
+                        v += AV[i, c] * As[j, c]
+                    cov[k, i, j] += weight * v
+        for s in range(S):
+            weight = outer if s > 0 else 1.0 - 2.0 * na * outer
+            for i in range(n):
+                for j in range(n):
+                    cov[k, i, j] += weight * (value[s, i] - mean[k, i]) * (value[s, j] - mean[k, j])
+        for i in range(na):
+            for r in range(n):
+                slope = outer * (value[1 + 2 * i, r] - value[2 + 2 * i, r])
+                for c in range(nx):
+                    cross[k, r, c] += slope * offsets[k, i, c]
+    return mean, cov, cross
+
+
+@njit(cache=True, error_model="numpy")
+def gaussian_update(m, P, y_mean, S, cross, y):
+    """Condition N(m, P) on the channels of y (ny,) that are there.
+
+    Returns the new m, P, and log N(y; y_mean, S) (K,).
+    """
+    K, nx = m.shape
+    channels = np.flatnonzero(~np.isnan(y))
+    n = channels.size
+    m_new = m.copy()
+    P_new = P.copy()
+    log_p = np.zeros(K)
+    Sk = np.empty((n, n))
+    L = np.empty((n, n))
+    W = np.empty((n, nx))
+    r = np.empty(n)
+    v = np.empty(n)
+    for k in range(K):
+        for p in range(n):
+            r[p] = y[channels[p]] - y_mean[k, channels[p]]
+            for q in range(n):
+                Sk[p, q] = S[k, channels[p], channels[q]]
+        psd_cholesky_into(Sk, L)
+        possible = whiten(L, r, v)
+        log_p[k] = log_normalizer(L) if possible else -np.inf
+        for p in range(n):
+            log_p[k] -= 0.5 * v[p] * v[p]
+        for c in range(nx):
+            for p in range(n):
+                s = cross[k, channels[p], c]
+                for q in range(p):
+                    s -= L[p, q] * W[q, c]
+                W[p, c] = s / L[p, p] if L[p, p] > 0.0 else 0.0
+        for i in range(nx):
+            for p in range(n):
+                m_new[k, i] += W[p, i] * v[p]
+            for j in range(nx):
+                for p in range(n):
+                    P_new[k, i, j] -= W[p, i] * W[p, j]
+    return m_new, P_new, log_p
+
+
+@njit(cache=True, error_model="numpy")
+def slopes(cross, P):
+    """J (n, nx) with J P = cross: the regression of the transformed variable on x."""
+    n, nx = cross.shape
+    S = P.copy()
+    for i in range(nx):
+        S[i, i] += 1e-12 * (1e-12 + abs(P[i, i]))
+    L = np.empty((nx, nx))
+    psd_cholesky_into(S, L)
+    J = np.empty((n, nx))
+    v = np.empty(nx)
+    out = np.empty(nx)
+    for r in range(n):
+        whiten(L, cross[r], v)
+        solve_lower_transposed(L, v, out)
+        for c in range(nx):
+            J[r, c] = out[c]
+    return J

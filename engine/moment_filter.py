@@ -1,0 +1,247 @@
+"""A deterministic Gaussian filter for the mixed model, run for many parameter vectors at once.
+
+It propagates mean and covariance of x = (a, z) by sigma points in a and exactly in z. Its
+log-likelihood is smooth in theta and free of Monte Carlo noise, which makes it the instrument for
+comparing many extended models quickly; on linear Gaussian models it is the Kalman filter. It is an
+approximation where the density of a is far from Gaussian: there the particle filter has the last
+word (see :mod:`engine.diagnose`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import ModelError
+from engine.kernels.moments import gaussian_update, sigma_points, slopes, transform
+from engine.model import Array, Gaussian, MixedModel
+from engine.series import Series
+
+
+@dataclass(frozen=True, eq=False)
+class MomentFiltered:
+    """One-step predictions of K filters: ``innovations`` (T, K, ny), their covariance ``S``, ...
+
+    ``log_likelihood`` (K,) is -inf where a filter was lost; missing values are NaN in
+    ``innovations``. ``log_terms`` (T, K) are its summands.
+    """
+
+    innovations: Array
+    S: Array
+    log_terms: Array
+
+    @property
+    def log_likelihood(self) -> Array:
+        """Sum of the terms (K,), -inf where not finite."""
+        total = self.log_terms.sum(axis=0)
+        return np.where(np.isfinite(total), total, -np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class MomentPath:
+    """What one filter saw: moments and slopes along its way, for footprints of small changes.
+
+    ``predicted``, ``filtered`` (T, nx) means of x with covariances ``P_predicted``, ``P_filtered``;
+    ``innovations`` (T, ny), ``S`` (T, ny, ny); gains ``K`` (T, nx, ny) = Cov(x_t, y_t) S^{-1}, zero for missing
+    channels; slopes ``H`` (T, ny, nx) of y_t and ``F`` (T-1, nx, nx) of x_{t+1} along x_t.
+    """
+
+    predicted: Array
+    P_predicted: Array
+    filtered: Array
+    P_filtered: Array
+    innovations: Array
+    S: Array
+    K: Array
+    H: Array
+    F: Array
+    log_likelihood: float
+
+
+class Thetas:
+    """K parameter vectors as one record; parameters equal in all copies stay plain numbers.
+
+    ``batched`` tells whether the model's functions take arrays in the record's fields; where they do
+    not, each copy is evaluated on its own.
+    """
+
+    def __init__(self, model: MixedModel, thetas: Array) -> None:
+        self.model = model
+        self.thetas = np.atleast_2d(np.asarray(thetas, dtype=float))
+        self.K = len(self.thetas)
+        self.varies = (self.thetas != self.thetas[0]).any(axis=0)
+        self.records = [model.record(row) for row in self.thetas] if self.K > 1 else []
+        self.batched: bool | None = None if self.varies.any() else True
+
+    def record(self, copies: int) -> Any:
+        """The record with each varying field repeated for ``copies`` rows per parameter vector."""
+        return self.model.record(
+            [
+                np.repeat(column, copies) if varies else float(column[0])
+                for column, varies in zip(self.thetas.T, self.varies, strict=True)
+            ]
+        )
+
+    def evaluate(self, call: Any, a: Array) -> tuple[Array, Array, Array]:
+        """``call(a, record)`` for all rows a (K S, na), each S rows with their own theta."""
+        S = len(a) // self.K
+        if self.batched is not False:
+            try:
+                together: tuple[Array, Array, Array] = call(a, self.record(S))
+            except Exception:
+                if self.batched:
+                    raise
+                self.batched = False
+            else:
+                if self.batched is None:
+                    self.batched = self._same(together, self._each(call, a, S))
+                if self.batched:
+                    return together
+        return self._each(call, a, S)
+
+    def _each(self, call: Any, a: Array, S: int) -> tuple[Array, Array, Array]:
+        parts = [call(a[k * S : (k + 1) * S], record) for k, record in enumerate(self.records)]
+        value = np.concatenate([p[0] for p in parts])
+        matrices = []
+        for i in (1, 2):
+            rows = [np.broadcast_to(p[i], (S, *p[i].shape[-2:])) for p in parts]
+            matrices.append(np.concatenate(rows))
+        return value, matrices[0], matrices[1]
+
+    @staticmethod
+    def _same(one: tuple[Array, ...], other: tuple[Array, ...]) -> bool:
+        return all(
+            np.allclose(x, y, rtol=1e-9, atol=0.0, equal_nan=True)
+            for x, y in zip(one, other, strict=True)
+        )
+
+
+def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
+    """Filter a series with each of the parameter vectors ``thetas`` (K, n_theta)."""
+    run = _Run(model, Thetas(model, thetas), series)
+    T, K, ny = len(series), run.thetas.K, model.ny
+    innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
+    m, P = run.start()
+    for t in range(T):
+        y_mean, S[t], cross = run.predict_y(t, m, P)
+        innovations[t] = series.y[t] - y_mean
+        m, P, terms[t] = gaussian_update(m, P, y_mean, S[t], cross, series.y[t])
+        if t < T - 1:
+            m, P, _ = run.predict_x(t, m, P)
+    return MomentFiltered(innovations, S, terms)
+
+
+def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
+    """Filter a series with one parameter vector and keep the moments and slopes.
+
+    Raises ModelError naming the row at which the filter was lost.
+    """
+    run = _Run(model, Thetas(model, theta), series)
+    T, nx, ny = len(series), model.nx, model.ny
+    kept: dict[str, Array] = {
+        "predicted": np.empty((T, nx)),
+        "P_predicted": np.empty((T, nx, nx)),
+        "filtered": np.empty((T, nx)),
+        "P_filtered": np.empty((T, nx, nx)),
+        "innovations": np.empty((T, ny)),
+        "S": np.empty((T, ny, ny)),
+        "K": np.zeros((T, nx, ny)),
+        "H": np.empty((T, ny, nx)),
+        "F": np.empty((T - 1, nx, nx)),
+    }
+    total = 0.0
+    m, P = run.start()
+    for t in range(T):
+        y_mean, S, cross = run.predict_y(t, m, P)
+        kept["predicted"][t], kept["P_predicted"][t] = m[0], P[0]
+        kept["innovations"][t], kept["S"][t] = series.y[t] - y_mean[0], S[0]
+        kept["H"][t] = slopes(cross[0], P[0])
+        there = np.flatnonzero(series.observed[t])
+        if there.size:
+            gain = np.linalg.solve(S[0][np.ix_(there, there)], cross[0][there])
+            kept["K"][t][:, there] = gain.T
+        m, P, term = gaussian_update(m, P, y_mean, S, cross, series.y[t])
+        kept["filtered"][t], kept["P_filtered"][t] = m[0], P[0]
+        total += float(term[0])
+        if not (np.isfinite(m).all() and np.isfinite(total)):
+            raise ModelError(
+                f"model '{model.name}': the filter is lost at row {t} (t = {series.t[t]:g} s); its "
+                "mean or likelihood is not finite. Check theta and the first state's density"
+            )
+        if t < T - 1:
+            before = P
+            m, P, cross = run.predict_x(t, m, P)
+            kept["F"][t] = slopes(cross[0], before[0])
+    return MomentPath(**kept, log_likelihood=total)
+
+
+class _Run:
+    """The model's part of each step, for K copies of the filter."""
+
+    def __init__(self, model: MixedModel, thetas: Thetas, series: Series) -> None:
+        series.check(model)
+        self.model, self.thetas, self.series = model, thetas, series
+        self.times, self.steps = series.t.tolist(), series.steps.tolist()
+
+    def start(self) -> tuple[Array, Array]:
+        """Mean (K, nx) and covariance (K, nx, nx) of x_1 before any measurement."""
+        starts = [first_moments(self.model, theta) for theta in self.thetas.thetas]
+        return np.array([m for m, _ in starts]), np.array([P for _, P in starts])
+
+    def predict_y(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Mean, covariance and cross-covariance with x of y_t."""
+
+        def call(a: Array, record: Any) -> tuple[Array, Array, Array]:
+            return self.model.observation(a, self.series.u[t], self.times[t], record)
+
+        return self._through(call, m, P)
+
+    def predict_x(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Mean, covariance and cross-covariance with x_t of x_{t+1}."""
+
+        def call(a: Array, record: Any) -> tuple[Array, Array, Array]:
+            u = self.series.u[t]
+            return self.model.transition(a, u, self.times[t], self.steps[t], record)
+
+        return self._through(call, m, P)
+
+    def _through(self, call: Any, m: Array, P: Array) -> tuple[Array, Array, Array]:
+        na = self.model.na
+        a, z, V, offsets = sigma_points(m, P, na)
+        rows = a.reshape(a.shape[0] * a.shape[1], na)
+        with np.errstate(all="ignore"):
+            f, A, Q = self.thetas.evaluate(call, rows)
+        A, Q = (x[None] if x.ndim == 2 else x for x in (A, Q))
+        mean, cov, cross = transform(f, A, Q, z, V, offsets, na)
+        return mean, cov, cross
+
+
+def first_moments(model: MixedModel, theta: Array) -> tuple[Array, Array]:
+    """Mean (nx,) and covariance (nx, nx) of x_1 at theta, z_{1|0}(a_1) by sigma points."""
+    start = model.start(model.record(theta))
+    na, nz = model.na, model.nz
+    if isinstance(start.density, Gaussian):
+        mean, cov = start.density.mean, start.density.cov
+    else:
+        draws = start.density.sample(np.random.default_rng(0), 2000)
+        mean, cov = draws.mean(axis=0), np.cov(draws.T).reshape(na, na)
+    m = np.concatenate([mean, np.zeros(nz)])[None]
+    P = np.zeros((1, na + nz, na + nz))
+    P[0, :na, :na] = cov
+    a, z, V, offsets = sigma_points(m, P, na)
+    z1, P1 = start.linear(a[0])
+    f = np.concatenate([a[0], z1], axis=1)
+    Q = np.zeros((len(f), na + nz, na + nz))
+    Q[:, na:, na:] = P1
+    mean, cov, _ = transform(f, np.zeros((1, na + nz, nz)), Q, z, V, offsets, na)
+    return mean[0], cov[0]
+
+
+def free_thetas(theta: Array, indices: NDArray[np.intp], values: Array) -> Array:
+    """Copies of theta (K, n_theta) with the components ``indices`` set to ``values`` (K, n)."""
+    out = np.repeat(np.asarray(theta, dtype=float)[None], len(values), axis=0)
+    out[:, indices] = values
+    return out

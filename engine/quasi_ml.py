@@ -1,0 +1,173 @@
+"""Maximum of the moment filter's likelihood: Fisher scoring on a smooth, deterministic function.
+
+With innovations nu_t and their covariance S_t from :mod:`engine.moment_filter`, the log-likelihood is
+the sum of log N(nu_t; 0, S_t), its gradient the central difference of its own values, and the
+information
+
+    H_kl = sum nu_t,k' S_t^{-1} nu_t,l + 1/2 tr(S_t^{-1} S_t,k S_t^{-1} S_t,l),
+
+with nu_t,k and S_t,k the derivatives along parameter k. One pass of the filter evaluates all neighbours
+of theta, another a whole line search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import ModelError
+from engine.expectation import parameter_scale
+from engine.model import Array, MixedModel, Theta, ThetaLike
+from engine.moment_filter import free_thetas, moment_filter
+from engine.series import Series, as_series_list
+
+DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
+TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths tried at once
+ENOUGH = 1e-3  # an expected gain in log-likelihood below this ends the search
+DAMPING = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class QuasiFit:
+    """The maximum: ``theta``, ``log_likelihood``, ``information`` (n, n) of the free parameters ``free``."""
+
+    model: MixedModel
+    theta: Theta
+    log_likelihood: float
+    free: tuple[str, ...]
+    information: Array
+    iterations: int
+    converged: bool
+
+    @property
+    def standard_errors(self) -> Array:
+        """Of the free parameters (n,), from the information; inf where there is none."""
+        H = self.information
+        with np.errstate(divide="ignore", invalid="ignore"):
+            d = np.where(np.diag(H) > 0.0, 1.0 / np.sqrt(np.diag(H)), 0.0)
+        scaled = H * d[:, None] * d[None, :] + np.diag(np.where(d > 0.0, DAMPING, 1.0))
+        variance = np.diag(np.linalg.pinv(scaled, hermitian=True)) * d**2
+        return np.asarray(np.where(d > 0.0, np.sqrt(np.maximum(variance, 0.0)), np.inf))
+
+
+def quasi_ml(
+    model: MixedModel,
+    series: Series | Sequence[Series],
+    theta0: ThetaLike = None,
+    free: Sequence[str] | None = None,
+    max_iterations: int = 40,
+) -> QuasiFit:
+    """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
+
+    Raises ModelError where the likelihood is not finite at the start.
+    """
+    listed = as_series_list(series, model)
+    theta = np.asarray(model.theta(theta0))
+    indices = model.free_indices(free)
+    names = tuple(model.parameter_names[i] for i in indices)
+    lower, upper = model.lower[indices], model.upper[indices]
+    value, g, H = derivatives(model, listed, theta, indices)
+    if not np.isfinite(value):
+        raise ModelError(
+            f"model '{model.name}': the likelihood is not finite at the start values; choose others"
+        )
+    converged, iterations, damping = False, 0, DAMPING
+    while iterations < max_iterations:
+        iterations += 1
+        x = theta[indices]
+        direction = _direction(x, g, H, lower, upper, damping)
+        expected = float(g @ direction)
+        if not expected > ENOUGH:
+            converged = True
+            break
+        trials = np.clip(x + TRIES[:, None] * direction, lower, upper)
+        values = log_likelihoods(model, listed, free_thetas(theta, indices, trials))
+        best = int(np.argmax(values))
+        if not values[best] > value:
+            if damping > 1.0:
+                break
+            damping = max(damping * 1e3, 1e-4)
+            continue
+        damping = max(damping / 10.0, DAMPING)
+        moved = free_thetas(theta, indices, trials[best : best + 1])[0]
+        there = derivatives(model, listed, moved, indices)
+        if not np.isfinite(there[0]):
+            break
+        gained, theta = values[best] - value, moved
+        value, g, H = there
+        if gained < 0.1 * ENOUGH:
+            converged = True
+            break
+    return QuasiFit(
+        model, Theta(theta, model.parameter_names), float(value), names, H, iterations, converged
+    )
+
+
+def log_likelihoods(model: MixedModel, listed: Sequence[Series], thetas: Array) -> Array:
+    """Log-likelihood of all series together at each of the parameter vectors (K, n_theta)."""
+    each = [moment_filter(model, thetas, one).log_likelihood for one in listed]
+    return np.asarray(np.sum(each, axis=0))
+
+
+def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Rows theta, then theta -+ a step in each free parameter; distances between the pairs (n,)."""
+    thetas = [np.array(theta)]
+    distances = []
+    for k in indices:
+        step = DIFFERENCE * parameter_scale(model, theta, k)
+        low, high = np.array(theta), np.array(theta)
+        low[k] = max(theta[k] - step, model.lower[k])
+        high[k] = min(theta[k] + step, model.upper[k])
+        thetas += [low, high]
+        distances.append(high[k] - low[k])
+    return np.array(thetas), np.array(distances)
+
+
+def derivatives(
+    model: MixedModel, listed: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+) -> tuple[float, Array, Array]:
+    """Log-likelihood, gradient (n,) and information (n, n) in the free parameters."""
+    thetas, distances = neighbours(model, theta, indices)
+    n = len(indices)
+    value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
+    for one in listed:
+        f = moment_filter(model, thetas, one)
+        total = f.log_likelihood
+        value += float(total[0])
+        with np.errstate(invalid="ignore"):  # a lost neighbour makes the value -inf below
+            g += (total[2::2] - total[1::2]) / distances
+        d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
+        d_S = f.S[:, 2::2] - f.S[:, 1::2]
+        root = whitening(f.S[:, 0], one.observed)
+        z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None]).reshape(n, -1)
+        E = np.einsum("tij,tkjl,tml->ktim", root, d_S / distances[:, None, None], root)
+        E = E.reshape(n, -1)
+        H += z @ z.T + 0.5 * E @ E.T
+    if not (np.isfinite(g).all() and np.isfinite(H).all()):
+        value = -np.inf
+    return value, g, H
+
+
+def whitening(S: Array, observed: NDArray[np.bool_]) -> Array:
+    """S_t^{-1/2} (T, ny, ny) by Cholesky, with zero rows and columns for missing channels."""
+    ny = S.shape[1]
+    there = observed[:, :, None] & observed[:, None, :]
+    safe = np.where(there, S, np.eye(ny))
+    inverse = np.linalg.inv(np.linalg.cholesky(safe))
+    out: Array = np.where(there, inverse, 0.0)
+    return out
+
+
+def _direction(x: Array, g: Array, H: Array, lower: Array, upper: Array, damping: float) -> Array:
+    """A damped scoring step in the parameters that are not held at a bound."""
+    moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
+    direction = np.zeros_like(x)
+    if moving.any():
+        H = H[np.ix_(moving, moving)]
+        scale = 1.0 / np.sqrt(np.diag(H))
+        scaled = H * scale[:, None] * scale[None, :] + damping * np.eye(len(scale))
+        direction[moving] = np.linalg.solve(scaled, g[moving] * scale) * scale
+    return direction
