@@ -6,10 +6,13 @@ For dx = (F x + G u) dt + dw with E dw dw' = Qc dt, u held over the step (zero-o
     A = exp(F dt),   B = int_0^dt exp(F s) ds G,   Q = int_0^dt exp(F s) Qc exp(F s)' ds
 
 Source: C. F. van Loan, "Computing integrals involving the matrix exponential", IEEE Transactions
-on Automatic Control 23 (1978) 395-404. A and B come from one exponential of [[F, G], [0, 0]] dt,
-Q from one of [[-F, Qc], [0, F']] dt = [[., A^-1 Q], [0, A']]. Since exp(-F dt) overflows where a
-stable F is fast beside dt, the step is halved until it is short and doubled back by
-A(2h) = A A, B(2h) = B + A B, Q(2h) = Q + A Q A'.
+on Automatic Control 23 (1978) 395-404. The step is halved until h |F| <= 1/2, the three series
+
+    A = sum (F h)^k / k!,   B = h sum (F h)^k / (k+1)! G,   Q = h sum h^k L^k(Qc) / (k+1)!
+
+with L(S) = F S + S F' are summed to rounding, and the step is doubled back by A(2h) = A A,
+B(2h) = B + A B, Q(2h) = Q + A Q A'. Nothing of exp(-F dt) appears, which would overflow where a
+stable F is fast beside dt, and Q stays symmetric and non-negative.
 """
 
 from __future__ import annotations
@@ -18,10 +21,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from engine.errors import OptionError
 from engine.model import Array
+
+TERMS = 18  # of each series: |h L| <= 1, and 1 / 18! is below rounding
 
 
 def discretize(
@@ -53,25 +57,24 @@ def discretize(
     batch = np.broadcast_shapes(F.shape[:-2], G.shape[:-2], Qc.shape[:-2], step.shape)
 
     stiffness = float((np.abs(F).sum(axis=-1).max(axis=-1, initial=0.0) * step).max(initial=0.0))
-    halvings = max(0, int(np.ceil(np.log2(stiffness)))) if stiffness > 0.0 else 0
+    halvings = max(0, 1 + int(np.ceil(np.log2(stiffness)))) if stiffness > 0.0 else 0
+    noisy = bool(Qc.any())
     h = (step / 2.0**halvings)[..., None, None]
-    m = G.shape[-1]
-    driven = np.zeros((*batch, n + m, n + m))
-    driven[..., :n, :n] = F * h
-    driven[..., :n, n:] = G * h
-    exponential = expm(driven)
-    A, B = exponential[..., :n, :n], exponential[..., :n, n:]
-    if Qc.any():
-        pair = np.zeros((*batch, 2 * n, 2 * n))
-        pair[..., :n, :n] = -F * h
-        pair[..., :n, n:] = Qc * h
-        pair[..., n:, n:] = np.swapaxes(F, -1, -2) * h
-        Q = A @ expm(pair)[..., :n, n:]
-    else:
-        Q = np.zeros((*batch, n, n))
+    Fh, Ft = F * h, np.swapaxes(F, -1, -2)
+    A = power = np.broadcast_to(np.eye(n), (*batch, n, n))
+    Gamma = np.eye(n) * h
+    Q = term = np.broadcast_to(Qc * h, (*batch, n, n))
+    for k in range(1, TERMS):
+        power = power @ Fh / k
+        A = A + power
+        Gamma = Gamma + power * h / (k + 1)
+        if noisy:
+            term = (F @ term + term @ Ft) * (h / (k + 1))
+            Q = Q + term
+    B = Gamma @ np.broadcast_to(G, (*batch, *G.shape[-2:]))
     for _ in range(halvings):
         B = B + A @ B
-        Q = Q + A @ Q @ np.swapaxes(A, -1, -2)
+        Q = Q + A @ Q @ np.swapaxes(A, -1, -2) if noisy else Q
         A = A @ A
     Q = 0.5 * (Q + np.swapaxes(Q, -1, -2))
     return np.ascontiguousarray(A), np.ascontiguousarray(B), np.ascontiguousarray(Q)

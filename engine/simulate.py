@@ -47,8 +47,7 @@ def simulate(
             "u",
         )
     blank = np.zeros((n_samples, model.ny))
-    y_names, u_names = tuple(model.outputs), tuple(model.inputs) if u is not None else None
-    frame = Series(blank, u, dt=dt, t=t, u_names=u_names).check(model)
+    frame = Series(blank, u, dt=dt, t=t).check(model)
     record = model.record(model.theta(theta))
     a1 = model.start(record).density.sample(rng, 1)
     z1, P1 = model.start(record).linear(a1)
@@ -56,7 +55,9 @@ def simulate(
     y, a, z = propagate(model, record, frame, a1, z1, rng)
     check_finite(model, frame, y, a, z)
     y, a, z = y[:, 0], a[:, 0], z[:, 0]
-    series = Series(y, frame.u, t=frame.t, y_names=y_names, u_names=frame.u_names)
+    series = Series(
+        y, frame.u, t=frame.t, y_names=tuple(model.outputs), u_names=tuple(model.inputs)
+    )
     return Simulation(y, a, z, series)
 
 

@@ -46,32 +46,36 @@ def linear_core(M: Any, Fv: Any, sigma_v: Any, sigma_load: Any, dt: Any) -> tupl
     values = (M, Fv, sigma_v, sigma_load, dt)
     if all(np.ndim(value) == 0 for value in values):
         return _core(*(float(f"{value:.12g}") for value in values))
-    rows = np.stack(np.broadcast_arrays(*values), axis=1)
-    return _cores(np.ascontiguousarray(rows, dtype=float).tobytes())
+    rows = np.stack(np.broadcast_arrays(*values), axis=1).astype(float)
+    return _cores(rows.tobytes())
 
 
 @lru_cache(maxsize=4096)
-def _core(
-    M: float, Fv: float, sigma_v: float, sigma_load: float, dt: float
-) -> tuple[Array, Array, Array]:
-    F = [[-Fv / M, 0.0, -1.0 / M], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    Qc = np.diag([sigma_v**2, 0.0, sigma_load**2])
-    matrices = discretize(F, [[1.0 / M], [0.0], [0.0]], Qc, dt=dt)
-    for matrix in matrices:
-        matrix.setflags(write=False)
-    return matrices
+def _core(*values: float) -> tuple[Array, ...]:
+    return _discretized(np.array(values))
 
 
 @lru_cache(maxsize=16)
-def _cores(rows: bytes) -> tuple[Array, ...]:
+def _cores(data: bytes) -> tuple[Array, ...]:
     """The same for rows (K, 5) of (M, Fv, sigma_v, sigma_load, dt), each distinct one once."""
-    table = np.frombuffer(rows).reshape(-1, 5)
+    rows = np.frombuffer(data).reshape(-1, 5)
     distinct: dict[tuple[float, ...], int] = {}
-    which = [distinct.setdefault(tuple(row), len(distinct)) for row in table.tolist()]
-    matrices = [_core(*(float(f"{value:.12g}") for value in row)) for row in distinct]
-    if len({id(matrix) for matrix, _, _ in matrices}) == 1:
-        return matrices[0]
-    return tuple(np.stack(group)[which] for group in zip(*matrices, strict=True))
+    which = [distinct.setdefault(tuple(row), len(distinct)) for row in rows.tolist()]
+    matrices = _discretized(np.array(list(distinct)))
+    return tuple(matrix[0] if len(distinct) == 1 else matrix[which] for matrix in matrices)
+
+
+def _discretized(values: Array) -> tuple[Array, ...]:
+    """A, B, Q for values (..., 5)."""
+    M, Fv, sigma_v, sigma_load, dt = np.moveaxis(values, -1, 0)
+    F, G, Qc = np.zeros((*dt.shape, 3, 3)), np.zeros((*dt.shape, 3, 1)), np.zeros((*dt.shape, 3, 3))
+    F[..., 0, 0], F[..., 0, 2], F[..., 1, 0] = -Fv / M, -1.0 / M, 1.0
+    G[..., 0, 0] = 1.0 / M
+    Qc[..., 0, 0], Qc[..., 2, 2] = sigma_v**2, sigma_load**2
+    matrices = discretize(F, G, Qc, dt=dt)
+    for matrix in matrices:
+        matrix.setflags(write=False)  # they are shared between calls
+    return matrices
 
 
 def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:

@@ -1,0 +1,165 @@
+"""Every error of the check that a model passes when it is registered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.errors import ModelError
+from engine.model import Gaussian, MixedModel, Parameter
+from engine.model_check import check_model
+
+
+def dynamics(a, u, t, dt, theta):
+    return [theta.k * a[:, 0], 0.0], [[1.0], [0.5]], np.eye(2)
+
+
+def measurement(a, u, t, theta):
+    return [a[:, 0]], [[0.0]], [[1.0]]
+
+
+def initial(theta):
+    return Gaussian([0.0], [[1.0]]), [0.0], [[1.0]]
+
+
+GOOD = MixedModel(
+    name="good",
+    dynamics=dynamics,
+    measurement=measurement,
+    initial=initial,
+    nonlinear={"a": "m"},
+    linear={"z": "m"},
+    inputs={"u": "V"},
+    outputs={"y": "m"},
+    parameters=[Parameter("k", 0.5, "1", (0.0, 1.0))],
+)
+
+
+def returning(value, place, function):
+    """The function with one of its three return values replaced."""
+
+    def changed(*arguments):
+        out = list(function(*arguments))
+        out[place] = value(out[place]) if callable(value) else value
+        return tuple(out)
+
+    return changed
+
+
+def raising(error):
+    def function(*arguments):
+        raise error
+
+    return function
+
+
+class Bad:
+    """A density of a_1 whose draws or log-densities have the wrong shape."""
+
+    def __init__(self, drawn=(1,), valued=()):
+        self.drawn, self.valued = drawn, valued
+
+    def sample(self, rng, n):
+        return np.zeros((n, *self.drawn))
+
+    def log_density(self, a):
+        return np.zeros((len(a), *self.valued))
+
+
+def parameters(*several):
+    return {"parameters": [Parameter(*one) for one in several]}
+
+
+def test_a_good_model_passes():
+    check_model(GOOD)
+    check_model(replace(GOOD, initial=returning(Bad(), 0, initial)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": ""}, "a model needs a name"),
+        ({"outputs": {}}, "model 'good' has no outputs; name at least one"),
+        ({"nonlinear": {}, "linear": {}}, "model 'good' has no states; name"),
+        ({"inputs": ["u"]}, "model 'good': inputs must map names to units"),
+        ({"outputs": {"a": "m"}}, "model 'good' uses the channel name 'a' twice"),
+        (parameters(("k 1", 0.5)), "the parameter name 'k 1' is not a Python identifier"),
+        (parameters(("_k", 0.5)), "the parameter name '_k' is not a Python identifier"),
+        (parameters(("k", 0.5), ("k", 0.5)), "model 'good' has two parameters named 'k'"),
+        (parameters(("k", 0.5, "", (1, 0))), r"parameter 'k': bounds \(1, 0\) are not \(low, hi"),
+        (parameters(("k", 2.0, "", (0, 1))), "parameter 'k': default 2 is outside its bounds"),
+    ],
+)
+def test_names(change, message):
+    with pytest.raises(ModelError, match=message):
+        check_model(replace(GOOD, **change))
+
+
+@pytest.mark.parametrize(
+    ("value", "place", "message"),
+    [
+        (np.zeros(3), 0, r"model 'good', dynamics: f has shape \(3,\); \(3, 2\) or \(2,\)"),
+        ([0.0], 0, r"dynamics: f has shape \(1,\); a list of 2 rows"),
+        ([np.zeros(2), 0.0], 0, r"dynamics: f: row 0 has shape \(2,\); a number or \(3,\)"),
+        ([np.nan, 0.0], 0, "dynamics: f is not finite at the default parameters"),
+        (np.zeros((1, 2)), 1, r"dynamics: A has shape \(1, 2\); \(2, 1\) or \(3, 2, 1\)"),
+        ([[1.0, 0.0], [0.0]], 1, "dynamics: A is not a list of 2 rows of 1 entries"),
+        ([[np.inf], [0.0]], 1, "dynamics: A is not finite"),
+        (np.eye(3), 2, r"dynamics: Q has shape \(3, 3\); \(2, 2\) or \(3, 2, 2\)"),
+        ([[1.0, 0.5], [0.0, 1.0]], 2, "dynamics: Q is not symmetric"),
+        ([[1.0, 2.0], [2.0, 1.0]], 2, "dynamics: Q has the negative eigenvalue -1; a covariance"),
+        ([[np.nan, 0.0], [0.0, 1.0]], 2, "dynamics: Q is not finite"),
+    ],
+)
+def test_dynamics(value, place, message):
+    with pytest.raises(ModelError, match=message):
+        check_model(replace(GOOD, dynamics=returning(value, place, dynamics)))
+
+
+@pytest.mark.parametrize(
+    ("value", "place", "message"),
+    [
+        (np.zeros((3, 2)), 0, r"measurement: h has shape \(3, 2\); \(3, 1\) or \(1,\)"),
+        ([np.inf], 0, "measurement: h is not finite"),
+        (np.zeros((2, 2)), 1, r"measurement: C has shape \(2, 2\); \(1, 1\) or \(3, 1, 1\)"),
+        ([[np.nan]], 1, "measurement: C is not finite"),
+        (np.eye(2), 2, r"measurement: R has shape \(2, 2\)"),
+        ([[-1.0]], 2, "measurement: R has the negative eigenvalue -1"),
+        ([[0.0]], 2, "measurement: R has a zero on its diagonal; every output needs"),
+    ],
+)
+def test_measurement(value, place, message):
+    with pytest.raises(ModelError, match=message):
+        check_model(replace(GOOD, measurement=returning(value, place, measurement)))
+
+
+@pytest.mark.parametrize(
+    ("value", "place", "message"),
+    [
+        (Bad(drawn=(2,)), 0, r"p\(a_1\) draws shape \(3, 2\); \(3, 1\) is needed"),
+        (Bad(valued=(1,)), 0, r"log p\(a_1\) has shape \(3, 1\); \(3,\) is needed"),
+        ([0.0, 0.0], 1, r"initial: z1 has shape \(2,\); a list of 1 rows"),
+        ([np.nan], 1, "initial: z1 is not finite"),
+        ([[-0.5]], 2, "initial: P1 has the negative eigenvalue -0.5"),
+        (np.eye(2), 2, r"initial: P1 has shape \(2, 2\)"),
+        (lambda P: lambda a: np.zeros((2, 2)), 2, r"initial: P1 has shape \(2, 2\)"),
+        (None, 0, "initial raised AttributeError"),
+    ],
+)
+def test_initial(value, place, message):
+    with pytest.raises(ModelError, match=message):
+        check_model(replace(GOOD, initial=returning(value, place, initial)))
+
+
+@pytest.mark.parametrize("function", ["dynamics", "measurement", "initial"])
+def test_an_error_inside_a_function_is_named(function):
+    with pytest.raises(ModelError, match=f"model 'good': {function} raised ZeroDivisionError: oh"):
+        check_model(replace(GOOD, **{function: raising(ZeroDivisionError("oh"))}))
+
+
+def test_a_function_that_looks_for_a_parameter_that_is_not_there():
+    broken = replace(GOOD, parameters=[Parameter("other", 1.0)])
+    with pytest.raises(ModelError, match=r"model 'good': dynamics raised AttributeError.*'k'"):
+        check_model(broken)
