@@ -14,9 +14,10 @@ import numpy as np
 
 from engine.conditional import condition_on_trajectories
 from engine.errors import OptionError
-from engine.expectation import Moments, QFunction, expectation
+from engine.expectation import Moments, expectation
 from engine.kalman import kalman_smoother
 from engine.linear import as_linear
+from engine.maximization import Objective
 from engine.model import MixedModel, Theta
 from engine.points import Points
 from engine.proposals import Proposal, get_proposal
@@ -35,7 +36,7 @@ class EStep:
     ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left.
     """
 
-    q: QFunction
+    q: Objective
     log_likelihood: float
     ess: float
     collapsed: float

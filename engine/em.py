@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from engine.base_model import BaseModel
 from engine.convergence import WINDOW, has_settled
 from engine.e_steps import LOST_SHARE, EStep, Expect, rbps_step, rts_step
 from engine.errors import OptionError
@@ -62,7 +63,7 @@ class EmResult:
     rows at which the filter collapsed; ``outcome``; ``message`` with the particulars.
     """
 
-    model: MixedModel
+    model: BaseModel
     free: tuple[str, ...]
     theta: Theta
     trace: Array
@@ -154,7 +155,7 @@ def rts_em(
 
 
 def iterate(
-    model: MixedModel,
+    model: BaseModel,
     expect: Expect,
     theta0: ThetaLike,
     free: Sequence[str] | None,
@@ -212,7 +213,7 @@ class _Log:
 
     def __init__(
         self,
-        model: MixedModel,
+        model: BaseModel,
         theta0: ThetaLike,
         resume: Checkpoint | EmResult | None,
         n_iterations: int,

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.base_model import BaseModel
 from engine.model import Array, Gaussian, MixedModel, Theta
 from engine.points import Points
 from engine.q_function import GaussianTerm
@@ -75,7 +76,7 @@ class QFunction:
         return self.model.record(below), self.model.record(above), float(above[k] - below[k])
 
 
-def parameter_scale(model: MixedModel, theta: Array, k: int) -> float:
+def parameter_scale(model: BaseModel, theta: Array, k: int) -> float:
     """A typical size of parameter k: its value, else its default, else its bounds, else 1."""
     size = max(abs(float(theta[k])), abs(model.parameters[k].default))
     if size > 0.0:

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from engine.base_model import Array, BaseModel
 from engine.errors import OptionError
-from engine.expectation import QFunction, parameter_scale
-from engine.model import Array
+from engine.expectation import parameter_scale
 
 STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
 GAIN = 1e-7  # an expected gain in Q (nats) below this is not worth a further step
 RIDGE = 1e-10  # of the scaled scoring matrix, for parameters the data say nothing about
 
 
-def maximize(q: QFunction, theta: Array, free: NDArray[np.intp], method: str = "scoring") -> Array:
+class Objective(Protocol):
+    """What an M step maximises; :class:`engine.expectation.QFunction` is one."""
+
+    @property
+    def model(self) -> BaseModel:
+        """The model whose bounds are kept."""
+
+    def value(self, theta: Array) -> float:
+        """Q(theta, theta_k); -inf where theta is impossible."""
+
+    def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
+        """Value, gradient (n,) and a non-negative scoring matrix (n, n) in the free parameters."""
+
+
+def maximize(q: Objective, theta: Array, free: NDArray[np.intp], method: str = "scoring") -> Array:
     """The maximiser of Q over the free parameters, started at theta. Raises OptionError.
 
     ``scoring`` takes Fisher scoring steps with a line search, ``bfgs`` is the paper's quasi-Newton
@@ -28,7 +44,7 @@ def maximize(q: QFunction, theta: Array, free: NDArray[np.intp], method: str = "
     raise OptionError(f"m_step '{method}' is not known; use scoring or bfgs", "m_step")
 
 
-def _scoring(q: QFunction, theta: Array, free: NDArray[np.intp]) -> Array:
+def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
     lower, upper = q.model.lower[free], q.model.upper[free]
     for _ in range(STEPS):
         value, g, H = q.derivatives(theta, free)
@@ -64,7 +80,7 @@ def _solve(H: Array, g: Array) -> Array:
     return np.asarray(np.linalg.solve(scaled, g * scale) * scale)
 
 
-def _bfgs(q: QFunction, theta: Array, free: NDArray[np.intp]) -> Array:
+def _bfgs(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
     scale = np.array([parameter_scale(q.model, theta, k) for k in free])
 
     def negative(x: Array) -> tuple[float, Array]:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from engine.base_model import Array, BaseModel
 from engine.errors import SeriesError
-from engine.model import Array, MixedModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class Series:
         y[rows] = np.nan  # type: ignore[index]
         return Series(y, self.u, t=self.t, y_names=self.y_names, u_names=self.u_names)
 
-    def check(self, model: MixedModel) -> Series:
+    def check(self, model: BaseModel) -> Series:
         """Return self if its widths fit the model, else raise SeriesError."""
         for got, names, what in (
             (self.y.shape[1], model.outputs, "y"),
@@ -129,7 +129,7 @@ class Series:
         return read_series(path, y=y, u=u, t=t, dt=dt)
 
 
-def as_series_list(series: Series | Sequence[Series], model: MixedModel) -> list[Series]:
+def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:
     """One series or several, each checked against the model."""
     listed = [series] if isinstance(series, Series) else list(series)
     if not listed:
