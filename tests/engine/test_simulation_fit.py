@@ -1,0 +1,179 @@
+"""Simulation-error fit: recovers parameters, says what it cannot, measured benchmark figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.errors import ModelError, OptionError, SeriesError
+from engine.free_run import free_run
+from engine.model import Parameter
+from engine.models.linear_2 import MODEL as LINEAR
+from engine.models.local_level import MODEL as LEVEL
+from engine.models.mixed_4 import MODEL as MIXED
+from engine.models.servo import MODEL as SERVO
+from engine.models.tanks import MODEL as TANKS
+from engine.series import Series
+from engine.series_files import read_series
+from engine.simulate import simulate
+from engine.simulation_fit import fit_simulation
+
+TRUE = {"k1": 0.06, "k3": 0.04, "k4": 0.035}
+QUIET = {"sigma_level": 1e-4, "sigma_inflow": 0.0, "sigma_y": 0.05}
+
+
+def tanks(seed, n=400):
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(1.0, 5.0, n // 20 + 1), 20)[:n]
+    return simulate(TANKS, TRUE | QUIET, n, rng, u=u, dt=4.0)
+
+
+def test_tanks_parameters_and_levels_are_recovered():
+    drawn = tanks(0)
+    fit = fit_simulation(TANKS, drawn.series)
+    assert fit.success
+    assert fit.rmse == pytest.approx(0.05, rel=0.1)
+    for name, value in TRUE.items():
+        assert abs(fit.theta[name] - value) < 4 * fit.standard_errors[name]
+        assert fit.standard_errors[name] < 0.05 * value
+    np.testing.assert_allclose(fit.a1[0], drawn.a[0], atol=0.3)
+    assert fit.estimated == ("k1", "k3", "k4")
+    assert fit.silent == ("sigma_level", "sigma_inflow", "sigma_y")
+    assert "left at the start: sigma_level, sigma_inflow, sigma_y" in fit.message
+    np.testing.assert_allclose(np.sqrt(np.mean(fit.residuals[0] ** 2)), fit.rmse)
+
+
+def test_standard_errors_are_the_spread_where_residuals_are_white():
+    fits = [fit_simulation(TANKS, tanks(seed, 150).series, n_starts=0) for seed in range(40)]
+    for name in TRUE:
+        spread = np.std([fit.theta[name] for fit in fits])
+        stated = np.mean([fit.standard_errors[name] for fit in fits])
+        assert 0.6 < stated / spread < 1.6  # 40 fits: the spread is known to 11 %
+
+
+def test_several_series_share_theta_and_have_their_own_first_state():
+    drawn = [tanks(1, 300), tanks(2, 200)]
+    fit = fit_simulation(TANKS, [one.series for one in drawn])
+    assert fit.a1.shape == (2, 2)
+    for one, a1 in zip(drawn, fit.a1, strict=True):
+        np.testing.assert_allclose(a1, one.a[0], atol=0.4)
+    assert fit.rmse == pytest.approx(0.05, rel=0.1)
+    assert [len(run.y) for run in fit.runs] == [300, 200]
+
+
+def test_missing_values_are_left_out():
+    series = tanks(3).series.masked(np.arange(100, 200))
+    fit = fit_simulation(TANKS, series)
+    assert np.isnan(fit.residuals[0][100:200]).all()
+    for name, value in TRUE.items():
+        assert abs(fit.theta[name] - value) < 4 * fit.standard_errors[name]
+
+
+def test_only_free_parameters_move():
+    fit = fit_simulation(TANKS, tanks(4).series, theta0={"k4": 0.035}, free=["k1", "k3"])
+    assert fit.theta["k4"] == 0.035
+    assert fit.estimated == ("k1", "k3")
+    assert fit.silent == ()
+    assert fit.covariance[2, 2] == 0.0
+
+
+def test_bounds_hold():
+    narrow = replace(
+        TANKS,
+        parameters=[
+            Parameter("k1", 0.05, "", (0.01, 0.055)),
+            *TANKS.parameters[1:],
+        ],
+    )
+    fit = fit_simulation(narrow, tanks(6).series)
+    assert 0.01 <= fit.theta["k1"] <= 0.055
+
+
+def servo(true):
+    rng = np.random.default_rng(7)
+    n, dt = 1500, 0.01
+    u = 4.0 * np.sin(2 * np.pi * 0.4 * np.arange(n) * dt) + np.repeat(
+        rng.uniform(-1.5, 1.5, n // 50), 50
+    )
+    quiet = {"sigma_v": 1e-9, "sigma_load": 0.0, "sigma_y": 1e-4}
+    return simulate(SERVO, true | quiet, n, rng, u=u, dt=dt).series
+
+
+@pytest.mark.parametrize("start", [{}, {"M": 300.0, "Fv": 60.0, "Fc": 2.0, "offset": -10.0}])
+def test_servo_friction_is_recovered_also_from_afar(start):
+    true = {"M": 110.0, "Fv": 180.0, "Fc": 28.0, "offset": 4.0}
+    fit = fit_simulation(SERVO, servo(true), theta0=start, free=list(true))
+    for name, value in true.items():
+        assert fit.theta[name] == pytest.approx(value, rel=0.002), name
+    assert fit.rmse == pytest.approx(1e-4, rel=0.1)
+
+
+def test_parameters_that_are_only_determined_together_are_named():
+    rng = np.random.default_rng(8)
+    u = 5.0 * np.sin(np.arange(600) * 0.05)
+    quiet = {"sigma_v": 1e-9, "sigma_load": 0.0, "sigma_y": 1e-4}
+    drawn = simulate(SERVO, quiet, 600, rng, u=u, dt=0.02)
+    fit = fit_simulation(SERVO, drawn.series, theta0=quiet)
+    assert "Only determined together, keep one of them fixed: M, Fv, Fc" in fit.message
+    assert "gtau" in fit.message
+
+
+def test_outputs_are_weighed_by_their_size():
+    rng = np.random.default_rng(9)
+    series = simulate(MIXED, None, 100, rng).series
+    fit = fit_simulation(MIXED, series, free=["theta_1", "theta_2"])
+    assert set(fit.runs[0].rmse_by_output) == {"y1", "y2"}
+    assert np.isfinite(fit.rmse)
+
+
+def test_a_level_that_the_first_state_replaces_is_silent():
+    fit = fit_simulation(LEVEL, Series(np.full(20, 7.0) + np.arange(20) % 2))
+    assert fit.silent == ("q", "r", "level")
+    assert fit.z1[0, 0] == pytest.approx(7.5)
+
+
+def test_errors():
+    with pytest.raises(SeriesError, match="no series was given"):
+        fit_simulation(TANKS, [])
+    with pytest.raises(OptionError, match="model 'tanks' has no parameter 'k9'"):
+        fit_simulation(TANKS, tanks(0, 40).series, free=["k9"])
+    unstable = replace(
+        LINEAR,
+        dynamics=lambda a, u, t, dt, th: (
+            [(1e9 + th.theta) * (1.0 + a[:, 0] ** 2), 0.0],
+            [[0.0], [1.0]],
+            np.eye(2),
+        ),
+    )
+    with pytest.raises(ModelError, match="the simulation runs away; at t = "):
+        fit_simulation(unstable, Series(np.zeros(50)))
+
+
+def test_cascaded_tanks(measured_data):
+    """The benchmark's Bernoulli model: 0.603 V on estimation, 0.670 V on test (0.686 V scored)."""
+    folder = measured_data("cascaded_tanks")
+    estimation = read_series(folder / "estimation.csv", dt=4.0)
+    fit = fit_simulation(TANKS, estimation)
+    assert fit.rmse == pytest.approx(0.603, abs=0.005)
+    assert fit.seconds < 10.0
+    test = read_series(folder / "test.csv", dt=4.0)
+    run = free_run(TANKS, fit.theta, test, initial_rows=50)
+    assert run.rmse == pytest.approx(0.670, abs=0.01)
+    assert run.rmse_from(50) == pytest.approx(0.686, abs=0.01)
+
+
+def test_emps_thinned(measured_data):
+    """Drive data thinned to 20 ms: the data authors give M 95.1, Fv 203.5, Fc 20.4, offset -3.16."""
+    folder = measured_data("emps")
+    whole = read_series(folder / "estimation.csv", y=["y_m"], u=["u_V"])
+    n = len(whole) // 20
+    u = whole.u[: 20 * n].reshape(n, 20).mean(axis=1)
+    series = Series(whole.y[: 20 * n : 20], u, dt=0.02)
+    fit = fit_simulation(SERVO, series, free=["M", "Fv", "Fc", "offset"])
+    assert fit.rmse < 3e-3
+    assert fit.theta["M"] == pytest.approx(95.1, rel=0.08)
+    assert fit.theta["Fv"] == pytest.approx(203.5, rel=0.08)
+    assert fit.theta["Fc"] == pytest.approx(20.4, rel=0.12)
+    assert fit.theta["offset"] == pytest.approx(-3.16, rel=0.1)
