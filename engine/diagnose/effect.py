@@ -1,0 +1,219 @@
+"""What an effect is: something real that a model leaves out, and how to put it in.
+
+An effect extends a model into another ordinary model with one or more parameters of its own, the
+first of them its *size*. At size zero the extended model is the model itself. Everything the
+diagnosis needs follows from that: the footprint of a small effect on the one-step predictions is
+the difference of two filters, its size is an estimated parameter, its gain a likelihood ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from engine.errors import OptionError
+from engine.model import Array, MixedModel, Parameter
+
+FAMILIES = ("state", "measurement", "noise", "input", "time")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One candidate cause.
+
+    ``name`` is ``kind:channel``; ``family`` where it enters (state, measurement, noise, input, time);
+    ``title`` its physical name; ``equation`` what it adds, as text; ``parameters`` its own, the size
+    first, with units; ``extend`` the extension; ``probes`` values of the other parameters at which
+    the screen looks (one row each); ``look_alikes`` kinds that leave similar traces, with what
+    tells them apart; ``one_sided`` whether only a positive size makes sense (a variance).
+    """
+
+    kind: str
+    channel: str
+    family: str
+    title: str
+    equation: str
+    parameters: tuple[Parameter, ...]
+    extend: Callable[[MixedModel], MixedModel]
+    probes: tuple[tuple[float, ...], ...] = ((),)
+    look_alikes: dict[str, str] = field(default_factory=dict)
+    one_sided: bool = False
+
+    @property
+    def name(self) -> str:
+        """``kind:channel``, as in ``"coulomb:velocity"``."""
+        return f"{self.kind}:{self.channel}"
+
+    @property
+    def size(self) -> Parameter:
+        """The parameter that is zero when the effect is absent."""
+        return self.parameters[0]
+
+    def apply(self, model: MixedModel) -> MixedModel:
+        """The extended model, named ``model+kind:channel``, its parameters after the model's own."""
+        taken = set(model.parameter_names) & {p.name for p in self.parameters}
+        if taken:
+            raise OptionError(
+                f"model '{model.name}' already has the effect '{self.name}' (parameter {taken.pop()})",
+                "effects",
+            )
+        extended = self.extend(model)
+        return replace(
+            extended,
+            name=f"{model.name}+{self.name}",
+            parameters=(*model.parameters, *self.parameters),
+            equations=(*model.equations, f"{self.name}: {self.equation}"),
+            description=f"{model.description} With {self.title}.".strip(),
+        )
+
+
+class Split:
+    """Separates a record of the extended model into the base's record and the effect's values."""
+
+    def __init__(self, model: MixedModel) -> None:
+        self.n = len(model.parameters)
+        self.base = model.record
+
+    def __call__(self, theta: Any) -> tuple[Any, Any]:
+        return self.base(theta[: self.n]), theta[self.n :]
+
+
+def identifier(*parts: str) -> str:
+    """A parameter name from an effect's kind and channel."""
+    text = "_".join(parts)
+    return "".join(c if c.isalnum() else "_" for c in text)
+
+
+@dataclass(frozen=True)
+class Values:
+    """Named signals at the points where a model is evaluated: ``v["velocity"]`` is (M,) or a number.
+
+    ``t`` and ``dt`` in seconds.
+    """
+
+    signals: dict[str, Any]
+    t: Any
+    dt: Any
+
+    def __getitem__(self, name: str) -> Any:
+        return self.signals[name]
+
+
+def signals(model: MixedModel, a: Array, u: Any) -> dict[str, Any]:
+    """The nonlinear states and the inputs by name."""
+    out: dict[str, Any] = {name: a[:, i] for i, name in enumerate(model.nonlinear)}
+    out.update({name: u[i] for i, name in enumerate(model.inputs)})
+    return out
+
+
+def add_to_state(
+    model: MixedModel,
+    target: str,
+    term: Callable[[Values, Sequence[Any]], Any],
+    needs: Sequence[str] = (),
+) -> MixedModel:
+    """``target``' = ... + dt * term(signals, own parameters); linear states in ``needs`` are promoted."""
+    from engine.promote import promote
+
+    base = promote(model, needs)
+    split = Split(model)
+    row = [*base.nonlinear, *base.linear].index(target)
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        f, A, Q = base.transition(a, u, t, dt, own_base)
+        f = f.copy()
+        f[:, row] += dt * term(Values(signals(base, a, u), t, dt), own)
+        return f, A, Q
+
+    return on_base(base, split, dynamics=dynamics)
+
+
+def add_linear_coupling(model: MixedModel, target: str, source: str) -> MixedModel:
+    """``target``' = ... + dt * size * source, for a linear state ``source``."""
+    split = Split(model)
+    row = [*model.nonlinear, *model.linear].index(target)
+    column = list(model.linear).index(source)
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        f, A, Q = model.transition(a, u, t, dt, own_base)
+        A = per_point(A, len(a), dt, own[0])
+        A[..., row, column] += dt * own[0]
+        return f, A, Q
+
+    return on_base(model, split, dynamics=dynamics)
+
+
+def add_to_output(
+    model: MixedModel,
+    output: str,
+    term: Callable[[Values, Sequence[Any]], Any],
+    needs: Sequence[str] = (),
+) -> MixedModel:
+    """``output`` = ... + term(signals, own parameters)."""
+    from engine.promote import promote
+
+    base = promote(model, needs)
+    split = Split(model)
+    row = list(base.outputs).index(output)
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        h, C, R = base.observation(a, u, t, own_base)
+        h = h.copy()
+        h[:, row] += term(Values(signals(base, a, u), t, None), own)
+        return h, C, R
+
+    return on_base(base, split, measurement=measurement)
+
+
+def change_inputs(
+    model: MixedModel, name: str, change: Callable[[Any, Sequence[Any]], Any]
+) -> MixedModel:
+    """The model driven by change(u, own parameters) instead of the input ``name``."""
+    split = Split(model)
+    index = list(model.inputs).index(name)
+
+    def changed(u: Any, own: Sequence[Any]) -> list[Any]:
+        rows = list(u)
+        rows[index] = change(u[index], own)
+        return rows
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        return model.transition(a, changed(u, own), t, dt, own_base)
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        return model.observation(a, changed(u, own), t, own_base)
+
+    return on_base(model, split, dynamics=dynamics, measurement=measurement)
+
+
+def on_base(model: MixedModel, split: Split, **functions: Any) -> MixedModel:
+    """``model`` with some functions replaced; the others see the base's part of theta only."""
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        return model.transition(a, u, t, dt, split(theta)[0])
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        return model.observation(a, u, t, split(theta)[0])
+
+    def initial(theta: Any) -> tuple[Any, Any, Any]:
+        return model.initial(split(theta)[0])
+
+    return replace(
+        model,
+        **{"dynamics": dynamics, "measurement": measurement, "initial": initial, **functions},
+    )
+
+
+def per_point(matrix: Array, M: int, *factors: Any) -> Array:
+    """A copy of a matrix that may be changed: per point where a factor is an array (M,)."""
+    if matrix.ndim == 2 and any(np.ndim(factor) > 0 for factor in factors):
+        return np.repeat(matrix[None], M, axis=0)
+    return matrix.copy()
