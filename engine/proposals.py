@@ -14,14 +14,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from engine.errors import OptionError
-from engine.kernels.filtering import draw_adapted, draw_prior
-from engine.model import Array, MixedModel
+from engine.kernels.filtering import draw_adapted, draw_prior, spread_points
+from engine.model import Array, MixedModel, stacked
 
 INFLATION = 1.3  # the adapted covariance is widened: the linearisation is only a guess
 DEFENSIVE = 0.1  # share drawn from the prediction, so that no weight exceeds 10 bootstrap weights
 
 
-@dataclass
+@dataclass(slots=True)
 class Step:
     """What a proposal may look at: the prediction of x = (a, z) and the new measurement.
 
@@ -56,38 +56,20 @@ def adapted(step: Step) -> tuple[Array, Array | None]:
     See :func:`engine.kernels.filtering.draw_adapted`. Without any measurement it is ``bootstrap``.
     """
     model, M, na = step.model, len(step.ancestors), step.model.na
-    if na == 0 or np.isnan(step.y).all():
+    if na == 0 or all(value != value for value in step.y.tolist()):  # NaN throughout
         return bootstrap(step)
-    mu = step.mu[step.ancestors]
-    alpha, zeta = mu[:, :na], mu[:, na:]
-    variance = np.einsum("bkq,bkq->bk", step.L[:, :na, :na], step.L[:, :na, :na])
-    width = np.sqrt(variance if len(variance) == 1 else variance[step.ancestors])
-    points = np.repeat(alpha[None], 1 + 2 * na, axis=0)
-    for k in range(na):
-        points[1 + 2 * k, :, k] += width[:, k]
-        points[2 + 2 * k, :, k] -= width[:, k]
-    h, C, R = model.observation(points.reshape(-1, na), step.u, step.t, step.theta)
-    h = h.reshape(1 + 2 * na, M, model.ny)
-    if C.ndim == 2:
-        predicted = h + zeta @ C.T
-        C = C[None]
-    else:
-        C = C.reshape(1 + 2 * na, M, model.ny, model.nz)
-        predicted = h + np.einsum("smyz,mz->smy", C, zeta)
-        C = C[0]
-    R = R[None] if R.ndim == 2 else R[:M]
-    noise = step.rng.standard_normal((M, na))
-    uniform = step.rng.random(M)
+    points = spread_points(step.mu, step.L, step.ancestors, na)
+    h, C, R = model.observation(points, step.u, step.t, step.theta)
     a, log_q = draw_adapted(
         step.mu,
         step.L,
         step.ancestors,
-        predicted,
-        C,
-        R,
+        h,
+        stacked(C),
+        stacked(R),
         step.y,
-        noise,
-        uniform,
+        step.rng.standard_normal((M, na)),
+        step.rng.random(M),
         DEFENSIVE,
         INFLATION,
     )

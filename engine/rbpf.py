@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from engine.errors import OptionError
 from engine.kernels import resampling as schemes
-from engine.kernels.filtering import condition, predict, update
+from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import psd_cholesky
-from engine.model import Array, Gaussian, MixedModel, Theta, ThetaLike
+from engine.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.series import Series
 
@@ -37,32 +37,24 @@ class Filtered:
 
     For the backward pass, of the prediction from t to t+1, report, eq. (22): ``mu`` (T-1, M, nx),
     ``L`` (T-1, B, nx, nx) with L L' = Sigma, ``AP`` (T-1, B, nx, nz) = A P_{t|t}; ``cov`` (T, B, nz, nz) holds
-    P with B = 1 where it is common to all particles; ``ancestors`` (T, M); and the model's
-    matrices as they were evaluated: ``A``, ``Q``, ``h``, ``C``, ``R`` with a leading time axis, ``z1``, ``P1``.
+    P with B = 1 where it is common to all particles; ``ancestors`` (T, M).
     """
 
     model: MixedModel
     theta: Theta
     series: Series
+    log_likelihood: float
     a: Array
     z: Array
     cov: Array
     weights: Array
     log_weights: Array
-    log_likelihood: float
     log_likelihood_terms: Array
     ess: Array
     ancestors: NDArray[np.int64]
     mu: Array
     L: Array
     AP: Array
-    A: Array
-    Q: Array
-    h: Array
-    C: Array
-    R: Array
-    z1: Array
-    P1: Array
 
     @property
     def P(self) -> Array:
@@ -107,33 +99,42 @@ def rbpf(
     scheme = check_options(n_particles, resampling, ess_threshold)
     draw = get_proposal(proposal) if model.na else bootstrap
     M, T, record = n_particles, len(series), model.record(theta)
-    y, u, times, steps = series.y, series.u, series.t.tolist(), series.steps.tolist()
+    y, u, times, steps = np.array(series.y), series.u, series.t.tolist(), series.steps.tolist()
 
     own: NDArray[np.int64] = np.arange(M)
     even = np.full(M, -np.log(M))
-    log_w, w, ancestors = even, np.empty(M), own
-    kept = _Kept(T, M)
-    mu, L = np.empty((M, model.nx)), np.empty((1, model.nx, model.nx))
-    step = Step(model, record, np.empty(0), np.empty(0), own, y[0], u[0], times[0], rng)
-    a, z, P, log_ratio = _first(step, draw)
-    z1, P1 = z, P
-
+    nothing = np.zeros(M)
+    log_w, ancestors, mu, L = even, own, np.empty((M, 0)), np.empty((1, 0, 0))
+    updated: list[tuple[Any, ...]] = []
+    predicted: list[tuple[Any, ...]] = []
     for t in range(T):
-        if t > 0:
-            # 1. Sampling, 2. Prediction
+        # 1. Sampling, 2. Prediction, 3. Weighting, 4. Update of the linear states
+        if t == 0:
+            step = Step(model, record, mu, L, own, y[0], u[0], times[0], rng)
+            a, z, P, log_ratio = _first(step, draw)
+            h, C, R = model.observation(a, u[0], times[0], record)
+            z, P, log_w, w, log_sum, ess = weigh(
+                z, P, log_ratio, h, stacked(C), stacked(R), y[0], even
+            )
+        else:
             a, log_q = draw(Step(model, record, mu, L, ancestors, y[t], u[t], times[t], rng))
-            z, P, log_p = condition(mu, L, ancestors, a)
-            log_ratio = 0.0 if log_q is None else log_p - log_q
-
-        # 3. Weighting, 4. Update of the linear states
-        h, C, R = model.observation(a, u[t], times[t], record)
-        C, R = stacked(C), stacked(R)
-        z, P, log_y = update(z, P, h, C, R, y[t])
-        log_w = log_w + log_y + log_ratio
-        log_sum, ess = schemes.normalize(log_w, w)
-        log_w = log_w - log_sum if np.isfinite(log_sum) else even
-        kept(t, a=a, z=z, cov=P, weights=w, log_weights=log_w, ancestors=ancestors, h=h, C=C, R=R)
-        kept(t, log_likelihood_terms=log_sum, ess=ess)
+            a = np.ascontiguousarray(a)
+            blind = log_q is None
+            h, C, R = model.observation(a, u[t], times[t], record)
+            z, P, log_w, w, log_sum, ess = advance(
+                mu,
+                L,
+                ancestors,
+                a,
+                nothing if blind else log_q,
+                blind,
+                h,
+                stacked(C),
+                stacked(R),
+                y[t],
+                log_w,
+            )
+        updated.append((a, z, P, w, log_w, log_sum, ess, ancestors))
         if t == T - 1:
             break
 
@@ -144,21 +145,14 @@ def rbpf(
         else:
             ancestors = own
         f, A, Q = model.transition(a, u[t], times[t], steps[t], record)
-        A, Q = stacked(A), stacked(Q)
-        mu, L, AP = predict(f, A, Q, z, P)
-        kept(t, mu=mu, L=L, AP=AP, A=A, Q=Q)
+        mu, L, AP = predict(f, stacked(A), stacked(Q), z, P)
+        predicted.append((mu, L, AP))
 
-    arrays = kept.arrays()
-    log_likelihood = float(arrays["log_likelihood_terms"].sum())
-    return Filtered(
-        model=model,
-        theta=theta,
-        series=series,
-        log_likelihood=log_likelihood,
-        z1=z1,
-        P1=P1,
-        **arrays,
-    )
+    arrays = [
+        _over_time(rows) for rows in (*zip(*updated, strict=True), *zip(*predicted, strict=True))
+    ]
+    log_likelihood = float(arrays[5].sum())
+    return Filtered(model, theta, series, log_likelihood, *arrays)
 
 
 def check_options(
@@ -181,12 +175,12 @@ def check_options(
     return RESAMPLING[resampling]
 
 
-def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Any]:
+def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
     """a_1 from q(a_1 | y_1), its z_{1|0} and P_{1|0}, and log p(a_1) - log q(a_1)."""
     model, M = step.model, len(step.ancestors)
     start = model.start(step.theta)
     density = start.density
-    log_ratio: Any = 0.0
+    log_ratio = np.zeros(M)
     if draw is bootstrap or not isinstance(density, Gaussian):
         a = np.asarray(density.sample(step.rng, M), dtype=float)
     else:
@@ -202,31 +196,10 @@ def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Any]:
     return a, z, stacked(P), log_ratio
 
 
-def stacked(matrix: Array) -> Array:
-    """(B, ., .) with B = 1 for a matrix common to all particles."""
-    return matrix[None] if matrix.ndim == 2 else matrix
-
-
-class _Kept:
-    """Arrays with a leading time axis, allocated when their first row is known."""
-
-    def __init__(self, T: int, M: int) -> None:
-        self.T, self.M = T, M
-        self.rows: dict[str, Any] = {}
-
-    def __call__(self, t: int, **values: Any) -> None:
-        for name, value in values.items():
-            rows = self.rows.get(name)
-            if rows is None:
-                T = self.T - 1 if name in ("mu", "L", "AP", "A", "Q") else self.T
-                dtype = np.int64 if name == "ancestors" else float
-                rows = self.rows[name] = np.empty((T, *np.shape(value)), dtype=dtype)
-            elif rows.ndim > 1 and rows.shape[1] == 1 < len(value):
-                # common to all particles until now, and from here on no longer
-                full = np.empty((len(rows), self.M, *rows.shape[2:]))
-                full[:t] = rows[:t]
-                rows = self.rows[name] = full
-            rows[t] = value
-
-    def arrays(self) -> dict[str, Any]:
-        return self.rows
+def _over_time(rows: Sequence[Any]) -> Any:
+    """One array; rows common to all particles are repeated where others are not common."""
+    try:
+        return np.array(rows)
+    except ValueError:
+        shape = max(row.shape for row in rows)
+        return np.array([np.broadcast_to(row, shape) for row in rows])

@@ -14,6 +14,7 @@ from numba import njit
 from engine.kernels.gaussian import EXACT, log_normalizer, psd_cholesky_into, solve_lower_transposed
 
 NEGLIGIBLE = -38.0  # exp of this is below the rounding of a sum of weights
+TAYLOR = 1.0 / np.array([math.factorial(k) for k in range(10, -1, -1)])
 
 
 @njit(cache=True, error_model="numpy")
@@ -27,8 +28,34 @@ def reduce(L, r, out):
 
 
 @njit(cache=True, error_model="numpy")
+def exp_negative(x, out):
+    """Out (M,) = exp(x) for x <= 0, zero below NEGLIGIBLE, to a relative 1e-11.
+
+    The weights of all particles for every trajectory and time are what the backward pass spends
+    its time on; without branches and calls the compiler uses SIMD, twice as fast as the library's
+    exp. With y = x / 64 + 0.3 in (-0.3, 0.3], exp(x) = (exp(y) exp(-0.3))^64.
+    """
+    for i in range(x.shape[0]):
+        y = max(x[i], NEGLIGIBLE) / 64.0 + 0.3
+        e = TAYLOR[0]
+        for k in range(1, 11):
+            e = e * y + TAYLOR[k]
+        e *= 0.7408182206817179
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        out[i] = e if x[i] > NEGLIGIBLE else 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def pick(log_w, w, u):
-    """Index drawn from exp(log_w) (M,) with one uniform u; -1 when all are zero; w is scratch."""
+    """Index drawn from exp(log_w) (M,) with one uniform u; -1 when all are zero.
+
+    log_w is shifted and w is scratch.
+    """
     M = log_w.shape[0]
     top = -np.inf
     for i in range(M):
@@ -36,11 +63,12 @@ def pick(log_w, w, u):
             top = log_w[i]
     if top == -np.inf:
         return -1
+    for i in range(M):
+        log_w[i] -= top
+    exp_negative(log_w, w)
     total = 0.0
     for i in range(M):
-        e = log_w[i] - top
-        if e > NEGLIGIBLE:
-            total += math.exp(e)
+        total += w[i]
         w[i] = total
     goal = u * total
     low, high = 0, M - 1
@@ -201,7 +229,7 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
                 pivots[k] = L[t, 0, k, k]
         else:
             for i in range(M):
-                constants[i] = log_normalizer(L[t, i])
+                constants[i] = log_normalizer(L[t, i], nx)
         if common:
             backward_gain(P[t, 0], L[t, 0], AP[t, 0], K, P_plus)
             smooth_covariance(K, P_plus, P_s[t + 1, 0], na, P_s[t, 0], M_s[t, 0])
@@ -249,3 +277,15 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
                     d += L_plus[k, c] * noise[t, j, c]
                 z_draw[t, j, k] = d
     return index, z_s, P_s, M_s, z_draw
+
+
+@njit(cache=True, error_model="numpy")
+def pick_each(log_w, uniforms):
+    """Index (N,) drawn from each row of exp(log_w) (N, M); uniforms (N,)."""
+    N, M = log_w.shape
+    index = np.empty(N, np.int64)
+    scratch = np.empty(M)
+    for j in range(N):
+        i = pick(log_w[j], scratch, uniforms[j])
+        index[j] = i if i >= 0 else 0
+    return index

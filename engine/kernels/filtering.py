@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 from engine.kernels.gaussian import log_normalizer, psd_cholesky_into, whiten
+from engine.kernels.resampling import normalize
 
 
 @njit(cache=True, error_model="numpy")
@@ -31,11 +32,11 @@ def predict(f, A, Q, z, P):
     nz = z.shape[1]
     mu = np.empty((M, nx))
     for i in range(M):
-        Ai = A[i if A.shape[0] > 1 else 0]
+        b = i if A.shape[0] > 1 else 0
         for r in range(nx):
             s = f[i, r]
             for c in range(nz):
-                s += Ai[r, c] * z[i, c]
+                s += A[b, r, c] * z[i, c]
             mu[i, r] = s
     B = max(A.shape[0], Q.shape[0], P.shape[0])
     L = np.empty((B, nx, nx))
@@ -78,15 +79,15 @@ def condition(mu, L, ancestors, a):
     log_p = np.empty(M)
     r = np.empty(na)
     v = np.empty(na)
-    c = log_normalizer(L[0, :na, :na])
+    c = log_normalizer(L[0], na)
     for i in range(M):
         j = ancestors[i]
-        Li = L[0 if common else j]
+        b = 0 if common else j
         for k in range(na):
             r[k] = a[i, k] - mu[j, k]
-        possible = whiten(Li[:na, :na], r, v)
+        possible = whiten(L[b], r, v)
         if not common:
-            c = log_normalizer(Li[:na, :na])
+            c = log_normalizer(L[b], na)
         q = 0.0
         for k in range(na):
             q += v[k] * v[k]
@@ -94,14 +95,14 @@ def condition(mu, L, ancestors, a):
         for k in range(nz):
             s = mu[j, na + k]
             for m in range(na):
-                s += Li[na + k, m] * v[m]
+                s += L[b, na + k, m] * v[m]
             z[i, k] = s
         if not common or i == 0:
             for k in range(nz):
                 for m in range(k + 1):
                     s = 0.0
                     for n in range(m + 1):
-                        s += Li[na + k, na + n] * Li[na + m, na + n]
+                        s += L[b, na + k, na + n] * L[b, na + m, na + n]
                     P[i, k, m] = s
                     P[i, m, k] = s
     return z, P, log_p
@@ -133,25 +134,25 @@ def update(z, P, h, C, R, y):
     v = np.empty(n)
     c = 0.0
     for i in range(M):
-        Ci = C[i if C.shape[0] > 1 else 0]
+        ci = i if C.shape[0] > 1 else 0
         if B > 1 or i == 0:
-            Pi = P[i if P.shape[0] > 1 else 0]
-            Ri = R[i if R.shape[0] > 1 else 0]
+            pi = i if P.shape[0] > 1 else 0
+            ri = i if R.shape[0] > 1 else 0
             for p in range(n):
                 for m in range(nz):
                     s = 0.0
                     for k in range(nz):
-                        s += Ci[channels[p], k] * Pi[k, m]
+                        s += C[ci, channels[p], k] * P[pi, k, m]
                     V[p, m] = s
             for p in range(n):
                 for q in range(p + 1):
-                    s = Ri[channels[p], channels[q]]
+                    s = R[ri, channels[p], channels[q]]
                     for k in range(nz):
-                        s += V[p, k] * Ci[channels[q], k]
+                        s += V[p, k] * C[ci, channels[q], k]
                     S[p, q] = s
                     S[q, p] = s
             psd_cholesky_into(S, L)
-            c = log_normalizer(L)
+            c = log_normalizer(L, n)
             for m in range(nz):
                 for p in range(n):
                     s = V[p, m]
@@ -160,7 +161,7 @@ def update(z, P, h, C, R, y):
                     V[p, m] = s / L[p, p] if L[p, p] > 0.0 else 0.0
             for m in range(nz):
                 for k in range(m + 1):
-                    s = Pi[m, k]
+                    s = P[pi, m, k]
                     for p in range(n):
                         s -= V[p, m] * V[p, k]
                     P_new[i, m, k] = s
@@ -168,7 +169,7 @@ def update(z, P, h, C, R, y):
         for p in range(n):
             s = y[channels[p]] - h[i, channels[p]]
             for k in range(nz):
-                s -= Ci[channels[p], k] * z[i, k]
+                s -= C[ci, channels[p], k] * z[i, k]
             r[p] = s
         possible = whiten(L, r, v)
         d = 0.0
@@ -190,23 +191,75 @@ def draw_prior(mu, L, ancestors, noise):
     a = np.empty((M, na))
     for i in range(M):
         j = ancestors[i]
-        Lj = L[j if L.shape[0] > 1 else 0]
+        b = j if L.shape[0] > 1 else 0
         for k in range(na):
             s = mu[j, k]
             for m in range(k + 1):
-                s += Lj[k, m] * noise[i, m]
+                s += L[b, k, m] * noise[i, m]
             a[i, k] = s
     return a
 
 
 @njit(cache=True, error_model="numpy")
-def draw_adapted(mu, L, ancestors, sigma_points, C, R, y, noise, uniform, defensive, inflation):
+def weigh(z, P, log_ratio, h, C, R, y, log_w):
+    """Weighting and measurement update in one call; report, Algorithm 2, steps 3 and 4.
+
+    ``log_ratio`` (M,) is log p(a) - log q(a) of the draws, ``log_w`` (M,) the weights before ->
+    z_{t|t} (M, nz), P_{t|t} (B, nz, nz), normalized log weights (M,) and weights (M,), log of their sum,
+    effective sample size. Where no weight is left they become equal, with a log sum of -inf.
+    """
+    z, P, log_y = update(z, P, h, C, R, y)
+    M = log_w.shape[0]
+    new = np.empty(M)
+    for i in range(M):
+        new[i] = log_w[i] + log_y[i] + log_ratio[i]
+    w = np.empty(M)
+    log_sum, ess = normalize(new, w)
+    for i in range(M):
+        new[i] = new[i] - log_sum if math.isfinite(log_sum) else -math.log(M)
+    return z, P, new, w, log_sum, ess
+
+
+@njit(cache=True, error_model="numpy")
+def advance(mu, L, ancestors, a, log_q, blind, h, C, R, y, log_w):
+    """``condition`` on the drawn a (M, na), then ``weigh``; ``blind``: a was drawn from the prediction."""
+    z, P, log_p = condition(mu, L, ancestors, a)
+    for i in range(log_p.shape[0]):
+        log_p[i] = 0.0 if blind else log_p[i] - log_q[i]
+    return weigh(z, P, log_p, h, C, R, y, log_w)
+
+
+@njit(cache=True, error_model="numpy")
+def spread_points(mu, L, ancestors, na):
+    """Points ((1 + 2 na) M, na) at alpha and one predicted standard deviation to each side of it.
+
+    Component by component, in the order (0, +1, -1, +2, -2, ...), all particles of each together.
+    """
+    M = ancestors.shape[0]
+    points = np.empty(((1 + 2 * na) * M, na))
+    for i in range(M):
+        j = ancestors[i]
+        b = j if L.shape[0] > 1 else 0
+        for p in range(1 + 2 * na):
+            for k in range(na):
+                points[p * M + i, k] = mu[j, k]
+        for k in range(na):
+            width = 0.0
+            for q in range(k + 1):
+                width += L[b, k, q] * L[b, k, q]
+            width = math.sqrt(width)
+            points[(1 + 2 * k) * M + i, k] += width
+            points[(2 + 2 * k) * M + i, k] -= width
+    return points
+
+
+@njit(cache=True, error_model="numpy")
+def draw_adapted(mu, L, ancestors, h, C, R, y, noise, uniform, defensive, inflation):
     """A draw that looks at y: a second-order extended Kalman step per particle.
 
-    ``sigma_points`` (1 + 2 na, M, ny) holds h + C zeta at alpha and at alpha -+ one predicted
-    standard deviation of each component of a, in the order (0, +1, -1, +2, -2, ...). Their
-    differences give the slope H and the curvature of the measurement over the width of the
-    prediction. With G = (H, C), S = G Sigma G' + R + curvature, the proposal is
+    h ((1 + 2 na) M, ny), C (B, ny, nz), R (B, ny, ny) are those at ``spread_points``, B = 1 or as h.
+    Differences of h + C zeta give the slope H and the curvature of the measurement over the width
+    of the prediction. With G = (H, C), S = G Sigma G' + R + curvature, the proposal is
 
         N(alpha + Sigma^{a.} G' S^{-1} (y - y_hat), inflation (Sigma^a - Sigma^{a.} G' S^{-1} G Sigma^{.a}))
 
@@ -221,54 +274,78 @@ def draw_adapted(mu, L, ancestors, sigma_points, C, R, y, noise, uniform, defens
     n = channels.size
     a = np.empty((M, na))
     log_q = np.empty(M)
-    G = np.empty((n, nx))
-    U = np.empty((n, nx))  # G L
+    CL = np.empty((n, nx))  # C (L_za, L_z), and with D = C L_z L_z' C' + R, what does not involve H
+    D = np.empty((n, n))
+    widths = np.empty(na)  # predicted standard deviations of a
+    H = np.empty((n, na))
+    U = np.empty((n, na))  # G L = (U, C L_z)
     S = np.empty((n, n))
     LS = np.empty((n, n))
     W = np.empty((n, na))  # LS^{-1} G Sigma^{.a}
     V = np.empty((na, na))
     LV = np.empty((na, na))
+    at = np.empty((1 + 2 * na, n))  # h + C zeta at the points of one particle
     r = np.empty(n)
     v = np.empty(n)
     m = np.empty(na)
     ra = np.empty(na)
     va = np.empty(na)
+    prior_constant = 0.0
+    varying = L.shape[0] > 1 or C.shape[0] > 1 or R.shape[0] > 1
     for i in range(M):
         j = ancestors[i]
-        Li = L[j if L.shape[0] > 1 else 0]
-        Ci = C[i if C.shape[0] > 1 else 0]
-        Ri = R[i if R.shape[0] > 1 else 0]
-        for p in range(n):
-            c = channels[p]
-            r[p] = y[c] - sigma_points[0, i, c]
-            for q in range(p + 1):
-                S[p, q] = Ri[c, channels[q]]
-            for k in range(nz):
-                G[p, na + k] = Ci[c, k]
-        for k in range(na):
-            step = 0.0  # predicted standard deviation of a_k
-            for q in range(k + 1):
-                step += Li[k, q] * Li[k, q]
-            step = math.sqrt(step)
+        b = j if L.shape[0] > 1 else 0
+        if i == 0 or varying:
+            ci = i if C.shape[0] > 1 else 0
+            ri = i if R.shape[0] > 1 else 0
             for p in range(n):
-                up = sigma_points[1 + 2 * k, i, channels[p]]
-                down = sigma_points[2 + 2 * k, i, channels[p]]
-                G[p, k] = (up - down) / (2.0 * step) if step > 0.0 else 0.0
-                v[p] = 0.5 * (up + down) - sigma_points[0, i, channels[p]]
+                for k in range(nx):
+                    s = 0.0
+                    for q in range(max(k - na, 0), nz):
+                        s += C[ci, channels[p], q] * L[b, na + q, k]
+                    CL[p, k] = s
+                for q in range(p + 1):
+                    s = R[ri, channels[p], channels[q]]
+                    for k in range(na, nx):
+                        s += CL[p, k] * CL[q, k]
+                    D[p, q] = s
+            for k in range(na):
+                s = 0.0
+                for q in range(k + 1):
+                    s += L[b, k, q] * L[b, k, q]
+                widths[k] = math.sqrt(s)
+            prior_constant = log_normalizer(L[b], na)
+        for point in range(1 + 2 * na):
+            cp = point * M + i if C.shape[0] > 1 else 0
+            for p in range(n):
+                if point == 0 or C.shape[0] > 1:
+                    s = 0.0
+                    for k in range(nz):
+                        s += C[cp, channels[p], k] * mu[j, na + k]
+                    v[p] = s
+                at[point, p] = h[point * M + i, channels[p]] + v[p]
+        for p in range(n):
+            r[p] = y[channels[p]] - at[0, p]
+            for q in range(p + 1):
+                S[p, q] = D[p, q]
+        for k in range(na):
+            for p in range(n):
+                up, down = at[1 + 2 * k, p], at[2 + 2 * k, p]
+                H[p, k] = (up - down) / (2.0 * widths[k]) if widths[k] > 0.0 else 0.0
+                v[p] = 0.5 * (up + down) - at[0, p]
             for p in range(n):
                 r[p] -= v[p]
                 for q in range(p + 1):
                     S[p, q] += 2.0 * v[p] * v[q]
         for p in range(n):
-            for k in range(nx):
-                s = 0.0
-                for q in range(k, nx):
-                    s += G[p, q] * Li[q, k]
+            for k in range(na):
+                s = CL[p, k]
+                for q in range(k, na):
+                    s += H[p, q] * L[b, q, k]
                 U[p, k] = s
-        for p in range(n):
             for q in range(p + 1):
                 s = S[p, q]
-                for k in range(nx):
+                for k in range(na):
                     s += U[p, k] * U[q, k]
                 S[p, q] = s
                 S[q, p] = s
@@ -278,7 +355,7 @@ def draw_adapted(mu, L, ancestors, sigma_points, C, R, y, noise, uniform, defens
             for p in range(n):
                 s = 0.0
                 for q in range(k + 1):
-                    s += U[p, q] * Li[k, q]
+                    s += U[p, q] * L[b, k, q]
                 for q in range(p):
                     s -= LS[p, q] * W[q, k]
                 W[p, k] = s / LS[p, p] if LS[p, p] > 0.0 else 0.0
@@ -290,7 +367,7 @@ def draw_adapted(mu, L, ancestors, sigma_points, C, R, y, noise, uniform, defens
             for q in range(k + 1):
                 s = 0.0
                 for w in range(q + 1):
-                    s += Li[k, w] * Li[q, w]
+                    s += L[b, k, w] * L[b, q, w]
                 for p in range(n):
                     s -= W[p, k] * W[p, q]
                 V[k, q] = inflation * s
@@ -300,20 +377,20 @@ def draw_adapted(mu, L, ancestors, sigma_points, C, R, y, noise, uniform, defens
         for k in range(na):
             s = mu[j, k] if from_prior else m[k]
             for q in range(k + 1):
-                s += (Li[k, q] if from_prior else LV[k, q]) * noise[i, q]
+                s += (L[b, k, q] if from_prior else LV[k, q]) * noise[i, q]
             a[i, k] = s
         for k in range(na):
             ra[k] = a[i, k] - m[k]
-        adapted = log_normalizer(LV) if whiten(LV, ra, va) else -np.inf
+        adapted = log_normalizer(LV, na) if whiten(LV, ra, va) else -np.inf
         for k in range(na):
             adapted -= 0.5 * va[k] * va[k]
             ra[k] = a[i, k] - mu[j, k]
-        La = Li[:na, :na]
-        prior = log_normalizer(La) if whiten(La, ra, va) else -np.inf
+        prior = prior_constant if whiten(L[b], ra, va) else -np.inf
         for k in range(na):
             prior -= 0.5 * va[k] * va[k]
-        top = max(adapted, prior)
-        log_q[i] = top + math.log(
-            (1.0 - defensive) * math.exp(adapted - top) + defensive * math.exp(prior - top)
-        )
+        if adapted > prior:
+            mixture = (1.0 - defensive) + defensive * math.exp(prior - adapted)
+        else:
+            mixture = (1.0 - defensive) * math.exp(adapted - prior) + defensive
+        log_q[i] = max(adapted, prior) + math.log(mixture)
     return a, log_q

@@ -59,8 +59,11 @@ def psd_cholesky_many(S):
 
 @njit(cache=True, error_model="numpy")
 def whiten(L, r, out):
-    """Out (n,) = L^{-1} r with directions without noise set to zero; False if r contradicts one."""
-    n = L.shape[0]
+    """Out (n,) = L^{-1} r with directions without noise set to zero; False if r contradicts one.
+
+    Of a larger L the leading n x n block is used.
+    """
+    n = r.shape[0]
     possible = True
     for i in range(n):
         s = r[i]
@@ -87,10 +90,10 @@ def solve_lower_transposed(L, v, out):
 
 
 @njit(cache=True, error_model="numpy")
-def log_normalizer(L):
-    """-1/2 log det(2 pi S) over the directions that have noise."""
+def log_normalizer(L, n):
+    """-1/2 log det(2 pi S) over the first n directions, as far as they have noise."""
     s = 0.0
-    for i in range(L.shape[0]):
+    for i in range(n):
         if L[i, i] > 0.0:
             s -= math.log(L[i, i]) + 0.5 * LOG_2PI
     return s
@@ -102,7 +105,7 @@ def log_normal_common(r, L):
     M, n = r.shape
     out = np.empty(M)
     v = np.empty(n)
-    c = log_normalizer(L)
+    c = log_normalizer(L, n)
     for i in range(M):
         if whiten(L, r[i], v):
             q = 0.0

@@ -162,7 +162,7 @@ def gaussian_update(m, P, y_mean, S, cross, y):
                 Sk[p, q] = S[k, channels[p], channels[q]]
         psd_cholesky_into(Sk, L)
         possible = whiten(L, r, v)
-        log_p[k] = log_normalizer(L) if possible else -np.inf
+        log_p[k] = log_normalizer(L, L.shape[0]) if possible else -np.inf
         for p in range(n):
             log_p[k] -= 0.5 * v[p] * v[p]
         for c in range(nx):
