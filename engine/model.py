@@ -174,9 +174,9 @@ def as_rows(value: Any, M: int, n: int, where: str) -> Array:
     """(M, n) float array from an array or a list of n rows, each a number or (M,)."""
     if isinstance(value, np.ndarray) and value.dtype != object:
         if value.shape == (M, n):
-            return np.ascontiguousarray(value, dtype=float)
+            return regular(value)
         if value.shape == (n,):
-            return np.ascontiguousarray(np.broadcast_to(np.asarray(value, dtype=float), (M, n)))
+            return np.repeat(np.asarray(value, dtype=float)[None], M, axis=0)
         raise _shape_error(where, value.shape, f"({M}, {n}) or ({n},)")
     if _is_number(value):  # a single row may be written as a number
         value = [value]
@@ -198,11 +198,17 @@ def as_matrix(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
     if not isinstance(value, np.ndarray) or value.dtype == object:
         value = _nested(value, M, rows, columns, where)
     shape = value.shape
-    if shape in ((rows, columns), (M, rows, columns)):
-        return np.ascontiguousarray(value, dtype=float)
+    if shape == (rows, columns) or shape == (M, rows, columns):
+        return regular(value)
     if value.size == rows * columns == 0:
         return np.zeros((rows, columns))
     raise _shape_error(where, shape, f"({rows}, {columns}) or ({M}, {rows}, {columns})")
+
+
+def regular(value: Any) -> Array:
+    """The one layout that kernels are compiled for: float, C-contiguous, writeable."""
+    out: Array = np.ascontiguousarray(value, dtype=float)
+    return out if out.flags.writeable else out.copy()
 
 
 def stacked(matrix: Array) -> Array:
@@ -214,12 +220,17 @@ def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
     """A nested list whose entries are numbers or (M,)."""
     if rows * columns == 0:
         return np.zeros((rows, columns))
+    try:
+        numbers = np.array(value, dtype=float)
+    except (ValueError, TypeError):  # entries of different shapes
+        pass
+    else:
+        if numbers.shape == (rows, columns):
+            return numbers
     if _is_number(value):  # a 1 x 1 matrix may be written as a number
         value = [[value]]
     if len(value) != rows or any(_is_number(row) or len(row) != columns for row in value):
         raise ModelError(f"{where} is not a list of {rows} rows of {columns} entries")
-    if all(_is_number(entry) for row in value for entry in row):
-        return np.array(value, dtype=float)
     out = np.empty((M, rows, columns))
     for i, row in enumerate(value):
         for j, entry in enumerate(row):
