@@ -5,12 +5,15 @@ Start with :func:`get_model` or your own :class:`MixedModel`, put measured data 
 """
 
 from engine.conditional import condition_on_trajectories
+from engine.densities import GaussianMixture, StudentT
 from engine.discretize import discretize
 from engine.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
 from engine.errors import EngineError, ModelError, OptionError, SeriesError
 from engine.free_run import free_run
 from engine.kalman import kalman_smoother
 from engine.model import Gaussian, MixedModel, Parameter, Theta
+from engine.nonlinear import NonlinearModel, as_general
+from engine.nonlinear_smoother import filter_general, smooth_general
 from engine.outcome import Outcome
 from engine.particle import ParticleFiltered, ParticleSmoothed, ffbsi, particle_filter
 from engine.ps_em import ps_em
@@ -28,9 +31,11 @@ __all__ = [
     "EngineError",
     "Filtered",
     "Gaussian",
+    "GaussianMixture",
     "Iteration",
     "MixedModel",
     "ModelError",
+    "NonlinearModel",
     "OptionError",
     "Outcome",
     "Parameter",
@@ -41,10 +46,13 @@ __all__ = [
     "Simulation",
     "Smoothed",
     "StandardErrors",
+    "StudentT",
     "Theta",
+    "as_general",
     "condition_on_trajectories",
     "discretize",
     "ffbsi",
+    "filter_general",
     "fit_simulation",
     "free_run",
     "get_model",
@@ -59,5 +67,6 @@ __all__ = [
     "register",
     "rts_em",
     "simulate",
+    "smooth_general",
     "standard_errors",
 ]

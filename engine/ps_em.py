@@ -1,4 +1,8 @@
-"""PS-EM: EM with a particle smoother on the full state (Schon, Wills, Ninness 2011; poster)."""
+"""PS-EM: EM with a particle smoother on the full state (Schon, Wills, Ninness 2011; poster).
+
+For mixed models it is the baseline of the paper, section V; for general nonlinear, non-Gaussian
+models, :class:`engine.nonlinear.NonlinearModel`, the poster's method with its quasi-Newton M step.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,11 @@ import numpy as np
 
 from engine.e_steps import LOST_SHARE, RETRIES, EStep, Expect
 from engine.em import Callback, Checkpoint, EmResult, iterate
+from engine.errors import OptionError
 from engine.expectation import expectation
 from engine.model import MixedModel, Theta, ThetaLike
+from engine.nonlinear import NonlinearModel
+from engine.nonlinear_em import general_step
 from engine.particle import ParticleFiltered, ffbsi, particle_filter
 from engine.points import Points
 from engine.proposals import Proposal, get_proposal
@@ -18,7 +25,7 @@ from engine.series import Series, as_series_list
 
 
 def ps_em(
-    model: MixedModel,
+    model: MixedModel | NonlinearModel,
     series: Series | Sequence[Series],
     theta0: ThetaLike = None,
     free: Sequence[str] | None = None,
@@ -33,27 +40,54 @@ def ps_em(
     resampling: str = "multinomial",
     ess_threshold: float = 1.0,
     recover: bool = True,
-    m_step: str = "scoring",
+    m_step: str | None = None,
     tolerance: float | None = 1e-3,
 ) -> EmResult:
     """Estimate theta by EM with the bootstrap PF and FFBSi on x = (a, z); paper, section V.
 
     The Q-function is that of paper, eqs. (8)-(19), with the drawn states in place of moments, P = 0
     and M = 0. Arguments, result and errors as in :func:`engine.em.rbps_em`; ``recover=False`` is
-    the paper's method to the letter, which goes on with a filter that has collapsed.
+    the paper's method to the letter, which goes on with a filter that has collapsed. ``m_step`` is
+    "scoring" by default for mixed models, "bfgs" for general ones, which know no ``proposal`` but
+    the bootstrap's.
     """
-    expect = ps_step(
-        model,
-        as_series_list(series, model),
-        n_particles,
-        n_particles if n_trajectories is None else n_trajectories,
-        proposal=proposal,
-        resampling=resampling,
-        ess_threshold=ess_threshold,
-        recover=recover,
-    )
+    listed = as_series_list(series, model)
+    n_trajectories = n_particles if n_trajectories is None else n_trajectories
+    if isinstance(model, NonlinearModel):
+        if proposal != "bootstrap":
+            raise OptionError("a general model is filtered with proposal='bootstrap'", "proposal")
+        expect = general_step(
+            model,
+            listed,
+            n_particles,
+            n_trajectories,
+            resampling=resampling,
+            ess_threshold=ess_threshold,
+            recover=recover,
+        )
+        m_step = m_step or "bfgs"
+    else:
+        expect = ps_step(
+            model,
+            listed,
+            n_particles,
+            n_trajectories,
+            proposal=proposal,
+            resampling=resampling,
+            ess_threshold=ess_threshold,
+            recover=recover,
+        )
     return iterate(
-        model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance
+        model,
+        expect,
+        theta0,
+        free,
+        n_iterations,
+        seed,
+        callback,
+        resume,
+        m_step or "scoring",
+        tolerance,
     )
 
 

@@ -1,0 +1,20 @@
+"""Index draws for many trajectories at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from engine.kernels.backward import pick
+
+
+@njit(cache=True, error_model="numpy")
+def pick_each(log_w, uniforms):
+    """Index (N,) drawn from each row of exp(log_w) (N, M), which is overwritten; uniforms (N,)."""
+    N, M = log_w.shape
+    index = np.empty(N, np.int64)
+    scratch = np.empty(M)
+    for j in range(N):
+        i = pick(log_w[j], scratch, uniforms[j])
+        index[j] = i if i >= 0 else 0
+    return index
