@@ -1,0 +1,132 @@
+"""One attempt at one task, in a worker process: store in, engine, store out.
+
+The process dies with the service (or Dask worker) that started it, whatever that died of, so no
+computation goes on unwatched. It writes each iteration as progress and checkpoint; where the
+store answers that the task is not this attempt's any more (cancelled, lease lost), it leaves.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from multiprocessing import connection, parent_process
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from engine.errors import EngineError
+from engine.model import Array, Theta
+from service import kinds
+from service.prepare import load
+from service.problems import Problem
+from service.store import Attempt, Store
+
+FLUSH_SECONDS = 0.1  # iterations faster than this are written several at a time
+
+
+def main(url: str, attempt: Attempt) -> None:
+    """Entry point of the worker process."""
+    _die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the service's to handle
+    os.nice(5)  # requests are answered while all cores compute
+    run(Store(url), attempt)
+
+
+def run(store: Store, attempt: Attempt) -> None:
+    """Compute the task and write its result or the reason for its failure."""
+    try:
+        request = store.document(attempt.job, "request")
+        job = load(json.loads(request or b"null"))
+        progress = StoredProgress(store, attempt)
+        result = kinds.run(job, progress)
+        progress.flush()
+        store.finish(attempt, result, progress.k, str(result.get("message", "")))
+    except Exception as error:  # noqa: BLE001 - whatever it is, the job's owner must be told
+        store.fail(attempt, _problem(error).document())
+
+
+class StoredProgress:
+    """kinds.Progress on the store; a row is (theta..., log-likelihood, ess, seconds, collapsed)."""
+
+    def __init__(self, store: Store, attempt: Attempt) -> None:
+        self.store, self.attempt = store, attempt
+        self.k = 0
+        self._pending: dict[int, Array] = {}
+        self._latest: Any = None
+        self._written = 0.0
+
+    def rows(self) -> Array:
+        """Iterations of earlier attempts at this task."""
+        ks, rows = self.store.rows(self.attempt.job, self.attempt.task)
+        self.k = max(ks, default=0)
+        return rows
+
+    def start(self, theta: Theta) -> None:
+        """Row 0: where the estimation starts."""
+        self._pending[0] = np.append(theta, [np.nan] * 4)
+        self.flush()
+
+    def iteration(self, it: Any) -> None:
+        """The engine's callback."""
+        numbers = [it.log_likelihood, it.ess, it.seconds, it.collapsed]
+        self._pending[it.k] = np.append(it.theta, numbers)
+        self.k, self._latest = it.k, it
+        if time.monotonic() - self._written > FLUSH_SECONDS:
+            self.flush()
+
+    def step(self, k: int, message: str = "") -> None:
+        """Progress without a checkpoint."""
+        self.k = k
+        self.flush(message)
+
+    def flush(self, message: str = "") -> None:
+        """Write what is pending; leaves the process if the task is not ours any more."""
+        latest = self._latest
+        mine = self.store.record(
+            self.attempt,
+            self.k,
+            self._pending,
+            latest and latest.theta.asdict(),
+            latest and latest.log_likelihood,
+            message,
+        )
+        if not mine:
+            raise SystemExit(0)
+        self._pending, self._written = {}, time.monotonic()
+
+
+def _problem(error: Exception) -> Problem:
+    """What the owner of a failed job is told."""
+    if isinstance(error, Problem):
+        return error
+    if isinstance(error, EngineError):
+        return Problem(422, "computation-failed", str(error))
+    if isinstance(error, MemoryError):
+        return Problem(422, "out-of-memory", "the computation needs more memory than it may use")
+    traceback.print_exception(error, file=sys.stderr)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{Path(frame.filename).name}, line {frame.lineno}, in {frame.name}"
+    detail = f"{type(error).__name__}: {error} ({where})"
+    return Problem(422, "computation-failed", detail)
+
+
+def _die_with_parent() -> None:
+    """End this process when the service does, even by SIGKILL, even inside a compiled kernel."""
+    parent = parent_process()
+    if parent is None:  # run by hand
+        return
+    if sys.platform == "linux":  # the forkserver ends with the service, and this process with it
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+    def watch() -> None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,118 @@
+"""What the store and the registry hold, as the JSON documents clients see."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+import engine
+from engine.model import Array, MixedModel
+from service.schemas import JobStatus, Link, ModelOut, ParameterOut, Trace
+
+
+def job_status(row: Any) -> JobStatus:
+    """The status document of a row of ``jobs``."""
+    here = f"/jobs/{row.id}"
+    links = [Link(href=here, rel="self"), Link(href=f"{here}/trace", rel="trace")]
+    if row.status == "successful":
+        links.append(Link(href=f"{here}/results", rel="results"))
+    progress = 100 if row.status == "successful" else 100 * row.iteration // max(row.iterations, 1)
+    return JobStatus(
+        jobID=row.id,
+        kind=row.kind,
+        model=row.model,
+        status=row.status,
+        progress=min(progress, 100),
+        iteration=row.iteration,
+        iterations=row.iterations,
+        created=_time(row.created),
+        started=row.started and _time(row.started),
+        updated=_time(row.updated),
+        finished=row.finished and _time(row.finished),
+        estimated_end=_estimated_end(row),
+        message=row.message,
+        estimate=row.estimate and json.loads(row.estimate),
+        log_likelihood=row.log_likelihood,
+        links=links,
+    )
+
+
+def _estimated_end(row: Any) -> str | None:
+    if row.status != "running" or not row.iteration:
+        return None
+    rate = (row.updated - row.started) / row.iteration
+    return _time(row.updated + rate * (row.iterations - row.iteration))
+
+
+def _time(seconds: float) -> str:
+    text = datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+    return text.replace("+00:00", "Z")
+
+
+def trace(names: list[str], ks: list[int], rows: Array) -> Trace:
+    """Iterations k with their rows (n, n_theta + 4), see ``tables.iterations``."""
+    n = len(names)
+    columns = [_numbers(column) for column in rows.reshape(len(ks), n + 4).T]
+    return Trace(
+        iteration=ks,
+        theta=dict(zip(names, columns, strict=False)),
+        log_likelihood=columns[n],
+        ess=columns[n + 1],
+        seconds=columns[n + 2],
+    )
+
+
+def _numbers(column: Array) -> list[float | None]:
+    return [x if np.isfinite(x) else None for x in column.tolist()]
+
+
+def model(model: MixedModel) -> ModelOut:
+    """The document of a registered model."""
+    return ModelOut(
+        name=model.name,
+        description=model.description,
+        equations=list(model.equations),
+        nonlinear=dict(model.nonlinear),
+        linear=dict(model.linear),
+        inputs=dict(model.inputs),
+        outputs=dict(model.outputs),
+        parameters=[
+            ParameterOut(
+                name=p.name,
+                unit=p.unit,
+                default=p.default,
+                bounds=(_finite(p.bounds[0]), _finite(p.bounds[1])),
+                description=p.description,
+            )
+            for p in model.parameters
+        ],
+        example=_example(model.name),
+        links=[Link(href=f"/models/{model.name}", rel="self")],
+    )
+
+
+@cache
+def _example(name: str) -> dict[str, Any]:
+    """An estimation on simulated data."""
+    model, T = engine.get_model(name), 20
+    u = np.ones((T, model.nu)) if model.nu else None
+    try:
+        y = engine.simulate(model, None, T, np.random.default_rng(0), u=u).y
+    except Exception:  # noqa: BLE001 - a stranger's model; its document is shown all the same
+        y = np.zeros((T, model.ny))
+    series = {"y": np.round(y, 6).tolist(), "dt": 1.0}
+    return {
+        "kind": "estimate",
+        "model": name,
+        "series": [series | ({"u": u.tolist()} if u is not None else {})],
+        "parameters": {"start": model.theta().asdict()},
+        "options": {"particles": 50, "iterations": 20, "seed": 1},
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

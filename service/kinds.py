@@ -1,0 +1,217 @@
+"""What each kind of job computes: engine in, JSON out. Runs in worker processes only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+import engine
+from engine.model import Array, MixedModel, Theta
+from engine.series import Series
+from service.prepare import Prepared
+from service.problems import Problem, invalid
+from service.schemas import EstimateRequest, SimulateRequest, SmoothRequest
+
+LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
+
+
+class Progress(Protocol):
+    """What a computation tells the store, and what it finds there of an earlier attempt."""
+
+    def rows(self) -> Array:
+        """Iterations already done, (k + 1, n_theta + 4), start first; (0, ...) at a first attempt."""
+
+    def start(self, theta: Theta) -> None:
+        """Row 0 of a first attempt."""
+
+    def iteration(self, it: Any) -> None:
+        """One more iteration; an engine.Iteration."""
+
+    def step(self, k: int, message: str = "") -> None:
+        """Progress of a computation without iterations."""
+
+
+def steps(job: Prepared) -> int:
+    """How many steps of progress a job will make."""
+    if isinstance(job.request, EstimateRequest):
+        return job.request.options.iterations
+    return len(job.series)
+
+
+def run(job: Prepared, progress: Progress) -> dict[str, Any]:
+    """Compute the result document."""
+    match job.request:
+        case EstimateRequest():
+            return estimate(job, job.request, progress)
+        case SmoothRequest():
+            return smooth(job, job.request, progress)
+        case SimulateRequest():
+            return simulate(job, job.request, progress)
+
+
+# ---- estimate -------------------------------------------------------------------------------
+
+
+def estimate(job: Prepared, request: EstimateRequest, progress: Progress) -> dict[str, Any]:
+    """EM, then one smoothing pass at the estimate."""
+    options, model = request.options, job.model
+    fit = _method(options.method)
+    arguments: dict[str, Any] = {"n_iterations": options.iterations}
+    if options.method != "rts-em":
+        arguments |= {"n_particles": options.particles, "seed": options.seed}
+        arguments |= {"n_trajectories": options.trajectories}
+    rows = progress.rows()
+    if len(rows):
+        trace, columns = np.split(rows, [len(model.parameters)], axis=1)
+        arguments["resume"] = engine.Checkpoint(trace, *columns[1:].T)
+    else:
+        progress.start(job.theta)
+    found = fit(
+        model, job.series, job.theta, free=job.free, callback=progress.iteration, **arguments
+    )
+    outcome = found.outcome.name.lower().replace("_", "-")
+    if not found.outcome.success:
+        raise Problem(422, outcome, found.message)
+    n = options.particles
+    rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(0,)))
+    progress.step(len(found.log_likelihood), "smoothing the states at the estimate")
+    states = _states(job, found.theta, n, options.trajectories or n, rng, options.method)
+    parameters = zip(model.parameters, found.theta.tolist(), strict=True)
+    return {
+        "estimate": {
+            p.name: {"value": value, "standard_error": None, "unit": p.unit}
+            | ({} if p.name in found.free else {"fixed": True})
+            for p, value in parameters
+        },
+        "outcome": outcome,
+        "message": found.message,
+        "log_likelihood": _log_likelihood(job, found.theta, n, rng, options.method),
+        "trace": {
+            "iteration": list(range(len(found.trace))),
+            "theta": {p: found.trace[:, i].tolist() for i, p in enumerate(model.parameter_names)},
+            # a log-likelihood belongs to the theta before its M step; row 0 has none
+            "log_likelihood": [None, *found.log_likelihood.tolist()],
+            "ess": [None, *found.ess.tolist()],
+            "seconds": [None, *found.seconds.tolist()],
+        },
+        "states": states,
+    }
+
+
+def _method(name: str) -> Callable[..., Any]:
+    fit = getattr(engine, name.replace("-", "_"), None)
+    if fit is None:
+        raise invalid("options.method", f"'{name}' is not available in this version")
+    return fit  # type: ignore[no-any-return]
+
+
+def _log_likelihood(
+    job: Prepared, theta: Theta, n: int, rng: np.random.Generator, method: str
+) -> dict[str, Any]:
+    """Log of the mean of several likelihood estimates (which are unbiased), and its error."""
+    if method == "rts-em":
+        exact = sum(engine.kalman_smoother(job.model, theta, s).log_likelihood for s in job.series)
+        return {"value": float(exact), "standard_error": 0.0}
+    runs = np.array(
+        [
+            sum(engine.rbpf(job.model, theta, s, n, rng).log_likelihood for s in job.series)
+            for _ in range(LIKELIHOOD_RUNS)
+        ]
+    )
+    ratios = np.exp(runs - runs.max())
+    value = runs.max() + np.log(ratios.mean())
+    error = ratios.std(ddof=1) / ratios.mean() / np.sqrt(len(runs))  # delta method
+    return {"value": float(value), "standard_error": float(error)}
+
+
+# ---- smooth ---------------------------------------------------------------------------------
+
+
+def smooth(job: Prepared, request: SmoothRequest, progress: Progress) -> dict[str, Any]:
+    """Means and standard deviations of all states at given parameters."""
+    n = request.options.particles
+    N = request.options.trajectories or n
+    rng = np.random.default_rng(request.options.seed)
+    states = _states(job, job.theta, n, N, rng, progress=progress)
+    return {
+        "parameters": job.theta.asdict(),
+        "log_likelihood": _log_likelihood(job, job.theta, n, rng, ""),
+        "states": states,
+    }
+
+
+def _states(
+    job: Prepared,
+    theta: Theta,
+    M: int,
+    N: int,
+    rng: np.random.Generator,
+    method: str = "",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Smoothed states: given whole trajectories of a, so without Algorithm 3's lasting bias."""
+    model, out = job.model, []
+    for i, series in enumerate(job.series):
+        if method == "rts-em":
+            exact = engine.kalman_smoother(model, theta, series)
+            mean, std = exact.x, np.sqrt(np.diagonal(exact.P, axis1=1, axis2=2))
+        else:
+            filtered = engine.rbpf(model, theta, series, M, rng)
+            draws = engine.rb_ffbsi(filtered, N, rng, joint=True)
+            smoothed = engine.condition_on_trajectories(draws)
+            mean, std = smoothed.mean(), smoothed.std()
+        out.append(
+            {
+                "t": series.t.tolist(),
+                "mean": _columns(mean, _state_names(model)),
+                "standard_deviation": _columns(std, _state_names(model)),
+            }
+        )
+        if progress is not None:
+            progress.step(i + 1)
+    return {"units": {**model.nonlinear, **model.linear}, "series": out}
+
+
+# ---- simulate -------------------------------------------------------------------------------
+
+
+def simulate(job: Prepared, request: SimulateRequest, progress: Progress) -> dict[str, Any]:
+    """Outputs and states, without noise or drawn with the model's noise."""
+    model, out = job.model, []
+    rng = np.random.default_rng(request.options.seed)
+    for i, series in enumerate(job.series):
+        run = _simulate(model, job.theta, series, request, rng)
+        document = {
+            "t": series.t.tolist(),
+            "y": _columns(run.y, tuple(model.outputs)),
+            "states": _columns(np.concatenate([run.a, run.z], axis=1), _state_names(model)),
+        }
+        if series.observed.any():
+            document["rmse"] = float(np.sqrt(np.nanmean((series.y - run.y) ** 2)))
+        out.append(document)
+        progress.step(i + 1)
+    units = {**model.outputs, **model.nonlinear, **model.linear}
+    return {"parameters": job.theta.asdict(), "simulation": {"units": units, "series": out}}
+
+
+def _simulate(
+    model: MixedModel,
+    theta: Theta,
+    series: Series,
+    request: SimulateRequest,
+    rng: np.random.Generator,
+) -> Any:
+    if request.options.mode == "free-run":
+        return engine.free_run(model, theta, series)
+    u = series.u if model.nu else None
+    return engine.simulate(model, theta, len(series), rng, u=u, t=series.t)
+
+
+def _state_names(model: MixedModel) -> tuple[str, ...]:
+    return (*model.nonlinear, *model.linear)
+
+
+def _columns(values: Array, names: tuple[str, ...]) -> dict[str, list[float]]:
+    return {name: values[:, i].tolist() for i, name in enumerate(names)}

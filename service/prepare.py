@@ -1,0 +1,176 @@
+"""From a request to what the engine takes; everything wrong with it is a 422 naming the field."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from engine.errors import EngineError, OptionError, SeriesError
+from engine.model import Array, MixedModel, Theta
+from engine.registry import get_model
+from engine.series import Series
+from service.problems import Problem, invalid
+from service.schemas import (
+    EstimateRequest,
+    InputIn,
+    JobRequest,
+    ModelReference,
+    SeriesIn,
+    SimulateRequest,
+    SmoothRequest,
+)
+from service.settings import Settings
+
+Request = EstimateRequest | SmoothRequest | SimulateRequest
+_ADAPTER: TypeAdapter[Request] = TypeAdapter(JobRequest)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A checked request: what the engine's functions take."""
+
+    request: Request
+    model: MixedModel
+    series: list[Series]
+    theta: Theta
+    free: list[str] | None = None
+
+
+def prepare(request: Request) -> Prepared:
+    """Check a request against its model. Raises Problem 422."""
+    model = _model(request.model)
+    if isinstance(request, EstimateRequest):
+        values, where = request.parameters.start, "parameters.start"
+    else:
+        values, where = request.parameters.values, "parameters.values"
+    with _at(where):
+        theta = model.theta(values)
+    free = request.parameters.free if isinstance(request, EstimateRequest) else None
+    if free is not None:
+        with _at("parameters.free"):
+            model.free_indices(free)
+    if isinstance(request, SimulateRequest):
+        series = _inputs(request, model)
+    else:
+        series = [_series(one, model, f"series[{i}]") for i, one in enumerate(request.series)]
+    return Prepared(request, model, series, theta, free)
+
+
+def load(document: Any) -> Prepared:
+    """The same from a stored request."""
+    return prepare(_ADAPTER.validate_python(document))
+
+
+def dump(request: Request) -> Any:
+    """The request as JSON values, for the store."""
+    return _ADAPTER.dump_python(request)
+
+
+def check_limits(request: Request, settings: Settings) -> None:
+    """Raise Problem 422 where a request is larger than the settings allow."""
+    samples = 0
+    series: Sequence[SeriesIn | InputIn] = request.series
+    for i, one in enumerate(series):
+        samples += max((len(x) for x in (one.y, one.u) if x is not None), default=0)
+        _limit(f"series[{i}]", "samples in all series", samples, settings.max_samples)
+    _limit("series", "series", len(request.series), settings.max_series)
+    options = request.options.model_dump()
+    for name, most in (
+        ("particles", settings.max_particles),
+        ("trajectories", settings.max_particles),
+        ("iterations", settings.max_iterations),
+        ("samples", settings.max_samples),
+    ):
+        _limit(f"options.{name}", name, options.get(name) or 0, most)
+
+
+def _limit(field: str, what: str, value: int, most: int) -> None:
+    if value > most:
+        raise invalid(field, f"{value} {what}; this service allows {most}")
+
+
+def _model(reference: ModelReference) -> MixedModel:
+    try:
+        model = get_model(reference.name)
+    except OptionError as error:
+        raise invalid("model", str(error)) from None
+    if reference.effects:
+        raise invalid("model.with", "effects are not available in this version; leave it empty")
+    return model
+
+
+def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:
+    """Measured data with the model's channel names, so that messages use them."""
+    if model.nu and one.u is None:
+        inputs = ", ".join(model.inputs)
+        raise invalid(f"{where}.u", f"is missing; model '{model.name}' has inputs ({inputs})")
+    for name, table, channels in (("y", one.y, model.outputs), ("u", one.u, model.inputs)):
+        if table is not None:
+            _check_width(table, channels, f"{where}.{name}", model)
+    with _at(where):
+        return Series(
+            one.y,
+            one.u if model.nu else None,
+            t=one.t,
+            y_names=tuple(model.outputs),
+            u_names=tuple(model.inputs),
+            **({} if one.dt is None else {"dt": one.dt}),
+        ).check(model)
+
+
+def _inputs(request: SimulateRequest, model: MixedModel) -> list[Series]:
+    """Series to simulate over; y is NaN where the request has none."""
+    if not request.series and request.options.samples is None:
+        raise invalid("options.samples", "is needed where no series gives the length")
+    out = []
+    for i, one in enumerate(request.series or [InputIn()]):
+        where = f"series[{i}]"
+        lengths = [len(x) for x in (one.u, one.y, one.t) if x is not None]
+        n = lengths[0] if lengths else request.options.samples
+        if n is None:
+            raise invalid(where, "nothing gives the length; pass u, t or options.samples")
+        if request.options.samples not in (None, n):
+            raise invalid("options.samples", f"{request.options.samples}; {where} has {n} rows")
+        y = one.y if one.y is not None else np.zeros((n, model.ny))
+        out.append(
+            _series(SeriesIn.model_construct(y=y, u=one.u, dt=one.dt, t=one.t), model, where)
+        )
+        if one.y is None:
+            out[-1] = out[-1].masked(np.arange(n))
+    return out
+
+
+def _check_width(table: Array, channels: Mapping[str, str], field: str, model: MixedModel) -> None:
+    if len(table) and table.shape[1] != len(channels):
+        names = ", ".join(channels) or "none"
+        raise invalid(
+            field,
+            f"rows have {table.shape[1]} values; model '{model.name}' needs {len(channels)} ({names})",
+            row=0,
+        )
+
+
+@contextmanager
+def _at(where: str) -> Iterator[None]:
+    """Engine errors become problems about the field ``where``, with row and channel if named."""
+    try:
+        yield
+    except SeriesError as error:
+        text = str(error)
+        part = re.match(r"(y|u|t|dt)\b", text)
+        more: dict[str, Any] = {}
+        if row := re.search(r"\brow (\d+)", text):
+            more["row"] = int(row[1])
+        if channel := re.search(r"channel '([^']+)'", text):
+            more["channel"] = channel[1]
+        raise invalid(f"{where}.{part[1]}" if part else where, text, **more) from None
+    except OptionError as error:
+        raise invalid(f"{where}.{error.field}" if error.field else where, str(error)) from None
+    except EngineError as error:
+        raise Problem(422, "validation", str(error)) from None

@@ -1,0 +1,178 @@
+"""Where attempts run: each in a fresh process that one thread watches.
+
+``watch`` is the whole life of an attempt as seen from outside; a runner only says on which machine
+it happens. A killed worker loses its own attempt and nothing else, which shared pools cannot say.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing import connection
+from multiprocessing.process import BaseProcess
+from typing import Protocol
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.attempt import main
+from service.problems import Problem
+from service.settings import Settings
+from service.store import Attempt, Store
+
+log = logging.getLogger("service")
+
+POLL_SECONDS = 0.25  # how soon a cancelled job's process is killed
+_starting = threading.Lock()  # multiprocessing polls all children when it starts one
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Under which terms attempts run; times in seconds."""
+
+    lease: float
+    run_seconds: float
+    losses_allowed: int
+
+    @classmethod
+    def of(cls, settings: Settings) -> Terms:
+        """The settings' terms."""
+        return cls(settings.lease_seconds, settings.run_seconds, settings.losses_allowed)
+
+
+class Runner(Protocol):
+    """Runs attempts somewhere."""
+
+    def free(self) -> int:
+        """How many more attempts can start now."""
+
+    def running(self) -> int:
+        """How many attempts there are."""
+
+    def start(self, attempt: Attempt) -> None:
+        """Start an attempt and return at once."""
+
+    def stop(self, drain: bool) -> None:
+        """Let running attempts end (drain), or give them back to the queue; then return."""
+
+
+class LocalRunner:
+    """A bounded number of worker processes on this machine."""
+
+    def __init__(
+        self, store: Store, workers: int, terms: Terms, on_free: Callable[[], None] = lambda: None
+    ) -> None:
+        self._store, self._workers, self._terms = store, workers, terms
+        self._on_free = on_free
+        self._threads: dict[str, threading.Thread] = {}
+        self._stopping = threading.Event()
+
+    def free(self) -> int:
+        """How many more attempts can start now."""
+        return self._workers - len(self._threads)
+
+    def running(self) -> int:
+        """How many attempts there are."""
+        return len(self._threads)
+
+    def start(self, attempt: Attempt) -> None:
+        """Start an attempt and return at once."""
+        thread = threading.Thread(target=self._run, args=(attempt,), name=attempt.job_id)
+        self._threads[attempt.token] = thread
+        thread.start()
+
+    def stop(self, drain: bool) -> None:
+        """Let running attempts end (drain), or give them back to the queue; then return."""
+        if not drain:
+            self._stopping.set()
+        for thread in list(self._threads.values()):
+            thread.join()
+
+    def _run(self, attempt: Attempt) -> None:
+        try:
+            watch(self._store, attempt, self._terms, self._stopping)
+        finally:
+            self._threads.pop(attempt.token)
+            self._on_free()
+
+
+def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Event) -> None:
+    """Run an attempt in a process of its own until it ends; nothing of it is left on return.
+
+    Keeps the lease, and kills the process when the task is no longer the attempt's (cancelled,
+    lease lost), when its time is up, or when the service stops.
+    """
+    process = spawn(store.url, attempt)
+    log.info("job %s: attempt started, process %s", attempt.job_id, process.pid)
+    try:
+        cause = _until_end(store, attempt, terms, stopping, process)
+    finally:
+        _kill(process)
+    try:
+        if cause is not None:
+            cause()
+        elif store.holds(attempt):  # ended without a word to the store
+            store.lost(attempt, _epitaph(process), terms.losses_allowed)
+    except SQLAlchemyError:  # the lease will run out, and then the task is queued again
+        log.exception("job %s: its end could not be written", attempt.job_id)
+    log.info("job %s: attempt ended, exit code %s", attempt.job_id, process.exitcode)
+
+
+def spawn(url: str, attempt: Attempt) -> BaseProcess:
+    """A fresh process with the engine already loaded, forked from a server that has one thread."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = "1"  # inherited by the forkserver, which starts with the first attempt
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["service.preload"])
+    with _starting:
+        process = context.Process(target=main, args=(url, attempt), daemon=True)
+        process.start()
+    return process
+
+
+def _until_end(
+    store: Store,
+    attempt: Attempt,
+    terms: Terms,
+    stopping: threading.Event,
+    process: BaseProcess,
+) -> Callable[[], object] | None:
+    """Wait; returns what to write to the store once the process is dead, if anything."""
+    started = renewed = time.monotonic()
+    while not connection.wait([process.sentinel], POLL_SECONDS):
+        now = time.monotonic()
+        if stopping.is_set():
+            return lambda: store.release(attempt)
+        if now - started > terms.run_seconds:
+            detail = f"the computation took longer than the {terms.run_seconds:g} s it may take"
+            problem = Problem(422, "run-time-exceeded", detail).document()
+            return lambda: store.fail(attempt, problem)
+        try:
+            if now - renewed > terms.lease / 4:
+                mine, renewed = store.renew(attempt, terms.lease), now
+            else:
+                mine = store.holds(attempt)
+        except SQLAlchemyError as error:
+            log.warning("job %s: the store does not answer: %s", attempt.job_id, error)
+            mine = now - renewed < terms.lease
+        if not mine:
+            return lambda: None
+    return None
+
+
+def _kill(process: BaseProcess) -> None:
+    process.kill()
+    with _starting:
+        process.join()
+
+
+def _epitaph(process: BaseProcess) -> str:
+    code = process.exitcode
+    if code is not None and code < 0:
+        hint = " (the system may have run out of memory)" if code == -9 else ""
+        return f"the worker process was killed by signal {-code}{hint}"
+    return f"the worker process ended with exit code {code}"

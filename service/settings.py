@@ -1,0 +1,67 @@
+"""What an operator can choose; every field can be set by an environment variable ``RBPS_<FIELD>``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+
+def _state_dir() -> Path:
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "rbps"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of one service; the defaults are the embedded service on loopback.
+
+    Times are seconds, sizes bytes.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8000
+    state_dir: Path = field(default_factory=_state_dir)
+    database_url: str = ""  # empty: a SQLite file in state_dir
+
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)  # attempts at once
+    lease_seconds: float = 15.0  # an attempt nobody renews for so long is started again
+    losses_allowed: int = 2  # how often an attempt whose worker died is started again
+    run_seconds: float = 6 * 3600.0  # longest run time of one attempt
+
+    max_body: int = 64 * 2**20
+    max_series: int = 64
+    max_samples: int = 200_000  # of all series of a job together
+    max_particles: int = 10_000
+    max_iterations: int = 100_000
+    max_queue: int = 1000  # jobs that wait or run
+
+    def __post_init__(self) -> None:
+        for name in ("workers", "lease_seconds", "run_seconds", "max_body", "max_queue"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"setting {name} = {getattr(self, name)}; it must be positive")
+
+    @property
+    def store_url(self) -> str:
+        """The store's SQLAlchemy URL."""
+        return self.database_url or f"sqlite:///{(self.state_dir / 'rbps.sqlite').absolute()}"
+
+    @classmethod
+    def from_env(cls, env: Mapping[str, str] | None = None) -> Settings:
+        """Settings from ``RBPS_*``. Raises ValueError naming a variable that is unknown or wrong."""
+        env = os.environ if env is None else env
+        known = {f"RBPS_{f.name.upper()}": f for f in fields(cls)}
+        values: dict[str, Any] = {}
+        for name, text in env.items():
+            if not name.startswith("RBPS_"):
+                continue
+            if name not in known:
+                raise ValueError(f"{name} is not a setting; there are {', '.join(sorted(known))}")
+            convert = {"int": int, "float": float, "Path": Path}.get(str(known[name].type), str)
+            try:
+                values[known[name].name] = convert(text)
+            except ValueError:
+                raise ValueError(f"{name}={text!r} is not of type {known[name].type}") from None
+        return cls(**values)

@@ -1,0 +1,67 @@
+"""Moves jobs: claims the first of the queue for each free place, queues abandoned ones again."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import threading
+import time
+
+from service.runner import Runner
+from service.settings import Settings
+from service.store import Store
+
+log = logging.getLogger("service")
+
+LOOK_SECONDS = 0.5  # how often to look at the store without being woken
+
+
+class Supervisor:
+    """One thread; several supervisors may share a store."""
+
+    def __init__(self, store: Store, runner: Runner, settings: Settings) -> None:
+        self._store, self._runner, self._settings = store, runner, settings
+        self._wake, self._stop = threading.Event(), threading.Event()
+        self._holder = f"{socket.gethostname()}:{os.getpid()}"
+        self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
+        self.beat = time.monotonic()  # when it last looked at the store
+
+    def start(self) -> None:
+        """Begin; jobs already in the store are taken up."""
+        self._thread.start()
+
+    def wake(self) -> None:
+        """There may be something to do."""
+        self._wake.set()
+
+    def running(self) -> int:
+        """How many attempts the runner has."""
+        return self._runner.running()
+
+    def stop(self, drain: bool = False) -> None:
+        """Claim nothing more and wait for the runner to stop."""
+        self._stop.set()
+        self._wake.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._runner.stop(drain)
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self._wake.clear()
+            try:
+                self._look()
+            except Exception:  # a store that is away now may be back soon
+                log.exception("the supervisor could not use the store; it tries again")
+            self._wake.wait(LOOK_SECONDS)
+
+    def _look(self) -> None:
+        if n := self._store.expire(self._settings.losses_allowed):
+            log.warning("%d attempts lost their lease", n)
+        while self._runner.free() > 0 and not self._stop.is_set():
+            attempt = self._store.claim(self._holder, self._settings.lease_seconds)
+            if attempt is None:
+                break
+            self._runner.start(attempt)
+        self.beat = time.monotonic()

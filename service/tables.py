@@ -1,0 +1,111 @@
+"""The store's tables and its connection settings, for SQLite (WAL) and PostgreSQL."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import (
+    Column,
+    Double,
+    Engine,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    create_engine,
+    event,
+)
+
+metadata = MetaData()
+
+# A job, as its status document shows it. ``seq`` is the order of the queue and of the list.
+jobs = Table(
+    "jobs",
+    metadata,
+    Column("seq", Integer, primary_key=True, autoincrement=True),
+    Column("id", String(32), unique=True, nullable=False),
+    Column("kind", String(20), nullable=False),
+    Column("model", String(200), nullable=False),
+    Column("status", String(20), nullable=False),
+    Column("created", Double, nullable=False),
+    Column("started", Double),
+    Column("updated", Double, nullable=False),
+    Column("finished", Double),
+    Column("iteration", Integer, nullable=False, default=0),
+    Column("iterations", Integer, nullable=False),
+    Column("message", Text, nullable=False, default=""),
+    Column("estimate", Text),  # JSON {name: value}
+    Column("log_likelihood", Double),
+    Column("problem", Text),  # JSON problem document of a failed job
+    Column("owner", String(64), nullable=False, default=""),
+    Index("jobs_status", "status", "seq"),
+    sqlite_autoincrement=True,
+)
+
+# One computation of a job, run by one worker process at a time. ``token`` names the attempt
+# that may write; a worker with another token has lost its lease and stops.
+tasks = Table(
+    "tasks",
+    metadata,
+    Column("job", ForeignKey("jobs.seq", ondelete="CASCADE"), primary_key=True),
+    Column("task", Integer, primary_key=True),
+    Column("state", String(10), nullable=False),  # queued, running, done, stopped
+    Column("token", String(32)),
+    Column("holder", String(100)),
+    Column("lease_until", Double),
+    Column("losses", Integer, nullable=False, default=0),
+    Index("tasks_state", "state", "job", "task"),
+)
+
+# One row per iteration: at once progress, checkpoint and trace. ``row`` is float64
+# (theta..., log-likelihood, ess, seconds, collapsed), stored as bytes so that a resumed run has the same bits.
+iterations = Table(
+    "iterations",
+    metadata,
+    Column("job", ForeignKey("jobs.seq", ondelete="CASCADE"), primary_key=True),
+    Column("task", Integer, primary_key=True),
+    Column("k", Integer, primary_key=True),
+    Column("row", LargeBinary, nullable=False),
+)
+
+# Large JSON, compressed: the request and the result.
+documents = Table(
+    "documents",
+    metadata,
+    Column("job", ForeignKey("jobs.seq", ondelete="CASCADE"), primary_key=True),
+    Column("name", String(20), primary_key=True),
+    Column("body", LargeBinary, nullable=False),
+)
+
+
+def connect(url: str) -> Engine:
+    """An engine for the URL with the tables in place; SQLite's folder is made."""
+    if not url.startswith("sqlite"):
+        engine = create_engine(url, pool_size=10, max_overflow=20, pool_pre_ping=True)
+        metadata.create_all(engine)
+        return engine
+    engine = create_engine(url, connect_args={"timeout": 30.0, "check_same_thread": False})
+    if engine.url.database:
+        Path(engine.url.database).parent.mkdir(parents=True, exist_ok=True)
+
+    @event.listens_for(engine, "connect")
+    def _connect(connection: sqlite3.Connection, record: Any) -> None:
+        connection.isolation_level = None  # transactions begin below, not in the driver
+        for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON"):
+            connection.execute(f"PRAGMA {pragma}")
+
+    @event.listens_for(engine, "begin")
+    def _begin(connection: Any) -> None:
+        # A transaction that will write takes its place in the queue of writers at once; one that
+        # read first and then found another writer ahead would fail instead of waiting.
+        write = connection.get_execution_options().get("write", True)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
+
+    metadata.create_all(engine)
+    return engine

@@ -1,0 +1,188 @@
+"""A service with its own store: in this process (client) or as a process of its own (spawned)."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+import uvicorn
+
+import engine
+from service.app import create_app
+from service.settings import Settings
+
+ENDED = ("successful", "failed", "dismissed")
+
+
+def wait_for(client: Any, url: str, until: Callable[[dict], bool], seconds: float = 40.0) -> dict:
+    """The job's status document as soon as ``until`` holds for it."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        document = client.get(url).json()
+        if until(document):
+            return document
+        time.sleep(0.02)
+    raise AssertionError(f"still {document} after {seconds} s")
+
+
+@pytest.fixture
+def wait() -> Callable[..., dict]:
+    return wait_for
+
+
+@pytest.fixture
+def ended() -> Callable[..., dict]:
+    return lambda client, url, seconds=40.0: wait_for(
+        client, url, lambda job: job["status"] in ENDED, seconds
+    )
+
+
+@pytest.fixture(scope="session")
+def data() -> list[list[float]]:
+    """60 samples of linear-2 at theta = 0.1."""
+    model = engine.get_model("linear-2")
+    return engine.simulate(model, None, 60, np.random.default_rng(5)).y.tolist()
+
+
+@pytest.fixture
+def estimation(data: list[list[float]]) -> Callable[..., dict[str, Any]]:
+    """A request; keyword arguments change its options."""
+
+    def make(**options: Any) -> dict[str, Any]:
+        return {
+            "kind": "estimate",
+            "model": "linear-2",
+            "series": [{"y": data, "dt": 1.0}],
+            "parameters": {"start": {"theta": 0.3}, "free": ["theta"]},
+            "options": {"particles": 20, "iterations": 5, "seed": 1} | options,
+        }
+
+    return make
+
+
+@pytest.fixture
+def long(estimation: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+    """A request that computes far longer than any test waits."""
+    request = estimation(particles=200, iterations=10_000)
+    request["series"] = [{"y": [[float(i % 7)] for i in range(2000)]}]
+    return request
+
+
+class Served(httpx.Client):
+    """The application on a loopback port, in a thread of this process; a client of it."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.app = create_app(settings)
+        self.port = free_port()
+        config = uvicorn.Config(self.app, port=self.port, log_config=None)
+        self.server = uvicorn.Server(config)
+        self.thread = threading.Thread(target=self.server.run)
+        self.thread.start()
+        while not self.server.started:
+            time.sleep(0.01)
+        super().__init__(base_url=f"http://127.0.0.1:{self.port}", timeout=20)
+
+    def stop(self) -> None:
+        """Stop as a signal would."""
+        self.close()
+        self.server.should_exit = True
+        self.thread.join()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    served = Served(Settings(state_dir=tmp_path_factory.mktemp("state"), workers=2))
+    yield served
+    served.stop()
+
+
+@pytest.fixture
+def make_client(tmp_path: Path) -> Iterator[Callable[..., Served]]:
+    """Services with settings of one's own, all on one store."""
+    made: list[Served] = []
+
+    def make(**settings: Any) -> Served:
+        made.append(Served(Settings(**({"state_dir": tmp_path} | settings))))
+        return made[-1]
+
+    yield make
+    for served in made:
+        served.stop()
+
+
+class Spawned:
+    """``python -m service`` on a free port."""
+
+    def __init__(self, state: Path, **settings: Any) -> None:
+        port = free_port()
+        values = {"port": port, "state_dir": state, "workers": 1} | settings
+        env = {f"RBPS_{name.upper()}": str(value) for name, value in values.items()}
+        self.log = open(state / "log", "ab")  # noqa: SIM115 - closed in stop
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "service"], env=os.environ | env, stderr=self.log
+        )
+        self.client = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20)
+        for _ in range(400):
+            try:
+                self.client.get("/livez")
+                return
+            except httpx.TransportError:
+                time.sleep(0.05)
+        raise AssertionError("the service did not start")
+
+    def stop(self, how: int = signal.SIGTERM) -> None:
+        self.client.close()
+        self.process.send_signal(how)
+        self.process.wait(20)
+        self.log.close()
+
+
+@pytest.fixture
+def spawn(tmp_path: Path) -> Iterator[Callable[..., Spawned]]:
+    made: list[Spawned] = []
+
+    def make(**settings: Any) -> Spawned:
+        made.append(Spawned(tmp_path, **settings))
+        return made[-1]
+
+    yield make
+    for one in made:
+        if one.process.poll() is None:
+            one.stop()
+
+
+def _children(pid: int) -> list[int]:
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(child) for child in text.split()]
+
+
+@pytest.fixture
+def workers() -> Callable[[int], list[int]]:
+    """Process ids of the workers of a service, which its forkserver started."""
+
+    def find(service: int) -> list[int]:
+        found = []
+        for child in _children(service):
+            command = Path(f"/proc/{child}/cmdline").read_text()
+            if "forkserver" in command:
+                found += _children(child)
+        return found
+
+    return find

@@ -1,0 +1,116 @@
+"""Killed workers and killed services: nothing lost, nothing twice, the same bits."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from service.settings import Settings
+from service.store import Store
+
+
+@pytest.fixture
+def request_(estimation):
+    """About two seconds of iterations."""
+    return estimation(particles=100, iterations=60, seed=9)
+
+
+@pytest.fixture
+def expected(client, request_, ended):
+    """The results of an attempt nobody disturbed."""
+    url = client.post("/jobs", json=request_).headers["location"]
+    ended(client, url)
+    return without_seconds(client.get(f"{url}/results").json())
+
+
+def without_seconds(results):
+    del results["trace"]["seconds"]
+    return results
+
+
+def gone(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_a_killed_worker_is_replaced_and_goes_on(spawn, workers, wait, ended, request_, expected):
+    service = spawn()
+    url = service.client.post("/jobs", json=request_).headers["location"]
+    wait(service.client, url, lambda job: job["iteration"] >= 5)
+    (worker,) = workers(service.process.pid)
+    os.kill(worker, signal.SIGKILL)
+    job = wait(service.client, url, lambda job: "restart 1 of 2" in job["message"])
+    assert "killed by signal 9" in job["message"]
+    assert ended(service.client, url)["status"] == "successful"
+    assert without_seconds(service.client.get(f"{url}/results").json()) == expected
+
+
+def test_a_killed_service_leaves_no_worker_and_is_taken_up_again(
+    spawn, workers, wait, ended, request_, expected
+):
+    service = spawn()
+    url = service.client.post("/jobs", json=request_).headers["location"]
+    done = wait(service.client, url, lambda job: job["iteration"] >= 5)["iteration"]
+    (worker,) = workers(service.process.pid)
+    service.stop(signal.SIGKILL)
+    end = time.monotonic() + 2.0
+    while not gone(worker):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+    again = spawn(lease_seconds=1)
+    assert again.client.get(url).json()["iteration"] >= done
+    job = ended(again.client, url)
+    assert job["status"] == "successful"
+    assert without_seconds(again.client.get(f"{url}/results").json()) == expected
+
+
+def test_a_worker_that_always_dies_fails_the_job(spawn, workers, wait, ended, long):
+    service = spawn()
+    url = service.client.post("/jobs", json=long).headers["location"]
+    for restart in range(3):
+        wait(
+            service.client, url, lambda job, n=restart: f"restart {n} of" in job["message"] or not n
+        )
+        end = time.monotonic() + 10
+        while not (found := workers(service.process.pid)):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        os.kill(found[0], signal.SIGKILL)
+    job = ended(service.client, url)
+    assert job["status"] == "failed"
+    assert "given up after 3 attempts" in job["message"]
+    answer = service.client.get(f"{url}/results")
+    assert (answer.status_code, answer.json()["title"]) == (500, "worker lost")
+
+
+def test_run_time_is_limited(make_client, long, ended):
+    client = make_client(run_seconds=0.5)
+    url = client.post("/jobs", json=long).headers["location"]
+    job = ended(client, url)
+    assert (job["status"], "longer than the 0.5 s" in job["message"]) == ("failed", True)
+
+
+def test_an_attempt_that_lost_its_task_cannot_write(tmp_path):
+    store = Store(Settings(state_dir=tmp_path).store_url)
+    job_id = store.create("estimate", "linear-2", {}, 10)
+    first = store.claim("one", lease=-1.0)
+    assert store.claim("two", 10.0) is None
+    assert store.expire(losses_allowed=2) == 1
+    second = store.claim("two", 10.0)
+    assert (second.losses, second.task) == (1, first.task)
+    assert not store.record(first, 1, {})
+    assert not store.finish(first, {"mine": 1}, 1)
+    assert not store.fail(first, {"detail": "mine"})
+    assert not store.renew(first, 10.0)
+    assert not store.lost(first, "gone", 2)
+    assert store.renew(second, 10.0)
+    assert store.finish(second, {"mine": 2}, 10)
+    assert store.document(second.job, "result") == b'{"mine":2}'
+    assert store.job(job_id).status == "successful"
+    assert not store.finish(second, {"mine": 3}, 10)
+    store.close()

@@ -1,0 +1,154 @@
+"""What clients get wrong is a problem document that names the field, the row and the channel."""
+
+import pytest
+
+from service.settings import Settings
+
+
+def tanks(**series):
+    base = {"y": [[5.2], [None], [5.1]], "u": [[3.2], [3.2], [3.3]], "dt": 4.0}
+    return {"kind": "estimate", "model": "tanks", "series": [base | series]}
+
+
+def change(**more):
+    return tanks() | more
+
+
+BAD = {
+    "no kind": (change(kind=None), "", None, "kind"),
+    "unknown kind": (change(kind="diagnose"), "", None, "diagnose"),
+    "unknown member": (change(modle="tanks"), "modle", None, "Extra"),
+    "unknown model": (change(model="tank"), "model", None, "tanks"),
+    "effects": (change(model={"name": "tanks", "with": ["offset:y"]}), "model.with", None, "effects"),
+    "no series": (change(series=[]), "series", None, "at least 1"),
+    "series missing": ({"kind": "estimate", "model": "tanks"}, "series", None, "required"),
+    "wide row": (tanks(y=[[1.0], [2.0, 3.0], [1.0]]), "series[0].y", 1, "2 values"),
+    "wide table": (tanks(y=[[1.0, 1.0]] * 3), "series[0].y", 0, "needs 1"),
+    "text": (tanks(y=[[1.0], ["2"], [1.0]]), "series[0].y", 1, "'2'"),
+    "truth value": (tanks(y=[[1.0], [1.0], [True]]), "series[0].y", 2, "True"),
+    "object": (tanks(y={"a": 1}), "series[0].y", None, "list of rows"),
+    "mixed rows": (tanks(y=[[1.0], 2.0, [1.0]]), "series[0].y", 1, "not a list"),
+    "gap in u": (tanks(u=[[3.2], [None], [3.3]]), "series[0].u", 1, "every sample"),
+    "short u": (tanks(u=[[3.2]]), "series[0].u", None, "1 rows"),
+    "no u": (tanks(u=None), "series[0].u", None, "has inputs"),
+    "wide u": (tanks(u=[[1.0, 2.0]] * 3), "series[0].u", 0, "needs 1"),
+    "nothing measured": (tanks(y=[[None]] * 3), "series[0].y", None, "missing"),
+    "empty": (tanks(y=[], u=[]), "series[0].y", None, "at least 2"),
+    "one sample": (tanks(y=[[1.0]], u=[[1.0]]), "series[0].y", None, "at least 2"),
+    "two clocks": (tanks(t=[0.0, 4.0, 8.0]), "series[0]", None, "choose one"),
+    "zero dt": (tanks(dt=0.0), "series[0].dt", None, "greater than 0"),
+    "t decreases": (tanks(dt=None, t=[0.0, 4.0, 3.0]), "series[0].t", 2, "decreases"),
+    "t repeats": (tanks(dt=None, t=[0.0, 4.0, 4.0]), "series[0].t", 2, "repeats"),
+    "short t": (tanks(dt=None, t=[0.0, 4.0]), "series[0].t", None, "2 time stamps"),
+    "unknown parameter": (change(parameters={"start": {"kx": 1.0}}), "parameters.start.kx", None, "k1"),
+    "out of bounds": (change(parameters={"start": {"k1": -9.0}}), "parameters.start.k1", None, "within"),
+    "unknown free": (change(parameters={"free": ["kx"]}), "parameters.free.kx", None, "k1"),
+    "nothing free": (change(parameters={"free": []}), "parameters.free", None, "at least 1"),
+    "text option": (change(options={"particles": "50"}), "options.particles", None, "integer"),
+    "few particles": (change(options={"particles": 1}), "options.particles", None, "2"),
+    "unknown method": (change(options={"method": "em"}), "options.method", None, "rbps-em"),
+    "negative seed": (change(options={"seed": -1}), "options.seed", None, "0"),
+    "too many particles": (change(options={"particles": 10**7}), "options.particles", None, "allows"),
+    "too many iterations": (change(options={"iterations": 10**7}), "options.iterations", None, "allows"),
+    "no length": ({"kind": "simulate", "model": "linear-2"}, "options.samples", None, "length"),
+    "two lengths": (
+        {"kind": "simulate", "model": "linear-2", "series": [{"t": [0.0, 1.0]}],
+         "options": {"samples": 3}},
+        "options.samples", None, "2 rows",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_invalid_requests_name_the_field(client, name):
+    body, field, row, words = BAD[name]
+    answer = client.post("/jobs", json=body)
+    problem = answer.json()
+    assert answer.status_code == problem["status"] == 422, problem
+    assert answer.headers["content-type"] == "application/problem+json"
+    error = problem["errors"][0]
+    assert error["field"] == field
+    assert error.get("row") == row
+    assert words in error["message"]
+    assert words in problem["detail"]
+
+
+def test_the_channel_is_named(client):
+    rows = [[1.0, 2.0]] * 3
+    y = [[1.0, 2.0], [1.0, float("inf")], [1.0, 2.0]]
+    request = {"kind": "smooth", "model": "mixed-4", "series": [{"y": rows}, {"y": y}]}
+    import json
+
+    answer = client.post("/jobs", content=json.dumps(request))
+    error = answer.json()["errors"][0]
+    assert (error["field"], error["row"], error["channel"]) == ("series[1].y", 1, "y2")
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        (b"", 422), (b"{", 400), (b"\xff\xfe{}", 400), (b"[1]", 422), (b'"text"', 422), (b"null", 422),
+        (b"[" * 100_000, 400), (b"9" * 5000, 400), (b'{"kind": NaN}', 422),
+    ],
+)  # fmt: skip
+def test_bodies_that_are_no_request(client, body, status):
+    answer = client.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+    assert answer.status_code == answer.json()["status"] == status
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_numbers_json_does_not_know(client, ended):
+    """NaN is a missing measurement, as null is."""
+    body = b'{"kind": "smooth", "model": "linear-2", "series": [{"y": [1.0, NaN, 1.2]}]}'
+    answer = client.post("/jobs", content=body)
+    assert answer.status_code == 201
+    assert ended(client, answer.headers["location"])["status"] == "successful"
+
+
+def test_unknown_things_are_404_and_problems(client):
+    for method, path in [
+        ("GET", "/jobs/none"), ("DELETE", "/jobs/none"), ("GET", "/jobs/none/trace"),
+        ("GET", "/jobs/none/results"), ("GET", "/nothing"), ("GET", "/jobs/..%2f..%2fetc"),
+    ]:  # fmt: skip
+        answer = client.request(method, path)
+        assert answer.status_code == answer.json()["status"] == 404, path
+        assert answer.headers["content-type"] == "application/problem+json"
+    assert client.get("/jobs/none").json()["type"].endswith("/no-such-job")
+    assert client.put("/jobs").status_code == 405
+    assert client.get("/jobs?limit=0").json()["errors"][0]["field"] == "query.limit"
+
+
+def test_limits(make_client, estimation, long):
+    client = make_client(max_body=10_000, max_queue=1, max_samples=50, max_series=2, workers=1)
+    answer = client.post("/jobs", json=long)
+    assert (answer.status_code, answer.json()["status"]) == (413, 413)
+
+    def pieces():
+        for _ in range(20):
+            yield b" " * 1000
+
+    assert client.post("/jobs", content=pieces()).status_code == 413
+    answer = client.post("/jobs", json=estimation())
+    assert answer.json()["errors"][0]["field"] == "series[0]"
+    small = estimation(iterations=10_000) | {"series": [{"y": [0.0, 1.0, 0.0]}] * 3}
+    assert client.post("/jobs", json=small).json()["errors"][0]["field"] == "series"
+    small["series"].pop()
+    small["series"].pop()
+    first = client.post("/jobs", json=small)
+    assert first.status_code == 201
+    full = client.post("/jobs", json=small)
+    assert full.status_code == 429
+    assert int(full.headers["retry-after"]) > 0
+    client.delete(first.headers["location"])
+    assert client.post("/jobs", json=small).status_code == 201
+
+
+def test_settings_from_the_environment():
+    settings = Settings.from_env({"RBPS_PORT": "81", "RBPS_STATE_DIR": "/x", "HOME": "/"})
+    assert (settings.port, settings.store_url) == (81, "sqlite:////x/rbps.sqlite")
+    with pytest.raises(ValueError, match="RBPS_PROT is not a setting"):
+        Settings.from_env({"RBPS_PROT": "81"})
+    with pytest.raises(ValueError, match="RBPS_PORT='x' is not of type int"):
+        Settings.from_env({"RBPS_PORT": "x"})
+    with pytest.raises(ValueError, match="workers = 0"):
+        Settings(workers=0)
