@@ -277,15 +277,3 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
                     d += L_plus[k, c] * noise[t, j, c]
                 z_draw[t, j, k] = d
     return index, z_s, P_s, M_s, z_draw
-
-
-@njit(cache=True, error_model="numpy")
-def pick_each(log_w, uniforms):
-    """Index (N,) drawn from each row of exp(log_w) (N, M); uniforms (N,)."""
-    N, M = log_w.shape
-    index = np.empty(N, np.int64)
-    scratch = np.empty(M)
-    for j in range(N):
-        i = pick(log_w[j], scratch, uniforms[j])
-        index[j] = i if i >= 0 else 0
-    return index
