@@ -105,7 +105,7 @@ MODEL = MixedModel(
         Parameter("Fc", 20.0, "N", (0.0, 1e5), "Coulomb friction"),
         Parameter("offset", -3.0, "N", (-1e5, 1e5), "constant force against positive motion"),
         Parameter("gtau", 35.15, "N/V", (1e-3, 1e5), "force per input; known, keep it fixed"),
-        Parameter("sigma_v", 1e-3, "m/s^1.5", (1e-9, 1e2), "random acceleration, intensity"),
+        Parameter("sigma_v", 5e-3, "m/s^1.5", (1e-9, 1e2), "random acceleration, intensity"),
         Parameter("sigma_load", 0.1, "N/s^0.5", (0.0, 1e4), "drift of the load force, intensity"),
         Parameter("sigma_y", 1e-4, "m", (1e-6, 1.0), "standard deviation of the measurement"),
     ],
