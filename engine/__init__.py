@@ -11,6 +11,7 @@ from engine.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
 from engine.errors import EngineError, ModelError, OptionError, SeriesError
 from engine.free_run import free_run
 from engine.kalman import kalman_smoother
+from engine.linear_cost import rb_ffbsi_linear
 from engine.model import Gaussian, MixedModel, Parameter, Theta
 from engine.nonlinear import NonlinearModel, as_general
 from engine.nonlinear_smoother import filter_general, smooth_general
@@ -62,6 +63,7 @@ __all__ = [
     "plugin_errors",
     "ps_em",
     "rb_ffbsi",
+    "rb_ffbsi_linear",
     "rbpf",
     "rbps_em",
     "register",
