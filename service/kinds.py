@@ -8,11 +8,12 @@ from typing import Any, Protocol
 import numpy as np
 
 import engine
+from engine.errors import ModelError
 from engine.model import Array, MixedModel, Theta
 from engine.series import Series
 from service.prepare import Prepared
 from service.problems import Problem, invalid
-from service.schemas import EstimateRequest, SimulateRequest, SmoothRequest
+from service.schemas import EstimateOptions, EstimateRequest, SimulateRequest, SmoothRequest
 
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
 
@@ -76,17 +77,26 @@ def estimate(job: Prepared, request: EstimateRequest, progress: Progress) -> dic
         raise Problem(422, outcome, found.message)
     n = options.particles
     rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(0,)))
-    progress.step(len(found.log_likelihood), "smoothing the states at the estimate")
+    done = len(found.log_likelihood)
+    progress.step(done, "smoothing the states at the estimate")
     states = _states(job, found.theta, n, options.trajectories or n, rng, options.method)
-    parameters = zip(model.parameters, found.theta.tolist(), strict=True)
+    message = found.message
+    errors: list[float | None] = [None] * len(model.parameters)
+    if options.standard_errors:
+        progress.step(done, "standard errors")
+        try:
+            errors = _standard_errors(job, options, found.theta)
+        except ModelError as error:
+            message += f" No standard errors: {error}"
+    numbers = zip(model.parameters, found.theta.tolist(), errors, strict=True)
     return {
         "estimate": {
-            p.name: {"value": value, "standard_error": None, "unit": p.unit}
+            p.name: {"value": value, "standard_error": error, "unit": p.unit}
             | ({} if p.name in found.free else {"fixed": True})
-            for p, value in parameters
+            for p, value, error in numbers
         },
         "outcome": outcome,
-        "message": found.message,
+        "message": message,
         "log_likelihood": _log_likelihood(job, found.theta, n, rng, options.method),
         "trace": {
             "iteration": list(range(len(found.trace))),
@@ -98,6 +108,15 @@ def estimate(job: Prepared, request: EstimateRequest, progress: Progress) -> dic
         },
         "states": states,
     }
+
+
+def _standard_errors(job: Prepared, options: EstimateOptions, theta: Theta) -> list[float | None]:
+    """Of every parameter; None for those that are fixed or at a bound."""
+    exact = options.method == "rts-em"
+    found = engine.standard_errors(
+        job.model, theta, job.series, job.free, seed=options.seed, exact=exact
+    )
+    return [value if np.isfinite(value) else None for value in found.values.tolist()]
 
 
 def _method(name: str) -> Callable[..., Any]:

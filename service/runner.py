@@ -13,7 +13,8 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing import connection
+from multiprocessing import connection, forkserver
+from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from typing import Protocol
 
@@ -70,6 +71,7 @@ class LocalRunner:
         self._on_free = on_free
         self._threads: dict[str, threading.Thread] = {}
         self._stopping = threading.Event()
+        warm_up()
 
     def free(self) -> int:
         """How many more attempts can start now."""
@@ -122,14 +124,25 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
     log.info("job %s: attempt ended, exit code %s", attempt.job_id, process.exitcode)
 
 
-def spawn(url: str, attempt: Attempt) -> BaseProcess:
-    """A fresh process with the engine already loaded, forked from a server that has one thread."""
+def _context() -> ForkServerContext:
+    """Processes forked from a server that has the engine loaded and only one thread."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[name] = "1"  # inherited by the forkserver, which starts with the first attempt
+        os.environ[name] = "1"  # the forkserver inherits them
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["service.preload"])
+    return context
+
+
+def warm_up() -> None:
+    """Let the forkserver load the engine while nobody waits for it yet."""
+    _context()
+    forkserver.ensure_running()
+
+
+def spawn(url: str, attempt: Attempt) -> BaseProcess:
+    """A fresh process that works on an attempt."""
     with _starting:
-        process = context.Process(target=main, args=(url, attempt), daemon=True)
+        process = _context().Process(target=main, args=(url, attempt), daemon=True)
         process.start()
     return process
 

@@ -156,6 +156,7 @@ class EstimateOptions(_Strict):
     )
     iterations: int = Field(default=100, ge=1)
     seed: Seed = 0
+    standard_errors: bool = Field(default=True, description="takes about as long as the rest")
 
 
 class SmoothOptions(_Strict):

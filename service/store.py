@@ -108,7 +108,7 @@ class Store:
         """Number of jobs of each status there is."""
         with self._read.begin() as sql:
             rows = sql.execute(select(jobs.c.status, func.count()).group_by(jobs.c.status))
-            return dict(rows.tuples().all())
+            return {row[0]: row[1] for row in rows}
 
     def document(self, seq: int, name: str) -> bytes | None:
         """The JSON text of a request or result."""

@@ -1,8 +1,12 @@
 """What clients get wrong is a problem document that names the field, the row and the channel."""
 
+import json
+
 import pytest
 
 from service.settings import Settings
+
+JSON = {"Content-Type": "application/json"}
 
 
 def tanks(**series):
@@ -32,7 +36,7 @@ BAD = {
     "short u": (tanks(u=[[3.2]]), "series[0].u", None, "1 rows"),
     "no u": (tanks(u=None), "series[0].u", None, "has inputs"),
     "wide u": (tanks(u=[[1.0, 2.0]] * 3), "series[0].u", 0, "needs 1"),
-    "nothing measured": (tanks(y=[[None]] * 3), "series[0].y", None, "missing"),
+    "nothing measured": (tanks(y=[[None]] * 3), "series[0]", None, "missing"),
     "empty": (tanks(y=[], u=[]), "series[0].y", None, "at least 2"),
     "one sample": (tanks(y=[[1.0]], u=[[1.0]]), "series[0].y", None, "at least 2"),
     "two clocks": (tanks(t=[0.0, 4.0, 8.0]), "series[0]", None, "choose one"),
@@ -77,9 +81,7 @@ def test_the_channel_is_named(client):
     rows = [[1.0, 2.0]] * 3
     y = [[1.0, 2.0], [1.0, float("inf")], [1.0, 2.0]]
     request = {"kind": "smooth", "model": "mixed-4", "series": [{"y": rows}, {"y": y}]}
-    import json
-
-    answer = client.post("/jobs", content=json.dumps(request))
+    answer = client.post("/jobs", content=json.dumps(request), headers=JSON)
     error = answer.json()["errors"][0]
     assert (error["field"], error["row"], error["channel"]) == ("series[1].y", 1, "y2")
 
@@ -92,7 +94,7 @@ def test_the_channel_is_named(client):
     ],
 )  # fmt: skip
 def test_bodies_that_are_no_request(client, body, status):
-    answer = client.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+    answer = client.post("/jobs", content=body, headers=JSON)
     assert answer.status_code == answer.json()["status"] == status
     assert answer.headers["content-type"] == "application/problem+json"
 
@@ -100,7 +102,7 @@ def test_bodies_that_are_no_request(client, body, status):
 def test_numbers_json_does_not_know(client, ended):
     """NaN is a missing measurement, as null is."""
     body = b'{"kind": "smooth", "model": "linear-2", "series": [{"y": [1.0, NaN, 1.2]}]}'
-    answer = client.post("/jobs", content=body)
+    answer = client.post("/jobs", content=body, headers=JSON)
     assert answer.status_code == 201
     assert ended(client, answer.headers["location"])["status"] == "successful"
 

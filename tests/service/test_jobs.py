@@ -1,6 +1,5 @@
 """Every documented call, on the real application with real worker processes."""
 
-import os
 import time
 from itertools import pairwise
 
@@ -155,8 +154,8 @@ def test_queue_is_first_in_first_out(make_client, estimation, ended):
 
 def test_a_computation_that_fails_tells_why(client, ended):
     request = {
-        "kind": "simulate", "model": "mixed-4", "options": {"mode": "free-run", "samples": 5000},
-        "parameters": {"values": {"theta_1": 5.0, "theta_3": 5.0, "theta_4": 5.0}},
+        "kind": "simulate", "model": "mixed-4", "options": {"mode": "stochastic", "samples": 5000},
+        "parameters": {"values": {"theta_4": 1.2}},
     }  # fmt: skip
     url = client.post("/jobs", json=request).headers["location"]
     job = ended(client, url)
@@ -208,9 +207,9 @@ def test_service_document_and_livez(client):
     assert client.get("/livez").json() == {"status": "alive"}
 
 
-def test_first_iteration_of_a_fresh_service_within_two_seconds(spawn, estimation, wait):
+def test_first_iteration_of_a_fresh_service_within_two_seconds(spawn, estimation, wait, patience):
     service = spawn()
     begin = time.monotonic()
     url = service.client.post("/jobs", json=estimation(iterations=200)).headers["location"]
     wait(service.client, url, lambda job: job["iteration"] >= 1)
-    assert time.monotonic() - begin < 2.0 * float(os.environ.get("RBPS_TEST_SLOWNESS", "1"))
+    assert time.monotonic() - begin < 2.0 * patience
