@@ -32,14 +32,17 @@ class Points:
         self.stacked = self._agrees(record)
 
     def transition(self, record: Any) -> tuple[Array, Array, Array]:
-        """F (T-1, N, nx), A (T', N', nx, nz), Q (T', N', nx, nx) at t = 1 .. T-1."""
-        rows = np.arange(self.T - 1)
-        return self._at(rows, record, True) if self.stacked else self._each(rows, record, True)
+        """f (T-1, N, nx), A (T', N', nx, nz), Q (T', N', nx, nx) at t = 1 .. T-1."""
+        return self.at(np.arange(self.T - 1), record, True)
 
     def observation(self, record: Any, rows: Any = None) -> tuple[Array, Array, Array]:
         """h (n, N, ny), C (T', N', ny, nz), R (T', N', ny, ny) at the given n rows (default all)."""
-        rows = np.arange(self.T) if rows is None else rows
-        return self._at(rows, record, False) if self.stacked else self._each(rows, record, False)
+        return self.at(np.arange(self.T) if rows is None else rows, record, False)
+
+    def at(self, rows: Any, record: Any, transition: bool) -> tuple[Array, Array, Array]:
+        """The transition or the observation at the given rows."""
+        evaluate = self._at if self.stacked else self._each
+        return evaluate(rows, record, transition)
 
     def _at(self, rows: Any, record: Any, transition: bool) -> tuple[Array, Array, Array]:
         n, N, model = len(rows), self.N, self.model

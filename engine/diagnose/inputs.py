@@ -115,7 +115,9 @@ def _delay(setting: Setting, channel: str) -> Effect | None:
                 P if P.ndim == 2 else P[0],
             )
 
-        extended = on_base(model, split, dynamics=dynamics, measurement=measurement, initial=initial)
+        extended = on_base(
+            model, split, dynamics=dynamics, measurement=measurement, initial=initial
+        )
         return replace(
             extended, nonlinear={**model.nonlinear, f"last_{channel}": setting.unit(channel)}
         )

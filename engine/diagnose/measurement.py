@@ -191,7 +191,12 @@ def _lag(setting: Setting, channel: str) -> Effect | None:
             return h, C, R
 
         return add_linear_state(
-            model, split, f"last_{channel}", setting.unit(channel), dynamics, measurement=measurement
+            model,
+            split,
+            f"last_{channel}",
+            setting.unit(channel),
+            dynamics,
+            measurement=measurement,
         )
 
     return Effect(
@@ -214,7 +219,14 @@ KINDS = [
     ("lag", _lag, each_output),
     (
         "cubic-sensor",
-        _curve("cubic-sensor", "cubic characteristic", "y^3", lambda y, own: y**3, -2, {"gain": "is linear"}),
+        _curve(
+            "cubic-sensor",
+            "cubic characteristic",
+            "y^3",
+            lambda y, own: y**3,
+            -2,
+            {"gain": "is linear"},
+        ),
         each_output,
     ),
     (
@@ -233,7 +245,15 @@ KINDS = [
     ),
     (
         "rectification",
-        _curve("rectification", "rectification", "(|y| - y)", lambda y, own: np.abs(y) - y, 0, {"bias": "is constant"}, limits=(-1.0, 1.0)),
+        _curve(
+            "rectification",
+            "rectification",
+            "(|y| - y)",
+            lambda y, own: np.abs(y) - y,
+            0,
+            {"bias": "is constant"},
+            limits=(-1.0, 1.0),
+        ),
         each_output,
     ),
 ]

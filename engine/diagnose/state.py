@@ -97,7 +97,10 @@ def _force(setting: Setting, channel: str) -> Effect | None:
         f"{channel}' = ... + dt * {name}",
         (Parameter(name, 0.0, _rate(setting, channel), description="constant rate"),),
         extend,
-        look_alikes={"bias": "a sensor bias does not move the state", "step": "acts from one time on"},
+        look_alikes={
+            "bias": "a sensor bias does not move the state",
+            "step": "acts from one time on",
+        },
     )
 
 
@@ -298,7 +301,9 @@ def _hysteresis(setting: Setting, channel: str) -> Effect | None:
         f"m' = m + dt ({source} - |{source}| m / w),  {target}' = ... + dt * {name} * m",
         (
             Parameter(name, 0.0, _rate(setting, target, f"{setting.unit(source)} s")),
-            Parameter(f"{name}_width", width, f"{setting.unit(source)} s", (width / 100, width * 100)),
+            Parameter(
+                f"{name}_width", width, f"{setting.unit(source)} s", (width / 100, width * 100)
+            ),
         ),
         extend,
         probes=((width,), (10.0 * width,)),
@@ -310,22 +315,50 @@ KINDS = [
     ("force", _force, each_state),
     (
         "quadratic",
-        _static("quadratic", "quadratic force", "{x}^2", lambda x, own: x * x, 2, {"force": "is constant"}),
+        _static(
+            "quadratic",
+            "quadratic force",
+            "{x}^2",
+            lambda x, own: x * x,
+            2,
+            {"force": "is constant"},
+        ),
         each_pair,
     ),
     (
         "cubic",
-        _static("cubic", "cubic stiffness", "{x}^3", lambda x, own: x**3, 3, {"drag": ODD, "deadzone": ODD}),
+        _static(
+            "cubic",
+            "cubic stiffness",
+            "{x}^3",
+            lambda x, own: x**3,
+            3,
+            {"drag": ODD, "deadzone": ODD},
+        ),
         each_pair,
     ),
     (
         "drag",
-        _static("drag", "quadratic drag", "{x}|{x}|", lambda x, own: x * np.abs(x), 2, {"cubic": ODD, "coulomb": ODD}),
+        _static(
+            "drag",
+            "quadratic drag",
+            "{x}|{x}|",
+            lambda x, own: x * np.abs(x),
+            2,
+            {"cubic": ODD, "coulomb": ODD},
+        ),
         each_pair,
     ),
     (
         "coulomb",
-        _static("coulomb", "Coulomb friction", "sign({x})", lambda x, own: np.sign(x), 0, {"drag": ODD, "stribeck": ODD}),
+        _static(
+            "coulomb",
+            "Coulomb friction",
+            "sign({x})",
+            lambda x, own: np.sign(x),
+            0,
+            {"drag": ODD, "stribeck": ODD},
+        ),
         each_pair,
     ),
     (

@@ -141,7 +141,9 @@ def _parameter_change(kind: str, title: str) -> Maker:
             "time",
             f"{title} of the parameter {channel}",
             f"{channel} -> {channel} + {name} * "
-            + ("[t >= time]" if kind == "parameter-step" else "(t - middle) / length of the record"),
+            + (
+                "[t >= time]" if kind == "parameter-step" else "(t - middle) / length of the record"
+            ),
             tuple(parameters),
             extend,
             look_alikes={"cubic": "depends on the state", "step": "a force, whatever the state"},

@@ -1,0 +1,394 @@
+"""Score tests of every effect at once, from the base model's filter and small extensions of it.
+
+With s_kt = d log p(y_t | y_{1:t-1}) / d size_k at size zero and the information
+
+    H_kl = sum nu_t,k' S_t^{-1} nu_t,l + 1/2 tr(S_t^{-1} S_t,k S_t^{-1} S_t,l) = v_k . v_l
+
+(nu_t,k, S_t,k the derivatives of the innovations and their covariance), the estimated parameters
+gamma are projected out,
+
+    s~_kt = s_kt - H_kg H_gg^{-1} s_gt,    v~_k likewise,
+    T_k = (sum_t s~_kt)^2 / |v~_k|^2 ~ chi2(1),   size_k = sum_t s~_kt / |v~_k|^2,   se_k = 1 / |v~_k|.
+
+rho_k = |v~_k|^2 / |v_k|^2 is what the data can still say about k once the parameters are fitted, and
+v~_k . v~_l their likeness. Families over an unknown time or frequency count as one test by their
+maximum. The family-wise p-value is Westfall and Young's min-p over multiplier draws, in which every
+time's contribution s~_t keeps its size and gets a random sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from engine.diagnose.effect import Effect
+from engine.model import Array, MixedModel
+from engine.kernels.footprints import sensitivities
+from engine.kernels.moments import sigma_points, transform
+from engine.moment_filter import MomentFiltered, MomentPath, moment_filter
+from engine.points import Points
+from engine.quasi_ml import neighbours, whitening
+from engine.series import Series
+
+REACH = 0.05  # a probe's size in its own standard errors
+DRAWS = 499  # multiplier draws
+UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could show
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One direction in which the model might be wrong: contributions s (T,) and vector v."""
+
+    s: Array
+    v: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """The result of one effect: ``statistic`` T_k, ``size`` and ``se`` in its unit, ``p_value`` of this test.
+
+    ``at`` are the values of its other parameters where the statistic was largest; ``rho`` the share
+    of information left beside the fitted parameters; ``statistic`` is 0 where not testable.
+    """
+
+    effect: Effect
+    statistic: float
+    size: float
+    se: float
+    p_value: float
+    rho: float
+    at: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """All scores, best first; ``p_value`` family-wise; ``vectors`` (n, .) the projected v~ of each."""
+
+    scores: tuple[Score, ...]
+    p_value: float
+    threshold: float
+    vectors: Array
+
+    def likeness(self, one: int, other: int) -> float:
+        """|cos| between two effects' projected vectors, by their place in ``scores``."""
+        a, b = self.vectors[one], self.vectors[other]
+        norm = float(np.linalg.norm(a) * np.linalg.norm(b))
+        return abs(float(a @ b)) / norm if norm > 0.0 else 0.0
+
+
+class Projection:
+    """Takes the fitted parameters' directions out of columns."""
+
+    def __init__(self, nuisance: Sequence[Column]) -> None:
+        self.n = len(nuisance)
+        if not self.n:
+            return
+        V = np.array([c.v for c in nuisance])
+        self.s = np.array([c.s for c in nuisance])
+        size = np.sqrt((V**2).sum(axis=1))
+        self.size = np.where(size > 0.0, size, 1.0)
+        self.V = V / self.size[:, None]
+        self.inverse = np.linalg.pinv(self.V @ self.V.T, rcond=1e-10, hermitian=True)
+
+    def __call__(self, s: Array, v: Array) -> tuple[Array, Array]:
+        """Projected s (n, T) and v (n, .)."""
+        if not self.n:
+            return s, v
+        coefficients = (v @ self.V.T) @ self.inverse
+        return s - coefficients @ (self.s / self.size[:, None]), v - coefficients @ self.V
+
+
+def innovation_columns(
+    base: MomentFiltered, observed: NDArray[np.bool_], pairs: Sequence[tuple[int, int, float]]
+) -> list[Column]:
+    """Columns from pairs (low, high, distance) of filters in one batch; row 0 is the base."""
+    root = whitening(base.S[:, 0], observed)
+    columns = []
+    for low, high, distance in pairs:
+        d_nu = np.nan_to_num(base.innovations[:, high] - base.innovations[:, low]) / distance
+        d_S = (base.S[:, high] - base.S[:, low]) / distance
+        z = np.einsum("tij,tj->ti", root, d_nu)
+        E = root @ d_S @ np.swapaxes(root, -1, -2) / np.sqrt(2.0)
+        s = (base.log_terms[:, high] - base.log_terms[:, low]) / distance
+        columns.append(Column(s, np.concatenate([z.ravel(), E.ravel()])))
+    return columns
+
+
+def parameter_columns(
+    model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series
+) -> list[Column]:
+    """The directions of the estimated parameters."""
+    if not len(indices):
+        return []
+    thetas, distances = neighbours(model, theta, indices)
+    filtered = moment_filter(model, thetas, series)
+    pairs = [(1 + 2 * i, 2 + 2 * i, float(d)) for i, d in enumerate(distances)]
+    return innovation_columns(filtered, series.observed, pairs)
+
+
+def effect_columns(
+    effect: Effect, model: MixedModel, theta: Array, series: Series, path: MomentPath
+) -> list[tuple[tuple[float, ...], Column]]:
+    """One column per probe of an effect; none where its filter is lost.
+
+    An effect without states of its own changes the model's functions along the base filter's path;
+    one with such states needs filters of its own.
+    """
+    extended = effect.apply(model)
+    static = extended.nx == model.nx
+    out = []
+    for probe in effect.probes:
+        at = np.concatenate([theta, [0.0], probe])
+        if static:
+            column = static_column(effect, extended, at, len(theta), model, series, path)
+        else:
+            column = _dynamic_column(effect, extended, at, len(theta), series)
+        if column is not None and np.isfinite(column.s).all() and np.isfinite(column.v).all():
+            out.append((probe, column))
+    return out
+
+
+def static_column(
+    effect: Effect,
+    extended: MixedModel,
+    at: Array,
+    k: int,
+    model: MixedModel,
+    series: Series,
+    path: MomentPath,
+) -> Column:
+    """The column of parameter k of ``extended`` at ``at``, along the path of the base model."""
+    upper = extended.upper[k]
+    step = 1e-5 * (upper if np.isfinite(upper) else 1.0)
+    low, high = at.copy(), at.copy()
+    low[k] = max(at[k] - step, extended.lower[k])
+    high[k] += step
+    ends = [along_path(extended, point, model, series, path) for point in (low, high)]
+    b, dQ, e, dR, dX = ((y - x) / (high[k] - low[k]) for x, y in zip(*ends, strict=True))
+    root = whitening(path.S, series.observed)
+    precision = np.swapaxes(root, -1, -2) @ root
+    nu = np.nan_to_num(path.innovations)
+    g, dS = sensitivities(path.F, path.H, path.K, precision, nu, b, e, dQ, dR, dX)
+    z = np.einsum("tij,tj->ti", root, nu)
+    Z = -np.einsum("tij,tj->ti", root, g)
+    E = root @ dS @ np.swapaxes(root, -1, -2)
+    s = -(Z * z).sum(axis=1) + 0.5 * (
+        np.einsum("ti,tij,tj->t", z, E, z) - np.trace(E, axis1=1, axis2=2)
+    )
+    return Column(s, np.concatenate([Z.ravel(), E.ravel() / np.sqrt(2.0)]))
+
+
+def along_path(
+    extended: MixedModel, theta: Array, model: MixedModel, series: Series, path: MomentPath
+) -> tuple[Array, Array, Array, Array, Array]:
+    """One step of ``extended`` from each of the moments on the path of ``model``.
+
+    Mean and covariance of x_{t+1}, (T-1, nx) and (T-1, nx, nx); mean and covariance of y_t, (T, ny) and
+    (T, ny, ny); Cov(x_t, y_t) (T, nx, ny); all in the base model's order of states.
+    """
+    states = [*model.nonlinear, *model.linear]
+    order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
+    back = np.argsort(order)
+    record = extended.record(theta)
+    out = []
+    for transition in (True, False):
+        if transition:
+            m, P = path.filtered[:-1], path.P_filtered[:-1]
+        else:
+            m, P = path.predicted, path.P_predicted
+        m = np.ascontiguousarray(m[:, order])
+        P = np.ascontiguousarray(P[:, order][:, :, order])
+        a, z, V, offsets = sigma_points(m, P, extended.na)
+        n, S = a.shape[:2]
+        f, A, Q = Points(extended, series, a, theta).at(np.arange(n), record, transition)
+        out.append(
+            transform(f.reshape(n * S, -1), _rows(A, n, S), _rows(Q, n, S), z, V, offsets, extended.na)
+        )
+    (x_mean, x_cov, _), (y_mean, y_cov, cross) = out
+    return (
+        x_mean[:, back],
+        x_cov[:, back][:, :, back],
+        y_mean,
+        y_cov,
+        np.ascontiguousarray(np.swapaxes(cross[:, :, back], 1, 2)),
+    )
+
+
+def _rows(matrix: Array, n: int, S: int) -> Array:
+    """(1, ., .) where common to all points, else (n S, ., .)."""
+    shape = matrix.shape[2:]
+    if matrix.shape[:2] == (1, 1):
+        return np.ascontiguousarray(matrix[0])
+    return np.ascontiguousarray(np.broadcast_to(matrix, (n, S, *shape))).reshape(n * S, *shape)
+
+
+def _dynamic_column(
+    effect: Effect, extended: MixedModel, at: Array, k: int, series: Series
+) -> Column | None:
+    step = _step(extended, at, k, series)
+    if step is None:
+        return None
+    thetas = np.repeat(at[None], 3, axis=0)
+    thetas[1, k] = 0.0 if effect.one_sided else -step
+    thetas[2, k] = step
+    filtered = moment_filter(extended, thetas, series)
+    pair = (1, 2, step if effect.one_sided else 2.0 * step)
+    return innovation_columns(filtered, series.observed, [pair])[0]
+
+
+def _step(extended: MixedModel, at: Array, k: int, series: Series) -> float | None:
+    """A size of about REACH standard errors, found on the first part of the series."""
+    part = series if len(series) <= 100 else series.part(0, 100)
+    step = 1e-3 * max(min(extended.upper[k], 1.0), 1e-300)
+    for _ in range(12):
+        thetas = np.repeat(at[None], 2, axis=0)
+        thetas[1, k] = step
+        filtered = moment_filter(extended, thetas, part)
+        column = innovation_columns(filtered, part.observed, [(0, 1, 1.0)])[0]
+        reach = float(np.linalg.norm(column.v)) * np.sqrt(len(series) / len(part))
+        if not np.isfinite(reach):
+            step *= 1e-2
+        elif reach == 0.0:
+            step *= 1e2
+        elif 0.3 * REACH <= reach <= 3.0 * REACH:
+            return step
+        else:
+            step *= min(max(REACH / reach, 1e-4), 1e4)
+        if not 1e-250 < step < 1e250:
+            break
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One test: an effect with one or several columns, projected, of which the largest counts."""
+
+    effect: Effect
+    s: Array  # (n, T)
+    v: Array  # (n, .)
+    rho: Array  # (n,)
+    at: tuple[tuple[float, ...], ...]
+    degrees: int = 1  # columns that are tested together, as the two of a harmonic
+    tries: int = 1  # places the one column was chosen from, for a single time step
+
+    def statistics(self, totals: Array) -> Array:
+        """Statistics (..., n / degrees) from sums over time (..., n) of s~, one-sided if it must be."""
+        norm = (self.v**2).sum(axis=1)
+        use = norm > 0.0
+        standard = np.where(use, totals / np.sqrt(np.where(use, norm, 1.0)), 0.0)
+        if self.effect.one_sided:
+            standard = np.maximum(standard, 0.0)
+        squares = standard**2
+        if self.degrees > 1:
+            squares = squares.reshape(*squares.shape[:-1], -1, self.degrees).sum(axis=-1)
+        return np.asarray(squares)
+
+
+def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Screen:
+    """All tests together: each statistic, each p-value, and the family-wise p-value.
+
+    ``threshold`` is the statistic a single two-sided test needs at the family-wise level ``alpha``.
+    """
+    T = tests[0].s.shape[1]
+    signs = rng.choice(np.array([-1.0, 1.0]), size=(DRAWS, T))
+    observed, drawn = [], []
+    for test in tests:
+        found = test.statistics(test.s.sum(axis=1))
+        draws = test.statistics(signs @ test.s.T).max(axis=-1)
+        single = found.size == 1
+        tail = 0.5 if test.effect.one_sided else 1.0
+        if test.tries > 1:  # one time step: a random sign changes nothing, so Bonferroni
+            observed.append(min(1.0, test.tries * float(chi2.sf(found.max(), test.degrees))))
+            drawn.append(rng.random(DRAWS))
+        elif single:  # the limiting distribution resolves smaller p-values than the draws
+            observed.append(tail * float(chi2.sf(found.max(), test.degrees)))
+            drawn.append(tail * chi2.sf(draws, test.degrees))
+        else:
+            observed.append(_family_p(float(found.max()), draws, test.degrees))
+            drawn.append(_family_p_all(draws))
+    lowest = np.min(drawn, axis=0)
+    p_value = (1.0 + float((lowest <= min(observed)).sum())) / (DRAWS + 1.0)
+    threshold = float(chi2.isf(max(float(np.quantile(lowest, alpha)), 1e-12), 1))
+    order = sorted(range(len(tests)), key=lambda i: observed[i])
+    scores, vectors = [], []
+    for i in order:
+        score, vector = _score(tests[i], observed[i])
+        scores.append(score)
+        vectors.append(vector)
+    return Screen(tuple(scores), p_value, threshold, np.array(vectors))
+
+
+def _score(test: Test, p_value: float) -> tuple[Score, Array]:
+    totals = test.s.sum(axis=1)
+    statistics = test.statistics(totals)
+    best = int(np.argmax(statistics)) * test.degrees
+    norm = float((test.v[best] ** 2).sum())
+    testable = norm > 0.0 and test.rho[best] > UNTESTABLE
+    score = Score(
+        test.effect,
+        float(statistics.max()) if testable else 0.0,
+        float(totals[best]) / norm if testable else 0.0,
+        norm**-0.5 if testable else np.inf,
+        p_value if testable else 1.0,
+        float(test.rho[best]),
+        test.at[best // test.degrees],
+    )
+    return score, test.v[best]
+
+
+def _family_p(value: float, draws: Array, degrees: int) -> float:
+    """p of a maximum over a family: from the draws, beyond them by the tail they show.
+
+    Past the largest draws the tail of a maximum of n chi2 variables is n * chi2.sf; n is matched to
+    the draws' own 95 % point.
+    """
+    count = float((draws >= value).sum())
+    if count >= 10.0:
+        return (1.0 + count) / (len(draws) + 1.0)
+    edge = float(np.quantile(draws, 0.95))
+    effective = 0.05 / max(float(chi2.sf(edge, degrees)), 1e-300)
+    return float(min(1.0, effective * chi2.sf(value, degrees)))
+
+
+def _family_p_all(draws: Array) -> Array:
+    """Each draw's p-value among the draws themselves."""
+    ranks = np.argsort(np.argsort(-draws)) + 1.0
+    return np.asarray(ranks / (len(draws) + 1.0))
+
+
+def make_test(
+    effect: Effect,
+    columns: Sequence[tuple[tuple[float, ...], Column]],
+    projection: Projection,
+    degrees: int = 1,
+) -> Test | None:
+    """Project an effect's columns; None where it has none."""
+    if not columns:
+        return None
+    s = np.array([c.s for _, c in columns])
+    v = np.array([c.v for _, c in columns])
+    before = (v**2).sum(axis=1)
+    s, v = projection(s, v)
+    rho = np.divide((v**2).sum(axis=1), before, out=np.zeros(len(before)), where=before > 0.0)
+    v[rho <= UNTESTABLE] = 0.0
+    if degrees > 1:
+        s, v = _decorrelate(s, v, degrees)
+    return Test(effect, s, v, rho, tuple(at for at, _ in columns[::degrees]), degrees)
+
+
+def _decorrelate(s: Array, v: Array, degrees: int) -> tuple[Array, Array]:
+    """Columns tested together made orthogonal, so that their statistics add."""
+    s, v = s.copy(), v.copy()
+    for start in range(0, len(v), degrees):
+        for i in range(start, start + degrees):
+            for j in range(start, i):
+                norm = float(v[j] @ v[j])
+                if norm > 0.0:
+                    c = float(v[i] @ v[j]) / norm
+                    v[i] -= c * v[j]
+                    s[i] -= c * s[j]
+    return s, v
