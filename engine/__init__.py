@@ -24,6 +24,7 @@ from engine.registry import get_model, model_names, plugin_errors, register
 from engine.series import Series
 from engine.simulate import Simulation, simulate
 from engine.simulation_fit import fit_simulation
+from engine.special_case import SpecialCase, gaussian_case, rb_ffbsi_special, rbpf_special
 from engine.standard_errors import StandardErrors, standard_errors
 
 __all__ = [
@@ -46,6 +47,7 @@ __all__ = [
     "SeriesError",
     "Simulation",
     "Smoothed",
+    "SpecialCase",
     "StandardErrors",
     "StudentT",
     "Theta",
@@ -56,6 +58,7 @@ __all__ = [
     "filter_general",
     "fit_simulation",
     "free_run",
+    "gaussian_case",
     "get_model",
     "kalman_smoother",
     "model_names",
@@ -64,7 +67,9 @@ __all__ = [
     "ps_em",
     "rb_ffbsi",
     "rb_ffbsi_linear",
+    "rb_ffbsi_special",
     "rbpf",
+    "rbpf_special",
     "rbps_em",
     "register",
     "rts_em",

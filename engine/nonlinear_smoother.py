@@ -93,7 +93,7 @@ def smooth_general(
         f, g = model.transition(x[t], u, time, dt, record)
         log_p = model.log_transition(draws[t + 1][:, None], f, g, record)
         log_w = filtered.log_weights[t] + log_p
-        draws[t] = x[t][pick_each(log_w, rng.random(N))]
+        draws[t] = x[t][np.maximum(pick_each(log_w, rng.random(N)), 0)]
     return draws
 
 

@@ -149,7 +149,7 @@ def rbpf(
         predicted.append((mu, L, AP))
 
     arrays = [
-        _over_time(rows) for rows in (*zip(*updated, strict=True), *zip(*predicted, strict=True))
+        over_time(rows) for rows in (*zip(*updated, strict=True), *zip(*predicted, strict=True))
     ]
     log_likelihood = float(arrays[5].sum())
     return Filtered(model, theta, series, log_likelihood, *arrays)
@@ -196,7 +196,7 @@ def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
     return a, z, stacked(P), log_ratio
 
 
-def _over_time(rows: Sequence[Any]) -> Any:
+def over_time(rows: Sequence[Any]) -> Any:
     """One array; rows common to all particles are repeated where others are not common."""
     try:
         return np.array(rows)
