@@ -1,0 +1,187 @@
+"""RBPS-EM as a whole: against exact EM, and what callers rely on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine import Outcome, Series, get_model, rb_ffbsi, rbpf, rbps_em, rts_em, simulate
+from engine.em import Checkpoint
+from engine.proposals import bootstrap
+from tests.engine.models_for_tests import draw, random_walk, theta_everywhere
+
+MODEL = get_model("linear-2")
+SERIES = simulate(MODEL, None, 200, np.random.default_rng(1)).series
+SHORT = {"n_particles": 12, "tolerance": None, "seed": 3}
+
+
+def same_bits(one, other):
+    np.testing.assert_array_equal(one.trace, other.trace)
+    np.testing.assert_array_equal(one.log_likelihood, other.log_likelihood)
+    np.testing.assert_array_equal(one.ess, other.ess)
+    np.testing.assert_array_equal(np.asarray(one.theta), np.asarray(other.theta))
+
+
+def test_agrees_with_exact_em_on_linear_2():
+    """Within 0.002; the Monte Carlo error of the averaged iterates is about 0.0002 here."""
+    exact = rts_em(MODEL, SERIES, theta0=[0.3], n_iterations=300)
+    found = rbps_em(MODEL, SERIES, theta0=[0.3], n_particles=50, n_iterations=200)
+    assert exact.outcome is Outcome.CONVERGED
+    assert found.outcome is Outcome.CONVERGED
+    assert found.outcome.success
+    assert found.theta["theta"] == pytest.approx(exact.theta["theta"], abs=0.002)
+    assert found.trace.shape == (len(found.log_likelihood) + 1, 1)
+    assert found.theta[0] == pytest.approx(found.trace[-20:].mean())  # averaged once settled
+    assert np.all(np.diff(exact.log_likelihood) > -1e-9)  # exact EM never descends
+
+
+def test_resumed_runs_give_the_same_bits():
+    parts = [SERIES.part(0, 40), SERIES.part(40, 100)]
+    for series in (parts[0], parts):
+        whole = rbps_em(MODEL, series, [0.4], n_iterations=8, **SHORT)
+        first = rbps_em(
+            MODEL, series, [0.4], n_iterations=8, callback=lambda it: it.k == 3, **SHORT
+        )
+        assert first.outcome is Outcome.STOPPED_BY_CALLER
+        assert len(first.log_likelihood) == 3
+        same_bits(whole, rbps_em(MODEL, series, n_iterations=8, resume=first, **SHORT))
+        copy = Checkpoint(
+            *(
+                np.array(getattr(first, name).tolist())
+                for name in ("trace", "log_likelihood", "ess", "seconds", "collapsed")
+            )
+        )
+        same_bits(whole, rbps_em(MODEL, series, n_iterations=8, resume=copy, **SHORT))
+
+
+def test_another_seed_gives_other_numbers():
+    one, other = (
+        rbps_em(MODEL, SERIES.part(0, 40), n_particles=10, n_iterations=2, seed=s) for s in (1, 2)
+    )
+    assert not np.array_equal(one.trace[1:], other.trace[1:])
+
+
+def test_a_callback_sees_every_iteration_and_may_stop_by_exception():
+    seen = []
+
+    def callback(it):
+        seen.append(it)
+        if it.k == 4:
+            raise StopIteration
+
+    result = rbps_em(MODEL, SERIES.part(0, 40), n_iterations=9, callback=callback, **SHORT)
+    assert [it.k for it in seen] == [1, 2, 3, 4]
+    assert result.outcome is Outcome.STOPPED_BY_CALLER
+    assert result.outcome.success
+    np.testing.assert_array_equal([it.theta[0] for it in seen], result.trace[1:, 0])
+    np.testing.assert_array_equal([it.log_likelihood for it in seen], result.log_likelihood)
+    assert all(it.seconds > 0 and 1 <= it.ess <= 12 and it.n_iterations == 9 for it in seen)
+
+
+def test_other_exceptions_of_a_callback_reach_the_caller():
+    def callback(it):
+        raise RuntimeError("disk full")
+
+    with pytest.raises(RuntimeError, match="disk full"):
+        rbps_em(MODEL, SERIES.part(0, 40), n_iterations=2, callback=callback, **SHORT)
+
+
+def test_only_the_free_parameters_move():
+    model = theta_everywhere()
+    series = Series(draw(model, np.zeros((30, 0)), np.arange(30.0), np.random.default_rng(0)))
+    result = rbps_em(model, series, free=["R", "f"], n_iterations=3, **SHORT)
+    assert result.free == ("f", "R")
+    moved = np.any(result.trace != result.trace[0], axis=0)
+    assert [name for name, m in zip(model.parameter_names, moved, strict=True) if m] == ["f", "R"]
+    nothing = rbps_em(model, series, free=[], n_iterations=2, **SHORT)
+    np.testing.assert_array_equal(nothing.trace, nothing.trace[[0, 0, 0]])
+
+
+def test_iterates_keep_to_the_bounds():
+    """The data's level is 3; the parameter c may be 1 at most."""
+    y = 3.0 + 0.1 * np.random.default_rng(0).standard_normal(30)
+    for m_step in ("scoring", "bfgs"):
+        result = rbps_em(random_walk(1e-4), Series(y), n_iterations=15, m_step=m_step, **SHORT)
+        assert result.trace[:, 0].max() <= 1.0
+        assert result.trace[:, 1].min() >= 0.01
+
+
+@pytest.mark.parametrize("smoother", ["exact", "algorithm-3"])
+@pytest.mark.parametrize("resampling", ["multinomial", "residual"])
+def test_all_smoothers_and_schemes_run_to_the_same_place(smoother, resampling):
+    exact = rts_em(MODEL, SERIES, n_iterations=5, tolerance=None)
+    found = rbps_em(
+        MODEL,
+        SERIES,
+        n_particles=60,
+        n_trajectories=20,
+        n_iterations=5,
+        smoother=smoother,
+        resampling=resampling,
+        tolerance=None,
+        proposal=bootstrap,
+    )
+    np.testing.assert_allclose(found.trace, exact.trace, atol=0.01)
+    # one estimate has a standard deviation of about 3 here, and a mean lower by half its square
+    assert found.log_likelihood.mean() == pytest.approx(exact.log_likelihood.mean(), abs=10.0)
+
+
+def test_a_custom_proposal_is_called_at_every_row():
+    calls = []
+
+    def mine(step):
+        calls.append(step.t)
+        assert step.mu.shape == (12, 2)
+        assert step.y.shape == (1,)
+        assert step.theta.theta == 0.1
+        return bootstrap(step)
+
+    one = SERIES.part(0, 20)
+    f = rbpf(MODEL, None, one, 12, np.random.default_rng(0), proposal=mine)
+    g = rbpf(MODEL, None, one, 12, np.random.default_rng(0), proposal="bootstrap")
+    assert calls[-19:] == one.t[1:].tolist()
+    assert np.isfinite(f.log_likelihood)
+    assert f.log_likelihood == pytest.approx(g.log_likelihood, abs=5.0)
+
+
+def test_a_collapse_is_reported_with_its_time():
+    """A value 40 standard deviations off, and a filter that is blind to it."""
+    y = np.array(SERIES.y[:30])
+    y[17] += 40.0
+    f = rbpf(MODEL, None, Series(y), 200, np.random.default_rng(0), proposal="bootstrap")
+    assert 17 in f.collapsed
+    assert f.ess[17] < 1.5
+    clean = rbpf(MODEL, None, SERIES.part(0, 30), 200, np.random.default_rng(0))
+    assert clean.collapsed.size == 0
+    s = rb_ffbsi(f, 10, np.random.default_rng(0))
+    assert np.isfinite(s.mean()).all()
+
+
+def test_a_filter_that_stays_collapsed_makes_the_run_lost():
+    """Measurements far more precise than any of 8 blind particles can be."""
+    y = np.random.default_rng(0).standard_normal(40).cumsum()
+    model = random_walk(1.0)
+    sharp = replace(
+        model, measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[1e-10]])
+    )
+    options = {"n_particles": 8, "n_iterations": 2, "proposal": "bootstrap", "recover": False}
+    result = rbps_em(sharp, Series(y), **options)
+    assert result.outcome is Outcome.COLLAPSED
+    assert not result.outcome.success
+    assert "% of the rows" in result.message
+    assert result.collapsed.min() > 0.5
+
+
+def test_a_run_that_is_no_longer_finite_has_diverged():
+    """The dynamics return NaN: the log-likelihood is not finite, theta stays where it was."""
+    model = random_walk()
+    broken = replace(
+        model, dynamics=lambda a, u, t, dt, theta: (a * np.nan, np.zeros((1, 0)), [[0.1]])
+    )
+    result = rbps_em(broken, SERIES.part(0, 20), n_iterations=5, recover=False)
+    assert result.outcome is Outcome.DIVERGED
+    assert not result.outcome.success
+    assert len(result.log_likelihood) == 1
+    np.testing.assert_array_equal(result.trace[0], result.trace[1])
