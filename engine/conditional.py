@@ -42,11 +42,11 @@ def condition_on_trajectories(smoothed: Smoothed, points: Points | None = None) 
         _every(R, T),
         z1,
         P1 if P1.ndim == 3 else P1[None],
-        series.y,
+        np.array(series.y),
     )
     return replace(smoothed, z=z, cov=P, cross=M)
 
 
 def _every(matrix: Array, T: int) -> Array:
     """A leading time axis of full length; repeated in memory, as kernels want one layout."""
-    return np.ascontiguousarray(np.broadcast_to(matrix, (T, *matrix.shape[1:])))
+    return np.array(np.broadcast_to(matrix, (T, *matrix.shape[1:])), order="C")

@@ -162,7 +162,7 @@ def whiten_all(L: Array, r: Array) -> Array:
         return np.asarray(whiten_points(L, np.ascontiguousarray(r)))
     columns = np.moveaxis(r, -1, 0)
     return np.moveaxis(
-        np.stack([whiten_points(L, np.ascontiguousarray(c)) for c in columns]), 0, -1
+        np.stack([whiten_points(L, np.array(c, order="C")) for c in columns]), 0, -1
     )
 
 

@@ -128,7 +128,7 @@ def test_options_of_filter_and_smoother():
 
 def test_unknown_model():
     with pytest.raises(
-        OptionError, match="no model is registered as 'mixed-5'; there are .*mixed-4"
+        OptionError, match=r"no model is registered as .mixed-5.; there are .*mixed-4"
     ):
         get_model("mixed-5")
 
