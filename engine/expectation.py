@@ -39,18 +39,20 @@ class QFunction:
     """Q(theta, theta_k) = I1 + I2 + I3, paper, eq. (8), as a sum of terms.
 
     ``depends[i]`` are the indices of the parameters that can enter ``terms[i]``; ``ranks[i]`` its number
-    of directions with noise at theta_k, which an M step must keep.
+    of directions with noise at theta_k, which an M step must keep. ``constant`` is the sum of the terms
+    that no parameter enters.
     """
 
     model: MixedModel
     terms: Sequence[Term]
     depends: Sequence[NDArray[np.bool_]]
     ranks: Sequence[int]
+    constant: float = 0.0
 
     def value(self, theta: Array) -> float:
         """Q(theta, theta_k)."""
         record = self.model.record(theta)
-        return sum(
+        return self.constant + sum(
             term.value(record, rank) for term, rank in zip(self.terms, self.ranks, strict=True)
         )
 
@@ -59,9 +61,13 @@ class QFunction:
         model = self.model
         record = model.record(theta)
         neighbours = [self._neighbours(theta, k) for k in free]
-        value, gradient, H = 0.0, np.zeros(len(free)), np.zeros((len(free), len(free)))
+        value, gradient = self.constant, np.zeros(len(free))
+        H = np.zeros((len(free), len(free)))
         for term, depends in zip(self.terms, self.depends, strict=True):
             which = np.flatnonzero(depends[free])
+            if not which.size:
+                value += term.value(record)
+                continue
             v, g, h = term.derivatives(record, [neighbours[i] for i in which])
             value += v
             gradient[which] += g
@@ -92,21 +98,23 @@ def expectation(
 
     The moments are those the smoother was asked for: exact given each trajectory, or Algorithm 3's.
     """
+    depends = dependence(model, theta, smoothed[0][1])
+    record = model.record(theta)
     terms: list[Term] = []
-    kinds: list[int] = []
+    masks: list[NDArray[np.bool_]] = []
+    constant = 0.0
     for moments, points in smoothed:
         for kind, term in (
             *((0, t) for t in initial_terms(model, theta, moments)),
             (1, dynamics_term(model, moments, points)),
             *((2, t) for t in measurement_terms(model, moments, points)),
         ):
-            terms.append(term)
-            kinds.append(kind)
-    depends = dependence(model, theta, smoothed[0][1])
-    record = model.record(theta)
-    return QFunction(
-        model, terms, [depends[kind] for kind in kinds], [term.rank(record) for term in terms]
-    )
+            if depends[kind].any():
+                terms.append(term)
+                masks.append(depends[kind])
+            else:
+                constant += term.value(record)
+    return QFunction(model, terms, masks, [term.rank(record) for term in terms], constant)
 
 
 @dataclass(frozen=True, eq=False)

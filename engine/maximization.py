@@ -13,7 +13,8 @@ from engine.errors import OptionError
 from engine.expectation import parameter_scale
 
 STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
-GAIN = 1e-7  # an expected gain in Q (nats) below this is not worth a further step
+GAIN = 1e-7  # an expected gain in Q (nats) below this is not worth a step
+LAST = 1e-2  # after a full step with an expected gain below this, what is left is not worth another
 RIDGE = 1e-10  # of the scaled scoring matrix, for parameters the data say nothing about
 
 
@@ -69,6 +70,8 @@ def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
         else:
             return theta
         theta = trial
+        if step == 1.0 and expected < LAST:
+            return theta
     return theta
 
 
