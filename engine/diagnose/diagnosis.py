@@ -10,6 +10,7 @@ from engine.diagnose.gain import Gain
 from engine.diagnose.search import Round, Search
 from engine.diagnose.symptoms import Symptoms
 from engine.model import MixedModel, Theta
+from engine.series import Series
 
 
 class Verdict(Enum):
@@ -103,6 +104,7 @@ class Diagnosis:
     search: Search
     notes: tuple[str, ...]
     seconds: dict[str, float]
+    series: Series  # what was diagnosed: the training part
 
     @property
     def rounds(self) -> tuple[Round, ...]:
