@@ -1,4 +1,4 @@
-"""``tanks`` on the cascaded-tanks benchmark: three estimates of one model, judged on the test record.
+"""``tanks`` on the cascaded-tanks benchmark: estimates of one model, judged on the test record.
 
     python -m engine.studies.tanks FOLDER        FOLDER holds estimation.csv and test.csv (u_V, y_V)
 
@@ -53,7 +53,7 @@ def run(
     likelihood_particles: int = 1000,
     likelihood_runs: int = 5,
 ) -> str:
-    """The estimates side by side as a Markdown text."""
+    """The estimates beside each other as a Markdown text."""
     model = get_model("tanks")
     estimation = read_series(Path(folder) / "estimation.csv", dt=STEP)
     test = read_series(Path(folder) / "test.csv", dt=STEP)
@@ -101,15 +101,20 @@ def estimates(
         "likelihood at its k1, k3, k4."
     )
     lines.append(Line("simulation error", theta, fit.seconds, note))
-    for name, fixed in (("EKF", {}), ("EKF, no inflow", {"sigma_inflow": 0.0})):
-        began = time.perf_counter()
-        free = [p for p in model.parameter_names if p not in fixed]
-        theta, note = ekf_maximum_likelihood(model, series, fixed, free)
-        lines.append(Line(f"maximum likelihood, {name}", theta, time.perf_counter() - began, note))
-    em = rbps_em(model, series, n_particles=n_particles, n_iterations=n_iterations, seed=seed)
-    note = f"M = {n_particles}, {len(em.log_likelihood)} iterations. {em.message}"
-    seconds = float(np.sum(em.seconds))
-    return [*lines, Line("maximum likelihood, RBPS-EM", em.theta, seconds, note)]
+    began = time.perf_counter()
+    theta, note = ekf_maximum_likelihood(model, series, None, model.parameter_names)
+    lines.append(Line("maximum likelihood, EKF", theta, time.perf_counter() - began, note))
+    for name, start, iterations in (
+        ("RBPS-EM", None, n_iterations),
+        ("RBPS-EM started there", theta, n_iterations // 3),
+    ):
+        em = rbps_em(
+            model, series, start, n_particles=n_particles, n_iterations=iterations, seed=seed
+        )
+        note = f"M = {n_particles}, {len(em.log_likelihood)} iterations. {em.message}"
+        seconds = float(np.sum(em.seconds))
+        lines.append(Line(f"maximum likelihood, {name}", em.theta, seconds, note))
+    return lines
 
 
 def ekf_maximum_likelihood(
@@ -138,7 +143,28 @@ def ekf_maximum_likelihood(
     return model.theta(theta(end.x)), f"{end.nfev} likelihoods, {end.message}".capitalize() + "."
 
 
-TEXT = ""
+TEXT = """## What differs and why
+
+(Said of the table with M = 100 and 240 iterations.)
+
+- *What is minimised.* The simulation error is what the test scores, over the whole record. Likelihood
+  scores predictions one step (4 s) ahead. This model leaves out the overflow of the tanks, so it is
+  wrong by 0.6 V in simulation whatever its parameters are; process noise takes that over, and the
+  likelihood then chooses k1, k3, k4 for the fast part of the response. Its maximum therefore need not
+  simulate best, and does not: 0.73 V for the extended Kalman filter's, 0.67 V for least squares.
+- *Where RBPS-EM stands.* Along the direction in which the time constants of the tanks are exchanged
+  (k3 / k1 from 1.7 by least squares to 0.45 by the EKF's likelihood) the likelihood is flat, and EM
+  moves slowly there: from the defaults it has used up its iterations 25 below the EKF's maximum. That
+  it simulates the test record as well as least squares there is where it stopped, not a virtue of it.
+  Started at the EKF's estimate it goes on in the same direction, to an upper tank that is nearly empty.
+- *The likelihoods.* At one theta EKF and RBPF agree within the Monte Carlo error and its bias (the
+  logarithm of an estimate with standard deviation s is s^2 / 2 low) where the levels are well above
+  zero: over a step of 4 s the square roots are nearly straight. Where the upper tank is nearly empty
+  they are not, and the EKF is lower (last line: the RBPF gives 10 more).
+- *The noise.* sigma_y goes to its floor of 5 mV: the record is nearly free of measurement noise, and
+  what the model gets wrong is put into sigma_level and sigma_inflow. Without the upper bound of
+  sigma_inflow the likelihood rises further and the simulation error goes beyond 3 V.
+"""
 
 
 def main(arguments: list[str] | None = None) -> None:
