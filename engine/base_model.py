@@ -61,12 +61,12 @@ class BaseModel:
     outputs: Mapping[str, str]
     parameters: Sequence[Parameter]
 
-    @property
+    @cached_property
     def nu(self) -> int:
         """Number of inputs."""
         return len(self.inputs)
 
-    @property
+    @cached_property
     def ny(self) -> int:
         """Number of outputs."""
         return len(self.outputs)

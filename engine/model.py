@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol, TypeAlias, cast
 
 import numpy as np
@@ -108,17 +109,17 @@ class MixedModel(BaseModel):
         object.__setattr__(self, "parameters", tuple(self.parameters))
         object.__setattr__(self, "equations", tuple(self.equations))
 
-    @property
+    @cached_property
     def na(self) -> int:
         """Number of nonlinear states."""
         return len(self.nonlinear)
 
-    @property
+    @cached_property
     def nz(self) -> int:
         """Number of linear states."""
         return len(self.linear)
 
-    @property
+    @cached_property
     def nx(self) -> int:
         """Number of states, na + nz."""
         return self.na + self.nz
@@ -182,20 +183,22 @@ def as_rows(value: Any, M: int, n: int, where: str) -> Array:
         value = [value]
     if len(value) != n:
         raise _shape_error(where, (len(value),), f"a list of {n} rows")
-    out = np.empty((M, n))
-    for i, row in enumerate(value):
-        try:
-            out[:, i] = row
-        except (ValueError, TypeError) as error:
-            raise ModelError(
-                f"{where}: row {i} has shape {np.shape(row)}; a number or ({M},) is needed"
-            ) from error
+    out = np.zeros((M, n))
+    i, row = 0, value
+    try:
+        for i, row in enumerate(value):
+            if row.__class__ is not float or row != 0.0:
+                out[:, i] = row
+    except (ValueError, TypeError) as error:
+        raise ModelError(
+            f"{where}: row {i} has shape {np.shape(row)}; a number or ({M},) is needed"
+        ) from error
     return out
 
 
 def as_matrix(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
     """(rows, columns) when common to all particles, else (M, rows, columns)."""
-    if not isinstance(value, np.ndarray) or value.dtype == object:
+    if value.__class__ is not np.ndarray or value.dtype == object:
         value = _nested(value, M, rows, columns, where)
     shape = value.shape
     if shape == (rows, columns) or shape == (M, rows, columns):
