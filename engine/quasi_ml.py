@@ -137,6 +137,8 @@ def derivatives(
         f = moment_filter(model, thetas, one)
         total = f.log_likelihood
         value += float(total[0])
+        if not np.isfinite(value):
+            return -np.inf, g, H
         with np.errstate(invalid="ignore"):  # a lost neighbour makes the value -inf below
             g += (total[2::2] - total[1::2]) / distances
         d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
@@ -155,7 +157,8 @@ def whitening(S: Array, observed: NDArray[np.bool_]) -> Array:
     """S_t^{-1/2} (T, ny, ny) by Cholesky, with zero rows and columns for missing channels."""
     ny = S.shape[1]
     there = observed[:, :, None] & observed[:, None, :]
-    safe = np.where(there, S, np.eye(ny))
+    ridge = 1e-12 * np.trace(S, axis1=1, axis2=2)[:, None, None] * np.eye(ny)
+    safe = np.where(there, S + ridge, np.eye(ny))
     inverse = np.linalg.inv(np.linalg.cholesky(safe))
     out: Array = np.where(there, inverse, 0.0)
     return out

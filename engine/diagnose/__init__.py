@@ -1,0 +1,248 @@
+"""Show what a model's simulation gets wrong, name the cause, extend the model, measure the gain.
+
+:func:`diagnose` fits the model to the training part, screens every effect of the catalogue on it,
+refits the best ones, and repeats on the extended model until nothing is left to see. Its verdict is
+
+- ``nothing``: no alarm at the family-wise level alpha;
+- ``named``: in every round with an alarm one effect is left, MARGIN ahead of all others in score,
+  and nothing is left to see after it;
+- ``set``: in some round several effects, or the unnamed force with them, cannot be told apart;
+- ``unknown``: the unnamed force explains as much as any named effect, or something is left that
+  no further effect explains.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.catalogue import (
+    all_effects,
+    effect_kinds,
+    extend,
+    make_effect,
+    register_effect,
+)
+from engine.diagnose.decide import cause_of, detectable_of, verdict_of
+from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
+from engine.diagnose.effect import Effect
+from engine.diagnose.gain import Gain, measure_gain, measure_gain_interleaved
+from engine.diagnose.search import Search, search, setting_for
+from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
+from engine.errors import ModelError, OptionError, SeriesError
+from engine.model import MixedModel, ThetaLike
+from engine.quasi_ml import QuasiFit, quasi_ml
+from engine.rbpf import rbpf
+from engine.series import Series
+
+__all__ = [
+    "Cause",
+    "Detectable",
+    "Diagnosis",
+    "Effect",
+    "Gain",
+    "LookAlike",
+    "Symptoms",
+    "Verdict",
+    "all_effects",
+    "diagnose",
+    "effect_kinds",
+    "extend",
+    "make_effect",
+    "register_effect",
+]
+
+HELD_OUT = 0.2  # share of the series kept back where no test series is given
+LEAST = 30  # measured rows without which nothing can be said
+PARTICLES = 500  # for the particle filter's word on the final model
+REPEATS = 4
+
+Callback = Callable[[str, float], Any]
+
+
+def diagnose(
+    model: MixedModel,
+    series: Series,
+    theta: ThetaLike = None,
+    test: Series | None = None,
+    seed: int = 0,
+    alpha: float = 0.05,
+    effects: Sequence[str] | None = None,
+    max_effects: int = 3,
+    free: Sequence[str] | None = None,
+    callback: Callback | None = None,
+) -> Diagnosis:
+    """Diagnose a model on measured data.
+
+    ``theta`` start values (default: the model's defaults); ``test`` held-out data (default: the last
+    fifth of ``series``); ``alpha`` family-wise error; ``effects`` kinds or names to consider (default: the
+    whole catalogue); ``max_effects`` found in turn at most; ``free`` parameters that are estimated
+    (default: all); ``callback(stage, fraction)`` may stop the run by raising StopIteration.
+    Raises SeriesError, ModelError, OptionError.
+    """
+    series.check(model)
+    _check_options(series, alpha, max_effects, effects)
+    notes = list(check_data(model, series))
+    clock = _Clock(callback)
+    train, held_out = _split(series, test)
+
+    clock.start("fit")
+    base = fit_base(model, train, theta, free)
+    if not base.converged:
+        notes.append(
+            "The estimation of the base model did not settle; its parameters may be far off. "
+            "Give start values (theta=)."
+        )
+    setting = setting_for(model, train, base.theta)
+
+    clock.start("search")
+    found = search(
+        model,
+        train,
+        base,
+        setting,
+        alpha=alpha,
+        max_effects=max_effects,
+        kinds=effects,
+        seed=seed,
+        progress=clock.progress,
+    )
+    verdict = verdict_of(found)
+
+    clock.start("symptoms")
+    symptoms = find_symptoms(model, base.theta, train, seed=seed)
+
+    clock.start("gain")
+    gain = None
+    named = [r for r in found.rounds if r.equivalent]
+    if named:
+        history = None if test is not None else train
+        if test is None and all(r.refits[0].effect.family == "time" for r in named):
+            gain = measure_gain_interleaved(base, found.final, series, seed=seed)
+        else:
+            gain = measure_gain(base, found.final, held_out, history, seed)
+        notes.extend(_particle_check(base, found, train, seed))
+    clock.stop()
+    return Diagnosis(
+        model=model,
+        verdict=verdict,
+        causes=tuple(cause_of(r) for r in named),
+        p_value=found.rounds[0].screen.p_value,
+        base_theta=base.theta,
+        extended=found.final.model,
+        theta=found.final.theta,
+        symptoms=symptoms,
+        gain=gain,
+        detectable=detectable_of(found.rounds[0].screen),
+        search=found,
+        notes=tuple(notes),
+        seconds=clock.seconds,
+        series=series,
+    )
+
+
+def fit_base(
+    model: MixedModel, series: Series, theta: ThetaLike, free: Sequence[str] | None
+) -> QuasiFit:
+    """The model's own parameters, from the given start and from scattered ones; the best fit."""
+    start = model.theta(theta)
+    starts = [np.asarray(start)]
+    rng = np.random.default_rng(11)
+    indices = model.free_indices(free)
+    for spread in (0.2, 0.5):
+        moved = np.array(start)
+        factor = np.exp(spread * rng.standard_normal(len(indices)))
+        moved[indices] = np.clip(
+            moved[indices] * factor, model.lower[indices], model.upper[indices]
+        )
+        starts.append(moved)
+    fits = []
+    for one in starts:
+        try:
+            fits.append(quasi_ml(model, series, one, free))
+        except ModelError:
+            continue
+    if not fits:
+        raise ModelError(
+            f"model '{model.name}': its likelihood is not finite at the start values, nor near "
+            "them; give other start values (theta=)"
+        )
+    return max(fits, key=lambda fit: fit.log_likelihood)
+
+
+def _split(series: Series, test: Series | None) -> tuple[Series, Series]:
+    if test is not None:
+        return series, test
+    cut = len(series) - max(int(HELD_OUT * len(series)), 2)
+    return series.part(0, cut), series.part(cut, len(series))
+
+
+def _check_options(
+    series: Series, alpha: float, max_effects: int, effects: Sequence[str] | None
+) -> None:
+    if not 0.0 < alpha < 1.0:
+        raise OptionError(f"alpha = {alpha} is not within (0, 1)", "alpha")
+    if max_effects < 1:
+        raise OptionError(f"max_effects = {max_effects}; at least 1 is needed", "max_effects")
+    if effects is not None:
+        unknown = [name for name in effects if name.partition(":")[0] not in effect_kinds()]
+        if unknown:
+            raise OptionError(
+                f"effect '{unknown[0]}' is not known; kinds are {', '.join(effect_kinds())}",
+                "effects",
+            )
+    rows = int(series.observed.any(axis=1).sum())
+    if rows < LEAST:
+        raise SeriesError(f"only {rows} rows hold a measurement; a diagnosis needs {LEAST}")
+
+
+def _particle_check(base: QuasiFit, found: Search, series: Series, seed: int) -> list[str]:
+    """What the particle filter says of the gain that the moment filter found."""
+    if base.model.na == 0:
+        return []
+    means, variances = [], []
+    for fit in (base, found.final):
+        values = [
+            rbpf(
+                fit.model, fit.theta, series, PARTICLES, np.random.default_rng([seed, k])
+            ).log_likelihood
+            for k in range(REPEATS)
+        ]
+        means.append(float(np.mean(values)))
+        variances.append(float(np.var(values, ddof=1)) / REPEATS)
+    gain, error = means[1] - means[0], float(np.sqrt(sum(variances)))
+    moment = found.final.log_likelihood - base.log_likelihood
+    text = (
+        f"Log-likelihood gained: {moment:.1f} by the moment filter, {gain:.1f} +- {error:.1f} by the "
+        f"particle filter ({PARTICLES} particles, {REPEATS} runs)."
+    )
+    if abs(gain - moment) > 3.0 + 2.0 * error and gain < 0.5 * moment:
+        text += " They disagree: the filter's density is far from Gaussian here; trust the second."
+    return [text]
+
+
+class _Clock:
+    """Seconds per stage, and progress for the caller."""
+
+    def __init__(self, callback: Callback | None) -> None:
+        self.callback = callback
+        self.seconds: dict[str, float] = {}
+        self.stage, self.since = "", 0.0
+
+    def start(self, stage: str) -> None:
+        self.stop()
+        self.stage, self.since = stage, time.perf_counter()
+        self.progress(stage, 0.0)
+
+    def stop(self) -> None:
+        if self.stage:
+            spent = time.perf_counter() - self.since
+            self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + spent
+            self.stage = ""
+
+    def progress(self, stage: str, fraction: float) -> None:
+        if self.callback is not None:
+            self.callback(stage, fraction)

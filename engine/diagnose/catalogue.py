@@ -51,6 +51,8 @@ class Setting:
 Maker: TypeAlias = Callable[[Setting, str], Effect | None]
 # Which channels a maker is tried on when all effects of a model are listed.
 Channels: TypeAlias = Callable[[Setting], Iterator[str]]
+# A kind as the shipped modules list it.
+Kind: TypeAlias = tuple[str, Maker, Channels]
 
 _makers: dict[str, tuple[Maker, Channels]] = {}
 
@@ -175,9 +177,11 @@ def _structure(model: MixedModel) -> np.ndarray[tuple[int, int], np.dtype[np.flo
 
 def _load() -> None:
     """Register the shipped kinds once."""
-    from engine.diagnose import inputs, measurement, noise, state, timed
+    from engine.diagnose.inputs import KINDS as INPUT
+    from engine.diagnose.measurement import KINDS as MEASUREMENT
+    from engine.diagnose.noise import KINDS as NOISE
+    from engine.diagnose.state import KINDS as STATE
+    from engine.diagnose.timed import KINDS as TIME
 
-    for module in (state, measurement, noise, inputs, timed):
-        for kind, maker, channels in module.KINDS:
-            if kind not in _makers:
-                _makers[kind] = (maker, channels)
+    for kind, maker, channels in (*STATE, *MEASUREMENT, *NOISE, *INPUT, *TIME):
+        _makers.setdefault(kind, (maker, channels))

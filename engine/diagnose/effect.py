@@ -78,6 +78,7 @@ class Split:
         self.base = model.record
 
     def __call__(self, theta: Any) -> tuple[Any, Any]:
+        """(base record, the effect's own values)."""
         return self.base(theta[: self.n]), theta[self.n :]
 
 

@@ -31,9 +31,10 @@ def family_test(
     """The test of a timed effect over its whole grid; None where it leaves no footprint."""
     b, e = _driver(effect, model, theta, series, path)
     if effect.kind == "pulse":
-        rows = [_largest_pulse(path, series, b, e)]
-        at, gate = [(float(series.t[rows[0]]),)], np.zeros((len(series), 1))
-        gate[rows[0]] = 1.0
+        row = _largest_pulse(path, series, b, e)
+        at: list[tuple[float, ...]] = [(float(series.t[row]),)]
+        gate = np.zeros((len(series), 1))
+        gate[row] = 1.0
     else:
         at, gate = _gates(effect, series)
     g = np.nan_to_num(footprints(path.F, path.H, path.K, b, e, np.ascontiguousarray(gate)))
@@ -61,7 +62,7 @@ def _largest_pulse(path: MomentPath, series: Series, b: Array, e: Array) -> int:
     r_{t-1} = H_t' S_t^{-1} nu_t + L_t' r_t and N likewise, a pulse b at t scores b' r_t with
     information b' N_t b, a pulse e in y_t scores e' (S_t^{-1} nu_t - (F_t K_t)' r_t).
     """
-    T, ny, nx = path.H.shape
+    T, _, nx = path.H.shape
     root = whitening(path.S, series.observed)
     nu = np.nan_to_num(path.innovations)
     r, N = np.zeros(nx), np.zeros((nx, nx))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import Setting, each_input
+from engine.diagnose.catalogue import Kind, Setting, each_input
 from engine.diagnose.effect import Effect, Split, change_inputs, identifier, on_base
 from engine.model import Array, Gaussian, MixedModel, Parameter
 
@@ -134,7 +134,7 @@ def _delay(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-KINDS = [
+KINDS: list[Kind] = [
     ("input-offset", input_offset, each_input),
     ("input-deadzone", _input_dead_zone, each_input),
     ("input-saturation", _input_saturation, each_input),

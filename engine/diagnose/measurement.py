@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import Maker, Setting, each_output
+from engine.diagnose.catalogue import Kind, Maker, Setting, each_output
 from engine.diagnose.effect import Effect, Split, add_to_output, identifier, on_base, per_point
 from engine.diagnose.state import add_linear_state
 from engine.model import Array, MixedModel, Parameter
@@ -211,7 +211,7 @@ def _lag(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-KINDS = [
+KINDS: list[Kind] = [
     ("bias", _bias, each_output),
     ("offset", _offset, lambda setting: iter(())),  # by name only: listed as bias
     ("drift", _drift, each_output),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import Setting, each_output, each_state
+from engine.diagnose.catalogue import Kind, Setting, each_output, each_state
 from engine.diagnose.effect import Effect, Split, identifier, on_base, per_point
 from engine.diagnose.state import add_linear_state
 from engine.model import Array, MixedModel, Parameter
@@ -275,7 +275,7 @@ def _with_ou(
     return np.concatenate([f, np.zeros((M, 1))], axis=1), A_all, Q_all
 
 
-KINDS = [
+KINDS: list[Kind] = [
     ("level", _level, lambda s: iter([*each_output(s), *each_state(s)])),
     ("variance", _variance, _each_variance),
     ("correlation", _correlation, _each_correlation),

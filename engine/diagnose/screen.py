@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from engine.diagnose.effect import Effect
-from engine.model import Array, MixedModel
 from engine.kernels.footprints import sensitivities
 from engine.kernels.moments import sigma_points, transform
+from engine.model import Array, MixedModel
 from engine.moment_filter import MomentFiltered, MomentPath, moment_filter
 from engine.points import Points
 from engine.quasi_ml import neighbours, whitening
@@ -143,6 +143,7 @@ def effect_columns(
     out = []
     for probe in effect.probes:
         at = np.concatenate([theta, [0.0], probe])
+        column: Column | None
         if static:
             column = static_column(effect, extended, at, len(theta), model, series, path)
         else:
@@ -206,7 +207,9 @@ def along_path(
         n, S = a.shape[:2]
         f, A, Q = Points(extended, series, a, theta).at(np.arange(n), record, transition)
         out.append(
-            transform(f.reshape(n * S, -1), _rows(A, n, S), _rows(Q, n, S), z, V, offsets, extended.na)
+            transform(
+                f.reshape(n * S, -1), _rows(A, n, S), _rows(Q, n, S), z, V, offsets, extended.na
+            )
         )
     (x_mean, x_cov, _), (y_mean, y_cov, cross) = out
     return (
@@ -243,7 +246,7 @@ def _dynamic_column(
 def _step(extended: MixedModel, at: Array, k: int, series: Series) -> float | None:
     """A size of about REACH standard errors, found on the first part of the series."""
     part = series if len(series) <= 100 else series.part(0, 100)
-    step = 1e-3 * max(min(extended.upper[k], 1.0), 1e-300)
+    step = 1e-3 * max(min(float(extended.upper[k]), 1.0), 1e-300)
     for _ in range(12):
         thetas = np.repeat(at[None], 2, axis=0)
         thetas[1, k] = step

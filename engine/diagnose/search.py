@@ -40,6 +40,7 @@ MARGIN = 4.0  # of the score: a likelihood ratio of e^2 = 7
 TIME_COST = 4.0  # for a time or frequency found on a grid
 REFITS = 12  # effects refitted in a round
 WORTH = 0.25  # of the best statistic: below this an effect is not refitted
+LATER = 0.2  # of alpha: a second effect needs more than a first, as each round is a new chance
 GENERIC = "latent"
 
 Progress = Callable[[str, float], Any]
@@ -104,7 +105,7 @@ def search(
     fit, rounds, alarm = base, [], False
     for k in range(max_effects + 1):
         seen = screen_effects(fit, series, setting, kinds, alpha, seed + k, progress)
-        alarm = seen.p_value <= alpha
+        alarm = seen.p_value <= (alpha if k == 0 else LATER * alpha)
         if not alarm or k == max_effects:
             rounds.append(Round(seen, (), None, ()))
             break

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import Maker, Setting, each_pair, each_state, pair
+from engine.diagnose.catalogue import Kind, Maker, Setting, each_pair, each_state, pair
 from engine.diagnose.effect import (
     Effect,
     Split,
@@ -311,7 +311,7 @@ def _hysteresis(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-KINDS = [
+KINDS: list[Kind] = [
     ("force", _force, each_state),
     (
         "quadratic",

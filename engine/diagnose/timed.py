@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import Maker, Setting, each_output, each_parameter, each_state
+from engine.diagnose.catalogue import Kind, Maker, Setting, each_output, each_parameter, each_state
 from engine.diagnose.effect import (
     Effect,
     Split,
@@ -157,7 +157,7 @@ def _each_place(setting: Setting) -> Iterator[str]:
     yield from each_state(setting)
 
 
-KINDS = [
+KINDS: list[Kind] = [
     (
         "step",
         _signal(
