@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from functools import partial
 from typing import Any, Protocol
 
@@ -39,15 +40,21 @@ class QFunction:
     """Q(theta, theta_k) = I1 + I2 + I3, paper, eq. (8), as a sum of terms.
 
     ``depends[i]`` are the indices of the parameters that can enter ``terms[i]``; ``ranks[i]`` its number
-    of directions with noise at theta_k, which an M step must keep. ``constant`` is the sum of the terms
-    that no parameter enters.
+    of directions with noise at theta_k, which an M step must keep. No parameter enters the terms in
+    ``fixed``.
     """
 
     model: MixedModel
     terms: Sequence[Term]
     depends: Sequence[NDArray[np.bool_]]
     ranks: Sequence[int]
-    constant: float = 0.0
+    fixed: Sequence[Term] = ()
+
+    @cached_property
+    def constant(self) -> float:
+        """The sum of the fixed terms."""
+        record = self.model.record(self.model.theta())
+        return sum(term.value(record) for term in self.fixed)
 
     def value(self, theta: Array) -> float:
         """Q(theta, theta_k)."""
@@ -102,7 +109,7 @@ def expectation(
     record = model.record(theta)
     terms: list[Term] = []
     masks: list[NDArray[np.bool_]] = []
-    constant = 0.0
+    fixed: list[Term] = []
     for moments, points in smoothed:
         for kind, term in (
             *((0, t) for t in initial_terms(model, theta, moments)),
@@ -113,8 +120,8 @@ def expectation(
                 terms.append(term)
                 masks.append(depends[kind])
             else:
-                constant += term.value(record)
-    return QFunction(model, terms, masks, [term.rank(record) for term in terms], constant)
+                fixed.append(term)
+    return QFunction(model, terms, masks, [term.rank(record) for term in terms], fixed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -210,6 +210,8 @@ def as_matrix(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
 
 def regular(value: Any) -> Array:
     """The one layout that kernels are compiled for: float, C-contiguous, writeable."""
+    if value.flags.carray and value.dtype.char == "d":
+        return cast(Array, value)
     out: Array = np.ascontiguousarray(value, dtype=float)
     return out if out.flags.writeable else out.copy()
 
