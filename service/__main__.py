@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-import logging
+import sys
 
 import uvicorn
 
 from service.app import create_app
+from service.logs import configure
 from service.settings import Settings
 
 
 def main() -> None:
     """Serve until a signal comes."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
-    settings = Settings.from_env()
-    uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_config=None)
+    configure()
+    try:
+        settings = Settings.from_env()
+        app = create_app(settings)
+    except (ValueError, OSError) as error:
+        sys.exit(f"rbps: {error}")
+    uvicorn.run(app, host=settings.host, port=settings.port, log_config=None)
 
 
 if __name__ == "__main__":

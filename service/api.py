@@ -1,17 +1,20 @@
 """The JSON calls; conventions of OGC API - Processes where they apply."""
 
-from __future__ import annotations
-
+import hashlib
 import json
 from typing import Annotated, Any
+from urllib.parse import urlencode
 
-from fastapi import APIRouter, Body, Path, Query, Response
-from fastapi.responses import JSONResponse
+from fastapi import APIRouter, Body, Depends, File, Form, Header, Path, Query, Response, UploadFile
+from fastapi import Request as HttpRequest
+from fastapi.responses import JSONResponse, PlainTextResponse
+from sqlalchemy.exc import SQLAlchemyError
 
 import engine
 from engine.errors import OptionError
-from service import documents, kinds
-from service.prepare import check_limits, dump, prepare
+from service import documents, metrics, stages
+from service.auth import Keys
+from service.prepare import Request, check_limits, dump, prepare
 from service.problems import MEDIA_TYPE, Problem
 from service.schemas import (
     EXAMPLES,
@@ -27,10 +30,19 @@ from service.schemas import (
     Trace,
 )
 from service.settings import Settings
-from service.store import Store
+from service.store import ENDED, KeyReused, Store, dumps
 from service.supervisor import Supervisor
+from service.thin import keep, thin_results
+from service.uploads import with_files
 
 JobId = Annotated[str, Path(max_length=64, description="the job's `jobID`")]
+Points = Annotated[
+    int | None, Query(ge=2, le=10**6, description="about so many rows, extremes kept")
+]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(min_length=1, max_length=200, description="a repeat returns the first job"),
+]
 
 
 def problem_answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -39,15 +51,43 @@ def problem_answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"description": "problem", "content": content} for status in statuses}
 
 
-def router(store: Store, supervisor: Supervisor, settings: Settings) -> APIRouter:
+def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys) -> APIRouter:
     """All calls, on a store."""
-    api = APIRouter()
+    api = APIRouter(responses=problem_answers(401, 422))
+    Caller = Annotated[str, Depends(keys)]
 
-    def find(job_id: str) -> Any:
+    def find(job_id: str, caller: str) -> Any:
+        """The caller's job; another's is as unknown as one that does not exist."""
         row = store.job(job_id)
-        if row is None:
+        if row is None or (keys.needed and row.owner != caller):
             raise Problem(404, "no-such-job", f"there is no job '{job_id}'")
         return row
+
+    def put(request: Request, caller: str, key: str | None) -> Response:
+        check_limits(request, settings)
+        job = prepare(request)
+        for owner, most in ((None, settings.max_queue), (caller, settings.max_queue_per_key)):
+            counts = store.counts(owner)
+            if counts.get("accepted", 0) + counts.get("running", 0) >= most:
+                detail = f"{most} jobs wait or run already; try again later"
+                raise Problem(429, "queue-full", detail, retry_after=30)
+        try:
+            job_id = store.create(
+                request.kind,
+                job.model.name,
+                dump(request),
+                stages.steps(job),
+                [n for _, n in stages.plan(request)],
+                request.run_seconds,
+                caller,
+                key,
+            )
+        except KeyReused as error:
+            detail = f"this Idempotency-Key came with another request, job {error}"
+            raise Problem(422, "idempotency-key-reused", detail) from None
+        supervisor.wake()
+        body = documents.job_status(find(job_id, caller)).model_dump()
+        return JSONResponse(body, 201, {"Location": f"/jobs/{job_id}"})
 
     @api.get("/", summary="Service document")
     def service() -> dict[str, Any]:
@@ -59,99 +99,151 @@ def router(store: Store, supervisor: Supervisor, settings: Settings) -> APIRoute
         }
 
     @api.get("/models", summary="Registered models")
-    def models() -> ModelList:
+    def models(caller: Caller) -> ModelList:
         found = [documents.model(engine.get_model(name)) for name in engine.model_names()]
         links = [Link(href="/models", rel="self")]
         return ModelList(models=found, broken_plugins=engine.plugin_errors(), links=links)
 
-    @api.get("/models/{name}", summary="One model", responses=problem_answers(404, 422))
-    def model(name: Annotated[str, Path(max_length=200)]) -> ModelOut:
+    @api.get("/models/{name}", summary="One model", responses=problem_answers(404))
+    def model(caller: Caller, name: Annotated[str, Path(max_length=200)]) -> ModelOut:
         try:
             return documents.model(engine.get_model(name))
         except OptionError as error:
             raise Problem(404, "no-such-model", str(error)) from None
 
-    @api.post(
-        "/jobs",
-        status_code=201,
-        summary="Submit a job",
-        response_model=JobStatus,
-        responses=problem_answers(400, 413, 422, 429),
-    )
-    def submit(request: Annotated[JobRequest, Body(openapi_examples=EXAMPLES)]) -> Response:
-        check_limits(request, settings)
-        job = prepare(request)
-        counts = store.counts()
-        if counts.get("accepted", 0) + counts.get("running", 0) >= settings.max_queue:
-            detail = f"{settings.max_queue} jobs wait or run already; try again later"
-            raise Problem(429, "queue-full", detail, retry_after=30)
-        job_id = store.create(request.kind, job.model.name, dump(request), kinds.steps(job))
-        supervisor.wake()
-        body = documents.job_status(find(job_id)).model_dump()
-        return JSONResponse(body, 201, {"Location": f"/jobs/{job_id}"})
+    posted: dict[str, Any] = {
+        "status_code": 201,
+        "response_model": JobStatus,
+        "responses": problem_answers(400, 408, 413, 415, 429),
+    }
 
-    @api.get("/jobs", summary="Jobs, newest first", responses=problem_answers(422))
+    @api.post("/jobs", summary="Submit a job", **posted)
+    def submit(
+        caller: Caller,
+        request: Annotated[JobRequest, Body(openapi_examples=EXAMPLES)],
+        idempotency_key: IdempotencyKey = None,
+    ) -> Response:
+        return put(request, caller, idempotency_key)
+
+    @api.post("/jobs/upload", summary="Submit a job with its data in files", **posted)
+    def upload(
+        caller: Caller,
+        request: Annotated[str, Form(description="as for POST /jobs; see the README on series")],
+        file: Annotated[list[UploadFile], File(description="CSV, .mat or .npz")],
+        idempotency_key: IdempotencyKey = None,
+    ) -> Response:
+        files = {one.filename or f"file{i}": one.file.read() for i, one in enumerate(file)}
+        return put(with_files(request, files), caller, idempotency_key)
+
+    @api.get("/jobs", summary="Jobs, newest first")
     def jobs(
+        caller: Caller,
         status: Annotated[list[Status] | None, Query()] = None,
         model: Annotated[str | None, Query(max_length=200)] = None,
         limit: Annotated[int, Query(ge=1, le=1000)] = 50,
         cursor: Annotated[int | None, Query(ge=1, le=2**31 - 1)] = None,
     ) -> JobList:
-        rows = store.jobs(limit + 1, cursor, status or (), model)
+        rows = store.jobs(limit + 1, cursor, status or (), model, caller if keys.needed else None)
         links = [Link(href="/jobs", rel="self")]
         if len(rows) > limit:
-            query = f"limit={limit}&cursor={rows[limit - 1].seq}"
-            query += "".join(f"&status={s}" for s in status or ())
-            query += f"&model={model}" if model else ""
-            links.append(Link(href=f"/jobs?{query}", rel="next"))
+            query: list[tuple[str, Any]] = [("limit", limit), ("cursor", rows[limit - 1].seq)]
+            query += [("status", s) for s in status or ()] + ([("model", model)] if model else [])
+            links.append(Link(href=f"/jobs?{urlencode(query)}", rel="next"))
         return JobList(jobs=[documents.job_status(row) for row in rows[:limit]], links=links)
 
-    @api.get("/jobs/{job_id}", summary="Status", responses=problem_answers(404))
-    def job(job_id: JobId) -> JobStatus:
-        return documents.job_status(find(job_id))
+    @api.get(
+        "/jobs/{job_id}",
+        summary="Status",
+        response_model=JobStatus,
+        responses=problem_answers(404),
+    )
+    def job(caller: Caller, http: HttpRequest, job_id: JobId) -> Response:
+        row = find(job_id, caller)
+        headers = {} if row.status in ENDED else {"Retry-After": "1"}
+        return tagged(http, documents.job_status(row).model_dump_json().encode(), headers)
 
-    @api.get("/jobs/{job_id}/trace", summary="Every iteration", responses=problem_answers(404))
+    @api.get(
+        "/jobs/{job_id}/trace",
+        summary="Every iteration",
+        response_model=Trace,
+        responses=problem_answers(404),
+    )
     def job_trace(
+        caller: Caller,
+        http: HttpRequest,
         job_id: JobId,
         after: Annotated[int, Query(ge=-1, le=2**31 - 1, description="only k > after")] = -1,
-    ) -> Trace:
-        row = find(job_id)
-        ks, rows = store.rows(row.seq, after=after)
+        points: Points = None,
+        task: Annotated[int, Query(ge=0, le=2**31 - 1, description="of several starts")] = 0,
+    ) -> Response:
+        row = find(job_id, caller)
+        ks, rows = store.rows(row.seq, task, after)
         names = list(json.loads(row.estimate)) if row.estimate else _names(row.model)
-        return documents.trace(names, ks, rows)
+        if points is not None and len(ks) > points:
+            kept = keep(rows[:, : len(names) + 1], points)
+            ks, rows = [ks[i] for i in kept], rows[kept]
+        return tagged(http, documents.trace(names, ks, rows).model_dump_json().encode())
 
     @api.get(
         "/jobs/{job_id}/results",
         summary="Results, or why there are none",
         response_model=Results,
-        response_model_exclude_unset=True,
-        responses=problem_answers(404, 409, 422, 500),
+        responses=problem_answers(404, 422, 500),
     )
-    def results(job_id: JobId) -> Response:
-        row = find(job_id)
+    def results(
+        caller: Caller, http: HttpRequest, job_id: JobId, points: Points = None
+    ) -> Response:
+        row = find(job_id, caller)
         if row.status == "failed":
             problem = json.loads(row.problem)
             return JSONResponse(problem, problem["status"], media_type=MEDIA_TYPE)
+        if row.status == "dismissed":
+            raise Problem(404, "dismissed", f"job '{job_id}' was dismissed; it has no results")
         body = store.document(row.seq, "result")
         if body is None:
             detail = f"job '{job_id}' is {row.status}; its results come when it is successful"
-            if row.status == "dismissed":
-                raise Problem(404, "dismissed", f"job '{job_id}' was dismissed; it has no results")
             raise Problem(404, "result-not-ready", detail, retry_after=1)
-        return Response(body, media_type="application/json")
+        if points is not None:
+            body = dumps(thin_results(json.loads(body), points)).encode()
+        return tagged(http, body)
 
     @api.delete("/jobs/{job_id}", summary="Stop or remove a job", responses=problem_answers(404))
-    def dismiss(job_id: JobId) -> JobStatus:
+    def dismiss(caller: Caller, job_id: JobId) -> JobStatus:
+        find(job_id, caller)
         row = store.dismiss(job_id)
-        if row is None:
-            raise Problem(404, "no-such-job", f"there is no job '{job_id}'")
         return documents.job_status(row)
 
     @api.get("/livez", summary="The process is alive")
     def livez() -> dict[str, str]:
         return {"status": "alive"}
 
+    @api.get("/readyz", summary="Store and runner can be used", responses=problem_answers(503))
+    def readyz() -> dict[str, str]:
+        try:
+            store.check()
+        except SQLAlchemyError as error:
+            reason = str(error.__cause__ or error).splitlines()[0]
+            raise Problem(503, "not-ready", f"the store cannot be used: {reason}") from None
+        if not supervisor.alive():
+            raise Problem(503, "not-ready", "the supervisor does not run")
+        return {"status": "ready"}
+
+    @api.get("/metrics", summary="Prometheus metrics", response_class=PlainTextResponse)
+    def prometheus(caller: Caller) -> Response:
+        text = metrics.text(store, supervisor, settings.workers)
+        return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
+
     return api
+
+
+def tagged(http: HttpRequest, body: bytes, headers: dict[str, str] | None = None) -> Response:
+    """A JSON answer with an ETag, or 304 if the client has it already."""
+    etag = f'"{hashlib.sha256(body).hexdigest()[:24]}"'
+    known = [tag.strip() for tag in http.headers.get("If-None-Match", "").split(",")]
+    headers = {"ETag": etag, "Cache-Control": "no-cache"} | (headers or {})
+    if etag in known or "*" in known:
+        return Response(status_code=304, headers=headers)
+    return Response(body, headers=headers, media_type="application/json")
 
 
 def _names(model: str) -> list[str]:

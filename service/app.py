@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 from service import problems
 from service.api import router
+from service.auth import Keys, check_exposure
 from service.limits import BodyLimit
 from service.runner import LocalRunner, Terms
 from service.settings import Settings
@@ -20,6 +21,8 @@ from service.supervisor import Supervisor
 def create_app(settings: Settings | None = None) -> FastAPI:
     """The application; its supervisor runs from startup to shutdown."""
     settings = settings or Settings.from_env()
+    keys = Keys(settings.keys_file)
+    check_exposure(settings, keys)
     store = Store(settings.store_url)
     runner = LocalRunner(
         store, settings.workers, Terms.of(settings), on_free=lambda: supervisor.wake()
@@ -30,7 +33,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         supervisor.start()
         yield
-        supervisor.stop()
+        supervisor.stop(settings.drain)
         store.close()
 
     app = FastAPI(
@@ -41,8 +44,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         docs_url=None,  # these pages load scripts from other addresses
         redoc_url=None,
     )
-    app.add_middleware(BodyLimit, max_body=settings.max_body)
-    app.include_router(router(store, supervisor, settings))
+    app.add_middleware(BodyLimit, max_body=settings.max_body, seconds=settings.body_seconds)
+    app.include_router(router(store, supervisor, settings, keys))
     problems.install(app)
     app.state.supervisor = supervisor
     return app

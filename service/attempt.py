@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import logging
 import os
 import signal
 import sys
@@ -23,16 +24,20 @@ import numpy as np
 
 from engine.errors import EngineError
 from engine.model import Array, Theta
-from service import kinds
+from service import stages
+from service.logs import configure
 from service.prepare import load
 from service.problems import Problem
 from service.store import Attempt, Store
+
+log = logging.getLogger("service")
 
 FLUSH_SECONDS = 0.1  # iterations faster than this are written several at a time
 
 
 def main(url: str, attempt: Attempt) -> None:
     """Entry point of the worker process."""
+    configure()
     _die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the service's to handle
     os.nice(5)  # requests are answered while all cores compute
@@ -45,11 +50,11 @@ def run(store: Store, attempt: Attempt) -> None:
         request = store.document(attempt.job, "request")
         job = load(json.loads(request or b"null"))
         progress = StoredProgress(store, attempt)
-        result = kinds.run(job, progress)
+        result = stages.run(job, attempt.task, progress)
         progress.flush()
-        store.finish(attempt, result, progress.k, str(result.get("message", "")))
+        store.finish(attempt, result, str(result.get("message", "")))
     except Exception as error:  # noqa: BLE001 - whatever it is, the job's owner must be told
-        store.fail(attempt, _problem(error).document())
+        store.fail(attempt, _problem(error, attempt.job_id).document())
 
 
 class StoredProgress:
@@ -86,6 +91,10 @@ class StoredProgress:
         self.k = k
         self.flush(message)
 
+    def left(self, task: int) -> Any:
+        """What a task of an earlier stage left."""
+        return json.loads(self.store.document(self.attempt.job, f"task-{task}") or b"null")
+
     def flush(self, message: str = "") -> None:
         """Write what is pending; leaves the process if the task is not ours any more."""
         latest = self._latest
@@ -102,7 +111,7 @@ class StoredProgress:
         self._pending, self._written = {}, time.monotonic()
 
 
-def _problem(error: Exception) -> Problem:
+def _problem(error: Exception, job: str) -> Problem:
     """What the owner of a failed job is told."""
     if isinstance(error, Problem):
         return error
@@ -110,7 +119,7 @@ def _problem(error: Exception) -> Problem:
         return Problem(422, "computation-failed", str(error))
     if isinstance(error, MemoryError):
         return Problem(422, "out-of-memory", "the computation needs more memory than it may use")
-    traceback.print_exception(error, file=sys.stderr)
+    log.error("the computation failed", exc_info=error, extra={"job": job})
     frame = traceback.extract_tb(error.__traceback__)[-1]
     where = f"{Path(frame.filename).name}, line {frame.lineno}, in {frame.name}"
     detail = f"{type(error).__name__}: {error} ({where})"

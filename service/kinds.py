@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,14 +11,14 @@ from engine.errors import ModelError
 from engine.model import Array, MixedModel, Theta
 from engine.series import Series
 from service.prepare import Prepared
-from service.problems import Problem, invalid
-from service.schemas import EstimateOptions, EstimateRequest, SimulateRequest, SmoothRequest
+from service.problems import Problem
+from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
 
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
 
 
 class Progress(Protocol):
-    """What a computation tells the store, and what it finds there of an earlier attempt."""
+    """What a computation tells the store, and what it finds there of other attempts and tasks."""
 
     def rows(self) -> Array:
         """Iterations already done, (k + 1, n_theta + 4), start first; (0, ...) at a first attempt."""
@@ -33,78 +32,82 @@ class Progress(Protocol):
     def step(self, k: int, message: str = "") -> None:
         """Progress of a computation without iterations."""
 
-
-def steps(job: Prepared) -> int:
-    """How many steps of progress a job will make."""
-    if isinstance(job.request, EstimateRequest):
-        return job.request.options.iterations
-    return len(job.series)
-
-
-def run(job: Prepared, progress: Progress) -> dict[str, Any]:
-    """Compute the result document."""
-    match job.request:
-        case EstimateRequest():
-            return estimate(job, job.request, progress)
-        case SmoothRequest():
-            return smooth(job, job.request, progress)
-        case SimulateRequest():
-            return simulate(job, job.request, progress)
+    def left(self, task: int) -> Any:
+        """What a task of an earlier stage left."""
 
 
 # ---- estimate -------------------------------------------------------------------------------
 
 
-def estimate(job: Prepared, request: EstimateRequest, progress: Progress) -> dict[str, Any]:
-    """EM, then one smoothing pass at the estimate."""
-    options, model = request.options, job.model
-    fit = _method(options.method)
+def fit(
+    job: Prepared, options: EstimateOptions, theta0: Theta, seed: int, progress: Progress
+) -> dict[str, Any]:
+    """EM from theta0, going on where an earlier attempt was; rows as in ``tables.iterations``."""
+    method = getattr(engine, options.method.replace("-", "_"))
     arguments: dict[str, Any] = {"n_iterations": options.iterations}
     if options.method != "rts-em":
-        arguments |= {"n_particles": options.particles, "seed": options.seed}
+        arguments |= {"n_particles": options.particles, "seed": seed}
         arguments |= {"n_trajectories": options.trajectories}
     rows = progress.rows()
     if len(rows):
-        trace, columns = np.split(rows, [len(model.parameters)], axis=1)
+        trace, columns = np.split(rows, [len(job.model.parameters)], axis=1)
         arguments["resume"] = engine.Checkpoint(trace, *columns[1:].T)
     else:
-        progress.start(job.theta)
-    found = fit(
-        model, job.series, job.theta, free=job.free, callback=progress.iteration, **arguments
+        progress.start(theta0)
+    found = method(
+        job.model, job.series, theta0, free=job.free, callback=progress.iteration, **arguments
     )
-    outcome = found.outcome.name.lower().replace("_", "-")
-    if not found.outcome.success:
-        raise Problem(422, outcome, found.message)
+    return {
+        "theta": found.theta.tolist(),
+        "trace": found.trace.tolist(),
+        "log_likelihood": found.log_likelihood.tolist(),
+        "ess": found.ess.tolist(),
+        "seconds": found.seconds.tolist(),
+        "free": list(found.free),
+        "outcome": found.outcome.name.lower().replace("_", "-"),
+        "success": found.outcome.success,
+        "message": found.message,
+    }
+
+
+def describe(
+    job: Prepared, options: EstimateOptions, found: dict[str, Any], progress: Progress
+) -> dict[str, Any]:
+    """The result document of a fit, with one smoothing pass at the estimate."""
+    if not found["success"]:
+        raise Problem(422, found["outcome"], found["message"])
+    model, done = job.model, len(found["log_likelihood"])
+    theta = model.theta(found["theta"])
     n = options.particles
     rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(0,)))
-    done = len(found.log_likelihood)
     progress.step(done, "smoothing the states at the estimate")
-    states = _states(job, found.theta, n, options.trajectories or n, rng, options.method)
-    message = found.message
+    states = _states(job, theta, n, options.trajectories or n, rng, options.method)
+    message = found["message"]
     errors: list[float | None] = [None] * len(model.parameters)
-    if options.standard_errors:
+    if options.standard_errors and not options.bootstrap:
         progress.step(done, "standard errors")
         try:
-            errors = _standard_errors(job, options, found.theta)
+            errors = _standard_errors(job, options, theta)
         except ModelError as error:
             message += f" No standard errors: {error}"
-    numbers = zip(model.parameters, found.theta.tolist(), errors, strict=True)
+    numbers = zip(model.parameters, found["theta"], errors, strict=True)
+    trace = np.array(found["trace"])
     return {
         "estimate": {
             p.name: {"value": value, "standard_error": error, "unit": p.unit}
-            | ({} if p.name in found.free else {"fixed": True})
+            | ({} if p.name in found["free"] else {"fixed": True})
             for p, value, error in numbers
         },
-        "outcome": outcome,
+        "outcome": found["outcome"],
         "message": message,
-        "log_likelihood": _log_likelihood(job, found.theta, n, rng, options.method),
+        "log_likelihood": log_likelihood(job, theta, n, rng, options.method),
         "trace": {
-            "iteration": list(range(len(found.trace))),
-            "theta": {p: found.trace[:, i].tolist() for i, p in enumerate(model.parameter_names)},
+            "iteration": list(range(len(trace))),
+            "theta": {p: trace[:, i].tolist() for i, p in enumerate(model.parameter_names)},
             # a log-likelihood belongs to the theta before its M step; row 0 has none
-            "log_likelihood": [None, *found.log_likelihood.tolist()],
-            "ess": [None, *found.ess.tolist()],
-            "seconds": [None, *found.seconds.tolist()],
+            "log_likelihood": [None, *found["log_likelihood"]],
+            "ess": [None, *found["ess"]],
+            "seconds": [None, *found["seconds"]],
         },
         "states": states,
     }
@@ -119,14 +122,7 @@ def _standard_errors(job: Prepared, options: EstimateOptions, theta: Theta) -> l
     return [value if np.isfinite(value) else None for value in found.values.tolist()]
 
 
-def _method(name: str) -> Callable[..., Any]:
-    fit = getattr(engine, name.replace("-", "_"), None)
-    if fit is None:
-        raise invalid("options.method", f"'{name}' is not available in this version")
-    return fit  # type: ignore[no-any-return]
-
-
-def _log_likelihood(
+def log_likelihood(
     job: Prepared, theta: Theta, n: int, rng: np.random.Generator, method: str
 ) -> dict[str, Any]:
     """Log of the mean of several likelihood estimates (which are unbiased), and its error."""
@@ -156,7 +152,7 @@ def smooth(job: Prepared, request: SmoothRequest, progress: Progress) -> dict[st
     states = _states(job, job.theta, n, N, rng, progress=progress)
     return {
         "parameters": job.theta.asdict(),
-        "log_likelihood": _log_likelihood(job, job.theta, n, rng, ""),
+        "log_likelihood": log_likelihood(job, job.theta, n, rng, ""),
         "states": states,
     }
 

@@ -1,6 +1,8 @@
-"""A limit on the size of request bodies, before anything reads them."""
+"""Limits on the size and the pace of request bodies, before anything reads them."""
 
 from __future__ import annotations
+
+import asyncio
 
 from fastapi import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -9,10 +11,10 @@ from service.problems import Problem
 
 
 class BodyLimit:
-    """ASGI middleware: 413 for bodies longer than ``max_body`` bytes, declared or not."""
+    """ASGI middleware: 413 for bodies above ``max_body`` bytes, 408 for pauses above ``seconds``."""
 
-    def __init__(self, app: ASGIApp, max_body: int) -> None:
-        self.app, self.max_body = app, max_body
+    def __init__(self, app: ASGIApp, max_body: int, seconds: float) -> None:
+        self.app, self.max_body, self.seconds = app, max_body, seconds
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on with a receive that counts."""
@@ -22,11 +24,18 @@ class BodyLimit:
         length = dict(scope["headers"]).get(b"content-length", b"0")
         if length.isdigit() and int(length[:20]) > self.max_body:
             return await Problem(413, "body-too-large", detail).response()(scope, receive, send)
-        seen = 0
+        seen, more = 0, True
 
         async def counted() -> Message:
-            nonlocal seen
-            message = await receive()
+            nonlocal seen, more
+            if not more:  # the whole body is here; what is awaited now is the client's leaving
+                return await receive()
+            try:
+                message = await asyncio.wait_for(receive(), self.seconds)
+            except TimeoutError:
+                pause = f"the body paused for more than {self.seconds:g} s"
+                raise HTTPException(408, pause, {"Connection": "close"}) from None
+            more = message.get("more_body", False)
             seen += len(message.get("body", b""))
             if seen > self.max_body:
                 raise HTTPException(413, detail)

@@ -28,7 +28,7 @@ from service.schemas import (
 from service.settings import Settings
 
 Request = EstimateRequest | SmoothRequest | SimulateRequest
-_ADAPTER: TypeAdapter[Request] = TypeAdapter(JobRequest)
+ADAPTER: TypeAdapter[Request] = TypeAdapter(JobRequest)
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,15 @@ def prepare(request: Request) -> Prepared:
         values, where = request.parameters.values, "parameters.values"
     with _at(where):
         theta = model.theta(values)
-    free = request.parameters.free if isinstance(request, EstimateRequest) else None
-    if free is not None:
+    free = None
+    if isinstance(request, EstimateRequest):
+        free = request.parameters.free
         with _at("parameters.free"):
             model.free_indices(free)
+        with _at("parameters.ranges"):
+            for name, (low, high) in request.parameters.ranges.items():
+                model.theta({name: low})
+                model.theta({name: high})
     if isinstance(request, SimulateRequest):
         series = _inputs(request, model)
     else:
@@ -64,12 +69,12 @@ def prepare(request: Request) -> Prepared:
 
 def load(document: Any) -> Prepared:
     """The same from a stored request."""
-    return prepare(_ADAPTER.validate_python(document))
+    return prepare(ADAPTER.validate_python(document))
 
 
 def dump(request: Request) -> Any:
     """The request as JSON values, for the store."""
-    return _ADAPTER.dump_python(request)
+    return ADAPTER.dump_python(request)
 
 
 def check_limits(request: Request, settings: Settings) -> None:
@@ -86,6 +91,8 @@ def check_limits(request: Request, settings: Settings) -> None:
         ("trajectories", settings.max_particles),
         ("iterations", settings.max_iterations),
         ("samples", settings.max_samples),
+        ("starts", settings.max_tasks),
+        ("bootstrap", settings.max_tasks),
     ):
         _limit(f"options.{name}", name, options.get(name) or 0, most)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -34,10 +34,13 @@ class Problem(Exception):  # noqa: N818 - the RFC's own word
         detail: str,
         errors: Sequence[dict[str, Any]] = (),
         retry_after: float | None = None,
+        headers: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(detail)
         self.status, self.kind, self.detail = status, kind, detail
-        self.errors, self.retry_after = list(errors), retry_after
+        self.errors, self.headers = list(errors), dict(headers or {})
+        if retry_after is not None:
+            self.headers["Retry-After"] = str(max(1, round(retry_after)))
 
     def document(self) -> dict[str, Any]:
         """The JSON body."""
@@ -51,10 +54,7 @@ class Problem(Exception):  # noqa: N818 - the RFC's own word
 
     def response(self) -> JSONResponse:
         """The HTTP answer."""
-        headers = {}
-        if self.retry_after is not None:
-            headers["Retry-After"] = str(max(1, round(self.retry_after)))
-        return JSONResponse(self.document(), self.status, headers, MEDIA_TYPE)
+        return JSONResponse(self.document(), self.status, self.headers, MEDIA_TYPE)
 
 
 def invalid(field: str, message: str, **more: Any) -> Problem:
@@ -86,6 +86,7 @@ def _from_validation(error: RequestValidationError) -> Problem:
     return Problem(400 if broken else 422, "not-json" if broken else "validation", detail, errors)
 
 
+_BODIES = ("application/json", "multipart/form-data")
 _KINDS = frozenset({"estimate", "smooth", "simulate", "diagnose"})  # tags of the body's union
 
 
@@ -98,6 +99,10 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def _validation(request: Request, error: RequestValidationError) -> JSONResponse:
+        media = request.headers.get("content-type", "application/json")
+        if request.method == "POST" and not media.startswith(_BODIES):
+            detail = f"a body of type {media[:80]} is not understood; send application/json"
+            return Problem(415, "unsupported-media-type", detail).response()
         return _from_validation(error).response()
 
     @app.exception_handler(HTTPException)

@@ -108,8 +108,9 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
     Keeps the lease, and kills the process when the task is no longer the attempt's (cancelled,
     lease lost), when its time is up, or when the service stops.
     """
+    job = {"job": attempt.job_id}
     process = spawn(store.url, attempt)
-    log.info("job %s: attempt started, process %s", attempt.job_id, process.pid)
+    log.info("attempt started, process %s", process.pid, extra=job)
     try:
         cause = _until_end(store, attempt, terms, stopping, process)
     finally:
@@ -120,8 +121,8 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
         elif store.holds(attempt):  # ended without a word to the store
             store.lost(attempt, _epitaph(process), terms.losses_allowed)
     except SQLAlchemyError:  # the lease will run out, and then the task is queued again
-        log.exception("job %s: its end could not be written", attempt.job_id)
-    log.info("job %s: attempt ended, exit code %s", attempt.job_id, process.exitcode)
+        log.exception("the end of the attempt could not be written", extra=job)
+    log.info("attempt ended, exit code %s", process.exitcode, extra=job)
 
 
 def _context() -> ForkServerContext:
@@ -156,12 +157,13 @@ def _until_end(
 ) -> Callable[[], object] | None:
     """Wait; returns what to write to the store once the process is dead, if anything."""
     started = renewed = time.monotonic()
+    run_seconds = min(terms.run_seconds, attempt.run_seconds or terms.run_seconds)
     while not connection.wait([process.sentinel], POLL_SECONDS):
         now = time.monotonic()
         if stopping.is_set():
             return lambda: store.release(attempt)
-        if now - started > terms.run_seconds:
-            detail = f"the computation took longer than the {terms.run_seconds:g} s it may take"
+        if now - started > run_seconds:
+            detail = f"the computation took longer than the {run_seconds:g} s it may take"
             problem = Problem(422, "run-time-exceeded", detail).document()
             return lambda: store.fail(attempt, problem)
         try:
@@ -170,7 +172,7 @@ def _until_end(
             else:
                 mine = store.holds(attempt)
         except SQLAlchemyError as error:
-            log.warning("job %s: the store does not answer: %s", attempt.job_id, error)
+            log.warning("the store does not answer: %s", error, extra={"job": attempt.job_id})
             mine = now - renewed < terms.lease
         if not mine:
             return lambda: None

@@ -13,6 +13,7 @@ from pydantic import (
     Field,
     PlainSerializer,
     WithJsonSchema,
+    field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -124,7 +125,8 @@ class InputIn(_Timed):
     y: Table | None = None
 
 
-Values = dict[Annotated[str, Field(max_length=200)], Annotated[float, Field(allow_inf_nan=False)]]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Values = dict[Annotated[str, Field(max_length=200)], Number]
 
 
 class EstimateParameters(_Strict):
@@ -134,6 +136,17 @@ class EstimateParameters(_Strict):
     free: list[Annotated[str, Field(max_length=200)]] | None = Field(
         default=None, min_length=1, description="parameters to estimate; null means all"
     )
+    ranges: dict[Annotated[str, Field(max_length=200)], list[Number]] = Field(
+        default_factory=dict, description="where further starts are drawn, name: [low, high]"
+    )
+
+    @field_validator("ranges")
+    @classmethod
+    def _ordered(cls, ranges: dict[str, list[float]]) -> dict[str, list[float]]:
+        for name, values in ranges.items():
+            if len(values) != 2 or values[0] > values[1]:
+                raise PydanticCustomError("range", "{name} needs [low, high]", {"name": name})
+        return ranges
 
 
 class FixedParameters(_Strict):
@@ -143,6 +156,9 @@ class FixedParameters(_Strict):
 
 
 Seed = Annotated[int, Field(ge=0, lt=2**63, description="the same seed gives the same bits")]
+RunSeconds = Annotated[
+    float | None, Field(gt=0, allow_inf_nan=False, description="fail if it takes longer, s")
+]
 Particles = Annotated[int, Field(ge=2)]
 
 
@@ -157,6 +173,10 @@ class EstimateOptions(_Strict):
     iterations: int = Field(default=100, ge=1)
     seed: Seed = 0
     standard_errors: bool = Field(default=True, description="takes about as long as the rest")
+    starts: int = Field(default=1, ge=1, description="the best of so many starts is taken")
+    bootstrap: int = Field(
+        default=0, ge=0, description="standard errors from so many estimations on simulated data"
+    )
 
 
 class SmoothOptions(_Strict):
@@ -185,6 +205,7 @@ class EstimateRequest(_Strict):
     series: list[SeriesIn] = Field(min_length=1)
     parameters: EstimateParameters = EstimateParameters()
     options: EstimateOptions = EstimateOptions()
+    run_seconds: RunSeconds = None
 
 
 class SmoothRequest(_Strict):
@@ -195,6 +216,7 @@ class SmoothRequest(_Strict):
     series: list[SeriesIn] = Field(min_length=1)
     parameters: FixedParameters = FixedParameters()
     options: SmoothOptions = SmoothOptions()
+    run_seconds: RunSeconds = None
 
 
 class SimulateRequest(_Strict):
@@ -205,6 +227,7 @@ class SimulateRequest(_Strict):
     series: list[InputIn] = Field(default_factory=list)
     parameters: FixedParameters = FixedParameters()
     options: SimulateOptions = SimulateOptions()
+    run_seconds: RunSeconds = None
 
 
 JobRequest = Annotated[
@@ -410,3 +433,5 @@ class Results(BaseModel):
     trace: Trace | None = None
     states: StatesOut | None = None
     simulation: SimulationOut | None = None
+    starts: list[dict[str, Any]] | None = Field(default=None, description="each start's outcome")
+    bootstrap: dict[str, Any] | None = Field(default=None, description="estimates, quantiles")

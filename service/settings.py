@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,22 @@ from typing import Any
 def _state_dir() -> Path:
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(base) / "rbps"
+
+
+def _yes(text: str) -> bool:
+    if text.lower() not in ("yes", "no", "true", "false", "1", "0"):
+        raise ValueError
+    return text.lower() in ("yes", "true", "1")
+
+
+_CONVERT: dict[str, Callable[[str], Any]] = {
+    "str": str,
+    "int": int,
+    "float": float,
+    "bool": _yes,
+    "Path": Path,
+    "Path | None": Path,
+}
 
 
 @dataclass(frozen=True)
@@ -26,9 +42,13 @@ class Settings:
     state_dir: Path = field(default_factory=_state_dir)
     database_url: str = ""  # empty: a SQLite file in state_dir
 
+    keys_file: Path | None = None  # API keys, see auth.py; without it, loopback only
+    open_network: bool = False  # listen beyond loopback without keys
+
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)  # attempts at once
     lease_seconds: float = 15.0  # an attempt nobody renews for so long is started again
     losses_allowed: int = 2  # how often an attempt whose worker died is started again
+    drain: bool = False  # on shutdown, wait for running attempts; else they go on after the start
     run_seconds: float = 6 * 3600.0  # longest run time of one attempt
 
     max_body: int = 64 * 2**20
@@ -36,7 +56,10 @@ class Settings:
     max_samples: int = 200_000  # of all series of a job together
     max_particles: int = 10_000
     max_iterations: int = 100_000
+    max_tasks: int = 1000  # starts, or bootstrap runs, of a job
     max_queue: int = 1000  # jobs that wait or run
+    max_queue_per_key: int = 1000
+    body_seconds: float = 30.0  # longest pause within a body
 
     def __post_init__(self) -> None:
         for name in ("workers", "lease_seconds", "run_seconds", "max_body", "max_queue"):
@@ -59,7 +82,7 @@ class Settings:
                 continue
             if name not in known:
                 raise ValueError(f"{name} is not a setting; there are {', '.join(sorted(known))}")
-            convert = {"int": int, "float": float, "Path": Path}.get(str(known[name].type), str)
+            convert = _CONVERT[str(known[name].type)]
             try:
                 values[known[name].name] = convert(text)
             except ValueError:

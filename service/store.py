@@ -12,16 +12,19 @@ write of an attempt that is no longer the task's own changes nothing and returns
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 import uuid
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection, Row, and_, delete, func, insert, select, update
+from sqlalchemy.exc import IntegrityError
 
 from engine.model import Array
 from service.tables import connect, documents, iterations, jobs, tasks
@@ -35,10 +38,14 @@ class Attempt:
 
     job: int
     job_id: str
-    kind: str
     task: int
     token: str
     losses: int
+    run_seconds: float | None
+
+
+class KeyReused(Exception):  # noqa: N818 - it is the client that erred
+    """An idempotency key came with another request; the argument is the first job's id."""
 
 
 class Store:
@@ -61,22 +68,48 @@ class Store:
         model: str,
         request: Any,
         iterations: int,
+        stages: Sequence[int] = (1,),
+        run_seconds: float | None = None,
         owner: str = "",
-        n_tasks: int = 1,
+        idempotency_key: str | None = None,
     ) -> str:
-        """Put a job at the end of the queue; its id."""
-        now, job_id = time.time(), uuid.uuid4().hex
-        with self._engine.begin() as sql:
-            seq = _add(
-                sql,
-                {"id": job_id, "kind": kind, "model": model, "status": "accepted"}
-                | {"created": now, "updated": now, "iterations": iterations, "owner": owner},
-            )
-            sql.execute(
-                insert(tasks), [{"job": seq, "task": i, "state": "queued"} for i in range(n_tasks)]
-            )
-            _put(sql, seq, "request", request)
+        """Put a job at the end of the queue; its id, or that of the job with the same key.
+
+        Raises KeyReused if that job's request was another.
+        """
+        now, job_id, text = time.time(), uuid.uuid4().hex, dumps(request)
+        values = {
+            "id": job_id,
+            "kind": kind,
+            "model": model,
+            "status": "accepted",
+            "created": now,
+            "updated": now,
+            "iterations": iterations,
+            "stages": dumps(list(stages)),
+            "run_seconds": run_seconds,
+            "owner": owner,
+            "idempotency_key": idempotency_key,
+            "digest": hashlib.sha256(text.encode()).hexdigest(),
+        }
+        try:
+            with self._engine.begin() as sql:
+                seq = _add(sql, values)
+                _add_tasks(sql, seq, 0, stages[0])
+                _put(sql, seq, "request", text)
+        except IntegrityError:
+            first = self._by_key(owner, idempotency_key)
+            if first is None:
+                raise
+            if first.digest != values["digest"]:
+                raise KeyReused(first.id) from None
+            return str(first.id)
         return job_id
+
+    def _by_key(self, owner: str, key: str | None) -> Row[Any] | None:
+        query = select(jobs).where(jobs.c.owner == owner, jobs.c.idempotency_key == key)
+        with self._read.begin() as sql:
+            return sql.execute(query).one_or_none()
 
     def job(self, job_id: str) -> Row[Any] | None:
         """One job, or None."""
@@ -104,11 +137,39 @@ class Store:
         with self._read.begin() as sql:
             return sql.execute(query).all()
 
-    def counts(self) -> dict[str, int]:
+    def counts(self, owner: str | None = None) -> dict[str, int]:
         """Number of jobs of each status there is."""
+        query = select(jobs.c.status, func.count()).group_by(jobs.c.status)
+        if owner is not None:
+            query = query.where(jobs.c.owner == owner)
         with self._read.begin() as sql:
-            rows = sql.execute(select(jobs.c.status, func.count()).group_by(jobs.c.status))
-            return {row[0]: row[1] for row in rows}
+            return {row[0]: row[1] for row in sql.execute(query)}
+
+    def statistics(self) -> dict[str, Any]:
+        """Totals over all jobs there ever were, for the metrics."""
+        with self._read.begin() as sql:
+            oldest = sql.scalar(select(func.min(jobs.c.created)).where(jobs.c.status == "accepted"))
+            group = (jobs.c.kind, jobs.c.status)
+            seconds = func.sum(jobs.c.finished - jobs.c.started)
+            return {
+                "waiting": time.time() - oldest if oldest else 0.0,
+                "iterations": sql.scalar(select(func.coalesce(func.sum(jobs.c.iteration), 0))),
+                "durations": sql.execute(
+                    select(*group, func.count(), seconds)
+                    .where(jobs.c.finished.is_not(None), jobs.c.started.is_not(None))
+                    .group_by(*group)
+                ).all(),
+                "causes": sql.execute(
+                    select(jobs.c.cause, func.count())
+                    .where(jobs.c.cause.is_not(None))
+                    .group_by(jobs.c.cause)
+                ).all(),
+            }
+
+    def check(self) -> None:
+        """Raise if the store cannot be written to."""
+        with self._engine.begin() as sql:
+            sql.execute(update(jobs).where(jobs.c.seq == -1).values(message=""))
 
     def document(self, seq: int, name: str) -> bytes | None:
         """The JSON text of a request or result."""
@@ -147,7 +208,7 @@ class Store:
         """The first task of the queue, leased for so many seconds, or None."""
         now, token = time.time(), uuid.uuid4().hex
         first = (
-            select(tasks, jobs.c.id, jobs.c.kind, jobs.c.status)
+            select(tasks, jobs.c.id, jobs.c.status, jobs.c.run_seconds)
             .join(jobs, jobs.c.seq == tasks.c.job)
             .where(tasks.c.state == "queued")
             .order_by(tasks.c.job, tasks.c.task)
@@ -171,7 +232,7 @@ class Store:
                     .where(jobs.c.seq == task.job)
                     .values(status="running", started=now, updated=now)
                 )
-        return Attempt(task.job, task.id, task.kind, task.task, token, task.losses)
+        return Attempt(task.job, task.id, task.task, token, task.losses, task.run_seconds)
 
     def renew(self, attempt: Attempt, lease: float) -> bool:
         """Keep the lease; False if the task is no longer this attempt's."""
@@ -195,7 +256,7 @@ class Store:
     ) -> bool:
         """Write progress, with the iterations {k: row} done since the last time."""
         with self._engine.begin() as sql:
-            if not _mine(sql, attempt, state="running"):
+            if not _mine(sql, attempt, iteration=iteration):
                 return False
             key = {"job": attempt.job, "task": attempt.task}
             if rows:
@@ -204,19 +265,31 @@ class Store:
                 ]
                 sql.execute(insert(iterations), new)
             progress: dict[str, Any] = {"updated": time.time(), "message": message}
-            progress["iteration"] = iteration
+            progress["iteration"] = (
+                select(func.sum(tasks.c.iteration))
+                .where(tasks.c.job == attempt.job)
+                .scalar_subquery()
+            )
             if estimate is not None:
                 progress |= {"estimate": dumps(estimate), "log_likelihood": _finite(log_likelihood)}
             sql.execute(update(jobs).where(jobs.c.seq == attempt.job).values(progress))
         return True
 
-    def finish(self, attempt: Attempt, result: Any, iteration: int, message: str = "") -> bool:
-        """Write the result; the job is successful."""
+    def finish(self, attempt: Attempt, result: Any, message: str = "") -> bool:
+        """The task is done. The last task of a stage starts the next; that of all ends the job."""
         with self._engine.begin() as sql:
+            job = sql.execute(select(jobs).where(jobs.c.seq == attempt.job).with_for_update()).one()
             if not _mine(sql, attempt, state="done"):
                 return False
-            _put(sql, attempt.job, "result", result)
-            _end(sql, attempt.job, "successful", time.time(), message=message, iteration=iteration)
+            states = list(sql.scalars(select(tasks.c.state).where(tasks.c.job == attempt.job)))
+            ends = list(accumulate(json.loads(job.stages)))
+            last = attempt.task + 1 == ends[-1]
+            _put(sql, attempt.job, "result" if last else f"task-{attempt.task}", dumps(result))
+            if last:
+                _end(sql, attempt.job, "successful", time.time(), message=message)
+            elif set(states) == {"done"}:
+                stage = ends.index(len(states))
+                _add_tasks(sql, attempt.job, ends[stage], ends[stage + 1])
         return True
 
     def fail(self, attempt: Attempt, problem: Mapping[str, Any]) -> bool:
@@ -274,14 +347,19 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and np.isfinite(value) else None
 
 
-def _put(sql: Connection, seq: int, name: str, value: Any) -> None:
-    body = zlib.compress(dumps(value).encode(), 1)
+def _put(sql: Connection, seq: int, name: str, text: str) -> None:
+    body = zlib.compress(text.encode(), 1)
     sql.execute(insert(documents).values(job=seq, name=name, body=body))
 
 
 def _add(sql: Connection, values: dict[str, Any]) -> int:
     key = sql.execute(insert(jobs).values(values)).inserted_primary_key
     return int(key[0]) if key else 0
+
+
+def _add_tasks(sql: Connection, seq: int, start: int, stop: int) -> None:
+    new = [{"job": seq, "task": i, "state": "queued"} for i in range(start, stop)]
+    sql.execute(insert(tasks), new)
 
 
 def _of(attempt: Attempt) -> Any:
@@ -313,7 +391,8 @@ def _end(sql: Connection, seq: int, status: str, now: float, **values: Any) -> N
 
 def _fail(sql: Connection, seq: int, problem: Mapping[str, Any]) -> None:
     detail = str(problem.get("detail", ""))
-    _end(sql, seq, "failed", time.time(), message=detail, problem=dumps(problem))
+    cause = str(problem.get("type", "")).rpartition(":")[2]
+    _end(sql, seq, "failed", time.time(), message=detail, problem=dumps(problem), cause=cause)
 
 
 def _lose(sql: Connection, seq: int, task: int, losses: int, cause: str, allowed: int) -> None:

@@ -35,6 +35,10 @@ class Supervisor:
         """There may be something to do."""
         self._wake.set()
 
+    def alive(self) -> bool:
+        """Whether it looked at the store of late."""
+        return self._thread.is_alive() and time.monotonic() - self.beat < 10.0
+
     def running(self) -> int:
         """How many attempts the runner has."""
         return self._runner.running()

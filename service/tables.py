@@ -18,6 +18,7 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    UniqueConstraint,
     create_engine,
     event,
 )
@@ -43,12 +44,19 @@ jobs = Table(
     Column("estimate", Text),  # JSON {name: value}
     Column("log_likelihood", Double),
     Column("problem", Text),  # JSON problem document of a failed job
-    Column("owner", String(64), nullable=False, default=""),
+    Column("cause", String(60)),  # its kind, for counting
+    Column("stages", Text, nullable=False),  # JSON [tasks of the first stage, of the second, ...]
+    Column("run_seconds", Double),  # longest run time of an attempt, if the job sets one
+    Column("owner", String(64), nullable=False, default=""),  # name of the API key
+    Column("idempotency_key", String(200)),
+    Column("digest", String(64)),  # of the request, to compare repeats of an idempotency key
     Index("jobs_status", "status", "seq"),
+    UniqueConstraint("owner", "idempotency_key"),
     sqlite_autoincrement=True,
 )
 
-# One computation of a job, run by one worker process at a time. ``token`` names the attempt
+# One computation of a job, run by one worker process at a time. Tasks are numbered through the
+# job's stages; those of a stage exist once the stage before is done. ``token`` names the attempt
 # that may write; a worker with another token has lost its lease and stops.
 tasks = Table(
     "tasks",
@@ -60,6 +68,7 @@ tasks = Table(
     Column("holder", String(100)),
     Column("lease_until", Double),
     Column("losses", Integer, nullable=False, default=0),
+    Column("iteration", Integer, nullable=False, default=0),
     Index("tasks_state", "state", "job", "task"),
 )
 
@@ -74,7 +83,7 @@ iterations = Table(
     Column("row", LargeBinary, nullable=False),
 )
 
-# Large JSON, compressed: the request and the result.
+# Large JSON, compressed: the request, the result, and "task-i", what task i leaves to later stages.
 documents = Table(
     "documents",
     metadata,

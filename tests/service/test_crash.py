@@ -105,13 +105,13 @@ def test_an_attempt_that_lost_its_task_cannot_write(tmp_path):
     second = store.claim("two", 10.0)
     assert (second.losses, second.task) == (1, first.task)
     assert not store.record(first, 1, {})
-    assert not store.finish(first, {"mine": 1}, 1)
+    assert not store.finish(first, {"mine": 1})
     assert not store.fail(first, {"detail": "mine"})
     assert not store.renew(first, 10.0)
     assert not store.lost(first, "gone", 2)
     assert store.renew(second, 10.0)
-    assert store.finish(second, {"mine": 2}, 10)
+    assert store.finish(second, {"mine": 2})
     assert store.document(second.job, "result") == b'{"mine":2}'
     assert store.job(job_id).status == "successful"
-    assert not store.finish(second, {"mine": 3}, 10)
+    assert not store.finish(second, {"mine": 3})
     store.close()

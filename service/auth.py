@@ -1,0 +1,86 @@
+"""API keys: optional, stored as hashes, compared in constant time.
+
+``python -m service.auth NAME`` makes a key and prints the line for the file that the setting
+``keys_file`` names: one ``NAME SHA256`` per line. A key sees its own jobs and no others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import secrets
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import Request, Security
+from fastapi.security import APIKeyHeader
+
+from service.problems import Problem
+from service.settings import Settings
+
+HEADER = APIKeyHeader(name="X-API-Key", auto_error=False)
+
+
+class Keys:
+    """The keys of a service; called with a request's key, it names the caller ("" without keys)."""
+
+    def __init__(self, file: Path | None) -> None:
+        self._hashes: dict[str, str] = {}
+        for i, line in enumerate(file.read_text("utf-8").splitlines() if file else ()):
+            if not line.strip() or line.startswith("#"):
+                continue
+            name, _, digest = line.strip().partition(" ")
+            if len(digest) != 64 or len(name) > 64:
+                raise ValueError(f"{file}, line {i + 1}: 'NAME SHA256' is needed")
+            self._hashes[name] = digest.lower()
+
+    @property
+    def needed(self) -> bool:
+        """Whether callers need a key."""
+        return bool(self._hashes)
+
+    def __call__(
+        self, request: Request, key: Annotated[str | None, Security(HEADER)] = None
+    ) -> str:
+        """FastAPI dependency: the caller's name, or a problem 401."""
+        if not self.needed:
+            return ""
+        if key is None:
+            scheme, _, key = request.headers.get("Authorization", "").partition(" ")
+            key = key if scheme.lower() == "bearer" else ""
+        presented = digest_of(key)
+        # All are compared, so the time tells nothing about which or how many there are.
+        matches = [name for name, d in self._hashes.items() if hmac.compare_digest(d, presented)]
+        if not matches:
+            detail = "a valid API key is needed, as X-API-Key or as Authorization: Bearer"
+            raise Problem(401, "unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
+        return matches[0]
+
+
+def digest_of(key: str) -> str:
+    """What is stored of a key; keys are long and random, so a fast hash is enough."""
+    return hashlib.sha256(key.encode()).hexdigest()
+
+
+def check_exposure(settings: Settings, keys: Keys) -> None:
+    """Raise ValueError for a service that strangers could use."""
+    try:
+        loopback = ipaddress.ip_address(settings.host).is_loopback
+    except ValueError:
+        loopback = settings.host == "localhost"
+    if not (keys.needed or loopback or settings.open_network):
+        raise ValueError(
+            f"host {settings.host} can be reached from other machines: set RBPS_KEYS_FILE "
+            "(python -m service.auth makes keys), or RBPS_OPEN_NETWORK=yes if something else "
+            "guards the port"
+        )
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2 or not sys.argv[1].isidentifier():
+        sys.exit("usage: python -m service.auth NAME  (a name of letters, digits and _)")
+    new = secrets.token_urlsafe(32)
+    print(f"key, shown only now:       {new}")
+    print(f"line for RBPS_KEYS_FILE:   {sys.argv[1]} {digest_of(new)}")

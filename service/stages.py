@@ -1,0 +1,180 @@
+"""A job as stages of tasks: one computation, several starts, a bootstrap.
+
+    one start                 estimate
+    several starts            fit, fit, ... | choose
+    ... and a bootstrap       ...           | resample, resample, ... | summarize
+
+The tasks of a stage run on as many workers as there are; each stage begins when the one before is
+done. Every draw comes from the job's seed and the task's number, so who computes what, and how
+often it was interrupted, changes nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import engine
+from engine.errors import ModelError
+from engine.model import Theta
+from engine.series import Series
+from service import kinds
+from service.kinds import Progress
+from service.prepare import Prepared, Request
+from service.problems import Problem
+from service.schemas import EstimateRequest, SimulateRequest, SmoothRequest
+
+SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
+START, BOOTSTRAP = 1 << 40, 1 << 41  # spawn keys far from those of iterations
+
+
+def plan(request: Request) -> list[tuple[str, int]]:
+    """The stages: what their tasks do, and how many tasks."""
+    if not isinstance(request, EstimateRequest):
+        return [(request.kind, 1)]
+    options = request.options
+    stages = [("estimate", 1)] if options.starts == 1 else [("fit", options.starts), ("choose", 1)]
+    if options.bootstrap:
+        stages += [("resample", options.bootstrap), ("summarize", 1)]
+    return stages
+
+
+def steps(job: Prepared) -> int:
+    """How many steps of progress a job will make at most."""
+    if isinstance(job.request, EstimateRequest):
+        options = job.request.options
+        return options.iterations * (options.starts + options.bootstrap)
+    return len(job.series)
+
+
+def run(job: Prepared, task: int, progress: Progress) -> dict[str, Any]:
+    """What one task leaves; what the last leaves is the job's result."""
+    match job.request:
+        case SmoothRequest():
+            return kinds.smooth(job, job.request, progress)
+        case SimulateRequest():
+            return kinds.simulate(job, job.request, progress)
+    before = first = 0
+    stages = iter(plan(job.request))
+    role, n = next(stages)
+    while task >= first + n:
+        before, first = first, first + n
+        role, n = next(stages)
+    match role:
+        case "estimate":
+            options = job.request.options
+            found = kinds.fit(job, options, job.theta, options.seed, progress)
+            return kinds.describe(job, options, found, progress)
+        case "fit":
+            return _fit(job, job.request, task, progress)
+        case "choose":
+            return _choose(job, job.request, progress)
+        case "resample":
+            return _resample(job, job.request, task - first, first - 1, progress)
+        case _:
+            return _summarize(job, job.request, range(before, first), before - 1, progress)
+
+
+def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) -> dict[str, Any]:
+    """One of several starts; a start from which nothing can be computed is no failure of the job."""
+    options, theta0 = request.options, _start(job, request, i)
+    start = {"start": theta0.asdict()}
+    try:
+        found = kinds.fit(job, options, theta0, options.seed, progress)
+    except ModelError as error:
+        return start | {"success": False, "outcome": "failed", "message": str(error)}
+    if found["success"]:
+        rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(START,)))
+        theta = job.model.theta(found["theta"])
+        found["reached"] = kinds.log_likelihood(job, theta, options.particles, rng, options.method)
+    return start | found
+
+
+def _start(job: Prepared, request: EstimateRequest, i: int) -> Theta:
+    """The i-th start: the given one, then draws from the given ranges or around the given start."""
+    if i == 0:
+        return job.theta
+    rng = np.random.default_rng(
+        np.random.SeedSequence(request.options.seed, spawn_key=(START + i,))
+    )
+    theta = np.array(job.theta)
+    for k in job.model.free_indices(job.free):
+        size = abs(theta[k]) or 1.0
+        around = (theta[k] - SPREAD * size, theta[k] + SPREAD * size)
+        low, high = request.parameters.ranges.get(job.model.parameter_names[k], around)
+        theta[k] = rng.uniform(max(low, job.model.lower[k]), min(high, job.model.upper[k]))
+    return job.model.theta(theta)
+
+
+def _choose(job: Prepared, request: EstimateRequest, progress: Progress) -> dict[str, Any]:
+    """The best of the starts by log-likelihood, described; all of them in ``starts``."""
+    found = [progress.left(i) for i in range(request.options.starts)]
+    reached = [one for one in found if one["success"]]
+    if not reached:
+        reasons = "; ".join(sorted({one["message"] for one in found}))
+        raise Problem(
+            422, "no-start-succeeded", f"none of {len(found)} starts succeeded: {reasons}"
+        )
+    best = max(reached, key=lambda one: one["reached"]["value"])
+    result = kinds.describe(job, request.options, best, progress)
+    names = job.model.parameter_names
+    result["starts"] = [
+        {"start": one["start"], "outcome": one["outcome"], "message": one["message"]}
+        | (
+            {
+                "estimate": dict(zip(names, one["theta"], strict=True)),
+                "log_likelihood": one["reached"],
+            }
+            if one["success"]
+            else {}
+        )
+        for one in found
+    ]
+    return result
+
+
+def _resample(
+    job: Prepared, request: EstimateRequest, i: int, estimated: int, progress: Progress
+) -> dict[str, Any]:
+    """One run of the parametric bootstrap: simulate at the estimate, estimate again."""
+    options, model = request.options, job.model
+    values = {k: v["value"] for k, v in progress.left(estimated)["estimate"].items()}
+    theta = model.theta(values)
+    rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(BOOTSTRAP + i,)))
+    drawn = []
+    for series in job.series:
+        u = series.u if model.nu else None
+        y = engine.simulate(model, theta, len(series), rng, u=u, t=series.t).y
+        y[~series.observed] = np.nan
+        drawn.append(Series(y, series.u if model.nu else None, t=series.t))
+    again = Prepared(request, model, drawn, theta, job.free)
+    try:
+        found = kinds.fit(again, options, theta, options.seed + 1 + i, progress)
+    except ModelError as error:
+        return {"success": False, "message": str(error)}
+    return {key: found[key] for key in ("theta", "success", "message")}
+
+
+def _summarize(
+    job: Prepared, request: EstimateRequest, tasks: range, estimated: int, progress: Progress
+) -> dict[str, Any]:
+    """The estimate's document with standard errors and quantiles from the bootstrap."""
+    result: dict[str, Any] = progress.left(estimated)
+    left = [progress.left(i) for i in tasks]
+    thetas = np.array([one["theta"] for one in left if one["success"]])
+    names = job.model.parameter_names
+    failed = len(left) - len(thetas)
+    result["bootstrap"] = {"runs": len(left), "failed": failed, "estimates": {}, "quantiles": {}}
+    if len(thetas) < 2:
+        result["message"] += f" No standard errors: {failed} of {len(left)} bootstrap runs failed."
+        return result
+    for k in job.model.free_indices(job.free):
+        name, values = names[k], thetas[:, k]
+        result["estimate"][name]["standard_error"] = float(values.std(ddof=1))
+        result["bootstrap"]["estimates"][name] = values.tolist()
+        quantiles = np.quantile(values, [0.025, 0.5, 0.975]).tolist()
+        result["bootstrap"]["quantiles"][name] = dict(
+            zip(("0.025", "0.5", "0.975"), quantiles, strict=True)
+        )
+    return result

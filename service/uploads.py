@@ -1,0 +1,142 @@
+"""Series from uploaded files: CSV, .mat, .npz. Nothing is unpickled, nothing written to disk."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from engine.errors import OptionError, SeriesError
+from engine.registry import get_model
+from engine.series_files import read_series_bytes
+from service.prepare import ADAPTER, Request
+from service.problems import Problem, invalid
+
+UNPACKED = 20  # how many times its size a compressed file may unpack to, beyond 16 MiB
+
+
+class _FileSeries(BaseModel):
+    """One entry of ``series`` that is read from a file."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+    file: str
+    y: list[str] | dict[str, str] | None = None
+    u: list[str] | dict[str, str] | None = None
+    t: str | None = None
+    dt: float | None = None
+
+
+def with_files(text: str, files: Mapping[str, bytes]) -> Request:
+    """A request whose series name uploaded files; without ``series``, each file is one."""
+    try:
+        body = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise Problem(400, "not-json", f"request is not JSON: {error}") from None
+    if not isinstance(body, dict):
+        raise invalid("request", "is not a JSON object")
+    entries = body.get("series")
+    if entries is None:
+        entries = [{"file": name} for name in files]
+    if isinstance(entries, list):
+        body["series"] = [
+            _read(entry, files, f"series[{i}]", body)
+            if isinstance(entry, dict) and "file" in entry
+            else entry
+            for i, entry in enumerate(entries)
+        ]
+    try:
+        return ADAPTER.validate_python(body)
+    except ValidationError as error:
+        raise RequestValidationError(
+            [item | {"loc": ("body", *item["loc"])} for item in error.errors()]
+        ) from None
+
+
+def _read(
+    entry: dict[str, Any], files: Mapping[str, bytes], where: str, body: dict[str, Any]
+) -> dict[str, Any]:
+    """{"file": ..., "y": columns, ...} -> {"y": table, "u": table, "t": times}."""
+    try:
+        wanted = _FileSeries.model_validate(entry)
+    except ValidationError as error:
+        first = error.errors()[0]
+        path = ".".join(str(part) for part in first["loc"])
+        raise invalid(f"{where}.{path}", first["msg"]) from None
+    if wanted.file not in files:
+        there = ", ".join(files) or "none"
+        raise invalid(f"{where}.file", f"no file '{wanted.file}' was uploaded; there are {there}")
+    data = files[wanted.file]
+    _check_unpacked(data, f"{where}.file")
+    y, u = (
+        _in_order(columns, channels, f"{where}.{name}")
+        for name, columns, channels in zip(
+            ("y", "u"), (wanted.y, wanted.u), _channels(body.get("model")), strict=True
+        )
+    )
+    try:
+        series = read_series_bytes(data, wanted.file, y, u, wanted.t, wanted.dt)
+    except SeriesError as error:
+        raise invalid(f"{where}.file", str(error)) from None
+    read = {"y": series.y, "t": series.t.tolist()}
+    return read | ({"u": series.u} if series.u.shape[1] else {})
+
+
+def _channels(model: Any) -> tuple[list[str], list[str]]:
+    """Outputs and inputs of the request's model; what is wrong with it is told later."""
+    name = model.get("name") if isinstance(model, dict) else model
+    try:
+        found = get_model(name) if isinstance(name, str) else None
+    except OptionError:
+        found = None
+    return (list(found.outputs), list(found.inputs)) if found else ([], [])
+
+
+def _in_order(
+    columns: list[str] | dict[str, str] | None, channels: list[str], where: str
+) -> list[str] | None:
+    """Columns in the order of the model's channels."""
+    if not isinstance(columns, dict):
+        return columns
+    if set(columns) != set(channels):
+        needed = ", ".join(channels) or "none"
+        raise invalid(where, f"names the channels {', '.join(columns)}; the model's are {needed}")
+    return [columns[channel] for channel in channels]
+
+
+def _check_unpacked(data: bytes, where: str) -> None:
+    """Refuse files that would unpack to far more than they are."""
+    most = max(16 << 20, UNPACKED * len(data))
+    if data[:2] == b"PK":
+        try:
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:
+                size = sum(info.file_size for info in archive.infolist())
+        except zipfile.BadZipFile:
+            return  # the reader will say so
+    else:
+        size = _unpacked_mat(data, most) if data[:6] == b"MATLAB" else 0
+    if size > most:
+        raise invalid(where, f"unpacks to more than {most} bytes; save it uncompressed")
+
+
+def _unpacked_mat(data: bytes, most: int) -> int:
+    """Size of the compressed elements of a .mat file (version 5 to 7), counted up to ``most``."""
+    order, at, size = "<" if data[126:128] == b"IM" else ">", 128, 0
+    while at + 8 <= len(data) and size <= most:
+        kind, length = struct.unpack(order + "II", data[at : at + 8])
+        if kind == 15:  # miCOMPRESSED
+            stream, packed = zlib.decompressobj(), data[at + 8 : at + 8 + length]
+            try:
+                while packed and size <= most:
+                    size += len(stream.decompress(packed, 1 << 20))
+                    packed = stream.unconsumed_tail
+            except zlib.error:
+                return size  # the reader will say so
+        at += 8 + length
+    return size

@@ -1,0 +1,260 @@
+"""The manners of HTTP: conditional requests, repeats, keys, uploads, readiness, metrics."""
+
+import io
+import json
+import os
+import socket
+import time
+
+import numpy as np
+import pytest
+
+from service.auth import digest_of
+from service.settings import Settings
+
+
+@pytest.fixture
+def finished(client, estimation, ended):
+    url = client.post("/jobs", json=estimation()).headers["location"]
+    ended(client, url)
+    return url
+
+
+@pytest.mark.parametrize("part", ["", "/trace", "/results"])
+def test_etags(client, finished, part):
+    first = client.get(finished + part)
+    again = client.get(finished + part, headers={"If-None-Match": f'"x", {first.headers["etag"]}'})
+    assert (again.status_code, again.content) == (304, b"")
+    other = client.get(finished + part, headers={"If-None-Match": '"x"'})
+    assert (other.status_code, other.content) == (200, first.content)
+
+
+def test_retry_after_while_there_is_something_to_wait_for(client, long, finished):
+    url = client.post("/jobs", json=long).headers["location"]
+    assert client.get(url).headers["retry-after"] == "1"
+    assert client.get(f"{url}/results").headers["retry-after"] == "1"
+    client.delete(url)
+    assert "retry-after" not in client.get(finished).headers
+
+
+def test_idempotency_key(client, estimation):
+    headers = {"Idempotency-Key": "a key"}
+    first = client.post("/jobs", json=estimation(), headers=headers)
+    again = client.post("/jobs", json=estimation(), headers=headers)
+    assert again.status_code == 201
+    assert again.json()["jobID"] == first.json()["jobID"]
+    other = client.post("/jobs", json=estimation(seed=99), headers=headers)
+    assert (other.status_code, "idempotency" in other.json()["type"]) == (422, True)
+    assert first.json()["jobID"] in other.json()["detail"]
+
+
+def test_thinning_keeps_the_extremes(client, ended):
+    y = [[0.0]] * 500
+    y[123], y[321] = [40.0], [-40.0]
+    request = {
+        "kind": "simulate",
+        "model": "linear-2",
+        "series": [{"y": y}],
+        "options": {"seed": 4},
+    }
+    url = client.post("/jobs", json=request).headers["location"]
+    ended(client, url)
+    whole = client.get(f"{url}/results").json()["simulation"]["series"][0]
+    thin = client.get(f"{url}/results?points=60").json()["simulation"]["series"][0]
+    assert 20 < len(thin["t"]) <= 60
+    assert thin["t"][0] == 0.0
+    assert thin["t"][-1] == 499.0
+    for name in ("a", "z"):
+        assert min(thin["states"][name]) == min(whole["states"][name])
+        assert max(thin["states"][name]) == max(whole["states"][name])
+    pairs = dict(zip(whole["t"], whole["y"]["y"], strict=True))
+    assert all(pairs[t] == value for t, value in zip(thin["t"], thin["y"]["y"], strict=True))
+
+
+def test_thin_trace(client, estimation, ended):
+    url = client.post("/jobs", json=estimation(method="rts-em", iterations=60)).headers["location"]
+    ended(client, url)
+    trace = client.get(f"{url}/trace?points=10").json()
+    assert 4 <= len(trace["iteration"]) <= 10
+    assert trace["iteration"][0] == 0
+    assert len(trace["theta"]["theta"]) == len(trace["iteration"])
+
+
+def csv(rows):
+    return "\n".join([",".join(map(str, row)) for row in rows]).encode()
+
+
+def npz(**arrays):
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def mat(**arrays):
+    from scipy.io import savemat
+
+    stream = io.BytesIO()
+    savemat(stream, arrays, do_compression=True)
+    return stream.getvalue()
+
+
+def post_files(client, request, *files):
+    parts = [("file", (name, data)) for name, data in files]
+    return client.post("/jobs/upload", data={"request": json.dumps(request)}, files=parts)
+
+
+def test_uploads_compute_what_json_does(client, ended, data):
+    y = np.array(data)
+    base = {"kind": "smooth", "model": "linear-2", "options": {"particles": 30, "seed": 1}}
+    rows = [["level", "time"], *([v, 2.0 * i] for i, (v,) in enumerate(data))]
+    named = {"file": "a.csv", "y": {"y": "level"}, "t": "time"}
+    t = 2.0 * np.arange(len(y))
+    posts = [
+        client.post("/jobs", json=base | {"series": [{"y": data, "dt": 2.0}]}),
+        post_files(client, base | {"series": [named]}, ("a.csv", csv(rows))),
+        post_files(client, base, ("b.npz", npz(y=y, t=t))),
+        post_files(client, base, ("c.mat", mat(y=y, t=t[:, None]))),
+    ]
+    found = []
+    for answer in posts:
+        assert answer.status_code == 201, answer.text
+        assert ended(client, answer.headers["location"])["status"] == "successful"
+        found.append(client.get(f"{answer.headers['location']}/results").json())
+    assert found[1] == found[2] == found[3] == found[0]
+
+
+def test_several_files_are_several_series(client, ended, data):
+    files = [(f"{i}.csv", csv([["y"], *data])) for i in range(3)]
+    answer = post_files(client, {"kind": "smooth", "model": "linear-2"}, *files)
+    assert ended(client, answer.headers["location"])["status"] == "successful"
+    found = client.get(f"{answer.headers['location']}/results").json()
+    assert len(found["states"]["series"]) == 3
+
+
+class Evil:
+    def __reduce__(self):
+        return os.system, ("touch /tmp/rbps-was-unpickled",)
+
+
+BASE = {"kind": "smooth", "model": "linear-2"}
+BAD = {
+    "pickled npz": (BASE, "a.npz", npz(y=np.array([Evil()], dtype=object)), "series[0].file"),
+    "bomb": (BASE, "a.npz", npz(y=np.zeros(50_000_000)), "unpacks to more"),
+    "mat bomb": (BASE, "a.mat", mat(y=np.zeros(20_000_000)), "unpacks to more"),
+    "text": (BASE, "a.csv", csv([["y"], ["1"], ["x"]]), "line 3, column 'y'"),
+    "encoding": (BASE, "a.csv", b"y\n1\n\xff\n", "UTF-8"),
+    "path": (BASE, "../../etc/passwd", b"root", "must be .csv"),
+    "no column": (BASE, "a.csv", csv([["q"], ["1"]]), "no column"),
+    "not there": (BASE | {"series": [{"file": "b.csv"}]}, "a.csv", b"", "no file 'b.csv'"),
+    "unknown member": (BASE | {"series": [{"file": "a.csv", "x": 1}]}, "a.csv", b"", "series[0].x"),
+    "wrong channel": (
+        BASE | {"series": [{"file": "a.csv", "y": {"q": "y"}}]}, "a.csv", b"y\n1\n2\n", "model's are y",
+    ),
+    "no kind": ({"model": "linear-2"}, "a.csv", b"y\n1\n2\n", "kind"),
+    "bad option": (BASE | {"options": {"seed": "x"}}, "a.csv", b"y\n1\n2\n", "options.seed"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_uploads(client, name):
+    request, filename, data, words = BAD[name]
+    answer = post_files(client, request, (filename, data))
+    assert answer.status_code == 422
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert words in answer.json()["detail"]
+    assert not os.path.exists("/tmp/rbps-was-unpickled")
+
+
+def test_request_part_that_is_no_json(client):
+    for text, status in (("{", 400), ("[" * 100_000, 400), ("[]", 422)):
+        answer = client.post(
+            "/jobs/upload", data={"request": text}, files={"file": ("a.csv", b"y")}
+        )
+        assert answer.status_code == status
+
+
+def test_other_media_types(client):
+    answer = client.post("/jobs", content=b"<x/>", headers={"Content-Type": "text/xml"})
+    assert answer.status_code == 415
+
+
+def test_keys(make_client, tmp_path, estimation):
+    names = ("anna", "boris")
+    file = tmp_path / "keys"
+    file.write_text("# keys\n" + "".join(f"{n} {digest_of('key of ' + n)}\n" for n in names))
+    client = make_client(keys_file=file, host="0.0.0.0", max_queue_per_key=1, workers=1)
+    anna, boris = ({"X-API-Key": f"key of {name}"} for name in names)
+    assert client.get("/livez").status_code == client.get("/readyz").status_code == 200
+    for headers in ({}, {"X-API-Key": "key"}, {"Authorization": "Basic key of anna"}):
+        answer = client.get("/jobs", headers=headers)
+        assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")
+    assert client.post("/jobs", json=estimation()).status_code == 401
+    slow = estimation(iterations=100_000, particles=500)
+    made = client.post("/jobs", json=slow, headers=anna)
+    url = made.headers["location"]
+    bearer = {"Authorization": "Bearer key of anna"}
+    assert client.get(url, headers=bearer).status_code == 200
+    for verb, path in (("GET", ""), ("GET", "/trace"), ("GET", "/results"), ("DELETE", "")):
+        answer = client.request(verb, url + path, headers=boris)
+        assert answer.json()["type"].endswith("no-such-job"), path
+    assert client.get("/jobs", headers=boris).json()["jobs"] == []
+    assert len(client.get("/jobs", headers=anna).json()["jobs"]) == 1
+    assert client.post("/jobs", json=slow, headers=anna).status_code == 429
+    second = client.post("/jobs", json=slow, headers=boris)
+    assert second.status_code == 201
+    client.delete(url, headers=anna)
+    client.delete(second.headers["location"], headers=boris)
+
+
+def test_without_keys_only_loopback(make_client, tmp_path):
+    with pytest.raises(ValueError, match=r"0\.0\.0\.0 can be reached .* RBPS_KEYS_FILE"):
+        make_client(host="0.0.0.0")
+    make_client(host="0.0.0.0", open_network=True)
+    (tmp_path / "keys").write_text("anna key\n")
+    with pytest.raises(ValueError, match="line 1: 'NAME SHA256'"):
+        make_client(keys_file=tmp_path / "keys")
+    assert Settings.from_env({"RBPS_OPEN_NETWORK": "yes"}).open_network
+
+
+def test_a_body_that_stops_halfway(make_client):
+    client = make_client(body_seconds=0.2)
+    with socket.create_connection(("127.0.0.1", client.port)) as slow:
+        slow.sendall(b"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n")
+        slow.sendall(b"Content-Length: 100\r\n\r\n{")
+        begin = time.monotonic()
+        assert slow.recv(1000).startswith(b"HTTP/1.1 408")
+        assert time.monotonic() - begin < 5.0
+
+
+def test_metrics_and_readiness(client, finished):
+    assert client.get("/readyz").json() == {"status": "ready"}
+    text = client.get("/metrics").text
+    lines = dict(line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#"))
+    assert float(lines['rbps_jobs{status="successful"}']) >= 1
+    assert float(lines["rbps_workers"]) == 2
+    assert float(lines["rbps_iterations_total"]) >= 5
+    assert float(lines['rbps_job_seconds_sum{kind="estimate",status="successful"}']) > 0
+
+
+def test_readyz_tells_the_truth(make_client):
+    client = make_client()
+    assert client.get("/readyz").status_code == 200
+    client.app.state.supervisor.stop()
+    assert client.get("/readyz").status_code == 503
+    assert client.get("/livez").status_code == 200
+
+
+def test_drain_on_shutdown(make_client, estimation, wait):
+    client = make_client(drain=True, workers=1)
+    url = client.post("/jobs", json=estimation(iterations=40)).headers["location"]
+    wait(client, url, lambda job: job["iteration"] >= 1)
+    client.stop()
+    again = make_client()
+    assert again.get(url).json()["status"] == "successful"
+
+
+def test_run_seconds_of_a_job(client, long, ended):
+    url = client.post("/jobs", json=long | {"run_seconds": 0.5}).headers["location"]
+    job = ended(client, url)
+    assert (job["status"], "0.5 s" in job["message"]) == ("failed", True)
+    assert client.get(f"{url}/results").json()["type"].endswith("run-time-exceeded")
