@@ -53,11 +53,15 @@ def bootstrap(step: Step) -> tuple[Array, None]:
 def adapted(step: Step) -> tuple[Array, Array | None]:
     """Draw near where y says a should be: an extended Kalman step per particle, safeguarded.
 
-    See :func:`engine.kernels.filtering.draw_adapted`. Without any measurement it is ``bootstrap``.
+    See :func:`engine.kernels.filtering.draw_adapted`. Without any measurement it is ``bootstrap``. A
+    measurement that knows better brings a ``propose(step)`` of its own, see :mod:`engine.heavy_tails`.
     """
     model, M, na = step.model, len(step.ancestors), step.model.na
     if na == 0 or all(value != value for value in step.y.tolist()):  # NaN throughout
         return bootstrap(step)
+    if hasattr(model.measurement, "propose"):
+        drawn: tuple[Array, Array | None] = model.measurement.propose(step)
+        return drawn
     points = spread_points(step.mu, step.L, step.ancestors, na)
     h, C, R = model.observation(points, step.u, step.t, step.theta)
     a, log_q = draw_adapted(

@@ -1,0 +1,245 @@
+"""Student-t and mixture noise by scale mixtures, against numerical integration on a linear model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from scipy.stats import kstest, norm
+from scipy.stats import t as student
+
+import engine
+from engine.errors import OptionError
+from engine.heavy_tails import Scaled, with_mixture, with_student_t
+from engine.model_check import check_model
+
+LEVEL = engine.get_model("local-level")
+THETA = {"q": 0.1, "r": 0.2, "level": 0.0}
+MIXED = engine.get_model("mixed-4")
+
+Noise = Callable[[np.ndarray], np.ndarray]
+
+
+def t_noise(variance: float, nu: float) -> Noise:
+    return lambda e: student.pdf(e / np.sqrt(variance), nu) / np.sqrt(variance)
+
+
+def mixture_noise(variance: float, share: float, ratio: float) -> Noise:
+    sd = np.sqrt(variance)
+    return lambda e: (1 - share) * norm.pdf(e, 0, sd) + share * norm.pdf(e, 0, ratio * sd)
+
+
+def gaussian_noise(variance: float) -> Noise:
+    return lambda e: norm.pdf(e, 0, np.sqrt(variance))
+
+
+def integrated(y: np.ndarray, step: Noise, measurement: Noise) -> float:
+    """log p(y) of the local-level model with any noise, by numerical integration over a grid."""
+    z = np.linspace(y.min() - 6.0, y.max() + 6.0, 1201)
+    width = z[1] - z[0]
+    kernel = step(z[:, None] - z[None, :])
+    p = norm.pdf(z, 0.0, np.sqrt(THETA["r"]))
+    log_likelihood = 0.0
+    for t, value in enumerate(y):
+        if t:
+            p = kernel @ p * width
+        p = p * measurement(value - z)
+        total = p.sum() * width
+        log_likelihood += np.log(total)
+        p /= total
+    return float(log_likelihood)
+
+
+def contaminated(T: int, seed: int) -> np.ndarray:
+    """A local level with Student-t measurement noise of 2.5 degrees of freedom."""
+    rng = np.random.default_rng(seed)
+    z = np.cumsum(np.sqrt(0.1) * rng.standard_normal(T))
+    return z + np.sqrt(0.2) * rng.standard_t(2.5, T)
+
+
+def test_the_scale_makes_the_noise_it_should() -> None:
+    rng = np.random.default_rng(0)
+    g, e = rng.standard_normal(40_000), rng.standard_normal(40_000)
+    for nu in (0.7, 3.0, 50.0):
+        scaled = with_student_t(LEVEL).measurement
+        assert isinstance(scaled, Scaled)
+        s = scaled.mixing.scale(g, (nu,))
+        assert kstest(e * np.sqrt(s), student(nu).cdf).pvalue > 1e-3
+    scaled = with_mixture(LEVEL).measurement
+    assert isinstance(scaled, Scaled)
+    s = scaled.mixing.scale(g + scaled.mixing.mean((0.1, 7.0)), (0.1, 7.0))
+    np.testing.assert_allclose(np.unique(s), [1.0, 49.0])
+    assert abs((s > 1.0).mean() - 0.1) < 0.006
+
+
+CASES = {
+    "t in e": (with_student_t(LEVEL), {"nu": 3.0}, gaussian_noise(0.1), t_noise(0.2, 3.0)),
+    "mixture in e": (
+        with_mixture(LEVEL),
+        {"outlier_share": 0.1, "outlier_ratio": 6.0},
+        gaussian_noise(0.1),
+        mixture_noise(0.2, 0.1, 6.0),
+    ),
+    "t in w": (
+        with_student_t(LEVEL, "dynamics"),
+        {"nu": 3.0},
+        t_noise(0.1, 3.0),
+        gaussian_noise(0.2),
+    ),
+    "both": (
+        with_student_t(with_mixture(LEVEL, "dynamics")),
+        {"outlier_share": 0.1, "outlier_ratio": 6.0, "nu": 3.0},
+        mixture_noise(0.1, 0.1, 6.0),
+        t_noise(0.2, 3.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_likelihood_agrees_with_numerical_integration(case: str) -> None:
+    model, extra, step, measurement = CASES[case]
+    check_model(model)
+    y = contaminated(25, 3)
+    exact = integrated(y, step, measurement)
+    found = [
+        engine.rbpf(
+            model, THETA | extra, engine.Series(y), 1000, np.random.default_rng(k)
+        ).log_likelihood
+        for k in range(16)
+    ]
+    ratio = np.exp(np.array(found) - exact)  # its expectation is 1
+    assert abs(ratio.mean() - 1.0) < 4.0 * ratio.std() / 4.0 + 0.002
+    assert ratio.std() < 0.25
+
+
+def test_nu_is_estimated() -> None:
+    """EM ends where the numerically integrated likelihood is largest."""
+    y = contaminated(250, 5)
+    best = minimize_scalar(
+        lambda log_nu: -integrated(y, gaussian_noise(0.1), t_noise(0.2, np.exp(log_nu))),
+        bounds=(-0.5, 4.0),
+        method="bounded",
+        options={"xatol": 0.02},
+    )
+    run = engine.rbps_em(
+        with_student_t(LEVEL),
+        engine.Series(y),
+        THETA | {"nu": 15.0},
+        ["nu"],
+        n_particles=60,
+        n_iterations=60,
+        tolerance=None,
+    )
+    assert run.theta["nu"] == pytest.approx(np.exp(best.x), rel=0.15)
+
+
+def test_share_and_size_of_outliers_are_estimated() -> None:
+    rng = np.random.default_rng(8)
+    T = 300
+    bad = rng.random(T) < 0.08
+    z = np.cumsum(np.sqrt(0.1) * rng.standard_normal(T))
+    y = z + np.sqrt(0.2) * np.where(bad, 10.0, 1.0) * rng.standard_normal(T)
+    run = engine.rbps_em(
+        with_mixture(LEVEL),
+        engine.Series(y),
+        THETA | {"outlier_share": 0.3, "outlier_ratio": 4.0},
+        ["outlier_share", "outlier_ratio"],
+        n_particles=50,
+        n_iterations=50,
+        tolerance=None,
+    )
+    assert run.theta["outlier_share"] == pytest.approx(bad.mean(), rel=0.4)
+    assert run.theta["outlier_ratio"] == pytest.approx(10.0, rel=0.35)
+
+
+@pytest.fixture(scope="module")
+def spoilt() -> tuple[engine.Simulation, engine.Series, np.ndarray]:
+    """mixed-4 with 2 % of the rows off by ten standard deviations."""
+    rng = np.random.default_rng(4)
+    clean = engine.simulate(MIXED, None, 200, rng)
+    rows = np.sort(rng.choice(np.arange(5, 195), 4, replace=False))
+    y = clean.y.copy()
+    y[rows] += 10.0 * np.sqrt(0.1) * rng.choice([-1.0, 1.0], (4, 2))
+    return clean, engine.Series(y), rows
+
+
+@pytest.mark.parametrize("extend", [with_student_t, with_mixture])
+def test_default_filter_survives_outliers(
+    extend: Callable[[engine.MixedModel], engine.MixedModel],
+    spoilt: tuple[engine.Simulation, engine.Series, np.ndarray],
+) -> None:
+    """M = 100: the effective sample size at outliers stays healthy, the blind proposal's does not."""
+    _, series, rows = spoilt
+    runs = {
+        proposal: [
+            engine.rbpf(extend(MIXED), None, series, 100, np.random.default_rng(k), proposal)
+            for k in range(5)
+        ]
+        for proposal in ("adapted", "bootstrap")
+    }
+    assert all(len(run.collapsed) == 0 for run in runs["adapted"])
+    assert min(run.ess[rows].min() for run in runs["adapted"]) > 20.0
+    assert np.mean([run.ess[rows].mean() for run in runs["bootstrap"]]) < 10.0
+    plain = engine.rbpf(MIXED, None, series, 500, np.random.default_rng(0))
+    assert runs["adapted"][0].log_likelihood > plain.log_likelihood + 50.0
+
+
+def test_outliers_are_given_little_weight(
+    spoilt: tuple[engine.Simulation, engine.Series, np.ndarray],
+) -> None:
+    clean, series, rows = spoilt
+    rng = np.random.default_rng(1)
+    error = {}
+    for name, model in (("gauss", MIXED), ("t", with_student_t(MIXED))):
+        draws = engine.rb_ffbsi(engine.rbpf(model, None, series, 200, rng), 100, rng, joint=True)
+        smoothed = engine.condition_on_trajectories(draws)
+        z = smoothed.mean()[:, model.na :]
+        error[name] = np.sqrt(((z - clean.z) ** 2).mean(axis=0))
+        if name == "t":  # the estimated scale points at the outliers
+            scaled = model.measurement
+            assert isinstance(scaled, Scaled)
+            s = scaled.mixing.scale(smoothed.a[:, :, 1], (4.0,)).mean(axis=1)
+            assert set(np.argsort(s)[-4:]) == set(rows)
+    assert (error["t"] < error["gauss"]).all()
+    assert error["t"].sum() < 0.85 * error["gauss"].sum()
+
+
+def test_only_the_named_channels_are_scaled() -> None:
+    model = with_student_t(MIXED, channels=["y2"])
+    a = np.array([[0.3, 0.0], [0.3, 3.0]])
+    _, _, R = model.observation(a, np.empty(0), 0.0, model.record(model.theta()))
+    assert R[0, 0, 0] == R[1, 0, 0] == pytest.approx(0.1)
+    assert R[1, 1, 1] > 10.0 * R[0, 1, 1]
+    model = with_student_t(MIXED, "dynamics", channels=["z2"])
+    _, _, Q = model.transition(a, np.empty(0), 0.0, 1.0, model.record(model.theta()))
+    np.testing.assert_allclose(np.diag(Q[1])[[0, 1, 2, 4]], [0.01, 1.0, 0.01, 0.01])
+    assert Q[1, 3, 3] > 0.1
+
+
+def test_a_start_that_is_not_gaussian_keeps_its_density() -> None:
+    from dataclasses import replace
+
+    class Uniform:
+        def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
+            return rng.random((n, 1))
+
+        def log_density(self, a: np.ndarray) -> np.ndarray:
+            return np.where((a[:, 0] >= 0) & (a[:, 0] <= 1), 0.0, -np.inf)
+
+    base = replace(MIXED, initial=lambda theta: (Uniform(), np.zeros(3), np.zeros((3, 3))))
+    model = with_mixture(base)
+    density = model.start(model.record(model.theta())).density
+    a = density.sample(np.random.default_rng(0), 1000)
+    assert a.shape == (1000, 2)
+    np.testing.assert_allclose(density.log_density(a), norm.logpdf(a[:, 1], norm.ppf(0.02)))
+
+
+def test_what_cannot_be_is_named() -> None:
+    with pytest.raises(OptionError, match="where"):
+        with_student_t(MIXED, "everywhere")
+    with pytest.raises(OptionError, match="y3"):
+        with_student_t(MIXED, channels=["y3"])
+    with pytest.raises(OptionError, match="name="):
+        with_student_t(with_student_t(MIXED), "dynamics")
