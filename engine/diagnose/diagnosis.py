@@ -104,7 +104,7 @@ class Diagnosis:
     search: Search
     notes: tuple[str, ...]
     seconds: dict[str, float]
-    series: Series  # what was diagnosed: the training part
+    series: Series  # what was given, the held-out part included
 
     @property
     def rounds(self) -> tuple[Round, ...]:

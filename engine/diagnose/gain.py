@@ -1,0 +1,216 @@
+"""What an extension is worth on data that neither its choice nor its estimate has seen.
+
+Two answers: the difference of the one-step predictive log-densities, d_t = log p_ext(y_t | past) -
+log p_base(y_t | past), tested one-sided by Diebold and Mariano (1995), mean(d) / sqrt(var(mean(d))) with
+Newey and West's (1987) variance; and the free-run error of each output before and after, both models
+started at the state that each of them estimates from the same first rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student_t
+
+from engine.diagnose.regions import newey_west
+from engine.diagnose.simulation_gain import OutputGain, free_run_from, noise_level, output_gains
+from engine.errors import EngineError
+from engine.model import Array
+from engine.moment_filter import moment_filter
+from engine.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
+from engine.series import Series
+
+LOSS = 0.05  # an extension that is worse at this level is not adopted
+BLOCKS, EVERY = 25, 5  # of interleaved blocks
+TIMES = 200  # rows at most that a time is sought at
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """The gain on ``samples`` held-out rows, of which ``how`` tells the choice.
+
+    ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
+    (one-sided), ``p_loss`` of no loss. ``adopt`` is False where the loss is significant. For pictures: times
+    ``t``, readings ``y``, free runs ``before`` and ``after`` (n, ny), differences ``d`` (n,).
+    """
+
+    how: str
+    samples: int
+    log_density: float
+    per_sample: float
+    standard_error: float
+    p_value: float
+    p_loss: float
+    outputs: tuple[OutputGain, ...]
+    adopt: bool
+    notes: tuple[str, ...] = ()
+    t: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    y: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    before: Array | None = field(default=None, repr=False)
+    after: Array | None = field(default=None, repr=False)
+    d: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers and notes, without the arrays over time."""
+        names = ["how", "samples", "log_density", "per_sample", "standard_error"]
+        names += ["p_value", "p_loss", "adopt"]
+        out = {name: getattr(self, name) for name in names}
+        out["outputs"] = [asdict(o) for o in self.outputs]
+        out["notes"] = list(self.notes)
+        return out
+
+
+def measure_gain(
+    base: QuasiFit, extended: QuasiFit, test: Series, history: Series | None = None, seed: int = 0
+) -> Gain:
+    """The gain of a fitted extension over the fitted base on ``test``.
+
+    ``history`` is the series that ends right before ``test``: both filters then run through it and
+    only the rows of ``test`` are scored; without it the test part begins anew.
+    """
+    whole = test if history is None else joined(history, test)
+    first = len(whole) - len(test)
+    rows = np.arange(len(whole)) >= first
+    how = "held-out rows" if history is None else "the last rows, held out"
+    return score(base, extended, whole, first, rows, how, seed)
+
+
+def measure_gain_interleaved(
+    base: QuasiFit, extended: QuasiFit, series: Series, seed: int = 0
+) -> Gain:
+    """The gain on every fifth block of rows, for models fitted anew to the others.
+
+    For effects of time, which seldom happen again in the last rows of a record. Each row left out of
+    the fit is predicted knowing all measurements before it.
+    """
+    rows = every_fifth(len(series))
+    masked = series.masked(rows)
+    fits = []
+    for fit in (base, extended):
+        theta = np.asarray(fit.theta)
+        if fit is extended:
+            theta = _times_again(base, extended, masked)
+        try:
+            fits.append(quasi_ml(fit.model, masked, theta, fit.free))
+        except (EngineError, np.linalg.LinAlgError):
+            fits.append(fit)
+    return score(fits[0], fits[1], series, 0, rows, "every fifth block, left out of the fit", seed)
+
+
+def joined(one: Series, other: Series) -> Series:
+    """Two series one after the other; times that do not follow go on with the usual step."""
+    t = np.asarray(other.t)
+    if t[0] <= one.t[-1]:
+        t = t - t[0] + one.t[-1] + float(np.median(one.steps))
+    return Series(
+        np.concatenate([one.y, other.y]),
+        np.concatenate([one.u, other.u]),
+        t=np.concatenate([one.t, t]),
+        y_names=one.y_names,
+        u_names=one.u_names,
+    )
+
+
+def score(
+    base: QuasiFit,
+    extended: QuasiFit,
+    series: Series,
+    first: int,
+    rows: NDArray[np.bool_],
+    how: str,
+    seed: int,
+) -> Gain:
+    """Score both models on the marked rows (T,); free runs start at row ``first``."""
+    rows = rows & series.observed.any(axis=1)
+    notes: list[str] = []
+    terms = [
+        np.asarray(moment_filter(fit.model, np.asarray(fit.theta)[None], series).log_terms[:, 0])
+        for fit in (base, extended)
+    ]
+    d = np.where(rows, terms[1] - terms[0], 0.0)
+    n = int(rows.sum())
+    if n < 2:
+        notes.append("Hardly any measurement is held out: the gain cannot be measured.")
+        d[:] = np.nan
+    elif not np.isfinite(terms[1][: _end(rows)]).all():
+        notes.append("The extended model's filter is lost on the held-out data.")
+        d[:] = np.nan
+    mean, error, p_gain = diebold_mariano(d[first:], rows[first:])
+    p_loss = 1.0 - p_gain
+    lost = n >= 2 and not np.isfinite(mean)
+    runs, part = [], series.part(first, len(series))
+    for fit, name in ((base, "model as given"), (extended, "extended model")):
+        run = free_run_from(fit, series, first)
+        if run is None:
+            notes.append(f"The free run of the {name} runs away on the held-out data.")
+        runs.append(run)
+    outputs: tuple[OutputGain, ...] = ()
+    if runs[0] is not None and runs[1] is not None:
+        floor = noise_level(extended, part, runs[1][1])
+        kept = rows[first:]
+        outputs = tuple(output_gains(base, part, kept, runs[0][0], runs[1][0], floor, seed))
+    return Gain(
+        how=how,
+        samples=n,
+        log_density=float(np.sum(d)),
+        per_sample=mean,
+        standard_error=error,
+        p_value=p_gain,
+        p_loss=p_loss,
+        outputs=outputs,
+        adopt=not (lost or p_loss < LOSS),
+        notes=tuple(notes),
+        t=np.asarray(part.t),
+        y=np.where(rows[first:, None], part.y, np.nan),
+        before=None if runs[0] is None else runs[0][0],
+        after=None if runs[1] is None else runs[1][0],
+        d=np.where(rows, d, np.nan)[first:],
+    )
+
+
+def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Mean of d over the marked rows, its standard error, and the one-sided p-value of a mean <= 0.
+
+    Student's t with n - 1 degrees of freedom, as Harvey, Leybourne and Newbold (1997) advise.
+    """
+    n = int(rows.sum())
+    if n < 2 or not np.isfinite(d).all():
+        return float("nan"), float("nan"), 0.5
+    mean = float(d[rows].mean())
+    error = newey_west(np.where(rows, d - mean, 0.0), n) * float(np.sqrt(n / (n - 1.0)))
+    if not error > 0.0:
+        return mean, error, 0.5 if mean == 0.0 else float(mean < 0.0)
+    return mean, error, float(student_t.sf(mean / error, n - 1))
+
+
+def _end(rows: NDArray[np.bool_]) -> int:
+    """One past the last marked row."""
+    marked = np.flatnonzero(rows)
+    return int(marked[-1]) + 1 if marked.size else 0
+
+
+def every_fifth(T: int) -> NDArray[np.bool_]:
+    """The rows (T,) of every fifth of 25 blocks, from the third on."""
+    block = np.arange(T) * BLOCKS // T if T >= 2 * BLOCKS else np.arange(T) // 2
+    return np.asarray(block % EVERY == EVERY // 2)
+
+
+def _times_again(base: QuasiFit, extended: QuasiFit, masked: Series) -> Array:
+    """Times that the search chose with all rows in view are sought again without those left out."""
+    model = extended.model
+    theta = np.asarray(extended.theta).copy()
+    known = set(base.model.parameter_names) | set(extended.free)
+    for name in model.parameter_names:
+        if name in known or not name.endswith("_time"):
+            continue
+        k = model.index(name)
+        rows = np.flatnonzero(masked.observed.any(axis=1))
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(TIMES, len(rows))).astype(int))]
+        times = np.append(masked.t[rows], theta[k])
+        thetas = np.repeat(theta[None], len(times), axis=0)
+        thetas[:, k] = np.clip(times, model.lower[k], model.upper[k])
+        theta = thetas[int(np.argmax(log_likelihoods(model, [masked], thetas)))]
+    return theta

@@ -1,0 +1,236 @@
+"""Where errors are: intervals of a signal, of time or of frequency, by mean and by size.
+
+A signal is cut at its quantiles into bands, and every run of neighbouring bands is looked at. The
+mean error in one of them is judged by its standard deviation over simulations of the model itself,
+or, for one-step predictions, by Newey and West's (1987) estimate: with d_t the errors inside, less
+their mean, and zero outside, and n samples inside,
+
+    var(mean) = (g_0 + 2 sum_{k <= L} (1 - k / (L + 1)) g_k) / n^2,   g_k = sum_t d_t d_{t-k}.
+
+Signals must be known before the error is (predicted or simulated states and outputs, inputs, time):
+where bands are cut by anything that holds the measured value, errors grow with it by themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from engine.model import Array
+
+NOTABLE = (
+    4.0  # standard errors: of some 40 intervals of a dozen signals at most one in 50 by chance
+)
+FEWEST = 5  # samples in a region
+
+
+@dataclass(frozen=True)
+class Region:
+    """Errors of one output in one interval of a signal.
+
+    ``mean`` +- ``standard_error``, ``rms``, and ``band`` (mean width of the predictive band) in the output's
+    unit; ``score`` = mean / standard error; ``share_error`` and ``share_samples`` of all squared errors and
+    samples; for frequencies ``expected_rms`` is what the model itself predicts, and ``mean`` is zero.
+    """
+
+    output: str
+    kind: str  # state, input, output, time or frequency
+    signal: str
+    unit: str
+    low: float
+    high: float
+    lowest: bool  # whether the interval begins where the signal does
+    highest: bool
+    mean: float
+    standard_error: float
+    score: float
+    rms: float
+    band: float
+    share_error: float
+    share_samples: float
+    expected_rms: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors e (T,) of one output, NaN where missing; ``band`` (T,) the width of its predictive band.
+
+    ``drawn`` (K, T) are errors that the model itself would make, None for one-step predictions.
+    """
+
+    output: str
+    unit: str
+    e: Array
+    band: Array
+    drawn: Array | None = None
+
+
+def cut(signal: Array, n_bands: int) -> Array:
+    """Edges of bands with about equally many samples; fewer than two edges where it is constant."""
+    finite = signal[np.isfinite(signal)]
+    if finite.size < 2 or np.ptp(finite) <= 1e-9 * max(float(np.abs(finite).max()), 1e-300):
+        return np.zeros(0)
+    levels = np.unique(finite)
+    if len(levels) <= n_bands:  # a switched signal: one band per level
+        return np.concatenate([levels[:1], 0.5 * (levels[1:] + levels[:-1]), levels[-1:]])
+    return np.unique(np.quantile(finite, np.linspace(0.0, 1.0, n_bands + 1)))
+
+
+def by_signal(
+    errors: Errors, kind: str, name: str, unit: str, signal: Array, n_bands: int
+) -> list[Region]:
+    """Every run of neighbouring bands of a signal (T,), the whole range excluded."""
+    edges = cut(signal, n_bands)
+    n = len(edges) - 1
+    if n < 2:
+        return []
+    seen = np.isfinite(errors.e) & np.isfinite(signal)
+    band = np.clip(np.searchsorted(edges, signal, side="right") - 1, 0, n - 1)
+    out = []
+    for first, last in _runs(n):
+        inside = seen & (band >= first) & (band <= last)
+        if inside.sum() < FEWEST:
+            continue
+        limits = (float(edges[first]), float(edges[last + 1]), first == 0, last == n - 1)
+        out.append(_region(errors, seen, inside, kind, name, unit, limits))
+    return out
+
+
+def _region(
+    errors: Errors,
+    seen: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
+    kind: str,
+    name: str,
+    unit: str,
+    limits: tuple[float, float, bool, bool],
+) -> Region:
+    e = errors.e
+    mean = float(e[inside].mean())
+    if errors.drawn is None:
+        error = newey_west(np.where(inside, e - mean, 0.0), int(inside.sum()))
+        score = mean / error if error > 0.0 else 0.0
+    else:
+        means = errors.drawn[:, inside].mean(axis=1)
+        error = float(means.std(ddof=1))
+        score = (mean - float(means.mean())) / error if error > 0.0 else 0.0
+    total = float(np.sum(e[seen] ** 2))
+    return Region(
+        errors.output,
+        kind,
+        name,
+        unit,
+        *limits,
+        mean=mean,
+        standard_error=error,
+        score=score,
+        rms=float(np.sqrt(np.mean(e[inside] ** 2))),
+        band=float(errors.band[inside].mean()),
+        share_error=float(np.sum(e[inside] ** 2)) / total if total > 0.0 else 0.0,
+        share_samples=float(inside.sum() / seen.sum()),
+    )
+
+
+def newey_west(d: Array, n: int, lags: int | None = None) -> float:
+    """Standard error of a mean of n values from deviations d (T,), zero where there is none."""
+    L = int(4.0 * (len(d) / 100.0) ** (2.0 / 9.0)) if lags is None else lags
+    variance = float(d @ d)
+    for k in range(1, min(L, len(d) - 1) + 1):
+        variance += 2.0 * (1.0 - k / (L + 1.0)) * float(d[k:] @ d[:-k])
+    if variance <= 0.0:  # negative correlation beyond what the weights allow
+        variance = float(d @ d)
+    return float(np.sqrt(variance)) / max(n, 1)
+
+
+def by_frequency(errors: Errors, dt: float, n_bands: int, expected: float = 1.0) -> list[Region]:
+    """Bands of the errors' periodogram, their edges in equal ratios from the lowest frequency.
+
+    Missing errors count as zero. The model's own simulations tell what to expect, or, for one-step
+    predictions standardised to variance ``expected``, the flat spectrum: then 2 P / E[P] ~ chi2(2 n).
+    """
+    T = len(errors.e)
+    power, frequency = _periodogram(errors.e), np.fft.rfftfreq(T, dt)[1:]
+    total = power.sum()
+    if len(power) < 4 * n_bands or not total > 0.0:
+        return []
+    edges = np.geomspace(frequency[0], frequency[-1], n_bands + 1)
+    band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, n_bands - 1)
+    drawn = None if errors.drawn is None else np.array([_periodogram(e) for e in errors.drawn])
+    seen = int(np.isfinite(errors.e).sum())
+    out = []
+    for k in range(n_bands):
+        inside = band == k
+        n = int(inside.sum())
+        if n < 2:
+            continue
+        here = float(power[inside].sum())
+        if drawn is None:
+            level = expected * seen / T * n / len(power)
+            score = float(norm.isf(np.clip(chi2.sf(2 * n * here / level, 2 * n), 1e-300, 1.0)))
+        else:
+            logs = np.log(np.maximum(drawn[:, inside].sum(axis=1), 1e-300))
+            level = float(np.exp(logs.mean()))
+            score = float((np.log(max(here, 1e-300)) - logs.mean()) / max(logs.std(ddof=1), 1e-12))
+        out.append(
+            Region(
+                errors.output,
+                "frequency",
+                "frequency",
+                "Hz",
+                float(edges[k]),
+                float(edges[k + 1]),
+                k == 0,
+                k == n_bands - 1,
+                mean=0.0,
+                standard_error=0.0,
+                score=score,
+                rms=float(np.sqrt(here)),
+                band=float(np.nanmean(errors.band)),
+                share_error=here / float(total),
+                share_samples=n / len(power),
+                expected_rms=float(np.sqrt(level)),
+            )
+        )
+    return out
+
+
+def _periodogram(e: Array) -> Array:
+    """Contributions of the frequencies above zero to the mean square."""
+    spectrum = np.fft.rfft(np.nan_to_num(e))[1:]
+    power = 2.0 * np.abs(spectrum) ** 2 / len(e) ** 2
+    if len(e) % 2 == 0:
+        power[-1] *= 0.5
+    return np.asarray(power)
+
+
+def _runs(n: int) -> Iterator[tuple[int, int]]:
+    for first in range(n):
+        for last in range(first, n):
+            if last - first + 1 < n:
+                yield first, last
+
+
+def most_telling(regions: list[Region], limit: int) -> list[Region]:
+    """At most one region per signal and output, notable ones only, the most telling first."""
+    best: dict[tuple[str, str], Region] = {}
+    for region in regions:
+        if not abs(region.score) >= NOTABLE:
+            continue
+        if region.kind == "frequency" and not _excess(region):
+            continue
+        key = (region.output, region.signal)
+        if key not in best or _weight(region) > _weight(best[key]):
+            best[key] = region
+    return sorted(best.values(), key=_weight, reverse=True)[:limit]
+
+
+def _excess(region: Region) -> bool:
+    return region.expected_rms is not None and region.rms > 1.2 * region.expected_rms
+
+
+def _weight(region: Region) -> float:
+    return abs(region.score)

@@ -1,0 +1,92 @@
+"""One-step residuals as pictures want them: whitened, as probabilities, and by disturbance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import chi2
+
+from engine.model import Array
+from engine.moment_filter import MomentPath
+from engine.quasi_ml import whitening
+from engine.series import Series
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Ljung and Box (1978) on one output's standardised innovations: Q over ``lags`` lags, p-value.
+
+    The estimated parameters are not taken off the degrees of freedom: read p as a guide.
+    """
+
+    output: str
+    statistic: float
+    lags: int
+    p_value: float
+    variance: float  # mean of z^2: 1 where the predicted uncertainty is right
+
+
+def standardised(path: MomentPath, series: Series) -> Array:
+    """z_t = S_t^{-1/2} nu_t by Cholesky (T, ny), NaN where missing; N(0, I) if all is right."""
+    root = whitening(path.S, series.observed)
+    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
+    return np.where(series.observed, z, np.nan)
+
+
+def whiteness(z: Array, names: tuple[str, ...]) -> tuple[Whiteness, ...]:
+    """For each output; pairs with a missing member are left out of the autocorrelations."""
+    out = []
+    for name, column in zip(names, z.T, strict=True):
+        seen = np.isfinite(column)
+        n = int(seen.sum())
+        if n < 10:
+            continue
+        e = np.where(seen, column - column[seen].mean(), 0.0)
+        lags = int(min(20, n // 5))
+        variance = float(e @ e) / n
+        Q = 0.0
+        for k in range(1, lags + 1):
+            pairs = int((seen[k:] & seen[:-k]).sum())
+            if pairs > 1 and variance > 0.0:
+                r = float(e[k:] @ e[:-k]) / pairs / variance
+                Q += r * r * pairs * (n + 2.0) / n
+        mean_square = float(np.mean(column[seen] ** 2))
+        out.append(Whiteness(name, Q, lags, float(chi2.sf(Q, lags)), mean_square))
+    return tuple(out)
+
+
+def pit(z: Array) -> Array:
+    """Probability integral transform Phi(z): uniform on (0, 1) if predictions are right (T, ny)."""
+    return np.where(np.isfinite(z), ndtr(np.nan_to_num(z)), np.nan)
+
+
+def auxiliary(path: MomentPath, series: Series) -> tuple[Array, Array]:
+    """Auxiliary residuals (Harvey and Koopman 1992): of the measurements (T, ny), the states (T-1, nx).
+
+    With the smoother's r_{t-1} = H_t' S_t^{-1} nu_t + L_t' r_t, N_{t-1} = H_t' S_t^{-1} H_t + L_t' N_t L_t
+    and L_t = F_t (I - K_t H_t), a disturbance of x_{t+1} is r_t / sqrt(diag N_t), one of y_t is u_t =
+    S_t^{-1} nu_t - (F_t K_t)' r_t over the root of diag(S_t^{-1} + (F_t K_t)' N_t F_t K_t). Each is N(0, 1).
+    """
+    T, ny, nx = path.H.shape
+    root = whitening(path.S, series.observed)
+    nu = np.nan_to_num(path.innovations)
+    r, N = np.zeros(nx), np.zeros((nx, nx))
+    of_y, of_x = np.full((T, ny), np.nan), np.full((T - 1, nx), np.nan)
+    for t in range(T - 1, -1, -1):
+        precision = root[t].T @ root[t]
+        F = path.F[t] if t < T - 1 else np.zeros((nx, nx))
+        if t < T - 1:
+            of_x[t] = _over_root(r, np.diag(N))
+        gain = F @ path.K[t]
+        of_y[t] = _over_root(precision @ nu[t] - gain.T @ r, np.diag(precision + gain.T @ N @ gain))
+        L = F @ (np.eye(nx) - path.K[t] @ path.H[t])
+        r = path.H[t].T @ precision @ nu[t] + L.T @ r
+        N = path.H[t].T @ precision @ path.H[t] + L.T @ N @ L
+    return np.where(series.observed, of_y, np.nan), of_x
+
+
+def _over_root(value: Array, variance: Array) -> Array:
+    told = variance > 1e-300
+    return np.where(told, value / np.sqrt(np.where(told, variance, 1.0)), np.nan)

@@ -1,0 +1,102 @@
+"""Free runs for the diagnosis: where they start, what noise would do to them, how sure theta is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.free_run import takes_rows
+from engine.kernels.gaussian import psd_cholesky
+from engine.model import Array, MixedModel
+from engine.moment_filter import moment_path
+from engine.quasi_ml import QuasiFit
+from engine.series import Series
+from engine.simulate import noise, propagate
+
+FEWEST, MOST = 20, 100  # rows of measurements that the first state is estimated from
+
+
+def start_rows(series: Series) -> int:
+    """How many rows tell the first state: a tenth, and enough measurements in them."""
+    rows = int(np.clip(len(series) // 10, FEWEST, MOST))
+    seen = np.flatnonzero(series.observed.any(axis=1))
+    enough = int(seen[min(10, len(seen)) - 1]) + 1
+    return min(max(rows, enough, 2), len(series))
+
+
+def start_state(
+    model: MixedModel, theta: Array, series: Series, first: int = 0
+) -> tuple[Array, Array]:
+    """Mean (nx,) and covariance of x at row ``first``, given all before it and a few rows after.
+
+    The moment filter, and backwards from the last of those rows Rauch, Tung and Striebel's
+    recursion with J_t = P_{t|t} F_t' P_{t+1|t}^-: x_{t|n} = x_{t|t} + J_t (x_{t+1|n} - x_{t+1|t}).
+    """
+    rows = start_rows(series.part(first, len(series)))
+    path = moment_path(model, theta, series.part(0, first + rows))
+    last = first + rows - 1
+    m, P = path.filtered[last], path.P_filtered[last]
+    for t in range(last - 1, first - 1, -1):
+        ahead = path.P_predicted[t + 1]
+        J = path.P_filtered[t] @ path.F[t].T @ np.linalg.pinv(ahead, rcond=1e-12, hermitian=True)
+        m = path.filtered[t] + J @ (m - path.predicted[t + 1])
+        P = path.P_filtered[t] + J @ (P - ahead) @ J.T
+    return m, 0.5 * (P + P.T)
+
+
+def noise_free(model: MixedModel, theta: Array, series: Series, x1: Array) -> tuple[Array, Array]:
+    """y (T, ny) and x (T, nx) without noise from x1 (nx,); not finite where the run is lost."""
+    na = model.na
+    y, a, z = propagate(model, model.record(theta), series, x1[None, :na], x1[None, na:])
+    return y[:, 0], np.concatenate([a[:, 0], z[:, 0]], axis=1)
+
+
+def draws(
+    model: MixedModel,
+    theta: Array,
+    series: Series,
+    x1: Array,
+    P1: Array,
+    covariance: Array | None,
+    n: int,
+    rng: np.random.Generator,
+) -> Array:
+    """n simulations (n, T, ny) with drawn parameters, first states, process and measurement noise.
+
+    Where a model cannot take many parameter vectors at once, a tenth as many of them are drawn.
+    """
+    na = model.na
+    x = x1 + noise(P1, (n, len(x1)), rng)
+    if covariance is None or not covariance.any():
+        y, _, _ = propagate(model, model.record(theta), series, x[:, :na], x[:, na:], rng)
+        return np.ascontiguousarray(np.swapaxes(y, 0, 1))
+    thetas = theta + rng.standard_normal((n, len(theta))) @ psd_cholesky(covariance).T
+    thetas = np.clip(thetas, model.lower, model.upper)
+    if takes_rows(model, thetas, series, x):
+        record = model.record(list(np.ascontiguousarray(thetas.T)))
+        y, _, _ = propagate(model, record, series, x[:, :na], x[:, na:], rng)
+        return np.ascontiguousarray(np.swapaxes(y, 0, 1))
+    parts = []
+    for rows in np.array_split(np.arange(n), max(n // 10, 1)):
+        record = model.record(thetas[rows[0]])
+        y, _, _ = propagate(model, record, series, x[rows, :na], x[rows, na:], rng)
+        parts.append(np.swapaxes(y, 0, 1))
+    return np.concatenate(parts)
+
+
+def covariance_of(fit: QuasiFit) -> Array:
+    """The covariance (n_theta, n_theta) of a fit's estimate, zero for what was held.
+
+    The inverse of the information where it has one; directions without information, which the
+    data leave open, are left out instead of being drawn over all of their bounds.
+    """
+    n = len(fit.theta)
+    out = np.zeros((n, n))
+    H = fit.information
+    d = np.sqrt(np.clip(np.diag(H), 0.0, None))
+    told = np.flatnonzero(d > 0.0)
+    if told.size:
+        scaled = H[np.ix_(told, told)] / np.outer(d[told], d[told])
+        inverse = np.linalg.pinv(scaled, rcond=1e-6, hermitian=True) / np.outer(d[told], d[told])
+        indices = np.array([fit.model.index(name) for name in fit.free])[told]
+        out[np.ix_(indices, indices)] = 0.5 * (inverse + inverse.T)
+    return out

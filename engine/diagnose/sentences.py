@@ -1,0 +1,68 @@
+"""Symptoms in words: "reads 0.3 V low whenever the level is above 8 V"."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from engine.diagnose.regions import Region
+from engine.diagnose.words import number, percent, with_unit
+
+if TYPE_CHECKING:
+    from engine.diagnose.symptoms import Fit
+
+
+def overall(fit: Fit, what: str) -> str:
+    """One line on an output of the free-run simulation or the one-step prediction."""
+    how = "Free-run simulation" if what == "simulation" else "One-step prediction"
+    text = f"{how} of {fit.output}: wrong by {with_unit(fit.rmse, fit.unit)} rms"
+    if fit.expected_rmse is not None:
+        text += f" (the model expects {with_unit(fit.expected_rmse, fit.unit)})"
+    return f"{text}, fit {number(fit.fit)} %, {percent(fit.inside)} of the readings inside its 95 % band."
+
+
+def sentence(region: Region, what: str, unit: str) -> str:
+    """Where the error is, in which direction, how large, and how much of it lies there."""
+    if region.kind == "frequency":
+        return _spectral(region, what, unit)
+    low_high = "low" if region.mean > 0.0 else "high"  # the error is measured minus simulated
+    size = with_unit(abs(region.mean), unit)
+    text = (
+        f"The {what} of {region.output} reads {size} {low_high} {where(region)} "
+        f"(+- {with_unit(region.standard_error, unit)}"
+    )
+    if region.band > 0.0:
+        text += f", {percent(abs(region.mean) / region.band)} of the band's width"
+    return (
+        f"{text}); {percent(region.share_error)} of the squared error comes from "
+        f"{percent(region.share_samples)} of the samples."
+    )
+
+
+def where(region: Region) -> str:
+    """``whenever level is above 8 V``; ``from 12 s to 40 s``."""
+    low, high = (with_unit(x, region.unit) for x in (region.low, region.high))
+    if region.kind == "time":
+        if region.highest:
+            return f"from t = {low} on"
+        return f"up to t = {high}" if region.lowest else f"from t = {low} to {high}"
+    prefix = {"state": "the state ", "input": "the input ", "output": ""}[region.kind]
+    subject = f"whenever {prefix}{region.signal} is"
+    if region.highest:
+        return f"{subject} above {low}"
+    return f"{subject} below {high}" if region.lowest else f"{subject} between {low} and {high}"
+
+
+def _spectral(region: Region, what: str, unit: str) -> str:
+    expected = region.expected_rms or float("nan")
+    ratio = region.rms / expected if expected > 0.0 else float("nan")
+    if region.lowest:
+        band = f"below {with_unit(region.high, 'Hz')}"
+    elif region.highest:
+        band = f"above {with_unit(region.low, 'Hz')}"
+    else:
+        band = f"between {with_unit(region.low, 'Hz')} and {with_unit(region.high, 'Hz')}"
+    return (
+        f"The error of the {what} of {region.output} {band} is {number(ratio, 2)} times what the model "
+        f"expects there; {percent(region.share_error)} of the squared error lies in "
+        f"{percent(region.share_samples)} of the frequencies."
+    )
