@@ -10,6 +10,7 @@ from engine.discretize import discretize
 from engine.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
 from engine.errors import EngineError, ModelError, OptionError, SeriesError
 from engine.free_run import free_run
+from engine.heavy_tails import with_mixture, with_student_t
 from engine.kalman import kalman_smoother
 from engine.linear_cost import rb_ffbsi_linear
 from engine.model import Gaussian, MixedModel, Parameter, Theta
@@ -76,4 +77,6 @@ __all__ = [
     "simulate",
     "smooth_general",
     "standard_errors",
+    "with_mixture",
+    "with_student_t",
 ]

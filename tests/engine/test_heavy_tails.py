@@ -37,7 +37,7 @@ def gaussian_noise(variance: float) -> Noise:
 
 def integrated(y: np.ndarray, step: Noise, measurement: Noise) -> float:
     """log p(y) of the local-level model with any noise, by numerical integration over a grid."""
-    z = np.linspace(y.min() - 6.0, y.max() + 6.0, 1201)
+    z = np.linspace(y.min() - 6.0, y.max() + 6.0, 801)
     width = z[1] - z[0]
     kernel = step(z[:, None] - z[None, :])
     p = norm.pdf(z, 0.0, np.sqrt(THETA["r"]))
@@ -116,7 +116,7 @@ def test_likelihood_agrees_with_numerical_integration(case: str) -> None:
 
 def test_nu_is_estimated() -> None:
     """EM ends where the numerically integrated likelihood is largest."""
-    y = contaminated(250, 5)
+    y = contaminated(150, 5)
     best = minimize_scalar(
         lambda log_nu: -integrated(y, gaussian_noise(0.1), t_noise(0.2, np.exp(log_nu))),
         bounds=(-0.5, 4.0),
@@ -126,10 +126,10 @@ def test_nu_is_estimated() -> None:
     run = engine.rbps_em(
         with_student_t(LEVEL),
         engine.Series(y),
-        THETA | {"nu": 15.0},
+        THETA | {"nu": 8.0},
         ["nu"],
-        n_particles=60,
-        n_iterations=60,
+        n_particles=40,
+        n_iterations=25,
         tolerance=None,
     )
     assert run.theta["nu"] == pytest.approx(np.exp(best.x), rel=0.15)
@@ -137,7 +137,7 @@ def test_nu_is_estimated() -> None:
 
 def test_share_and_size_of_outliers_are_estimated() -> None:
     rng = np.random.default_rng(8)
-    T = 300
+    T = 200
     bad = rng.random(T) < 0.08
     z = np.cumsum(np.sqrt(0.1) * rng.standard_normal(T))
     y = z + np.sqrt(0.2) * np.where(bad, 10.0, 1.0) * rng.standard_normal(T)
@@ -146,8 +146,8 @@ def test_share_and_size_of_outliers_are_estimated() -> None:
         engine.Series(y),
         THETA | {"outlier_share": 0.3, "outlier_ratio": 4.0},
         ["outlier_share", "outlier_ratio"],
-        n_particles=50,
-        n_iterations=50,
+        n_particles=40,
+        n_iterations=25,
         tolerance=None,
     )
     assert run.theta["outlier_share"] == pytest.approx(bad.mean(), rel=0.4)
