@@ -129,7 +129,7 @@ def test_nu_is_estimated() -> None:
         THETA | {"nu": 8.0},
         ["nu"],
         n_particles=40,
-        n_iterations=25,
+        n_iterations=15,
         tolerance=None,
     )
     assert run.theta["nu"] == pytest.approx(np.exp(best.x), rel=0.15)
