@@ -1,0 +1,52 @@
+"""What ``python -m engine.warm`` compiles is all that estimations on any model use."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine import Series, get_model, rbps_em, simulate
+from engine.warm import compiled_kernels, warm
+from tests.engine.models_for_tests import (
+    awkward_series,
+    draw,
+    linear_mixed,
+    partly_noise_free,
+    random_walk,
+    theta_everywhere,
+)
+
+# called by estimations from Python; the other kernels are compiled into these, or by studies
+USED = ("backward.", "conditional.", "filtering.", "gaussian.", "resampling.")
+
+
+def used():
+    return {name: s for name, s in compiled_kernels().items() if name.startswith(USED)}
+
+
+def test_no_model_needs_a_kernel_in_another_form():
+    warm()
+    before = used()
+    problems = [
+        (m, awkward_series(m))
+        for m in (linear_mixed(), linear_mixed(0, 2), linear_mixed(2, 0, True), linear_mixed(1))
+    ]
+    for m in (theta_everywhere(), theta_everywhere(False), partly_noise_free(), random_walk()):
+        y = draw(m, np.zeros((12, 0)), np.arange(12.0), np.random.default_rng(0))
+        problems.append((m, Series(y)))
+    servo = get_model("servo")
+    u = np.sin(np.arange(12.0))[:, None]
+    problems.append((servo, simulate(servo, None, 12, np.random.default_rng(0), u=u).series))
+    for model, series in problems:
+        for smoother, proposal in (("exact", "adapted"), ("algorithm-3", "bootstrap")):
+            for resampling in ("systematic", "residual"):
+                rbps_em(
+                    model,
+                    series,
+                    n_particles=6,
+                    n_iterations=1,
+                    smoother=smoother,
+                    proposal=proposal,
+                    resampling=resampling,
+                )
+    after = used()
+    assert {name: after[name] - before[name] for name in after if after[name] != before[name]} == {}
