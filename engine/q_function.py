@@ -161,9 +161,7 @@ def whiten_all(L: Array, r: Array) -> Array:
     if r.ndim == 3:
         return np.asarray(whiten_points(L, np.ascontiguousarray(r)))
     columns = np.moveaxis(r, -1, 0)
-    return np.moveaxis(
-        np.stack([whiten_points(L, np.array(c, order="C")) for c in columns]), 0, -1
-    )
+    return np.moveaxis(np.stack([whiten_points(L, np.array(c, order="C")) for c in columns]), 0, -1)
 
 
 def _apply(A: Array, z: Array) -> Array:
