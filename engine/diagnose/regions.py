@@ -22,9 +22,9 @@ from scipy.stats import chi2, norm
 
 from engine.model import Array
 
-NOTABLE = (
-    4.0  # standard errors: of some 40 intervals of a dozen signals at most one in 50 by chance
-)
+# Standard errors: by chance about one in 20 among all intervals of ten signals. Free runs get by with
+# fewer, since their errors are a few slow shapes and not hundreds of independent draws.
+NOTABLE, NOTABLE_RUN = 3.5, 3.0
 FEWEST = 5  # samples in a region
 
 
@@ -214,11 +214,11 @@ def _runs(n: int) -> Iterator[tuple[int, int]]:
                 yield first, last
 
 
-def most_telling(regions: list[Region], limit: int) -> list[Region]:
+def most_telling(regions: list[Region], limit: int, notable: float = NOTABLE) -> list[Region]:
     """At most one region per signal and output, notable ones only, the most telling first."""
     best: dict[tuple[str, str], Region] = {}
     for region in regions:
-        if not abs(region.score) >= NOTABLE:
+        if not abs(region.score) >= notable:
             continue
         if region.kind == "frequency" and not _excess(region):
             continue

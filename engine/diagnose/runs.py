@@ -7,7 +7,7 @@ import numpy as np
 from engine.free_run import takes_rows
 from engine.kernels.gaussian import psd_cholesky
 from engine.model import Array, MixedModel
-from engine.moment_filter import moment_path
+from engine.moment_filter import MomentPath, moment_path
 from engine.quasi_ml import QuasiFit
 from engine.series import Series
 from engine.simulate import noise, propagate
@@ -26,21 +26,28 @@ def start_rows(series: Series) -> int:
 def start_state(
     model: MixedModel, theta: Array, series: Series, first: int = 0
 ) -> tuple[Array, Array]:
-    """Mean (nx,) and covariance of x at row ``first``, given all before it and a few rows after.
-
-    The moment filter, and backwards from the last of those rows Rauch, Tung and Striebel's
-    recursion with J_t = P_{t|t} F_t' P_{t+1|t}^-: x_{t|n} = x_{t|t} + J_t (x_{t+1|n} - x_{t+1|t}).
-    """
+    """Mean (nx,) and covariance of x at row ``first``, given all before it and a few rows after."""
     rows = start_rows(series.part(first, len(series)))
     path = moment_path(model, theta, series.part(0, first + rows))
-    last = first + rows - 1
-    m, P = path.filtered[last], path.P_filtered[last]
-    for t in range(last - 1, first - 1, -1):
+    means, covariances = smoothed(path, first)
+    return means[0], covariances[0]
+
+
+def smoothed(path: MomentPath, first: int = 0) -> tuple[Array, Array]:
+    """Smoothed means (n, nx) and covariances (n, nx, nx) of the rows from ``first`` on.
+
+    Backwards from the filter's last row Rauch, Tung and Striebel's recursion, J_t = P_{t|t} F_t' P_{t+1|t}^-,
+    x_{t|n} = x_{t|t} + J_t (x_{t+1|n} - x_{t+1|t}), P_{t|n} = P_{t|t} + J_t (P_{t+1|n} - P_{t+1|t}) J_t'.
+    """
+    means, covariances = path.filtered[first:].copy(), path.P_filtered[first:].copy()
+    for k in range(len(means) - 2, -1, -1):
+        t = first + k
         ahead = path.P_predicted[t + 1]
         J = path.P_filtered[t] @ path.F[t].T @ np.linalg.pinv(ahead, rcond=1e-12, hermitian=True)
-        m = path.filtered[t] + J @ (m - path.predicted[t + 1])
-        P = path.P_filtered[t] + J @ (P - ahead) @ J.T
-    return m, 0.5 * (P + P.T)
+        means[k] += J @ (means[k + 1] - path.predicted[t + 1])
+        P = covariances[k] + J @ (covariances[k + 1] - ahead) @ J.T
+        covariances[k] = 0.5 * (P + P.T)
+    return means, covariances
 
 
 def noise_free(model: MixedModel, theta: Array, series: Series, x1: Array) -> tuple[Array, Array]:

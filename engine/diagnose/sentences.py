@@ -16,7 +16,10 @@ def overall(fit: Fit, what: str) -> str:
     how = "Free-run simulation" if what == "simulation" else "One-step prediction"
     text = f"{how} of {fit.output}: wrong by {with_unit(fit.rmse, fit.unit)} rms"
     if fit.expected_rmse is not None:
-        text += f" (the model expects {with_unit(fit.expected_rmse, fit.unit)})"
+        text += f" (the model expects {with_unit(fit.expected_rmse, fit.unit)}"
+        if fit.as_wrong is not None:
+            text += f"; {percent(fit.as_wrong)} of its own simulations are as far off"
+        text += ")"
     return f"{text}, fit {number(fit.fit)} %, {percent(fit.inside)} of the readings inside its 95 % band."
 
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from engine.diagnose.data_checks import check_data
-from engine.diagnose.regions import Errors, Region, by_frequency, by_signal, most_telling
+from engine.diagnose.regions import (
+    NOTABLE,
+    NOTABLE_RUN,
+    Errors,
+    Region,
+    by_frequency,
+    by_signal,
+    most_telling,
+)
 from engine.diagnose.residuals import Whiteness, auxiliary, pit, standardised, whiteness
 from engine.diagnose.runs import draws, noise_free, start_state
 from engine.diagnose.sentences import overall, sentence
@@ -25,7 +33,11 @@ SHOWN = 4  # sentences on regions, of the free run and of the predictions
 
 @dataclass(frozen=True)
 class Fit:
-    """One output: ``rmse``, ``bias`` in its unit, ``fit`` = 100 (1 - rmse / std(y)) %, ``inside`` the band."""
+    """One output: ``rmse``, ``bias`` in its unit, ``fit`` = 100 (1 - rmse / std(y)) %, ``inside`` the band.
+
+    ``expected_rmse`` is what the model itself leads to expect; ``as_wrong`` the share of its own
+    simulations that are at least as far from its free run (None for one-step predictions).
+    """
 
     output: str
     unit: str
@@ -34,6 +46,7 @@ class Fit:
     fit: float
     inside: float
     expected_rmse: float | None
+    as_wrong: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,19 +88,19 @@ class Symptoms:
         """Sentences, fits, notable regions and whiteness; no arrays over time."""
         return {
             "sentences": list(self.sentences),
-            "free_run": _comparison_dict(self.free_run),
-            "one_step": _comparison_dict(self.one_step),
+            "free_run": _comparison_dict(self.free_run, NOTABLE_RUN),
+            "one_step": _comparison_dict(self.one_step, NOTABLE),
             "whiteness": [asdict(w) for w in self.whiteness],
         }
 
 
-def _comparison_dict(comparison: Comparison | None) -> dict[str, Any] | None:
+def _comparison_dict(comparison: Comparison | None, notable: float) -> dict[str, Any] | None:
     if comparison is None:
         return None
-    notable = most_telling(list(comparison.regions), 4 * SHOWN)
+    regions = most_telling(list(comparison.regions), 4 * SHOWN, notable)
     return {
         "fits": [asdict(f) for f in comparison.fits],
-        "regions": [asdict(r) for r in notable],
+        "regions": [asdict(r) for r in regions],
     }
 
 
@@ -129,7 +142,8 @@ def find_symptoms(
         if comparison is None:
             continue
         sentences += [overall(f, what) for f in comparison.fits]
-        telling = most_telling(list(comparison.regions), SHOWN)
+        notable = NOTABLE_RUN if what == "simulation" else NOTABLE
+        telling = most_telling(list(comparison.regions), SHOWN, notable)
         sentences += [sentence(r, what, model.outputs[r.output]) for r in telling]
     sentences += [
         f"What the predictions of {w.output} miss is not random: their errors are correlated in time "
@@ -153,15 +167,18 @@ def _free_run(
     tail = 0.5 * (1.0 - LEVEL)
     lower, upper = np.quantile(fine, [tail, 1.0 - tail], axis=0)
     signals = _signals(model, series, x, y)
-    regions, expected = [], []
+    regions, expected, errors_drawn = [], [], []
     for i, (name, unit) in enumerate(model.outputs.items()):
         e = series.y[:, i] - y[:, i]
         seen = np.isfinite(e)
         errors = np.where(seen, fine[:, :, i] - y[:, i], np.nan)
         expected.append(float(np.sqrt(np.mean(errors[:, seen] ** 2))) if seen.any() else np.nan)
+        errors_drawn.append(np.sqrt(np.nanmean(errors**2, axis=1)) if seen.any() else np.zeros(1))
         one = Errors(name, unit, e, upper[:, i] - lower[:, i], errors)
         regions += _regions(one, signals, series, n_bands)
-    fits = _fits(model, series, y, lower, upper, expected)
+    found = _fits(model, series, y, lower, upper, expected)
+    own = dict(zip(model.outputs, errors_drawn, strict=True))
+    fits = tuple(replace(f, as_wrong=float(np.mean(own[f.output] >= f.rmse))) for f in found)
     return Comparison(y, lower, upper, fits, tuple(regions))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -13,11 +14,19 @@ def number(value: float | None, digits: int = 3) -> str:
     return text if "e" not in text or not 1e-3 <= abs(value) < 1e6 else f"{value:.0f}"
 
 
+def tidy(unit: str) -> str:
+    """A unit built from others without the ones in it: ``1/s/(1^2)`` is ``1/s``; "" for a pure number."""
+    text = re.sub(r"\(1\)(\^-?\d+)?|(?<![\w.])1\^-?\d+", "1", unit)
+    text = text.replace("(1 s)", "(s)").replace("^1)", ")")
+    text = re.sub(r"/\(1\)|/1(?![\w.])", "", text)
+    return "" if text in ("1", "(1)") else text
+
+
 def with_unit(value: float | None, unit: str, digits: int = 3) -> str:
     """A number and its unit; a pure number has none."""
-    if unit in ("", "1"):
-        return number(value, digits)
-    return f"{number(value, digits)} {'x ' if unit[0].isdigit() else ''}{unit}"
+    text = tidy(unit)
+    times = "x " if re.match(r"\d+e\d", text) else ""
+    return f"{number(value, digits)} {times}{text}".strip()
 
 
 def percent(share: float) -> str:

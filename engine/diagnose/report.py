@@ -1,0 +1,318 @@
+"""A diagnosis as a page for people, and as data."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from engine.diagnose.latex import to_latex
+from engine.diagnose.unnamed import UnnamedForce, unnamed_force
+from engine.diagnose.words import listed, number, percent, probability, tidy, with_unit
+from engine.errors import EngineError
+
+if TYPE_CHECKING:
+    from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis
+    from engine.diagnose.gain import Gain
+
+WIDTH = 100
+SHOWN = 12  # rows of the table of sizes
+
+
+def page(diagnosis: Diagnosis) -> str:
+    """The verdict with its cause and gain, then the four questions, then what was testable."""
+    lines = [*_head(diagnosis)]
+    for title, body in (
+        ("1. What is wrong", _wrong(diagnosis)),
+        ("2. The cause", _cause(diagnosis)),
+        ("3. The extension", _extension(diagnosis)),
+        ("4. The gain", _gain(diagnosis.gain)),
+        ("What these data could have shown", _testable(diagnosis)),
+        ("Notes", _notes(diagnosis)),
+    ):
+        lines += ["", title, "-" * len(title), *body]
+    return "\n".join(lines) + "\n"
+
+
+def _head(d: Diagnosis) -> Iterator[str]:
+    series = d.series
+    outputs = listed(list(d.model.outputs))
+    yield f"Diagnosis of model '{d.model.name}' on {len(series)} samples of {outputs}"
+    yield "=" * WIDTH
+    yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")
+    for k, cause in enumerate(d.causes):
+        yield from _wrapped(f"{_marker(d, k)}{headline(cause)}", "  ")
+        if len(cause.equivalent) > 1:
+            others = listed(list(cause.equivalent[1:]), "or")
+            yield from _wrapped(f"not told apart from {others}", "      ")
+    if not d.causes:
+        yield from _wrapped(_no_cause(d), "  ")
+    if d.gain is not None:
+        yield from _wrapped(gain_line(d.gain), "  ")
+
+
+def _marker(d: Diagnosis, k: int) -> str:
+    return "" if len(d.causes) == 1 else f"{k + 1}. "
+
+
+def headline(cause: Cause) -> str:
+    """``Coulomb friction (coulomb:velocity) = 0.52 +- 0.03 N, p = 0.002``."""
+    name = cause.title[:1].upper() + cause.title[1:]
+    return (
+        f"{name} [{cause.effect}]: {_size(cause)}, {probability(cause.p_value)}, "
+        f"2 x log-likelihood gained {number(cause.gain)}"
+    )
+
+
+def _size(cause: Cause) -> str:
+    return f"{number(cause.size)} +- {with_unit(cause.standard_error, cause.unit, 2)}"
+
+
+def _no_cause(d: Diagnosis) -> str:
+    tested = len(d.detectable)
+    sizes = sum(x.testable for x in d.detectable)
+    return (
+        f"{tested} effects were looked for, {probability(d.p_value)} for all of them together. "
+        f"{sizes} of them would have been seen at the sizes listed below."
+    )
+
+
+def gain_line(gain: Gain) -> str:
+    """The gain in one line."""
+    text = (
+        f"On {gain.samples} held-out samples: log-density {_signed(gain.log_density)} "
+        f"({probability(gain.p_value)} of no gain)"
+    )
+    for output in gain.outputs:
+        text += (
+            f"; free run of {output.output} {with_unit(output.rmse_before, output.unit)} rms before, "
+            f"{with_unit(output.rmse_after, output.unit)} after"
+        )
+    return text + (". Adopted." if gain.adopt else ". NOT adopted: it predicts worse there.")
+
+
+def _wrong(d: Diagnosis) -> Iterator[str]:
+    if not d.symptoms.sentences:
+        yield "  Nothing stands out."
+    for sentence in d.symptoms.sentences:
+        yield from _wrapped(sentence, "  - ")
+    for w in d.symptoms.whiteness:
+        yield from _wrapped(
+            f"Standardised innovations of {w.output}: variance {number(w.variance)}, Ljung-Box "
+            f"{probability(w.p_value)} over {w.lags} lags (pictures, not verdicts: a fitted noise hides much).",
+            "  - ",
+        )
+
+
+def _cause(d: Diagnosis) -> Iterator[str]:
+    if not d.causes:
+        yield "  None named."
+    for k, cause in enumerate(d.causes):
+        yield from _wrapped(f"{_marker(d, k)}{headline(cause)}; enters: {cause.where}", "  ")
+        yield from _wrapped(cause.equation, "      ")
+        for other in cause.look_alikes:
+            state = "ruled out" if other.ruled_out else "NOT ruled out"
+            text = f"{other.effect}: {state} (likeness {number(other.likeness, 2)}"
+            if other.gain is not None:
+                text += f", 2 x log-likelihood gained {number(other.gain)}"
+            text += ")"
+            if other.difference:
+                text += f"; it {other.difference}"
+            yield from _wrapped(text, "      - ")
+        advice = experiment(cause)
+        if advice:
+            yield from _wrapped(advice, "      ")
+    force = unnamed(d)
+    if force is not None:
+        yield from _wrapped(force.sentence, "  ")
+
+
+def experiment(cause: Cause) -> str:
+    """What would tell the equivalent effects apart."""
+    others = [o for o in cause.look_alikes if not o.ruled_out]
+    if len(cause.equivalent) < 2:
+        return ""
+    known = [f"{o.effect} {o.difference}" for o in others if o.difference]
+    if known:
+        return f"To tell them apart, excite what differs: {'; '.join(known)}."
+    return (
+        "To tell them apart, measure where they differ: other amplitudes, both directions, other "
+        "frequencies or a longer record."
+    )
+
+
+def unnamed(d: Diagnosis) -> UnnamedForce | None:
+    """Where an unnamed force acts, for a verdict ``unknown`` or a set that holds it."""
+    generic = None
+    for found in d.rounds:
+        if found.generic is None:
+            continue
+        beaten = bool(found.refits) and found.refits[0].score - found.generic.score > 4.0
+        if d.verdict.value == "unknown" or not beaten:
+            generic = found.generic
+    if generic is None:
+        return None
+    try:
+        return unnamed_force(generic, d.symptoms.series)
+    except EngineError:
+        return None
+
+
+def _extension(d: Diagnosis) -> Iterator[str]:
+    if not d.causes:
+        yield "  None: the model stays as it is."
+    else:
+        effects = [cause.effect for cause in d.causes]
+        yield from _wrapped(f"get_model({d.model.name!r}, effects={effects!r})", "  ")
+    yield from (f"  {line}" for line in d.model.equations)
+    for line in list(d.extended.equations)[len(d.model.equations) :]:
+        yield from _wrapped(line, "  + ")
+    yield f"  {'parameter':<24} {'before':>12} {'after':>12} {'+-':>10}  unit"
+    fit = d.search.final
+    errors = dict(zip(fit.free, fit.standard_errors.tolist(), strict=True))
+    for parameter in d.extended.parameters:
+        name = parameter.name
+        known = name in d.model.parameter_names
+        before = number(float(d.base_theta[name]), 4) if known else ""
+        error = number(errors[name], 2) if name in errors else "held"
+        after = number(float(d.theta[name]), 4)
+        yield f"  {name:<24} {before:>12} {after:>12} {error:>10}  {tidy(parameter.unit)}".rstrip()
+
+
+def _gain(gain: Gain | None) -> Iterator[str]:
+    if gain is None:
+        yield "  Nothing was added, so nothing is gained or lost."
+        return
+    yield from _wrapped(
+        f"One-step predictive log-density on {gain.samples} samples ({gain.how}): "
+        f"{_signed(gain.log_density)} in all, {_signed(gain.per_sample)} +- "
+        f"{number(gain.standard_error, 2)} per sample, {probability(gain.p_value)} "
+        "(Diebold-Mariano, one-sided).",
+        "  - ",
+    )
+    for o in gain.outputs:
+        low, high = (with_unit(x, o.unit) for x in o.interval_difference)
+        text = (
+            f"Free run of {o.output}: {with_unit(o.rmse_before, o.unit)} rms before, "
+            f"{with_unit(o.rmse_after, o.unit)} after (difference {number(o.difference)}, 95 % from {low} to "
+            f"{high}); fit {number(o.fit_before)} % before, {number(o.fit_after)} % after"
+        )
+        if o.share_gone is not None:
+            floor = with_unit(o.floor, o.unit)
+            text += (
+                f"; {percent(o.share_gone)} of the squared error above the noise ({floor}) is gone"
+            )
+        yield from _wrapped(text + ".", "  - ")
+    for note in gain.notes:
+        yield from _wrapped(note, "  - ")
+    yield (
+        "  Adopted."
+        if gain.adopt
+        else "  Not adopted: the extended model predicts these data worse."
+    )
+
+
+def _testable(d: Diagnosis) -> Iterator[str]:
+    yield from _wrapped(
+        "The smallest size of each effect that would have been found with 80 % probability, and the share "
+        "of its trace that the fitted parameters leave:",
+        "  ",
+    )
+    yes = [x for x in d.detectable if x.testable]
+    for item in yes:
+        size = with_unit(item.smallest, item.unit)
+        yield f"  {item.effect:<34} {size:>22}   {percent(item.rho):>6}"
+    no: list[Detectable] = [x for x in d.detectable if not x.testable]
+    if no:
+        yield from _wrapped(
+            f"Not testable with this experiment: {', '.join(x.effect for x in no)}.", "  "
+        )
+
+
+def _notes(d: Diagnosis) -> Iterator[str]:
+    for note in d.notes:
+        yield from _wrapped(note, "  - ")
+    total = sum(d.seconds.values())
+    stages = ", ".join(f"{name} {number(s, 2)}" for name, s in d.seconds.items())
+    yield from _wrapped(f"{number(total)} s in all: {stages}.", "  - ")
+
+
+def _signed(value: float) -> str:
+    return f"+{number(value)}" if value > 0.0 else number(value)
+
+
+def _wrapped(text: str, lead: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)) or [
+        ""
+    ]
+
+
+def as_dict(d: Diagnosis) -> dict[str, Any]:
+    """All of it as JSON-able data: numbers that are not finite become None."""
+    fit = d.search.final
+    errors = dict(zip(fit.free, fit.standard_errors.tolist(), strict=True))
+    causes = []
+    for cause in d.causes:
+        entry = asdict(cause)
+        entry["latex"] = to_latex(cause.equation)
+        entry["experiment"] = experiment(cause)
+        causes.append(entry)
+    force = unnamed(d)
+    data: dict[str, Any] = {
+        "model": d.model.name,
+        "verdict": d.verdict.value,
+        "sentence": d.verdict.sentence,
+        "p_value": d.p_value,
+        "causes": causes,
+        "unnamed": None if force is None else {"target": force.target, "sentence": force.sentence},
+        "base_theta": d.base_theta.asdict(),
+        "extension": {
+            "model": {"name": d.model.name, "with": [cause.effect for cause in d.causes]},
+            "equations_before": list(d.model.equations),
+            "equations": list(d.extended.equations),
+            "theta": d.theta.asdict(),
+            "standard_errors": errors,
+            "units": {p.name: p.unit for p in d.extended.parameters},
+        },
+        "symptoms": d.symptoms.to_dict(),
+        "gain": None if d.gain is None else d.gain.to_dict(),
+        "detectable": [asdict(item) for item in d.detectable],
+        "rounds": [_round_dict(found) for found in d.rounds],
+        "notes": list(d.notes),
+        "seconds": d.seconds,
+        "page": page(d),
+    }
+    cleaned: dict[str, Any] = plain(data)
+    return cleaned
+
+
+def _round_dict(found: Any) -> dict[str, Any]:
+    return {
+        "p_value": found.screen.p_value,
+        "screened": [
+            {"effect": s.effect.name, "statistic": s.statistic, "p_value": s.p_value}
+            for s in found.screen.scores[:SHOWN]
+        ],
+        "refitted": [
+            {"effect": r.effect.name, "gain": r.gain, "score": r.score, "size": r.size}
+            for r in found.refits
+        ],
+        "unnamed": None
+        if found.generic is None
+        else {"effect": found.generic.effect.name, "score": found.generic.score},
+    }
+
+
+def plain(value: Any) -> Any:
+    """Only what JSON knows: NaN and infinities as None, tuples as lists, NumPy numbers as Python's."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
