@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing import connection, forkserver
+from multiprocessing import connection
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from typing import Protocol
@@ -71,11 +71,13 @@ class LocalRunner:
         self._on_free = on_free
         self._threads: dict[str, threading.Thread] = {}
         self._stopping = threading.Event()
-        warm_up()
+        self._warm = threading.Event()  # claimed before, an attempt's lease could end in waiting
+        self._warming = threading.Thread(target=self._warm_up, name="warm-up")
+        self._warming.start()
 
     def free(self) -> int:
         """How many more attempts can start now."""
-        return self._workers - len(self._threads)
+        return self._workers - len(self._threads) if self._warm.is_set() else 0
 
     def running(self) -> int:
         """How many attempts there are."""
@@ -91,8 +93,19 @@ class LocalRunner:
         """Let running attempts end (drain), or give them back to the queue; then return."""
         if not drain:
             self._stopping.set()
-        for thread in list(self._threads.values()):
+        for thread in [self._warming, *self._threads.values()]:
             thread.join()
+
+    def _warm_up(self) -> None:
+        """Let the forkserver load the engine, or on a new machine compile its kernels."""
+        try:
+            with _starting:
+                process = _context().Process(target=int, daemon=True)
+                process.start()
+            _kill(process)
+        finally:
+            self._warm.set()
+            self._on_free()
 
     def _run(self, attempt: Attempt) -> None:
         try:
@@ -132,12 +145,6 @@ def _context() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["service.preload"])
     return context
-
-
-def warm_up() -> None:
-    """Let the forkserver load the engine while nobody waits for it yet."""
-    _context()
-    forkserver.ensure_running()
 
 
 def spawn(url: str, attempt: Attempt) -> BaseProcess:

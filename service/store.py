@@ -264,7 +264,9 @@ class Store:
                     key | {"k": k, "row": row.astype(float).tobytes()} for k, row in rows.items()
                 ]
                 sql.execute(insert(iterations), new)
-            progress: dict[str, Any] = {"updated": time.time(), "message": message}
+            progress: dict[str, Any] = {"updated": time.time()}
+            if message:
+                progress["message"] = message
             progress["iteration"] = (
                 select(func.sum(tasks.c.iteration))
                 .where(tasks.c.job == attempt.job)

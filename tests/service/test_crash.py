@@ -66,7 +66,7 @@ def test_a_killed_service_leaves_no_worker_and_is_taken_up_again(
     again = spawn(lease_seconds=1)
     assert again.client.get(url).json()["iteration"] >= done
     job = ended(again.client, url)
-    assert job["status"] == "successful"
+    assert job["status"] == "successful", job["message"]
     assert without_seconds(again.client.get(f"{url}/results").json()) == expected
 
 
