@@ -33,13 +33,15 @@ RETRIES = (4, 16)  # ... with this many times the particles
 class EStep:
     """The Q-function at theta_k with the log-likelihood and health of the filter behind it.
 
-    ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left.
+    ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left,
+    ``lost_at`` the first of them in words.
     """
 
     q: Objective
     log_likelihood: float
     ess: float
     collapsed: float
+    lost_at: str = ""
 
 
 Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
@@ -75,9 +77,12 @@ def rbps_step(
         return filtered
 
     def expect(theta: Theta, rng: np.random.Generator) -> EStep:
-        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
-        for one in listed:
+        smoothed, log_likelihood, ess, lost, lost_at = [], 0.0, 0.0, 0, ""
+        for i, one in enumerate(listed):
             filtered = run_filter(theta, one, rng)
+            if len(filtered.collapsed) and not lost_at:
+                row = int(filtered.collapsed[0])
+                lost_at = f"row {row} (t = {one.t[row]:g} s)" + (f" of series {i}" if i else "")
             draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
             points = Points(model, one, draws.a, theta)
             if smoother == "exact":
@@ -87,7 +92,8 @@ def rbps_step(
             ess += float(filtered.ess.sum())
             lost += len(filtered.collapsed)
         n = sum(map(len, listed))
-        return EStep(expectation(model, theta, smoothed), log_likelihood, ess / n, lost / n)
+        q = expectation(model, theta, smoothed)
+        return EStep(q, log_likelihood, ess / n, lost / n, lost_at)
 
     return expect
 

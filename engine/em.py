@@ -219,6 +219,7 @@ class _Log:
         n_iterations: int,
     ) -> None:
         self.model, self.n_iterations = model, n_iterations
+        self.lost_at = ""
         if resume is None:
             self.trace = [model.theta(theta0)]
             self.rows: list[tuple[float, float, float, float]] = []
@@ -251,6 +252,7 @@ class _Log:
 
     def add(self, k: int, theta: Theta, step: EStep, seconds: float) -> Iteration:
         self.trace.append(theta)
+        self.lost_at = step.lost_at or self.lost_at
         self.rows.append((step.log_likelihood, step.ess, seconds, step.collapsed))
         return Iteration(
             k, self.n_iterations, theta, step.log_likelihood, step.ess, seconds, step.collapsed
@@ -275,7 +277,8 @@ class _Log:
             outcome = Outcome.COLLAPSED
         message = outcome.value
         if lost > 0.0:
-            message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows."
+            message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows"
+            message += f", first at {self.lost_at}." if self.lost_at else "."
         return EmResult(
             self.model,
             names,

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from engine.errors import ModelError, OptionError
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.model import Array, MixedModel, ThetaLike
+from engine.points import Points
 from engine.series import Series
 
 
@@ -105,13 +106,21 @@ def _outputs(
 ) -> Array:
     """All outputs y (T, K, ny) in one call of the model."""
     T, K = a.shape[:2]
-    if any(np.ndim(value) for value in record):
-        record = type(record)(*(np.tile(v, T) if np.ndim(v) else v for v in record))
     rows = T * K
-    h, C, R = model.observation(
-        a.reshape(rows, -1), np.repeat(series.u, K, axis=0).T, np.repeat(series.t, K), record
-    )
-    y = h + through(C, z.reshape(rows, -1))
+    if any(np.ndim(value) for value in record):
+        # one theta per copy: only models that take arrays of parameters come here, checked before
+        record = type(record)(*(np.tile(v, T) if np.ndim(v) else v for v in record))
+        h, C, R = model.observation(
+            a.reshape(rows, -1), np.repeat(series.u, K, axis=0).T, np.repeat(series.t, K), record
+        )
+        y = h + through(C, z.reshape(rows, -1))
+    else:
+        h, C, R = Points(model, series, a, record).observation(record)
+        y = (h + (C @ z[..., None])[..., 0]).reshape(rows, model.ny)
+        if R.shape[:2] == (1, 1):
+            R = R[0, 0]
+        else:
+            R = np.broadcast_to(R, (T, K, *R.shape[2:])).reshape(rows, *R.shape[2:])
     if rng is not None:
         y += noise(R, y.shape, rng)
     return y.reshape(T, K, model.ny)
