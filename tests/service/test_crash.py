@@ -73,10 +73,9 @@ def test_a_killed_service_leaves_no_worker_and_is_taken_up_again(
 def test_a_worker_that_always_dies_fails_the_job(spawn, workers, wait, ended, long):
     service = spawn()
     url = service.client.post("/jobs", json=long).headers["location"]
+    wait(service.client, url, lambda job: job["iteration"] >= 1)
     for restart in range(3):
-        wait(
-            service.client, url, lambda job, n=restart: f"restart {n} of" in job["message"] or not n
-        )
+        wait(service.client, url, lambda job, n=restart: f"restart {n} " in job["message"] or not n)
         end = time.monotonic() + 10
         while not (found := workers(service.process.pid)):
             assert time.monotonic() < end
