@@ -8,7 +8,7 @@ refits the best ones, and repeats on the extended model until nothing is left to
   and nothing is left to see after it;
 - ``set``: in some round several effects, or the unnamed force with them, cannot be told apart;
 - ``unknown``: the unnamed force explains as much as any named effect, or something is left that
-  no further effect explains.
+  no further effect explains, or the model is far from the data whatever is added.
 """
 
 from __future__ import annotations
@@ -32,11 +32,14 @@ from engine.diagnose.effect import Effect
 from engine.diagnose.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.search import Search, search, setting_for
 from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
-from engine.errors import ModelError, OptionError, SeriesError
+from engine.diagnose.tails import KIND as TAILS
+from engine.errors import OptionError, SeriesError
 from engine.model import MixedModel, ThetaLike
-from engine.quasi_ml import QuasiFit, quasi_ml
+from engine.moment_filter import moment_path
+from engine.quasi_ml import QuasiFit, quasi_ml, whitening
 from engine.rbpf import rbpf
 from engine.series import Series
+from engine.warm_start import moment_maximum
 
 __all__ = [
     "Cause",
@@ -59,6 +62,7 @@ HELD_OUT = 0.2  # share of the series kept back where no test series is given
 LEAST = 30  # measured rows without which nothing can be said
 PARTICLES = 500  # for the particle filter's word on the final model
 REPEATS = 4
+MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
 
 Callback = Callable[[str, float], Any]
 
@@ -111,6 +115,13 @@ def diagnose(
         progress=clock.progress,
     )
     verdict = verdict_of(found)
+    level = misfit(found.final, train)
+    if level > MISFIT:
+        notes.append(
+            f"One-step errors are {np.sqrt(level):.1f} times what the model's noise allows, after "
+            "everything that was found: the model is far from these data, or badly started (theta=)."
+        )
+        verdict = Verdict.UNKNOWN
 
     clock.start("symptoms")
     symptoms = find_symptoms(model, base.theta, train, seed=seed)
@@ -147,30 +158,20 @@ def diagnose(
 def fit_base(
     model: MixedModel, series: Series, theta: ThetaLike, free: Sequence[str] | None
 ) -> QuasiFit:
-    """The model's own parameters, from the given start and from scattered ones; the best fit."""
+    """The model's own parameters: from the given start, or searched for where none is given."""
     start = model.theta(theta)
-    starts = [np.asarray(start)]
-    rng = np.random.default_rng(11)
-    indices = model.free_indices(free)
-    for spread in (0.2, 0.5):
-        moved = np.array(start)
-        factor = np.exp(spread * rng.standard_normal(len(indices)))
-        moved[indices] = np.clip(
-            moved[indices] * factor, model.lower[indices], model.upper[indices]
-        )
-        starts.append(moved)
-    fits = []
-    for one in starts:
-        try:
-            fits.append(quasi_ml(model, series, one, free))
-        except ModelError:
-            continue
-    if not fits:
-        raise ModelError(
-            f"model '{model.name}': its likelihood is not finite at the start values, nor near "
-            "them; give other start values (theta=)"
-        )
-    return max(fits, key=lambda fit: fit.log_likelihood)
+    if theta is None:
+        found = moment_maximum(model, [series], start, model.free_indices(free))
+        start = start if found is None else found
+    return quasi_ml(model, series, start, free)
+
+
+def misfit(fit: QuasiFit, series: Series) -> float:
+    """Mean squared standardised innovation: about 1 where the model's noise explains the data."""
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    root = whitening(path.S, series.observed)
+    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
+    return float((z**2).sum() / series.observed.sum())
 
 
 def _split(series: Series, test: Series | None) -> tuple[Series, Series]:
@@ -214,6 +215,8 @@ def _particle_check(base: QuasiFit, found: Search, series: Series, seed: int) ->
         means.append(float(np.mean(values)))
         variances.append(float(np.var(values, ddof=1)) / REPEATS)
     gain, error = means[1] - means[0], float(np.sqrt(sum(variances)))
+    if any(r.refits[0].effect.kind == TAILS for r in found.rounds if r.refits):
+        return [f"Log-likelihood gained by the particle filter: {gain:.1f} +- {error:.1f}."]
     moment = found.final.log_likelihood - base.log_likelihood
     text = (
         f"Log-likelihood gained: {moment:.1f} by the moment filter, {gain:.1f} +- {error:.1f} by the "

@@ -181,7 +181,8 @@ def _load() -> None:
     from engine.diagnose.measurement import KINDS as MEASUREMENT
     from engine.diagnose.noise import KINDS as NOISE
     from engine.diagnose.state import KINDS as STATE
+    from engine.diagnose.tails import KINDS as TAILS
     from engine.diagnose.timed import KINDS as TIME
 
-    for kind, maker, channels in (*STATE, *MEASUREMENT, *NOISE, *INPUT, *TIME):
+    for kind, maker, channels in (*STATE, *MEASUREMENT, *NOISE, *TAILS, *INPUT, *TIME):
         _makers.setdefault(kind, (maker, channels))

@@ -62,6 +62,12 @@ class Score:
     p_value: float
     rho: float
     at: tuple[float, ...]
+    tests: float = 1.0  # independent chi2 tests that the maximum over its family amounts to
+    degrees: int = 1
+
+    def p_of(self, value: float) -> float:
+        """The p-value of a value of this statistic, such as a refitted likelihood ratio."""
+        return float(min(1.0, self.tests * chi2.sf(value, self.degrees)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,9 +283,12 @@ class Test:
     at: tuple[tuple[float, ...], ...]
     degrees: int = 1  # columns that are tested together, as the two of a harmonic
     tries: int = 1  # places the one column was chosen from, for a single time step
+    known: tuple[float, float] | None = None  # statistic and p-value, where they are not of scores
 
     def statistics(self, totals: Array) -> Array:
         """Statistics (..., n / degrees) from sums over time (..., n) of s~, one-sided if it must be."""
+        if self.known is not None:
+            return np.full((*totals.shape[:-1], 1), self.known[0])
         norm = (self.v**2).sum(axis=1)
         use = norm > 0.0
         standard = np.where(use, totals / np.sqrt(np.where(use, norm, 1.0)), 0.0)
@@ -298,20 +307,24 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
     """
     T = tests[0].s.shape[1]
     signs = rng.choice(np.array([-1.0, 1.0]), size=(DRAWS, T))
-    observed, drawn = [], []
+    observed, drawn, effective = [], [], []
     for test in tests:
         found = test.statistics(test.s.sum(axis=1))
         draws = test.statistics(signs @ test.s.T).max(axis=-1)
         single = found.size == 1
         tail = 0.5 if test.effect.one_sided else 1.0
-        if test.tries > 1:  # one time step: a random sign changes nothing, so Bonferroni
+        effective.append(_effective(draws, test) if found.size > 1 else tail * test.tries)
+        if test.known is not None:
+            observed.append(test.known[1])
+            drawn.append(rng.random(DRAWS))
+        elif test.tries > 1:  # one time step: a random sign changes nothing, so Bonferroni
             observed.append(min(1.0, test.tries * float(chi2.sf(found.max(), test.degrees))))
             drawn.append(rng.random(DRAWS))
         elif single:  # the limiting distribution resolves smaller p-values than the draws
             observed.append(tail * float(chi2.sf(found.max(), test.degrees)))
             drawn.append(tail * chi2.sf(draws, test.degrees))
         else:
-            observed.append(_family_p(float(found.max()), draws, test.degrees))
+            observed.append(_family_p(float(found.max()), draws, test.degrees, effective[-1]))
             drawn.append(_family_p_all(draws))
     lowest = np.min(drawn, axis=0)
     p_value = (1.0 + float((lowest <= min(observed)).sum())) / (DRAWS + 1.0)
@@ -319,17 +332,17 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
     order = sorted(range(len(tests)), key=lambda i: observed[i])
     scores, vectors = [], []
     for i in order:
-        score, vector = _score(tests[i], observed[i])
+        score, vector = _score(tests[i], observed[i], effective[i])
         scores.append(score)
         vectors.append(vector)
     return Screen(tuple(scores), p_value, threshold, np.array(vectors))
 
 
-def _score(test: Test, p_value: float) -> tuple[Score, Array]:
+def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:
     totals = test.s.sum(axis=1)
     statistics = test.statistics(totals)
     best = int(np.argmax(statistics)) * test.degrees
-    norm = float((test.v[best] ** 2).sum())
+    norm = float((test.v[best] ** 2).sum()) if test.known is None else 1.0
     testable = norm > 0.0 and test.rho[best] > UNTESTABLE
     score = Score(
         test.effect,
@@ -339,22 +352,24 @@ def _score(test: Test, p_value: float) -> tuple[Score, Array]:
         p_value if testable else 1.0,
         float(test.rho[best]),
         test.at[best // test.degrees],
+        effective,
+        test.degrees,
     )
     return score, test.v[best]
 
 
-def _family_p(value: float, draws: Array, degrees: int) -> float:
-    """p of a maximum over a family: from the draws, beyond them by the tail they show.
-
-    Past the largest draws the tail of a maximum of n chi2 variables is n * chi2.sf; n is matched to
-    the draws' own 95 % point.
-    """
+def _family_p(value: float, draws: Array, degrees: int, effective: float) -> float:
+    """p of a maximum over a family: from the draws, beyond them by the tail they show."""
     count = float((draws >= value).sum())
     if count >= 10.0:
         return (1.0 + count) / (len(draws) + 1.0)
-    edge = float(np.quantile(draws, 0.95))
-    effective = 0.05 / max(float(chi2.sf(edge, degrees)), 1e-300)
     return float(min(1.0, effective * chi2.sf(value, degrees)))
+
+
+def _effective(draws: Array, test: Test) -> float:
+    """n such that n chi2.sf is the tail of the family's maximum at the draws' 95 % point."""
+    edge = float(np.quantile(draws, 0.95))
+    return 0.05 / max(float(chi2.sf(edge, test.degrees)), 1e-300)
 
 
 def _family_p_all(draws: Array) -> Array:

@@ -30,6 +30,13 @@ from engine.diagnose.screen import (
     parameter_columns,
     screen,
 )
+from engine.diagnose.tails import KIND as TAILS
+from engine.diagnose.tails import (
+    fit_tails,
+    pit_of,
+    standardised_errors,
+    tail_test,
+)
 from engine.errors import EngineError
 from engine.model import Array, MixedModel
 from engine.moment_filter import moment_filter, moment_path
@@ -42,6 +49,12 @@ REFITS = 12  # effects refitted in a round
 WORTH = 0.25  # of the best statistic: below this an effect is not refitted
 LATER = 0.2  # of alpha: a second effect needs more than a first, as each round is a new chance
 GENERIC = "latent"
+SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")
+SWALLOWED_REFITS = 6
+PLAIN = ("bias", "step", "force", "input-offset", "coulomb", "cubic")  # plainer names first
+SAME = 2.0  # total difference of log-densities below which two refits say the same
+OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
+TAILS_ALARM = 1e-3  # p-value from which outliers are refitted, whatever their rank
 
 Progress = Callable[[str, float], Any]
 
@@ -103,18 +116,60 @@ def search(
 ) -> Search:
     """Find the effects a series shows beyond ``base``, one after the other."""
     fit, rounds, alarm = base, [], False
+    tails: Refit | None = None
     for k in range(max_effects + 1):
-        seen = screen_effects(fit, series, setting, kinds, alpha, seed + k, progress)
+        looked_for = None if tails is None else TAILS
+        seen = screen_effects(fit, series, setting, kinds, alpha, seed + k, progress, looked_for)
         alarm = seen.p_value <= (alpha if k == 0 else LATER * alpha)
+        swallowed: list[Refit] = []
+        if not alarm and k == 0:
+            seen, swallowed = refit_swallowed(fit, series, seen, progress)
+            alarm = seen.p_value <= alpha
         if not alarm or k == max_effects:
             rounds.append(Round(seen, (), None, ()))
             break
-        found = refit_best(fit, series, setting, seen, progress)
+        found = refit_best(fit, series, seen, swallowed, progress)
         rounds.append(found)
         if not found.equivalent:
             break
-        fit = found.refits[0].fit
-    return Search(base, fit, tuple(rounds), alarm)
+        if found.refits[0].effect.kind != TAILS:
+            fit = found.refits[0].fit
+            continue
+        # the moment filter does not see outliers, so they are taken out before it looks again
+        tails, alarm = found.refits[0], False
+        if tails.effect.family != "noise" or tails.effect.channel not in model.outputs:
+            break
+        series = without_outliers(fit, series, tails.effect.channel, seed)
+        fit = quasi_ml(fit.model, series, fit.theta, fit.free)
+    return Search(base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm)
+
+
+def without_outliers(fit: QuasiFit, series: Series, output: str, seed: int) -> Series:
+    """The series with an output's outlying values missing."""
+    j = list(fit.model.outputs).index(output)
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))[:, j]
+    y = series.y.copy()
+    y[np.abs(np.nan_to_num(errors)) > OUTLYING, j] = np.nan
+    return Series(y, series.u, t=series.t, y_names=series.y_names, u_names=series.u_names)
+
+
+def _with_tails(fit: QuasiFit, tails: Refit) -> QuasiFit:
+    """The final fit with the outliers of an earlier round as its last effect."""
+    own = [tails.fit.theta[p.name] for p in tails.effect.parameters]
+    model = tails.effect.apply(fit.model)
+    names = tuple(p.name for p in tails.effect.parameters)
+    n, k = len(fit.free), len(names)
+    information = np.zeros((n + k, n + k))
+    information[:n, :n], information[n:, n:] = fit.information, tails.fit.information[-k:, -k:]
+    return replace(
+        fit,
+        model=model,
+        theta=model.theta([*fit.theta, *own]),
+        log_likelihood=fit.log_likelihood + 0.5 * tails.gain,
+        free=(*fit.free, *names),
+        information=information,
+    )
 
 
 def screen_effects(
@@ -125,19 +180,25 @@ def screen_effects(
     alpha: float,
     seed: int,
     progress: Progress,
+    without: str | None = None,
 ) -> Screen:
-    """Every effect of the catalogue tested on a fitted model."""
+    """Every effect of the catalogue tested on a fitted model, but those of kind ``without``."""
     model, theta = fit.model, np.asarray(fit.theta)
     indices = model.free_indices(fit.free)
     here = replace(setting, model=model)
     projection = Projection(parameter_columns(model, theta, indices, series))
     path = moment_path(model, theta, series)
+    errors = None
+    if without != TAILS:
+        errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
     effects = [e for e in all_effects(here, kinds) if e.size.name not in model.parameter_names]
     tests: list[Test] = []
     for i, effect in enumerate(effects):
         progress("screen", i / len(effects))
         try:
-            if is_timed(effect):
+            if effect.kind == TAILS:
+                test = None if errors is None else tail_test(effect, model, path, errors)
+            elif is_timed(effect):
                 test = family_test(effect, model, theta, series, path, projection)
             else:
                 columns = effect_columns(effect, model, theta, series, path)
@@ -149,27 +210,76 @@ def screen_effects(
     return screen(tests, np.random.default_rng(np.random.SeedSequence(seed)), alpha)
 
 
+def refit_swallowed(
+    fit: QuasiFit, series: Series, seen: Screen, progress: Progress
+) -> tuple[Screen, list[Refit]]:
+    """Refits of effects that a fitted Q can swallow, so that their scores see nothing.
+
+    Where process noise has grown to explain a step, the score of the step is small, but refitting
+    both gives the noise back. The best few such families are refitted, and the likelihood ratio is
+    judged by the tail of the family's own maximum, with Bonferroni over all of these families.
+    """
+    families = [s for s in seen.scores if s.effect.kind in SWALLOWED and s.statistic > 0.0]
+    p_value, refits = seen.p_value, []
+    for i, score in enumerate(families[:SWALLOWED_REFITS]):
+        progress("refit", i / SWALLOWED_REFITS)
+        try:
+            refits.append(refit(fit, series, score))
+        except (EngineError, np.linalg.LinAlgError):
+            continue
+        p_value = min(p_value, 2.0 * len(families) * score.p_of(refits[-1].gain))
+    return replace(seen, p_value=p_value), refits
+
+
 def refit_best(
-    fit: QuasiFit, series: Series, setting: Setting, seen: Screen, progress: Progress
+    fit: QuasiFit, series: Series, seen: Screen, done: list[Refit], progress: Progress
 ) -> Round:
-    """Refit the effects with the largest scores, and the unnamed force where it scores best."""
+    """Refit the effects with the largest scores, and the unnamed force where it scores best.
+
+    ``done`` are refits that were made before.
+    """
     named = [s for s in seen.scores if s.effect.kind != GENERIC and s.statistic > 0.0]
     named.sort(key=lambda s: -_screen_score(s))
     best = _screen_score(named[0]) if named else 0.0
     chosen = [s for s in named[:REFITS] if _screen_score(s) >= WORTH * best]
+    tails = [s for s in seen.scores if s.effect.kind == TAILS and s.p_value < TAILS_ALARM]
+    chosen += [s for s in tails if s not in chosen]
     generic = [s for s in seen.scores if s.effect.kind == GENERIC and s.statistic > 0.0][:2]
-    refits: list[Refit] = []
-    for i, score in enumerate([*chosen, *generic]):
-        progress("refit", i / (len(chosen) + len(generic)))
+    refits = list(done)
+    names = {r.effect.name for r in done}
+    left = [s for s in [*chosen, *generic] if s.effect.name not in names]
+    for i, score in enumerate(left):
+        progress("refit", i / len(left))
         try:
             refits.append(refit(fit, series, score))
         except (EngineError, np.linalg.LinAlgError):
             continue
     unnamed = [r for r in refits if r.effect.kind == GENERIC]
     ranked = sorted((r for r in refits if r.effect.kind != GENERIC), key=lambda r: -r.score)
-    equivalent = tuple(r for r in ranked if r.score >= ranked[0].score - MARGIN)
+    equivalent = distinct([r for r in ranked if r.score >= ranked[0].score - MARGIN], series)
+    if equivalent:  # of effects that are the same here, the plainer name leads
+        ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]
     top = max(unnamed, key=lambda r: r.score) if unnamed else None
     return Round(seen, tuple(ranked), top, equivalent)
+
+
+def distinct(refits: Sequence[Refit], series: Series) -> tuple[Refit, ...]:
+    """The refits without those that say the same in other words.
+
+    A pulse on an integrator is a step of its reading: where two refits predict alike at every
+    sample, the plainer kind (see PLAIN) stands for both.
+    """
+    terms = [held_out_terms(r.fit, series) for r in refits]
+    kept: list[int] = []
+    for i in sorted(range(len(refits)), key=lambda i: _plainness(refits[i])):
+        if all(np.abs(terms[i] - terms[j]).sum() > SAME for j in kept):
+            kept.append(i)
+    return tuple(refits[i] for i in sorted(kept))
+
+
+def _plainness(found: Refit) -> int:
+    kind = found.effect.kind
+    return PLAIN.index(kind) if kind in PLAIN else len(PLAIN)
 
 
 def _screen_score(score: Score) -> float:
@@ -187,6 +297,8 @@ def refit(fit: QuasiFit, series: Series, score: Score) -> Refit:
     effect = score.effect
     extended = effect.apply(fit.model)
     n = len(fit.theta)
+    if effect.kind == TAILS:
+        return _refit_tails(fit, extended, effect, series)
     start = np.concatenate([fit.theta, [score.size], score.at])
     null = start.copy()
     null[n] = 0.0
@@ -200,6 +312,27 @@ def refit(fit: QuasiFit, series: Series, score: Score) -> Refit:
         found = _refine_time(extended, series, found, free, sought[0], effect)
     zero = float(log_likelihoods(extended, [series], null[None])[0])
     gain = 2.0 * (found.log_likelihood - zero)
+    return Refit(effect, found, gain, gain - cost(effect))
+
+
+def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> Refit:
+    """By particles: the moment filter's likelihood does not see outliers."""
+    gain, theta = fit_tails(fit, extended, series, seed=0)
+    own = [p.name for p in effect.parameters]
+    information = np.zeros((len(fit.free) + len(own), len(fit.free) + len(own)))
+    information[: len(fit.free), : len(fit.free)] = fit.information
+    share = float(theta[len(fit.theta)])
+    k = len(fit.free)
+    information[k, k] = len(series) / (share * (1.0 - share))  # as if every outlier were known
+    found = QuasiFit(
+        extended,
+        extended.theta(theta),
+        fit.log_likelihood + 0.5 * gain,
+        (*fit.free, *own),
+        information,
+        1,
+        True,
+    )
     return Refit(effect, found, gain, gain - cost(effect))
 
 

@@ -1,0 +1,164 @@
+"""Heavy tails and outliers: their test, and their likelihood by particles.
+
+Outliers do not move the moments of a Gaussian filter's predictions, so the score of
+:mod:`engine.diagnose.screen` does not see them. Their test is the kurtosis of the one-step errors,
+after the probability integral transform where predictions are mixtures (a RBPF's are), with the
+normal approximation of Anscombe and Glynn (1983). The extended model's noise is a scale mixture, whose
+likelihood the particle filter gives; a small grid of share and ratio replaces its maximum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+from scipy.stats import kurtosistest, norm
+
+from engine.diagnose.catalogue import Kind, Setting
+from engine.diagnose.effect import Effect, identifier
+from engine.diagnose.screen import Test
+from engine.errors import EngineError
+from engine.heavy_tails import with_mixture
+from engine.kernels.filtering import condition, draw_prior
+from engine.model import Array, MixedModel, Parameter, stacked
+from engine.moment_filter import MomentPath
+from engine.quasi_ml import QuasiFit
+from engine.rbpf import Filtered, rbpf
+from engine.series import Series
+
+KIND = "heavy-tails"
+PARTICLES = 200
+REPEATS = 2  # filters with common seeds behind each likelihood
+SHARES = (0.01, 0.03, 0.1)
+RATIOS = (4.0, 10.0)
+LEAST = 20  # values without which a kurtosis means nothing
+
+
+def _heavy_tails(setting: Setting, channel: str) -> Effect | None:
+    at_output = channel in setting.model.outputs
+    if not at_output and channel not in setting.states:
+        return None
+    name = identifier("heavy_tails", channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        where = "measurement" if at_output else "dynamics"
+        return with_mixture(model, where, channels=[channel], name=name)
+
+    what = "measurement" if at_output else "process"
+    return Effect(
+        KIND,
+        channel,
+        "noise",
+        f"outliers in the {what} noise of {channel}",
+        f"with probability {name}_share the noise of {channel} is {name}_ratio times as large",
+        (
+            Parameter(f"{name}_share", 1e-6, "1", (1e-6, 0.5), "share of outliers"),
+            Parameter(f"{name}_ratio", 10.0, "1", (1.0, 1e4), "their size over the usual"),
+        ),
+        extend,
+        look_alikes={"pulse": "comes once", "variance": "comes at certain times or states"},
+        one_sided=True,
+    )
+
+
+KINDS: list[Kind] = [
+    (KIND, _heavy_tails, lambda s: iter([*s.model.outputs, *s.states])),
+]
+
+
+def standardised_errors(path: MomentPath, observed: NDArray[np.bool_], pit: Array | None) -> Array:
+    """Standardised one-step errors (T, ny), NaN where missing: by PIT where there is one."""
+    if pit is not None:
+        return np.asarray(ndtri(np.clip(pit, 1e-12, 1.0 - 1e-12)))
+    scale = np.sqrt(np.diagonal(path.S, axis1=1, axis2=2))
+    return np.where(observed, path.innovations / scale, np.nan)
+
+
+def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array) -> Test | None:
+    """The kurtosis test of an effect: of an output's errors, or of the state's share in them."""
+    if effect.channel in model.outputs:
+        r = errors[:, list(model.outputs).index(effect.channel)]
+    else:
+        row = [*model.nonlinear, *model.linear].index(effect.channel)
+        gain = path.K[:, row]
+        move = (gain * np.nan_to_num(path.innovations)).sum(axis=1)
+        variance = np.einsum("ti,tij,tj->t", gain, path.S, gain)
+        r = np.where(
+            variance > 0.0, move / np.sqrt(np.where(variance > 0.0, variance, 1.0)), np.nan
+        )
+    r = r[np.isfinite(r)]
+    if len(r) < LEAST or float(r.std()) == 0.0:
+        return None
+    z = float(kurtosistest(r).statistic)
+    n = path.innovations.shape[0]
+    width = path.innovations.size * (1 + path.innovations.shape[1])
+    # the size is a share; to first order the excess kurtosis is 3 share (ratio^2 - 1)^2
+    excess = max(float(np.mean(r**4) / np.mean(r**2) ** 2 - 3.0), 0.0)
+    size = min(excess / (3.0 * (RATIOS[1] ** 2 - 1.0) ** 2), 0.2)
+    return Test(
+        effect,
+        np.full((1, n), max(size, 1e-4) / n),
+        np.zeros((1, width)),
+        np.ones(1),
+        ((RATIOS[1],),),
+        known=(max(z, 0.0) ** 2, float(norm.sf(z))),
+    )
+
+
+def prediction_pit(filtered: Filtered, rng: np.random.Generator) -> Array:
+    """P(y_t <= measured | y_{1:t-1}) under the RBPF's predictive mixture, (T, ny), NaN where missing.
+
+    Each particle's prediction draws one a from report, eq. (23); z is integrated out.
+    """
+    model, series = filtered.model, filtered.series
+    record = model.record(filtered.theta)
+    T, M = filtered.weights.shape
+    own = np.arange(M)
+    pit = np.full((T, model.ny), np.nan)
+    for t in range(1, T):
+        mu, L = filtered.mu[t - 1], filtered.L[t - 1]
+        a = draw_prior(mu, L, own, rng.standard_normal((M, model.na)))
+        z, P, _ = condition(mu, L, own, a)
+        h, C, R = model.observation(a, series.u[t], float(series.t[t]), record)
+        C, R = stacked(C), stacked(R)
+        mean = h + (C @ z[:, :, None])[:, :, 0]
+        variance = np.diagonal(C @ P @ np.swapaxes(C, 1, 2) + R, axis1=1, axis2=2)
+        cdf = ndtr((series.y[t] - mean) / np.sqrt(variance))
+        pit[t] = filtered.weights[t - 1] @ cdf
+    pit[~series.observed] = np.nan
+    return pit
+
+
+def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
+    """The transform by a RBPF at a fitted model; None where the moments say it all (na = 0)."""
+    if fit.model.na == 0:
+        return None
+    rng = np.random.default_rng([seed, 77])
+    filtered = rbpf(fit.model, fit.theta, series, PARTICLES, rng, proposal="bootstrap")
+    return prediction_pit(filtered, rng)
+
+
+def fit_tails(
+    fit: QuasiFit, extended: MixedModel, series: Series, seed: int
+) -> tuple[float, Array]:
+    """2 (log-likelihood gained) by the extended model and its theta, over the grid of share and ratio."""
+
+    def mean_likelihood(model: MixedModel, theta: Array) -> float:
+        values = [
+            rbpf(model, theta, series, PARTICLES, np.random.default_rng([seed, k])).log_likelihood
+            for k in range(REPEATS)
+        ]
+        return float(np.mean(values))
+
+    base = mean_likelihood(fit.model, np.asarray(fit.theta))
+    best, theta = -np.inf, np.concatenate([fit.theta, [1e-6, RATIOS[1]]])
+    for share in SHARES:
+        for ratio in RATIOS:
+            trial = np.concatenate([fit.theta, [share, ratio]])
+            try:
+                value = mean_likelihood(extended, trial)
+            except EngineError:
+                continue
+            if value > best:
+                best, theta = value, trial
+    return 2.0 * (best - base), theta
