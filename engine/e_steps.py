@@ -17,6 +17,7 @@ from engine.errors import OptionError
 from engine.expectation import Moments, expectation
 from engine.kalman import kalman_smoother
 from engine.linear import as_linear
+from engine.linear_cost import rb_ffbsi_linear
 from engine.maximization import Objective
 from engine.model import MixedModel, Theta
 from engine.points import Points
@@ -25,6 +26,7 @@ from engine.rb_ffbsi import rb_ffbsi
 from engine.rbpf import Filtered, check_options, rbpf
 from engine.series import Series
 
+SMOOTHERS = ("exact", "algorithm-3", "linear-cost")
 LOST_SHARE = 0.05  # a filter that collapses at more than this share of its rows is run again ...
 RETRIES = (4, 16)  # ... with this many times the particles
 
@@ -62,9 +64,10 @@ def rbps_step(
     """RBPF and RB-FFBSi over every series; options as in :func:`engine.rbps_em`."""
     check_options(n_particles, resampling, ess_threshold)
     get_proposal(proposal)
-    if smoother not in ("exact", "algorithm-3"):
+    if smoother not in SMOOTHERS:
         raise OptionError(
-            f"smoother '{smoother}' is not known; use exact or algorithm-3", "smoother"
+            f"smoother '{smoother}' is not known; use exact or algorithm-3 or linear-cost",
+            "smoother",
         )
 
     def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> Filtered:
@@ -83,9 +86,12 @@ def rbps_step(
             if len(filtered.collapsed) and not lost_at:
                 row = int(filtered.collapsed[0])
                 lost_at = f"row {row} (t = {one.t[row]:g} s)" + (f" of series {i}" if i else "")
-            draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
+            if smoother == "linear-cost":
+                draws = rb_ffbsi_linear(filtered, n_trajectories, rng, condition=False)
+            else:
+                draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
             points = Points(model, one, draws.a, theta)
-            if smoother == "exact":
+            if smoother != "algorithm-3":
                 draws = condition_on_trajectories(draws, points)
             smoothed.append((Moments(draws.a, draws.z, draws.cov, draws.cross), points))
             log_likelihood += filtered.log_likelihood

@@ -111,7 +111,8 @@ def rbps_em(
     :class:`Iteration` and stops the run by returning True or raising StopIteration.
 
     ``smoother``: "exact" uses moments of z given whole trajectories of a, which converge as M grows;
-    "algorithm-3" those of the report, eqs. (61), whose P and M keep the bias of Approximation 2.
+    "algorithm-3" those of the report, eqs. (61), whose P and M keep the bias of Approximation 2;
+    "linear-cost" is "exact" with trajectories drawn by MCMC moves, in O(M), see :mod:`engine.linear_cost`.
     ``recover``: run a filter that collapsed again with more particles (the paper does not).
     ``m_step``: "scoring" or "bfgs", see :mod:`engine.maximization`.
     Raises OptionError, SeriesError, ModelError.

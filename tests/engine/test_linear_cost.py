@@ -125,3 +125,23 @@ def test_options_are_checked() -> None:
         rb_ffbsi_linear(filtered, 10, rng, "fast")
     with pytest.raises(OptionError, match="moves"):
         rb_ffbsi_linear(filtered, 10, rng, moves=0)
+
+
+def test_em_with_linear_cost() -> None:
+    """One EM step is that of the full sampler within its Monte Carlo error."""
+    series = engine.simulate(LINEAR, None, 60, np.random.default_rng(1)).series
+    exact = engine.rts_em(LINEAR, series, {"theta": 0.4}, n_iterations=1).theta[0]
+    steps = [
+        engine.rbps_em(
+            LINEAR,
+            series,
+            {"theta": 0.4},
+            n_particles=300,
+            n_iterations=1,
+            seed=k,
+            smoother="linear-cost",
+        ).theta[0]
+        for k in range(12)
+    ]
+    assert abs(np.mean(steps) - exact) < 4.0 * np.std(steps) / np.sqrt(12) + 5e-4
+    assert np.std(steps) < 0.01
