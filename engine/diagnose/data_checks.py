@@ -157,7 +157,11 @@ def _outliers(name: str, unit: str, y: Array, series: Series) -> list[str]:
     scale = MAD * float(np.median(np.abs(distance)))
     if scale == 0.0:
         return []
-    far = np.flatnonzero(np.abs(distance) > OUTLIER * scale)
+    size = np.pad(np.abs(distance), 2)
+    largest = np.lib.stride_tricks.sliding_window_view(size, 5).max(
+        axis=1
+    )  # a spike moves its neighbours
+    far = np.flatnonzero((np.abs(distance) > OUTLIER * scale) & (np.abs(distance) >= largest))
     if not far.size or far.size > 0.1 * len(seen):
         return []
     worst = far[int(np.argmax(np.abs(distance[far])))]

@@ -26,6 +26,7 @@ from engine.model import Array
 # fewer, since their errors are a few slow shapes and not hundreds of independent draws.
 NOTABLE, NOTABLE_RUN = 3.5, 3.0
 FEWEST = 5  # samples in a region
+MOST = 0.6  # share of samples up to which a region is one
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,10 @@ def _region(
     e = errors.e
     mean = float(e[inside].mean())
     if errors.drawn is None:
-        error = newey_west(np.where(inside, e - mean, 0.0), int(inside.sum()))
+        inner = np.where(
+            inside, e - mean, 0.0
+        )  # the larger: negative correlations are often chance
+        error = max(newey_west(inner, int(inside.sum()), lags) for lags in (0, None))
         score = mean / error if error > 0.0 else 0.0
     else:
         means = errors.drawn[:, inside].mean(axis=1)
@@ -215,22 +219,34 @@ def _runs(n: int) -> Iterator[tuple[int, int]]:
 
 
 def most_telling(regions: list[Region], limit: int, notable: float = NOTABLE) -> list[Region]:
-    """At most one region per signal and output, notable ones only, the most telling first."""
+    """The most telling notable regions first: one per signal and output, each set of samples once.
+
+    A region that holds most samples is no region: what is wrong there is wrong throughout.
+    """
     best: dict[tuple[str, str], Region] = {}
     for region in regions:
-        if not abs(region.score) >= notable:
+        if not abs(region.score) >= notable or region.share_samples > MOST:
             continue
         if region.kind == "frequency" and not _excess(region):
             continue
         key = (region.output, region.signal)
-        if key not in best or _weight(region) > _weight(best[key]):
+        if key not in best or abs(region.score) > abs(best[key].score):
             best[key] = region
-    return sorted(best.values(), key=_weight, reverse=True)[:limit]
+    distinct: dict[tuple[str, float, float], Region] = {}
+    for region in sorted(best.values(), key=lambda r: -_explained(r)):
+        distinct.setdefault((region.output, region.rms, region.share_samples), region)
+    return list(distinct.values())[:limit]
 
 
 def _excess(region: Region) -> bool:
-    return region.expected_rms is not None and region.rms > 1.2 * region.expected_rms
+    unexpected = region.expected_rms is not None and region.rms > 1.2 * region.expected_rms
+    return unexpected and _explained(region) > 0.02
 
 
-def _weight(region: Region) -> float:
-    return abs(region.score)
+def _explained(region: Region) -> float:
+    """Share of all squared errors that the region's mean, or what exceeds its expectation, makes up."""
+    if not region.rms > 0.0:
+        return 0.0
+    if region.expected_rms is not None:
+        return region.share_error * (1.0 - (region.expected_rms / region.rms) ** 2)
+    return region.share_error * (region.mean / region.rms) ** 2

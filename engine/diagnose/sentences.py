@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from engine.diagnose.regions import Region
+from engine.diagnose.regions import NOTABLE, Region
 from engine.diagnose.words import number, percent, with_unit
 
 if TYPE_CHECKING:
@@ -18,9 +18,17 @@ def overall(fit: Fit, what: str) -> str:
     if fit.expected_rmse is not None:
         text += f" (the model expects {with_unit(fit.expected_rmse, fit.unit)}"
         if fit.as_wrong is not None:
-            text += f"; {percent(fit.as_wrong)} of its own simulations are as far off"
+            share = percent(fit.as_wrong) if fit.as_wrong > 0.0 else "none"
+            text += f"; {share} of its own simulations are as far off"
         text += ")"
-    return f"{text}, fit {number(fit.fit)} %, {percent(fit.inside)} of the readings inside its 95 % band."
+    text += (
+        f", fit {number(fit.fit)} %, {percent(fit.inside)} of the readings inside its 95 % band."
+    )
+    if fit.bias_error and abs(fit.bias) > NOTABLE * fit.bias_error:
+        low_high = "low" if fit.bias > 0.0 else "high"
+        size, error = (with_unit(x, fit.unit) for x in (abs(fit.bias), fit.bias_error))
+        text += f" It reads {size} {low_high} on average (+- {error})."
+    return text
 
 
 def sentence(region: Region, what: str, unit: str) -> str:

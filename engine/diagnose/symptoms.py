@@ -16,6 +16,7 @@ from engine.diagnose.regions import (
     by_frequency,
     by_signal,
     most_telling,
+    newey_west,
 )
 from engine.diagnose.residuals import Whiteness, auxiliary, pit, standardised, whiteness
 from engine.diagnose.runs import draws, noise_free, start_state
@@ -28,6 +29,9 @@ __all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
 
 DRAWS = 200
 LEVEL = 0.95
+TRANSIENT = (
+    3.0  # times the median: a prediction less certain than that is one of a state not yet known
+)
 SHOWN = 4  # sentences on regions, of the free run and of the predictions
 
 
@@ -36,7 +40,8 @@ class Fit:
     """One output: ``rmse``, ``bias`` in its unit, ``fit`` = 100 (1 - rmse / std(y)) %, ``inside`` the band.
 
     ``expected_rmse`` is what the model itself leads to expect; ``as_wrong`` the share of its own
-    simulations that are at least as far from its free run (None for one-step predictions).
+    simulations that are at least as far from its free run (None for one-step predictions);
+    ``bias_error`` the bias's standard error (Newey-West) for predictions, None for free runs.
     """
 
     output: str
@@ -47,6 +52,7 @@ class Fit:
     inside: float
     expected_rmse: float | None
     as_wrong: float | None = None
+    bias_error: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +191,7 @@ def _free_run(
 def _predictions(
     model: MixedModel, series: Series, path: MomentPath, z: Array, n_bands: int
 ) -> Comparison:
-    """One-step predictions against the data."""
+    """One-step predictions against the data, without the first ones from an unknown first state."""
     H_mean = series.y - path.innovations
     y = np.where(np.isfinite(H_mean), H_mean, np.nan)
     spread = np.sqrt(np.maximum(np.diagonal(path.S, axis1=1, axis2=2), 0.0))
@@ -193,15 +199,22 @@ def _predictions(
     lower, upper = y - half, y + half
     signals = _signals(model, series, path.predicted, y)
     regions = []
+    settled = np.where(spread > TRANSIENT * np.median(spread, axis=0), np.nan, path.innovations)
     for i, (name, unit) in enumerate(model.outputs.items()):
-        one = Errors(name, unit, path.innovations[:, i], 2.0 * half[:, i])
+        one = Errors(name, unit, settled[:, i], 2.0 * half[:, i])
         regions += _regions(one, signals, series, n_bands, spectrum=False)
         if series.dt is not None:
             flat = Errors(name, "standard deviations", z[:, i], 2.0 * half[:, i] / spread[:, i])
             regions += by_frequency(flat, series.dt, n_bands)
-    expected = [_root_mean(spread[series.observed[:, i], i] ** 2) for i in range(model.ny)]
-    fits = _fits(model, series, y, lower, upper, expected)
-    return Comparison(y, lower, upper, fits, tuple(regions))
+    known = np.isfinite(settled)
+    expected = [_root_mean(spread[known[:, i], i] ** 2) for i in range(model.ny)]
+    fits = []
+    for f in _fits(model, series, np.where(known, y, np.nan), lower, upper, expected):
+        e = settled[:, list(model.outputs).index(f.output)]
+        seen = np.isfinite(e)
+        error = newey_west(np.where(seen, e - f.bias, 0.0), int(seen.sum()))
+        fits.append(replace(f, bias_error=error))
+    return Comparison(y, lower, upper, tuple(fits), tuple(regions))
 
 
 def _signals(
