@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.studies import states
+from engine.studies import estimates, lost, states
 from engine.studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -10,6 +10,11 @@ STUDIES: dict[str, Study] = {
     for study in (
         states.TABLES_1_2,
         states.TABLES_3_4,
+        estimates.TABLE_I,
+        estimates.FIGURE_1,
+        lost.FIGURE_1_SMALL,
+        estimates.TABLE_II,
+        lost.LOST_RUNS,
     )
 }
 ALIASES = {
