@@ -23,7 +23,8 @@ from engine.moment_filter import moment_filter
 from engine.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.series import Series
 
-LOSS = 0.05  # an extension that is worse at this level is not adopted
+LOSS = 0.05  # an extension that is worse at this level is not adopted,
+MATTERS = 1.0  # if what it loses in all is more than this: a likelihood ratio of e
 BLOCKS, EVERY = 25, 5  # of interleaved blocks
 TIMES = 200  # rows at most that a time is sought at
 
@@ -33,8 +34,8 @@ class Gain:
     """The gain on ``samples`` held-out rows, of which ``how`` tells the choice.
 
     ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
-    (one-sided), ``p_loss`` of no loss. ``adopt`` is False where the loss is significant. For pictures: times
-    ``t``, readings ``y``, free runs ``before`` and ``after`` (n, ny), differences ``d`` (n,).
+    (one-sided), ``p_loss`` of no loss. ``adopt`` is False where the loss is significant and above 1. For
+    pictures: times ``t``, readings ``y``, free runs ``before`` and ``after`` (n, ny), differences ``d`` (n,).
     """
 
     how: str
@@ -161,7 +162,7 @@ def score(
         p_value=p_gain,
         p_loss=p_loss,
         outputs=outputs,
-        adopt=not (lost or p_loss < LOSS),
+        adopt=not (lost or (p_loss < LOSS and float(np.sum(d)) < -MATTERS)),
         notes=tuple(notes),
         t=np.asarray(part.t),
         y=np.where(rows[first:, None], part.y, np.nan),
@@ -180,7 +181,8 @@ def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, fl
     if n < 2 or not np.isfinite(d).all():
         return float("nan"), float("nan"), 0.5
     mean = float(d[rows].mean())
-    error = newey_west(np.where(rows, d - mean, 0.0), n) * float(np.sqrt(n / (n - 1.0)))
+    deviations = np.where(rows, d - mean, 0.0)
+    error = newey_west(deviations, n, lags_for(deviations)) * float(np.sqrt(n / (n - 1.0)))
     if not error > 0.0:
         return mean, error, 0.5 if mean == 0.0 else float(mean < 0.0)
     return mean, error, float(student_t.sf(mean / error, n - 1))
@@ -190,6 +192,19 @@ def _end(rows: NDArray[np.bool_]) -> int:
     """One past the last marked row."""
     marked = np.flatnonzero(rows)
     return int(marked[-1]) + 1 if marked.size else 0
+
+
+def lags_for(d: Array) -> int:
+    """Lags of the Bartlett weights for d of correlation r: 1.1447 (alpha T)^(1/3), Andrews (1991).
+
+    alpha = 4 r^2 / ((1 - r)^2 (1 + r)^2); never fewer than 4 (T / 100)^(2/9) nor more than a third of d.
+    """
+    T = len(d)
+    power = float(d @ d)
+    r = float(np.clip(d[1:] @ d[:-1] / power, 0.0, 0.97)) if power > 0.0 else 0.0
+    alpha = 4.0 * r**2 / ((1.0 - r) ** 2 * (1.0 + r) ** 2)
+    fewest = int(4.0 * (T / 100.0) ** (2.0 / 9.0))
+    return min(max(fewest, int(1.1447 * (alpha * T) ** (1.0 / 3.0))), max(T // 3, 1))
 
 
 def every_fifth(T: int) -> NDArray[np.bool_]:

@@ -25,7 +25,6 @@ from engine.quasi_ml import quasi_ml
 from engine.series import Series
 from engine.simulate import simulate
 
-
 QUIET = {"sigma_level": 0.001, "sigma_inflow": 0.0}
 
 
