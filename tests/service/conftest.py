@@ -120,6 +120,11 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     served.stop()
 
 
+@pytest.fixture(scope="session")
+def serve() -> type[Served]:
+    return Served
+
+
 @pytest.fixture
 def make_client(tmp_path: Path) -> Iterator[Callable[..., Served]]:
     """Services with settings of one's own, all on one store."""

@@ -1,0 +1,71 @@
+"""Schemathesis over the whole OpenAPI document: no answer is a 500, each is as documented."""
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, given, settings
+from schemathesis import GenerationMode
+
+from service.auth import digest_of
+from service.settings import Settings
+
+CALLS = [
+    "GET /", "GET /models", "GET /models/{name}", "POST /jobs", "POST /jobs/upload", "GET /jobs",
+    "GET /jobs/{job_id}", "GET /jobs/{job_id}/trace", "GET /jobs/{job_id}/results",
+    "DELETE /jobs/{job_id}", "GET /livez", "GET /readyz", "GET /metrics",
+]  # fmt: skip
+PLAIN = ("GET /", "GET /livez", "GET /readyz")  # nothing in them can be wrong
+KEY = "the key of the fuzz test"
+
+
+@pytest.fixture(scope="module")
+def operations(serve, tmp_path_factory):
+    small = {"max_samples": 50, "max_particles": 20, "max_iterations": 3, "max_tasks": 2}
+    state = tmp_path_factory.mktemp("fuzz")
+    (state / "keys").write_text(f"fuzz {digest_of(KEY)}\n")
+    served = serve(
+        Settings(
+            state_dir=state,
+            workers=1,
+            max_queue=20,
+            run_seconds=5.0,
+            keys_file=state / "keys",
+            **small,
+        )
+    )
+    schema = schemathesis.openapi.from_url(f"http://127.0.0.1:{served.port}/openapi.json")
+    found = [result.ok() for result in schema.get_all_operations()]
+    yield {f"{one.method.upper()} {one.path}": one for one in found}
+    served.stop()
+
+
+def test_nothing_is_left_out(operations):
+    assert set(operations) == set(CALLS)
+
+
+@pytest.mark.parametrize(
+    ("call", "mode"),
+    [(c, mode) for c in CALLS for mode in GenerationMode if mode.is_positive or c not in PLAIN],
+    ids=str,
+)
+def test_call(operations, call, mode):
+    operation = operations[call]
+    # What is valid by the schema may name a model or a parameter that does not exist: 422.
+    excluded = [schemathesis.checks.positive_data_acceptance]
+    if call == "GET /jobs":  # query parameters that mean nothing are ignored
+        excluded.append(schemathesis.checks.negative_data_rejection)
+
+    @settings(
+        max_examples=20,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(case=operation.as_strategy(generation_mode=mode))
+    def run(case):
+        case.call_and_validate(
+            headers={"X-API-Key": KEY},
+            excluded_checks=excluded,
+        )
+
+    run()
