@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,6 +16,7 @@ from engine.points import Points
 from engine.q_function import GaussianTerm
 from engine.rb_ffbsi import Smoothed
 
+BLOCK = 2**17  # numbers in an array of points; what fits the cache keeps time linear in T
 STEP = 1e-5  # of a parameter's size, for differences of the model's functions
 
 
@@ -113,7 +113,7 @@ def expectation(
     for moments, points in smoothed:
         for kind, term in (
             *((0, t) for t in initial_terms(model, theta, moments)),
-            (1, dynamics_term(model, moments, points)),
+            *((1, t) for t in dynamics_terms(model, moments, points)),
             *((2, t) for t in measurement_terms(model, moments, points)),
         ):
             if depends[kind].any():
@@ -134,22 +134,32 @@ class Moments:
     cross: Array
 
 
-def dynamics_term(model: MixedModel, s: Smoothed | Moments, points: Points) -> GaussianTerm:
-    """I2, paper, eqs. (14)-(17): x_{t+1} given x_t."""
-    T, B, nz = len(s.a), s.cov.shape[1], model.nz
+def dynamics_terms(model: MixedModel, s: Smoothed | Moments, points: Points) -> list[GaussianTerm]:
+    """I2, paper, eqs. (14)-(17): x_{t+1} given x_t; one term per block of rows."""
+    B, nz = s.cov.shape[1], model.nz
     na, nx = model.na, model.nx
-    cross = np.zeros((T - 1, B, nx, nz))
-    cross[:, :, na:] = np.swapaxes(s.cross, -1, -2)  # Cov(x_{t+1}, z_t) = (0, M')'
-    var = np.zeros((T - 1, B, nx, nx))
-    var[:, :, na:, na:] = s.cov[1:]
-    x_next = np.concatenate([s.a[1:], s.z[1:]], axis=2)
-    return GaussianTerm(points.transition, x_next, s.z[:-1], s.cov[:-1], cross, var)
+    terms = []
+    for rows in blocks(np.arange(len(s.a) - 1), points.N * nx):
+        now, after = slice(rows[0], rows[-1] + 1), slice(rows[0] + 1, rows[-1] + 2)
+        cross = np.zeros((len(rows), B, nx, nz))
+        cross[:, :, na:] = np.swapaxes(s.cross[now], -1, -2)  # Cov(x_{t+1}, z_t) = (0, M')'
+        var = np.zeros((len(rows), B, nx, nx))
+        var[:, :, na:, na:] = s.cov[after]
+        x_next = np.concatenate([s.a[after], s.z[after]], axis=2)
+        evaluate = partial(points.at, rows, transition=True)
+        terms.append(GaussianTerm(evaluate, x_next, s.z[now], s.cov[now], cross, var))
+    return terms
+
+
+def blocks(rows: NDArray[np.intp], width: int) -> list[NDArray[np.intp]]:
+    """Rows in parts of about BLOCK numbers each, ``width`` numbers per row."""
+    return np.array_split(rows, -(-len(rows) * width // BLOCK)) if len(rows) else []
 
 
 def measurement_terms(
     model: MixedModel, s: Smoothed | Moments, points: Points
 ) -> list[GaussianTerm]:
-    """I3, paper, eqs. (18b), (19b): y_t given x_t; one term per pattern of missing channels."""
+    """I3, paper, eqs. (18b), (19b): y_t given x_t; a term per missing pattern and block."""
     observed = points.series.observed
     patterns, which = np.unique(observed, axis=0, return_inverse=True)
     which = which.ravel()
@@ -158,21 +168,21 @@ def measurement_terms(
         channels = np.flatnonzero(pattern)
         if not channels.size:
             continue
-        rows = np.flatnonzero(which == k)
         B = s.cov.shape[1]
-        y = np.broadcast_to(
-            points.series.y[rows][:, None, channels], (len(rows), points.N, len(channels))
-        )
-        terms.append(
-            GaussianTerm(
-                _some_channels(points, rows, channels),
-                y,
-                s.z[rows],
-                s.cov[rows],
-                np.zeros((len(rows), B, len(channels), model.nz)),
-                np.zeros((len(rows), B, len(channels), len(channels))),
+        for rows in blocks(np.flatnonzero(which == k), points.N * model.ny):
+            y = np.broadcast_to(
+                points.series.y[rows][:, None, channels], (len(rows), points.N, len(channels))
             )
-        )
+            terms.append(
+                GaussianTerm(
+                    _some_channels(points, rows, channels),
+                    y,
+                    s.z[rows],
+                    s.cov[rows],
+                    np.zeros((len(rows), B, len(channels), model.nz)),
+                    np.zeros((len(rows), B, len(channels), len(channels))),
+                )
+            )
     return terms
 
 
