@@ -11,6 +11,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from sqlalchemy.exc import SQLAlchemyError
 
 import engine
+from engine.diagnose.extended import get_model
 from engine.errors import OptionError
 from service import documents, metrics, stages
 from service.auth import Keys
@@ -30,7 +31,8 @@ from service.schemas import (
     Trace,
 )
 from service.settings import Settings
-from service.store import ENDED, KeyReused, Store, dumps
+from service.store import ENDED, KeyReused, Store
+from service.strict_json import dumps
 from service.supervisor import Supervisor
 from service.thin import keep, thin_results
 from service.uploads import with_files
@@ -74,7 +76,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         try:
             job_id = store.create(
                 request.kind,
-                job.model.name,
+                job.model.name[:200],
                 dump(request),
                 stages.steps(job),
                 [n for _, n in stages.plan(request)],
@@ -247,7 +249,9 @@ def tagged(http: HttpRequest, body: bytes, headers: dict[str, str] | None = None
 
 
 def _names(model: str) -> list[str]:
+    """Parameter names of ``base+effect+...``."""
+    base, *effects = model.split("+")
     try:
-        return list(engine.get_model(model).parameter_names)
+        return list(get_model(base, effects).parameter_names)
     except OptionError:  # a plug-in that has gone
         return []

@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from engine.diagnose.catalogue import Setting, effect_kinds, extend
 from engine.errors import EngineError, OptionError, SeriesError
 from engine.model import Array, MixedModel, Theta
 from engine.registry import get_model
 from engine.series import Series
 from service.problems import Problem, invalid
 from service.schemas import (
+    DiagnoseRequest,
     EstimateRequest,
     InputIn,
     JobRequest,
@@ -27,7 +29,7 @@ from service.schemas import (
 )
 from service.settings import Settings
 
-Request = EstimateRequest | SmoothRequest | SimulateRequest
+Request = EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest
 ADAPTER: TypeAdapter[Request] = TypeAdapter(JobRequest)
 
 
@@ -40,22 +42,28 @@ class Prepared:
     series: list[Series]
     theta: Theta
     free: list[str] | None = None
+    test: Series | None = None
 
 
 def prepare(request: Request) -> Prepared:
     """Check a request against its model. Raises Problem 422."""
-    model = _model(request.model)
-    if isinstance(request, EstimateRequest):
+    model = _model(request)
+    if isinstance(request, EstimateRequest | DiagnoseRequest):
         values, where = request.parameters.start, "parameters.start"
     else:
         values, where = request.parameters.values, "parameters.values"
     with _at(where):
         theta = model.theta(values)
-    free = None
-    if isinstance(request, EstimateRequest):
+    free, test = None, None
+    if isinstance(request, EstimateRequest | DiagnoseRequest):
         free = request.parameters.free
         with _at("parameters.free"):
             model.free_indices(free)
+    if isinstance(request, DiagnoseRequest):
+        check_effects(request.options.effects)
+        if request.test is not None:
+            test = _series(request.test, model, "test")
+    if isinstance(request, EstimateRequest):
         with _at("parameters.ranges"):
             for name, (low, high) in request.parameters.ranges.items():
                 model.theta({name: low})
@@ -64,7 +72,7 @@ def prepare(request: Request) -> Prepared:
         series = _inputs(request, model)
     else:
         series = [_series(one, model, f"series[{i}]") for i, one in enumerate(request.series)]
-    return Prepared(request, model, series, theta, free)
+    return Prepared(request, model, series, theta, free, test)
 
 
 def load(document: Any) -> Prepared:
@@ -81,6 +89,8 @@ def check_limits(request: Request, settings: Settings) -> None:
     """Raise Problem 422 where a request is larger than the settings allow."""
     samples = 0
     series: Sequence[SeriesIn | InputIn] = request.series
+    if isinstance(request, DiagnoseRequest) and request.test is not None:
+        series = [*request.series, request.test]
     for i, one in enumerate(series):
         samples += max((len(x) for x in (one.y, one.u) if x is not None), default=0)
         _limit(f"series[{i}]", "samples in all series", samples, settings.max_samples)
@@ -102,14 +112,47 @@ def _limit(field: str, what: str, value: int, most: int) -> None:
         raise invalid(field, f"{value} {what}; this service allows {most}")
 
 
-def _model(reference: ModelReference) -> MixedModel:
+def _model(request: Request) -> MixedModel:
+    """The registered model with the effects asked for, made for the request's first series."""
+    reference = request.model
     try:
         model = get_model(reference.name)
     except OptionError as error:
         raise invalid("model", str(error)) from None
-    if reference.effects:
-        raise invalid("model.with", "effects are not available in this version; leave it empty")
-    return model
+    if not reference.effects:
+        return model
+    try:
+        return extend(model, reference.effects, _setting(reference, request, model))
+    except EngineError as error:
+        raise invalid("model.with", str(error)) from None
+
+
+def _setting(reference: ModelReference, request: Request, model: MixedModel) -> Setting | None:
+    """What effects need to know of data: as a diagnosis gave it, or the first series' times."""
+    if reference.setting is not None:
+        given = reference.setting
+        return Setting(model, given.scale, (given.span[0], given.span[1]), given.dt)
+    one: SeriesIn | InputIn = request.series[0] if request.series else InputIn()
+    n = max((len(x) for x in (one.y, one.u, one.t) if x is not None), default=0)
+    if n < 2:
+        return None
+    if one.t is None:
+        dt = one.dt or 1.0
+        return Setting(model, {}, (0.0, dt * (n - 1)), dt)
+    steps = np.diff(one.t)
+    if not (np.isfinite(one.t).all() and (steps > 0.0).all()):
+        return None  # the series is refused next, with the row
+    return Setting(model, {}, (one.t[0], one.t[-1]), float(np.median(steps)))
+
+
+def check_effects(effects: Sequence[str] | None) -> None:
+    """Raise Problem 422 for an effect of a kind there is not."""
+    known = effect_kinds()
+    for i, name in enumerate(effects or ()):
+        if name.partition(":")[0] not in known:
+            raise invalid(
+                f"options.effects[{i}]", f"'{name}' is not known; kinds are {', '.join(known)}"
+            )
 
 
 def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:

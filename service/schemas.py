@@ -18,7 +18,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-Kind = Literal["estimate", "smooth", "simulate"]
+Kind = Literal["estimate", "smooth", "simulate", "diagnose"]
 Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
 
 
@@ -75,13 +75,35 @@ class _Strict(BaseModel):
 # ---- requests -------------------------------------------------------------------------------
 
 
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Values = dict[Annotated[str, Field(max_length=200)], Number]
+
+
+class SettingIn(_Strict):
+    """What data told when effects were made: typical sizes by channel, first and last time, time step."""
+
+    scale: Values = Field(default_factory=dict)
+    span: list[Number] = Field(min_length=2, max_length=2)
+    dt: float = Field(gt=0, allow_inf_nan=False)
+
+    @field_validator("span")
+    @classmethod
+    def _ordered(cls, span: list[float]) -> list[float]:
+        if not span[0] < span[1]:
+            raise PydanticCustomError("span", "the last time is not after the first")
+        return span
+
+
 class ModelReference(_Strict):
-    """A registered model, by name; `with` lists effects added to it."""
+    """A registered model, by name; `with` lists effects added to it, `setting` as a diagnosis gave it."""
 
     model_config = ConfigDict(extra="forbid", strict=True, serialize_by_alias=True)
     name: str = Field(max_length=200)
     effects: list[Annotated[str, Field(max_length=200)]] = Field(
         default_factory=list, alias="with", max_length=20
+    )
+    setting: SettingIn | None = Field(
+        default=None, description="null means the span and time step of the first series"
     )
 
 
@@ -125,10 +147,6 @@ class InputIn(_Timed):
     y: Table | None = None
 
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Values = dict[Annotated[str, Field(max_length=200)], Number]
-
-
 class EstimateParameters(_Strict):
     """Where the estimation starts and what it may change."""
 
@@ -147,6 +165,15 @@ class EstimateParameters(_Strict):
             if len(values) != 2 or values[0] > values[1]:
                 raise PydanticCustomError("range", "{name} needs [low, high]", {"name": name})
         return ranges
+
+
+class DiagnoseParameters(_Strict):
+    """Where the model's own estimation starts and what it may change."""
+
+    start: Values = Field(default_factory=dict, description="start values; else the defaults")
+    free: list[Annotated[str, Field(max_length=200)]] | None = Field(
+        default=None, min_length=1, description="parameters to estimate; null means all"
+    )
 
 
 class FixedParameters(_Strict):
@@ -197,6 +224,17 @@ class SimulateOptions(_Strict):
     seed: Seed = 0
 
 
+class DiagnoseOptions(_Strict):
+    """What to look for, and how sure to be."""
+
+    alpha: float = Field(default=0.05, gt=0, lt=1, description="chance of an alarm without cause")
+    effects: list[Annotated[str, Field(max_length=200)]] | None = Field(
+        default=None, min_length=1, max_length=500, description="kinds or names; null means all"
+    )
+    max_effects: int = Field(default=3, ge=1, le=10, description="found in turn at most")
+    seed: Seed = 0
+
+
 class EstimateRequest(_Strict):
     """Maximum-likelihood estimation of the free parameters."""
 
@@ -230,8 +268,23 @@ class SimulateRequest(_Strict):
     run_seconds: RunSeconds = None
 
 
+class DiagnoseRequest(_Strict):
+    """What the model gets wrong on a series, why, and what an extension gains."""
+
+    kind: Literal["diagnose"]
+    model: ModelChoice
+    series: list[SeriesIn] = Field(min_length=1, max_length=1)
+    test: SeriesIn | None = Field(
+        default=None, description="held-out data; null means the last fifth of the series"
+    )
+    parameters: DiagnoseParameters = DiagnoseParameters()
+    options: DiagnoseOptions = DiagnoseOptions()
+    run_seconds: RunSeconds = None
+
+
 JobRequest = Annotated[
-    EstimateRequest | SmoothRequest | SimulateRequest, Field(discriminator="kind")
+    EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest,
+    Field(discriminator="kind"),
 ]
 
 _NILE = [1120, 1160, 963, 1210, 1160, 1160, 813, 1230, 1370, 1140, 995, 935, 1110, 994, None]
@@ -267,6 +320,15 @@ EXAMPLES: dict[str, Any] = {
             ],
             "parameters": {"values": {"theta_2": 0.9}},
             "options": {"particles": 100, "seed": 3},
+        },
+    },
+    "diagnose": {
+        "summary": "What the local-level model leaves out of the Nile flows",
+        "value": {
+            "kind": "diagnose",
+            "model": "local-level",
+            "series": [{"y": [[flow] for flow in _NILE], "dt": 1.0}],
+            "options": {"effects": ["step", "pulse", "ramp", "latent"], "seed": 1},
         },
     },
     "simulate": {
@@ -433,5 +495,8 @@ class Results(BaseModel):
     trace: Trace | None = None
     states: StatesOut | None = None
     simulation: SimulationOut | None = None
+    diagnosis: dict[str, Any] | None = Field(
+        default=None, description="verdict, causes, symptoms, extension, gain, detectable, page"
+    )
     starts: list[dict[str, Any]] | None = Field(default=None, description="each start's outcome")
     bootstrap: dict[str, Any] | None = Field(default=None, description="estimates, quantiles")

@@ -19,11 +19,11 @@ import engine
 from engine.errors import ModelError
 from engine.model import Theta
 from engine.series import Series
-from service import kinds
+from service import diagnoses, kinds
 from service.kinds import Progress
 from service.prepare import Prepared, Request
 from service.problems import Problem
-from service.schemas import EstimateRequest, SimulateRequest, SmoothRequest
+from service.schemas import DiagnoseRequest, EstimateRequest, SimulateRequest, SmoothRequest
 
 SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
 START, BOOTSTRAP = 1 << 40, 1 << 41  # spawn keys far from those of iterations
@@ -45,7 +45,7 @@ def steps(job: Prepared) -> int:
     if isinstance(job.request, EstimateRequest):
         options = job.request.options
         return options.iterations * (options.starts + options.bootstrap)
-    return len(job.series)
+    return diagnoses.STEPS if isinstance(job.request, DiagnoseRequest) else len(job.series)
 
 
 def run(job: Prepared, task: int, progress: Progress) -> dict[str, Any]:
@@ -55,6 +55,8 @@ def run(job: Prepared, task: int, progress: Progress) -> dict[str, Any]:
             return kinds.smooth(job, job.request, progress)
         case SimulateRequest():
             return kinds.simulate(job, job.request, progress)
+        case DiagnoseRequest():
+            return diagnoses.diagnose(job, job.request, progress)
     before = first = 0
     stages = iter(plan(job.request))
     role, n = next(stages)

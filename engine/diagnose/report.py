@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from engine.diagnose.latex import to_latex
+from engine.diagnose.search import setting_for
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
 from engine.diagnose.words import listed, number, percent, probability, tidy, with_unit
 from engine.errors import EngineError
@@ -269,7 +270,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "unnamed": None if force is None else {"target": force.target, "sentence": force.sentence},
         "base_theta": d.base_theta.asdict(),
         "extension": {
-            "model": {"name": d.model.name, "with": [cause.effect for cause in d.causes]},
+            "model": _reference(d),
             "equations_before": list(d.model.equations),
             "equations": list(d.extended.equations),
             "theta": d.theta.asdict(),
@@ -286,6 +287,16 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
     }
     cleaned: dict[str, Any] = plain(data)
     return cleaned
+
+
+def _reference(d: Diagnosis) -> dict[str, Any]:
+    """The extended model by name, with what its effects were told of the data."""
+    setting = setting_for(d.model, d.symptoms.series, d.base_theta)
+    return {
+        "name": d.model.name,
+        "with": [cause.effect for cause in d.causes],
+        "setting": {"scale": dict(setting.scale), "span": setting.span, "dt": setting.dt},
+    }
 
 
 def _round_dict(found: Any) -> dict[str, Any]:

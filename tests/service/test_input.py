@@ -20,10 +20,10 @@ def change(**more):
 
 BAD = {
     "no kind": (change(kind=None), "", None, "kind"),
-    "unknown kind": (change(kind="diagnose"), "", None, "diagnose"),
+    "unknown kind": (change(kind="guess"), "", None, "diagnose"),
     "unknown member": (change(modle="tanks"), "modle", None, "Extra"),
     "unknown model": (change(model="tank"), "model", None, "tanks"),
-    "effects": (change(model={"name": "tanks", "with": ["offset:y"]}), "model.with", None, "effects"),
+    "effects": (change(model={"name": "tanks", "with": ["offset:y"]}), "model.with", None, "channels"),
     "no series": (change(series=[]), "series", None, "at least 1"),
     "series missing": ({"kind": "estimate", "model": "tanks"}, "series", None, "required"),
     "wide row": (tanks(y=[[1.0], [2.0, 3.0], [1.0]]), "series[0].y", 1, "2 values"),

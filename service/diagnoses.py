@@ -1,0 +1,72 @@
+"""The job kind ``diagnose``: the engine's diagnosis with progress in per cent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import engine
+from service.kinds import Progress
+from service.prepare import Prepared
+from service.schemas import DiagnoseRequest
+
+STEPS = 100  # of progress
+FIT, SEARCH = 5.0, 85.0  # per cent for the base model's fit, and for all rounds of search
+AFTER = {"symptoms": 92.0, "gain": 95.0}
+SAYS = {
+    "fit": "estimating the model as it is",
+    "search": "looking for effects",
+    "screen": "screening effects",
+    "refit": "estimating the best of them",
+    "symptoms": "comparing simulation and prediction with the data",
+    "gain": "measuring the gain on held-out data",
+}
+
+
+def diagnose(job: Prepared, request: DiagnoseRequest, progress: Progress) -> dict[str, Any]:
+    """The diagnosis as JSON; its page is among it."""
+    options = request.options
+    found = engine.diagnose(
+        job.model,
+        job.series[0],
+        job.theta if request.parameters.start else None,
+        job.test,
+        seed=options.seed,
+        alpha=options.alpha,
+        effects=options.effects,
+        max_effects=options.max_effects,
+        free=job.free,
+        callback=Percent(progress),
+    )
+    document = found.to_dict()
+    reference = document["extension"]["model"]
+    reference["name"] = request.model.name
+    reference["with"] = [*request.model.effects, *reference["with"]]
+    return {"diagnosis": document, "message": found.verdict.sentence}
+
+
+class Percent:
+    """The engine's callback(stage, fraction) as steps that never go back.
+
+    How many rounds of screening and refitting there will be is not known: each takes half of what
+    is left, six tenths of it for the screen.
+    """
+
+    def __init__(self, progress: Progress) -> None:
+        self.progress, self.done, self.said = progress, -1, ""
+        self.round = -1
+
+    def __call__(self, stage: str, fraction: float) -> None:
+        """Tell the store where something has changed."""
+        if stage == "screen" and fraction == 0.0:
+            self.round += 1
+        done = max(self.done, int(self._percent(stage, min(max(fraction, 0.0), 1.0))))
+        if done > self.done or stage != self.said:
+            self.done, self.said = done, stage
+            self.progress.step(done, SAYS.get(stage, stage))
+
+    def _percent(self, stage: str, fraction: float) -> float:
+        if stage in ("screen", "refit"):
+            left = 0.5 ** max(self.round, 0)
+            part = 0.6 * fraction if stage == "screen" else 0.6 + 0.4 * fraction
+            return FIT + SEARCH * (1.0 - left + 0.5 * left * part)
+        return AFTER.get(stage, FIT if stage == "search" else 0.0)

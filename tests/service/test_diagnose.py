@@ -1,0 +1,144 @@
+"""The job kind diagnose, and extended models in every other kind."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data import nile
+from engine.diagnose import extend
+from service.diagnoses import Percent
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """300 samples of linear-2 whose reading is off by a step."""
+    y = engine.simulate(engine.get_model("linear-2"), None, 300, np.random.default_rng(3)).y
+    y[150:] += 4.0
+    return y.tolist()
+
+
+def request(data, **options):
+    return {
+        "kind": "diagnose",
+        "model": "linear-2",
+        "series": [{"y": data, "dt": 1.0}],
+        "options": {"effects": ["step", "pulse", "cubic", "latent"], "seed": 1} | options,
+    }
+
+
+def test_a_diagnosis_from_post_to_results_and_its_extension_used_at_once(client, ended, pushed):
+    url = client.post("/jobs", json=request(pushed)).headers["location"]
+    job = ended(client, url, 120.0)
+    assert (job["status"], job["kind"], job["progress"]) == ("successful", "diagnose", 100)
+    found = client.get(f"{url}/results").json()["diagnosis"]
+    assert found["verdict"] in ("named", "set", "unknown")
+    assert found["causes"][0]["effect"] == "step:y"
+    assert found["causes"][0]["parameters"]["step_y"] == pytest.approx(4.0, abs=1.0)
+    assert found["page"].startswith("Diagnosis of model 'linear-2'")
+    reference = found["extension"]["model"]
+    assert reference["name"] == "linear-2"
+    assert "step:y" in reference["with"]
+
+    smooth = {
+        "kind": "smooth", "model": reference, "series": [{"y": pushed, "dt": 1.0}],
+        "parameters": {"values": found["extension"]["theta"]}, "options": {"particles": 50},
+    }  # fmt: skip
+    url = client.post("/jobs", json=smooth).headers["location"]
+    job = ended(client, url)
+    assert job["status"] == "successful", job["message"]
+    assert job["model"].startswith("linear-2+step:y")
+    extended = client.get(f"{url}/results").json()
+    plain = smooth | {"model": "linear-2", "parameters": {"values": found["base_theta"]}}
+    url = client.post("/jobs", json=plain).headers["location"]
+    assert ended(client, url)["status"] == "successful"
+    base = client.get(f"{url}/results").json()
+    gained = extended["log_likelihood"]["value"] - base["log_likelihood"]["value"]
+    assert gained > 5.0
+
+
+def test_the_service_says_what_the_engine_says(client, ended):
+    flows = nile()
+    effects = ["step", "pulse", "ramp", "latent"]
+    job = {
+        "kind": "diagnose", "model": "local-level", "options": {"effects": effects, "seed": 1},
+        "series": [{"y": flows.y.tolist(), "t": flows.t.tolist()}],
+    }  # fmt: skip
+    url = client.post("/jobs", json=job).headers["location"]
+    assert ended(client, url, 120.0)["status"] == "successful"
+    there = client.get(f"{url}/results").json()["diagnosis"]
+    model = engine.get_model("local-level")
+    here = engine.diagnose(model, flows, effects=effects, seed=1).to_dict()
+    # with another number of BLAS threads sums differ in their last digits
+    assert there["verdict"] == here["verdict"]
+    assert there["p_value"] == pytest.approx(here["p_value"])
+    assert there["base_theta"] == pytest.approx(here["base_theta"], rel=1e-6)
+    assert [c["effect"] for c in there["causes"]] == [c["effect"] for c in here["causes"]]
+    for one, other in zip(there["causes"], here["causes"], strict=True):
+        assert one["size"] == pytest.approx(other["size"], rel=1e-4)
+        assert one["gain"] == pytest.approx(other["gain"], rel=1e-4)
+    assert there["gain"]["log_density"] == pytest.approx(here["gain"]["log_density"], rel=1e-3)
+    assert [d["effect"] for d in there["detectable"]] == [d["effect"] for d in here["detectable"]]
+
+
+def test_a_model_with_effects_is_estimated(client, ended, data):
+    job = {
+        "kind": "estimate", "model": {"name": "linear-2", "with": ["force:z"]},
+        "series": [{"y": data, "dt": 1.0}],
+        "options": {"particles": 20, "iterations": 3, "standard_errors": False},
+    }  # fmt: skip
+    url = client.post("/jobs", json=job).headers["location"]
+    assert ended(client, url)["status"] == "successful"
+    assert set(client.get(f"{url}/trace").json()["theta"]) == {"theta", "force_z"}
+    model = extend(engine.get_model("linear-2"), ["force:z"])
+    assert set(client.get(f"{url}/results").json()["estimate"]) == set(model.parameter_names)
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "word"),
+    [
+        ({"options": {"alpha": 1.5}}, "options.alpha", "less than 1"),
+        ({"options": {"max_effects": 0}}, "options.max_effects", "greater than or equal to 1"),
+        ({"options": {"effects": ["step", "magic"]}}, "options.effects[1]", "kinds are"),
+        ({"parameters": {"start": {"thetta": 1.0}}}, "parameters.start.thetta", "theta"),
+        ({"parameters": {"free": ["q"]}}, "parameters.free", "q"),
+        ({"model": {"name": "linear-2", "with": ["force:q"]}}, "model.with", "channels are a, z"),
+        ({"model": {"name": "linear-2", "with": ["force"]}}, "model.with", "channels are"),
+        ({"test": {"y": [[1.0, 2.0], [1.0, 2.0]]}}, "test.y", "needs 1"),
+        ({"series": [{"y": [[1.0]] * 40}] * 2}, "series", "at most 1"),
+    ],
+)
+def test_what_is_wrong_is_named(client, pushed, change, field, word):
+    answer = client.post("/jobs", json=request(pushed) | change)
+    assert answer.status_code == 422, answer.text
+    error = answer.json()["errors"][0]
+    assert error["field"].startswith(field)
+    assert word in error["message"]
+
+
+def test_too_few_measurements_fail_with_the_reason(client, ended):
+    url = client.post("/jobs", json=request([[0.1 * i] for i in range(20)])).headers["location"]
+    job = ended(client, url)
+    assert job["status"] == "failed"
+    assert "30" in job["message"]
+
+
+def test_progress_only_goes_forward():
+    told = []
+
+    class Recorded:
+        def step(self, k, message=""):
+            told.append((k, message))
+
+    percent = Percent(Recorded())
+    percent("fit", 0.0)
+    percent("search", 0.0)
+    for _ in range(3):
+        for stage in ("screen", "refit"):
+            for k in range(10):
+                percent(stage, k / 10)
+    percent("symptoms", 0.0)
+    percent("gain", 0.0)
+    steps = [k for k, _ in told]
+    assert steps == sorted(steps)
+    assert 70 < steps[-3] < 92
+    assert len({message for _, message in told}) == 6
