@@ -6,6 +6,8 @@ Start with :func:`get_model` or your own :class:`MixedModel`, put measured data 
 
 from engine.conditional import condition_on_trajectories
 from engine.densities import GaussianMixture, StudentT
+from engine.diagnose import Diagnosis, diagnose, register_effect
+from engine.diagnose.extended import get_model
 from engine.discretize import discretize
 from engine.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
 from engine.errors import EngineError, ModelError, OptionError, SeriesError
@@ -21,7 +23,7 @@ from engine.particle import ParticleFiltered, ParticleSmoothed, ffbsi, particle_
 from engine.ps_em import ps_em
 from engine.rb_ffbsi import Smoothed, rb_ffbsi
 from engine.rbpf import Filtered, rbpf
-from engine.registry import get_model, model_names, plugin_errors, register
+from engine.registry import model_names, plugin_errors, register
 from engine.series import Series
 from engine.simulate import Simulation, simulate
 from engine.simulation_fit import fit_simulation
@@ -30,6 +32,7 @@ from engine.standard_errors import StandardErrors, standard_errors
 
 __all__ = [
     "Checkpoint",
+    "Diagnosis",
     "EmResult",
     "EngineError",
     "Filtered",
@@ -54,6 +57,7 @@ __all__ = [
     "Theta",
     "as_general",
     "condition_on_trajectories",
+    "diagnose",
     "discretize",
     "ffbsi",
     "filter_general",
@@ -73,6 +77,7 @@ __all__ = [
     "rbpf_special",
     "rbps_em",
     "register",
+    "register_effect",
     "rts_em",
     "simulate",
     "smooth_general",

@@ -161,7 +161,7 @@ def fit_base(
     """The model's own parameters: from the given start, or searched for where none is given."""
     start = model.theta(theta)
     if theta is None:
-        found = moment_maximum(model, [series], start, model.free_indices(free))
+        found = moment_maximum(model, [series], model.free_indices(free), start)
         start = start if found is None else found
     return quasi_ml(model, series, start, free)
 

@@ -31,6 +31,10 @@ class Setting:
     span: tuple[float, float] = (0.0, 100.0)
     dt: float = 1.0
 
+    def limits(self, low: float, high: float, least: float = 0.0) -> tuple[float, float]:
+        """Bounds (low, high) taken from the data, (least, inf) where nothing is known of them."""
+        return (low, high) if self.scale else (least, float("inf"))
+
     def size(self, channel: str) -> float:
         """The channel's typical size, 1 where unknown."""
         value = float(self.scale.get(channel, 1.0))

@@ -28,7 +28,8 @@ class Effect:
     ``title`` its physical name; ``equation`` what it adds, as text; ``parameters`` its own, the size
     first, with units; ``extend`` the extension; ``probes`` values of the other parameters at which
     the screen looks (one row each); ``look_alikes`` kinds that leave similar traces, with what
-    tells them apart; ``one_sided`` whether only a positive size makes sense (a variance).
+    tells them apart; ``one_sided`` whether only a positive size makes sense (a variance); ``held`` those
+    of its parameters that are a reference, not to be estimated.
     """
 
     kind: str
@@ -41,6 +42,7 @@ class Effect:
     probes: tuple[tuple[float, ...], ...] = ((),)
     look_alikes: dict[str, str] = field(default_factory=dict)
     one_sided: bool = False
+    held: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:

@@ -15,7 +15,8 @@ from engine.moment_filter import MomentPath
 from engine.quasi_ml import whitening
 from engine.series import Series
 
-GRID = 60  # times or frequencies tried
+GRID = 400  # times or frequencies tried at most: a step one sample off leaves another footprint
+CHUNK = 50  # columns held in memory at once; even, as a harmonic has two
 EDGE = 0.04  # share of the record at each end in which no step can be told from the start
 TIMED = ("step", "parameter-step", "harmonic", "pulse")
 
@@ -32,24 +33,27 @@ def family_test(
     b, e = _driver(effect, model, theta, series, path)
     if effect.kind == "pulse":
         row = _largest_pulse(path, series, b, e)
-        at: list[tuple[float, ...]] = [(float(series.t[row]),)]
+        at: list[tuple[float, ...]] = [(float(series.t[row]), *effect.probes[0][1:])]
         gate = np.zeros((len(series), 1))
         gate[row] = 1.0
     else:
         at, gate = _gates(effect, series)
-    g = np.nan_to_num(footprints(path.F, path.H, path.K, b, e, np.ascontiguousarray(gate)))
     root = whitening(path.S, series.observed)
     z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
-    G = np.einsum("tij,tnj->nti", root, g)
-    s = np.einsum("nti,ti->nt", G, z)
     T, ny = z.shape
     degrees = 2 if effect.kind == "harmonic" else 1
-    columns = []
-    for k in range(gate.shape[1]):
-        v = np.zeros(T * ny * (1 + ny))
-        v[: T * ny] = -G[k].ravel()
-        columns.append((at[k // degrees], Column(s[k], v)))
-    test = make_test(effect, columns, projection, degrees)
+
+    def chunk(start: int) -> list[tuple[tuple[float, ...], Column]]:
+        some = np.ascontiguousarray(gate[:, start : start + CHUNK])
+        g = np.nan_to_num(footprints(path.F, path.H, path.K, b, e, some))
+        G = np.einsum("tij,tnj->nti", root, g)
+        s = np.einsum("nti,ti->nt", G, z)
+        v = np.zeros((some.shape[1], T * ny * (1 + ny)))
+        v[:, : T * ny] = -G.reshape(len(v), -1)
+        return [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]
+
+    starts = range(0, gate.shape[1], CHUNK)
+    test = make_test(effect, (chunk(start) for start in starts), projection, degrees)
     if test is not None and effect.kind == "pulse":
         test = replace(test, tries=int(series.observed.any(axis=1).sum()))
     return test
@@ -90,9 +94,10 @@ def grid(effect: Effect, series: Series) -> Array:
     T, t = len(series), series.t
     if effect.kind == "harmonic":
         length, step = float(t[-1] - t[0]), float(np.median(series.steps))
-        return np.asarray(np.linspace(1.5 / length, 0.48 / step, min(4 * GRID, T // 3)))
+        return np.asarray(np.linspace(1.5 / length, 0.48 / step, min(GRID, T // 3)))
     first, last = int(EDGE * T) + 2, T - int(EDGE * T) - 3
-    rows = np.unique(np.linspace(first, max(last, first + 1), min(GRID, T // 3)).astype(int))
+    n = max(2, min(GRID, last - first + 1))
+    rows = np.unique(np.linspace(first, max(last, first + 1), n).astype(int))
     return np.asarray(t[rows])
 
 

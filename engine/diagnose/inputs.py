@@ -39,7 +39,11 @@ def _input_dead_zone(setting: Setting, channel: str) -> Effect | None:
         "input",
         f"dead zone of the input {channel}",
         f"{channel} -> (|{channel}| - {name})+ sign({channel})",
-        (Parameter(name, 0.0, setting.unit(channel), (0.0, 10.0 * scale), "half width"),),
+        (
+            Parameter(
+                name, 0.0, setting.unit(channel), setting.limits(0.0, 10.0 * scale), "half width"
+            ),
+        ),
         lambda model: change_inputs(
             model, channel, lambda u, own: np.sign(u) * np.maximum(np.abs(u) - own[0], 0.0)
         ),
@@ -52,7 +56,7 @@ def _input_saturation(setting: Setting, channel: str) -> Effect | None:
     if channel not in setting.model.inputs:
         return None
     name, scale = identifier("input_saturation", channel), setting.size(channel)
-    bounds = (1e-2 * scale, 20.0 * scale)
+    bounds = setting.limits(1e-2 * scale, 20.0 * scale, 1e-12)
     return Effect(
         "input-saturation",
         channel,

@@ -20,7 +20,7 @@ def _observers(model: MixedModel, output: str) -> list[str]:
     _, C, _ = model.observation(
         np.zeros((2, model.na)), np.zeros(model.nu), 0.0, model.record(model.theta())
     )
-    seen = np.abs(C).reshape(-1, *C.shape[-2:]).max(axis=0)[row] > 0.0
+    seen = np.abs(C if C.ndim == 2 else C.max(axis=0))[row] > 0.0
     return [name for name, there in zip(model.linear, seen, strict=True) if there]
 
 
@@ -46,7 +46,7 @@ def _curve(
             Parameter(name, 0.0, f"{unit}^{unit_power:g}" if unit_power else "1", limits, title)
         ]
         if width:
-            bounds = (1e-3 * scale, 20.0 * scale)
+            bounds = setting.limits(1e-3 * scale, 20.0 * scale, 1e-12)
             parameters.append(Parameter(f"{name}_limit", scale, unit, bounds, "where it bends"))
 
         def extend(model: MixedModel) -> MixedModel:
@@ -109,17 +109,21 @@ def _offset(setting: Setting, channel: str) -> Effect | None:
 def _drift(setting: Setting, channel: str) -> Effect | None:
     if channel not in setting.model.outputs:
         return None
-    name = identifier("drift", channel)
-    start = setting.span[0]
+    name, start = identifier("drift", channel), setting.span[0]
     return Effect(
         "drift",
         channel,
         "measurement",
         f"drift of the sensor {channel}",
-        f"{channel} = ... + {name} * (t - {start:g} s)",
-        (Parameter(name, 0.0, f"{setting.unit(channel)}/s", description="sensor drift"),),
-        lambda model: add_to_output(model, channel, lambda v, own: own[0] * (v.t - start)),
+        f"{channel} = ... + {name} * (t - {name}_start)",
+        (
+            Parameter(name, 0.0, f"{setting.unit(channel)}/s", description="sensor drift"),
+            Parameter(f"{name}_start", start, "s", description="when it is zero"),
+        ),
+        lambda model: add_to_output(model, channel, lambda v, own: own[0] * (v.t - own[1])),
+        probes=((start,),),
         look_alikes={"bias": "does not grow", "ramp": "moves the state"},
+        held=(f"{name}_start",),
     )
 
 

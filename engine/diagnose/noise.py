@@ -72,14 +72,16 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
     first, last = setting.span
     scale = setting.size(signal) if signal != "time" else max(last - first, setting.dt)
 
-    def factor(model: MixedModel, a: Array, u: Any, t: Any, size: Any) -> Any:
+    middle = 0.5 * (first + last)
+
+    def factor(model: MixedModel, a: Array, u: Any, t: Any, own: Any) -> Any:
         if signal == "time":
-            x = (t - 0.5 * (first + last)) / scale
+            x = t - own[2]
         elif signal in model.nonlinear:
-            x = np.abs(a[:, list(model.nonlinear).index(signal)]) / scale
+            x = np.abs(a[:, list(model.nonlinear).index(signal)])
         else:
-            x = np.abs(u[list(model.inputs).index(signal)]) / scale
-        return np.exp(np.clip(0.5 * size * x, -8.0, 8.0))
+            x = np.abs(u[list(model.inputs).index(signal)])
+        return np.exp(np.clip(0.5 * own[0] * x / own[1], -8.0, 8.0))
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -88,28 +90,34 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
             own_base, own = split(theta)
             f, A, Q = model.transition(a, u, t, dt, own_base)
             index = [*model.nonlinear, *model.linear].index(target)
-            return f, A, _scaled(Q, index, factor(model, a, u, t, own[0]), len(a))
+            return f, A, _scaled(Q, index, factor(model, a, u, t, own), len(a))
 
         def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
             own_base, own = split(theta)
             h, C, R = model.observation(a, u, t, own_base)
             index = list(model.outputs).index(target)
-            return h, C, _scaled(R, index, factor(model, a, u, t, own[0]), len(a))
+            return h, C, _scaled(R, index, factor(model, a, u, t, own), len(a))
 
         if at_output:
             return on_base(model, split, measurement=measurement)
         return on_base(model, split, dynamics=dynamics)
 
-    what = "time" if signal == "time" else f"|{signal}|"
+    what = f"(t - {name}_middle)" if signal == "time" else f"|{signal}|"
+    unit = "s" if signal == "time" else setting.unit(signal)
+    further = [Parameter(f"{name}_per", scale, unit, (1e-300, np.inf), "to which the size refers")]
+    if signal == "time":
+        further.append(Parameter(f"{name}_middle", middle, "s", description="where it is zero"))
     return Effect(
         "variance",
         channel,
         "noise",
         f"{'measurement' if at_output else 'process'} noise of {target} that changes with {what}",
-        f"log variance of the noise of {target} + {name} * {what} / {scale:.3g}",
-        (Parameter(name, 0.0, "1", (-20.0, 20.0), f"log variance per {scale:.3g} of {what}"),),
+        f"log variance of the noise of {target} + {name} * {what} / {name}_per",
+        (Parameter(name, 0.0, "1", (-20.0, 20.0), "change of the log variance"), *further),
         extend,
+        probes=(tuple(p.default for p in further),),
         look_alikes={"level": "does not change", "heavy-tails": "comes at random times"},
+        held=tuple(p.name for p in further),
     )
 
 
@@ -201,7 +209,13 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
         f"coloured measurement noise of {channel}",
         f"{channel} = ... + c,  c an Ornstein-Uhlenbeck process of variance {name}",
         (
-            Parameter(name, 0.0, f"({unit})^2", (0.0, 100.0 * scale**2), "variance"),
+            Parameter(
+                name,
+                0.0,
+                f"({unit})^2",
+                setting.limits(0.0, 100.0 * scale**2),
+                "variance",
+            ),
             _time_parameter(name, setting),
         ),
         extend,
@@ -250,7 +264,11 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
 def _time_parameter(name: str, setting: Setting) -> Parameter:
     longest = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
     return Parameter(
-        f"{name}_time", 5.0 * setting.dt, "s", (0.3 * setting.dt, longest), "correlation time"
+        f"{name}_time",
+        5.0 * setting.dt,
+        "s",
+        setting.limits(0.3 * setting.dt, longest, 1e-12),
+        "correlation time",
     )
 
 

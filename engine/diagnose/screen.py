@@ -18,7 +18,7 @@ time's contribution s~_t keeps its size and gets a random sign.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -278,9 +278,10 @@ class Test:
 
     effect: Effect
     s: Array  # (n, T)
-    v: Array  # (n, .)
+    norm: Array  # (n,) |v~|^2
     rho: Array  # (n,)
     at: tuple[tuple[float, ...], ...]
+    vector: Array  # v~ of the best column
     degrees: int = 1  # columns that are tested together, as the two of a harmonic
     tries: int = 1  # places the one column was chosen from, for a single time step
     known: tuple[float, float] | None = None  # statistic and p-value, where they are not of scores
@@ -289,9 +290,8 @@ class Test:
         """Statistics (..., n / degrees) from sums over time (..., n) of s~, one-sided if it must be."""
         if self.known is not None:
             return np.full((*totals.shape[:-1], 1), self.known[0])
-        norm = (self.v**2).sum(axis=1)
-        use = norm > 0.0
-        standard = np.where(use, totals / np.sqrt(np.where(use, norm, 1.0)), 0.0)
+        use = self.norm > 0.0
+        standard = np.where(use, totals / np.sqrt(np.where(use, self.norm, 1.0)), 0.0)
         if self.effect.one_sided:
             standard = np.maximum(standard, 0.0)
         squares = standard**2
@@ -342,7 +342,7 @@ def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:
     totals = test.s.sum(axis=1)
     statistics = test.statistics(totals)
     best = int(np.argmax(statistics)) * test.degrees
-    norm = float((test.v[best] ** 2).sum()) if test.known is None else 1.0
+    norm = float(test.norm[best])
     testable = norm > 0.0 and test.rho[best] > UNTESTABLE
     score = Score(
         test.effect,
@@ -355,7 +355,7 @@ def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:
         effective,
         test.degrees,
     )
-    return score, test.v[best]
+    return score, test.vector
 
 
 def _family_p(value: float, draws: Array, degrees: int, effective: float) -> float:
@@ -380,22 +380,37 @@ def _family_p_all(draws: Array) -> Array:
 
 def make_test(
     effect: Effect,
-    columns: Sequence[tuple[tuple[float, ...], Column]],
+    chunks: Iterable[Sequence[tuple[tuple[float, ...], Column]]],
     projection: Projection,
     degrees: int = 1,
 ) -> Test | None:
-    """Project an effect's columns; None where it has none."""
-    if not columns:
+    """Project an effect's columns, chunk by chunk; None where it has none."""
+    parts: list[tuple[Array, Array, Array]] = []
+    at: list[tuple[float, ...]] = []
+    best, vector = -1.0, np.zeros(0)
+    for columns in chunks:
+        if not columns:
+            continue
+        s = np.array([c.s for _, c in columns])
+        v = np.array([c.v for _, c in columns])
+        before = (v**2).sum(axis=1)
+        s, v = projection(s, v)
+        rho = np.divide((v**2).sum(axis=1), before, out=np.zeros(len(before)), where=before > 0.0)
+        v[rho <= UNTESTABLE] = 0.0
+        if degrees > 1:
+            s, v = _decorrelate(s, v, degrees)
+        norm = (v**2).sum(axis=1)
+        parts.append((s, norm, rho))
+        at += [point for point, _ in columns[::degrees]]
+        use = norm > 0.0
+        statistics = np.where(use, s.sum(axis=1) ** 2 / np.where(use, norm, 1.0), 0.0)
+        k = int(np.argmax(statistics))
+        if statistics[k] > best:
+            best, vector = float(statistics[k]), v[k]
+    if not parts:
         return None
-    s = np.array([c.s for _, c in columns])
-    v = np.array([c.v for _, c in columns])
-    before = (v**2).sum(axis=1)
-    s, v = projection(s, v)
-    rho = np.divide((v**2).sum(axis=1), before, out=np.zeros(len(before)), where=before > 0.0)
-    v[rho <= UNTESTABLE] = 0.0
-    if degrees > 1:
-        s, v = _decorrelate(s, v, degrees)
-    return Test(effect, s, v, rho, tuple(at for at, _ in columns[::degrees]), degrees)
+    s, norm, rho = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return Test(effect, s, norm, rho, tuple(at), vector, degrees)
 
 
 def _decorrelate(s: Array, v: Array, degrees: int) -> tuple[Array, Array]:

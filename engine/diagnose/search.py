@@ -52,6 +52,13 @@ GENERIC = "latent"
 SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")
 SWALLOWED_REFITS = 6
 PLAIN = ("bias", "step", "force", "input-offset", "coulomb", "cubic")  # plainer names first
+NESTS = {  # a kind with a width of its own, and plainer ones it becomes at the end of its range
+    "stribeck": ("coulomb",),
+    "deadzone": ("coulomb", "coupling"),
+    "saturation": ("coulomb", "coupling"),
+    "variance": ("level",),
+}
+NEEDED = 2.0  # of the score, that the wider kind must be ahead
 SAME = 2.0  # total difference of log-densities below which two refits say the same
 OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
 TAILS_ALARM = 1e-3  # p-value from which outliers are refitted, whatever their rank
@@ -202,7 +209,7 @@ def screen_effects(
                 test = family_test(effect, model, theta, series, path, projection)
             else:
                 columns = effect_columns(effect, model, theta, series, path)
-                test = make_test(effect, columns, projection)
+                test = make_test(effect, [columns], projection)
         except (EngineError, np.linalg.LinAlgError):
             test = None  # an extension whose filter is lost explains nothing
         if test is not None:
@@ -269,12 +276,27 @@ def distinct(refits: Sequence[Refit], series: Series) -> tuple[Refit, ...]:
     A pulse on an integrator is a step of its reading: where two refits predict alike at every
     sample, the plainer kind (see PLAIN) stands for both.
     """
+    refits = [r for r in refits if not _merely_wider(r, refits)]
     terms = [held_out_terms(r.fit, series) for r in refits]
     kept: list[int] = []
     for i in sorted(range(len(refits)), key=lambda i: _plainness(refits[i])):
-        if all(np.abs(terms[i] - terms[j]).sum() > SAME for j in kept):
+        rank = _plainness(refits[i])
+        if not any(
+            rank > _plainness(refits[j]) and np.abs(terms[i] - terms[j]).sum() < SAME for j in kept
+        ):
             kept.append(i)
     return tuple(refits[i] for i in sorted(kept))
+
+
+def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
+    """Whether a plainer effect at the same place does as well."""
+    effect = found.effect
+    return any(
+        other.effect.kind in NESTS.get(effect.kind, ())
+        and other.effect.channel in (effect.channel, effect.channel.partition("->")[0])
+        and found.score < other.score + NEEDED
+        for other in others
+    )
 
 
 def _plainness(found: Refit) -> int:
@@ -288,7 +310,7 @@ def _screen_score(score: Score) -> float:
 
 def cost(effect: Effect) -> float:
     """What an effect's further parameters must gain before they count."""
-    further = len(effect.parameters) - 1
+    further = len(effect.parameters) - 1 - len(effect.held)
     return 2.0 * further + (TIME_COST if is_timed(effect) else 0.0)
 
 
@@ -305,7 +327,8 @@ def refit(fit: QuasiFit, series: Series, score: Score) -> Refit:
     start = np.clip(start, extended.lower, extended.upper)
     own = [p.name for p in effect.parameters]
     sought = [name for name in own if name.endswith("_time")] if is_timed(effect) else []
-    free = [*fit.free, *(name for name in own if name not in sought)]
+    fixed = {*sought, *effect.held}
+    free = [*fit.free, *(name for name in own if name not in fixed)]
     start = _best_start(extended, series, start, n)
     found = quasi_ml(extended, series, start, free)
     if sought:

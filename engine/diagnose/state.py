@@ -11,6 +11,7 @@ from engine.diagnose.catalogue import Kind, Maker, Setting, each_pair, each_stat
 from engine.diagnose.effect import (
     Effect,
     Split,
+    Values,
     add_linear_coupling,
     add_to_state,
     identifier,
@@ -53,7 +54,7 @@ def _static(
                     f"{name}_width",
                     0.5 * scale,
                     setting.unit(source),
-                    (1e-3 * scale, 10.0 * scale),
+                    setting.limits(1e-3 * scale, 10.0 * scale, 1e-12),
                     f"scale of {source} at which it bends",
                 )
             )
@@ -79,6 +80,35 @@ def _static(
         )
 
     return make
+
+
+def _coulomb(setting: Setting, channel: str) -> Effect | None:
+    """Friction of constant size against the motion; it may stop the motion in a step, not reverse it."""
+    found = pair(setting, channel)
+    if found is None:
+        return None
+    source, target = found
+    name = identifier("coulomb", channel)
+
+    def term(v: Values, own: Sequence[Any]) -> Any:
+        if source != target:
+            return -own[0] * np.sign(v[source])
+        most = v.dt * np.abs(own[0])
+        return -np.sign(own[0]) * np.clip(v[source], -most, most) / v.dt
+
+    def extend(model: MixedModel) -> MixedModel:
+        return add_to_state(model, target, term, needs=(source,) if source in model.linear else ())
+
+    return Effect(
+        "coulomb",
+        channel,
+        "state",
+        f"Coulomb friction of {source}" + ("" if source == target else f" on {target}"),
+        f"{target}' = ... - dt * {name} * sign({source})",
+        (Parameter(name, 0.0, _rate(setting, target), description="friction per unit of inertia"),),
+        extend,
+        look_alikes={"drag": ODD, "stribeck": ODD, "deadzone": ODD},
+    )
 
 
 def _force(setting: Setting, channel: str) -> Effect | None:
@@ -180,7 +210,12 @@ def _pole(setting: Setting, channel: str) -> Effect | None:
         f"l' = l + dt ({source} - l) / {name}_time,  {target}' = ... + dt * {name} * l",
         (
             Parameter(name, 0.0, _rate(setting, target, setting.unit(source))),
-            Parameter(f"{name}_time", 10.0 * setting.dt, "s", (fast, max(slow, 2.0 * fast))),
+            Parameter(
+                f"{name}_time",
+                10.0 * setting.dt,
+                "s",
+                setting.limits(fast, max(slow, 2.0 * fast), 1e-12),
+            ),
         ),
         extend,
         probes=((5.0 * setting.dt,), (30.0 * setting.dt,)),
@@ -302,7 +337,10 @@ def _hysteresis(setting: Setting, channel: str) -> Effect | None:
         (
             Parameter(name, 0.0, _rate(setting, target, f"{setting.unit(source)} s")),
             Parameter(
-                f"{name}_width", width, f"{setting.unit(source)} s", (width / 100, width * 100)
+                f"{name}_width",
+                width,
+                f"{setting.unit(source)} s",
+                setting.limits(width / 100, width * 100, 1e-12),
             ),
         ),
         extend,
@@ -342,32 +380,21 @@ KINDS: list[Kind] = [
         _static(
             "drag",
             "quadratic drag",
-            "{x}|{x}|",
-            lambda x, own: x * np.abs(x),
+            "-{x}|{x}|",
+            lambda x, own: -x * np.abs(x),
             2,
             {"cubic": ODD, "coulomb": ODD},
         ),
         each_pair,
     ),
-    (
-        "coulomb",
-        _static(
-            "coulomb",
-            "Coulomb friction",
-            "sign({x})",
-            lambda x, own: np.sign(x),
-            0,
-            {"drag": ODD, "stribeck": ODD},
-        ),
-        each_pair,
-    ),
+    ("coulomb", _coulomb, each_pair),
     (
         "stribeck",
         _static(
             "stribeck",
             "Stribeck friction",
-            "sign({x}) exp(-|{x}|/w)",
-            lambda x, own: np.sign(x) * np.exp(-np.abs(x) / own[0]),
+            "-sign({x}) exp(-|{x}|/w)",
+            lambda x, own: -np.sign(x) * np.exp(-np.abs(x) / own[0]),
             0,
             {"coulomb": "does not fade with speed"},
             width=True,

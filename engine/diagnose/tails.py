@@ -98,9 +98,10 @@ def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array
     return Test(
         effect,
         np.full((1, n), max(size, 1e-4) / n),
-        np.zeros((1, width)),
+        np.ones(1),
         np.ones(1),
         ((RATIOS[1],),),
+        np.zeros(width),
         known=(max(z, 0.0) ** 2, float(norm.sf(z))),
     )
 

@@ -23,9 +23,10 @@ def _signal(
     kind: str,
     title: str,
     formula: str,
-    signal: Callable[[Any, Setting, Sequence[Any]], Any],
+    signal: Callable[[Any, Sequence[Any]], Any],
     shape: Callable[[str, Setting], list[Parameter]],
     look_alikes: dict[str, str],
+    held: tuple[str, ...] = (),
 ) -> Maker:
     """A kind ``size * signal(t)`` added to a state's equation or to an output."""
 
@@ -35,11 +36,11 @@ def _signal(
             return None
         name = identifier(kind, channel)
         unit = setting.unit(channel) if at_output else f"{setting.unit(channel)}/s"
-        parameters = [Parameter(name, 0.0, unit, description=title), *shape(name, setting)]
+        further = shape(name, setting)
 
         def extend(model: MixedModel) -> MixedModel:
             add = add_to_output if at_output else add_to_state
-            return add(model, channel, lambda v, own: own[0] * signal(v.t, setting, own[1:]))
+            return add(model, channel, lambda v, own: own[0] * signal(v.t, own[1:]))
 
         return Effect(
             kind,
@@ -47,9 +48,11 @@ def _signal(
             "time",
             f"{title} {'of the reading' if at_output else 'of the force on'} {channel}",
             f"{channel} = ... + {'' if at_output else 'dt * '}{name} * {formula}",
-            tuple(parameters),
+            (Parameter(name, 0.0, unit, description=title), *further),
             extend,
+            probes=(tuple(p.default for p in further),),
             look_alikes=look_alikes,
+            held=tuple(f"{name}_{part}" for part in held),
         )
 
     return make
@@ -57,7 +60,11 @@ def _signal(
 
 def _when(name: str, setting: Setting) -> list[Parameter]:
     first, last = setting.span
-    return [Parameter(f"{name}_time", 0.5 * (first + last), "s", (first, last), "when")]
+    return [
+        Parameter(
+            f"{name}_time", 0.5 * (first + last), "s", setting.limits(first, last, -np.inf), "when"
+        )
+    ]
 
 
 def _frequency(name: str, setting: Setting) -> list[Parameter]:
@@ -65,7 +72,9 @@ def _frequency(name: str, setting: Setting) -> list[Parameter]:
     lowest, highest = 0.5 / max(last - first, setting.dt), 0.5 / setting.dt
     return [
         Parameter(f"{name}_sine", 0.0, "", description="amplitude of the sine"),
-        Parameter(f"{name}_frequency", 10.0 * lowest, "Hz", (lowest, highest), "frequency"),
+        Parameter(
+            f"{name}_frequency", 10.0 * lowest, "Hz", setting.limits(lowest, highest), "frequency"
+        ),
     ]
 
 
@@ -110,14 +119,19 @@ def _parameter_change(kind: str, title: str) -> Maker:
         name = identifier(kind, channel)
         first, last = setting.span
         parameter = setting.model.parameters[index]
-        parameters = [Parameter(name, 0.0, parameter.unit, description=title)]
-        if kind == "parameter-step":
-            parameters += _when(name, setting)
+        steps = kind == "parameter-step"
+        further = _when(name, setting)
+        if not steps:
+            length = max(last - first, setting.dt)
+            further = [
+                Parameter(
+                    f"{name}_middle", 0.5 * (first + last), "s", description="where it is zero"
+                ),
+                Parameter(f"{name}_per", length, "s", (1e-300, np.inf), "to which the size refers"),
+            ]
 
         def course(t: Any, own: Sequence[Any]) -> Any:
-            if kind == "parameter-step":
-                return own[0] * (t >= own[1])
-            return own[0] * (t - 0.5 * (first + last)) / max(last - first, setting.dt)
+            return own[0] * ((t >= own[1]) if steps else (t - own[1]) / own[2])
 
         def extend(model: MixedModel) -> MixedModel:
             split = Split(model)
@@ -141,11 +155,11 @@ def _parameter_change(kind: str, title: str) -> Maker:
             "time",
             f"{title} of the parameter {channel}",
             f"{channel} -> {channel} + {name} * "
-            + (
-                "[t >= time]" if kind == "parameter-step" else "(t - middle) / length of the record"
-            ),
-            tuple(parameters),
+            + (f"[t >= {name}_time]" if steps else f"(t - {name}_middle) / {name}_per"),
+            (Parameter(name, 0.0, parameter.unit, description=title), *further),
             extend,
+            probes=(tuple(p.default for p in further),),
+            held=() if steps else tuple(p.name for p in further),
             look_alikes={"cubic": "depends on the state", "step": "a force, whatever the state"},
         )
 
@@ -157,6 +171,15 @@ def _each_place(setting: Setting) -> Iterator[str]:
     yield from each_state(setting)
 
 
+def _width(name: str, setting: Setting) -> list[Parameter]:
+    width = Parameter(f"{name}_width", setting.dt, "s", (1e-300, np.inf), "how long")
+    return [*_when(name, setting), width]
+
+
+def _start(name: str, setting: Setting) -> list[Parameter]:
+    return [Parameter(f"{name}_start", setting.span[0], "s", description="when it is zero")]
+
+
 KINDS: list[Kind] = [
     (
         "step",
@@ -164,7 +187,7 @@ KINDS: list[Kind] = [
             "step",
             "step",
             "[t >= time]",
-            lambda t, setting, own: 1.0 * (t >= own[0]),
+            lambda t, own: 1.0 * (t >= own[0]),
             _when,
             {"ramp": "goes on growing", "pulse": "is over at once"},
         ),
@@ -175,10 +198,11 @@ KINDS: list[Kind] = [
         _signal(
             "pulse",
             "pulse",
-            "[t = time]",
-            lambda t, setting, own: 1.0 * (np.abs(t - own[0]) < 0.5 * setting.dt),
-            _when,
+            "[|t - time| < width / 2]",
+            lambda t, own: 1.0 * (np.abs(t - own[0]) < 0.5 * own[1]),
+            _width,
             {"step": "stays", "heavy-tails": "comes again"},
+            held=("width",),
         ),
         _each_place,
     ),
@@ -187,10 +211,11 @@ KINDS: list[Kind] = [
         _signal(
             "ramp",
             "ramp",
-            "(t - first)",
-            lambda t, setting, own: t - setting.span[0],
-            lambda name, setting: [],
+            "(t - start)",
+            lambda t, own: t - own[0],
+            _start,
             {"drift": "moves the reading only", "step": "comes at once"},
+            held=("start",),
         ),
         each_state,
     ),
