@@ -11,6 +11,7 @@ import ctypes
 import json
 import logging
 import os
+import resource
 import signal
 import sys
 import threading
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from sqlalchemy.exc import SQLAlchemyError
 
 from engine.errors import EngineError
 from engine.model import Array, Theta
@@ -32,16 +34,23 @@ from service.store import Attempt, Store
 
 log = logging.getLogger("service")
 
+STORE_FAILED = 75  # exit code: the store could not be used; another attempt may be luckier
 FLUSH_SECONDS = 0.1  # iterations faster than this are written several at a time
 
 
-def main(url: str, attempt: Attempt) -> None:
-    """Entry point of the worker process."""
+def main(url: str, attempt: Attempt, memory: int = 0) -> None:
+    """Entry point of the worker process, which may use so many bytes of memory (0: any)."""
     configure()
     _die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the service's to handle
     os.nice(5)  # requests are answered while all cores compute
-    run(Store(url), attempt)
+    if memory:
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    try:
+        run(Store(url), attempt)
+    except SQLAlchemyError:
+        log.exception("the store failed", extra={"job": attempt.job_id})
+        sys.exit(STORE_FAILED)
 
 
 def run(store: Store, attempt: Attempt) -> None:
@@ -53,6 +62,8 @@ def run(store: Store, attempt: Attempt) -> None:
         result = stages.run(job, attempt.task, progress)
         progress.flush()
         store.finish(attempt, result, str(result.get("message", "")))
+    except SQLAlchemyError:
+        raise
     except Exception as error:  # noqa: BLE001 - whatever it is, the job's owner must be told
         store.fail(attempt, _problem(error, attempt.job_id).document())
 

@@ -177,6 +177,10 @@ def _states(
             draws = engine.rb_ffbsi(filtered, N, rng, joint=True)
             smoothed = engine.condition_on_trajectories(draws)
             mean, std = smoothed.mean(), smoothed.std()
+        if not np.isfinite(mean).all():
+            row = int(np.argmin(np.isfinite(mean).all(axis=1)))
+            detail = f"the model's states are not finite at row {row} (t = {series.t[row]:g} s)"
+            raise Problem(422, "not-finite", detail)
         out.append(
             {
                 "t": series.t.tolist(),

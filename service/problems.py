@@ -11,6 +11,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
 log = logging.getLogger("service")
@@ -111,6 +112,13 @@ def install(app: FastAPI) -> None:
         response = Problem(error.status_code, kind, str(error.detail)).response()
         response.headers.update(error.headers or {})
         return response
+
+    @app.exception_handler(SQLAlchemyError)
+    async def _store(request: Request, error: SQLAlchemyError) -> JSONResponse:
+        log.error("%s %s: the store failed", request.method, request.url.path, exc_info=error)
+        reason = str(error.__cause__ or error).splitlines()[0]
+        detail = f"the store cannot be used now: {reason}"
+        return Problem(503, "store-unavailable", detail, retry_after=5).response()
 
     @app.exception_handler(Exception)
     async def _unexpected(request: Request, error: Exception) -> JSONResponse:

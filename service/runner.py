@@ -20,7 +20,7 @@ from typing import Protocol
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.attempt import main
+from service.attempt import STORE_FAILED, main
 from service.problems import Problem
 from service.settings import Settings
 from service.store import Attempt, Store
@@ -38,11 +38,17 @@ class Terms:
     lease: float
     run_seconds: float
     losses_allowed: int
+    memory: int
 
     @classmethod
     def of(cls, settings: Settings) -> Terms:
         """The settings' terms."""
-        return cls(settings.lease_seconds, settings.run_seconds, settings.losses_allowed)
+        return cls(
+            settings.lease_seconds,
+            settings.run_seconds,
+            settings.losses_allowed,
+            settings.worker_memory,
+        )
 
 
 class Runner(Protocol):
@@ -122,7 +128,7 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
     lease lost), when its time is up, or when the service stops.
     """
     job = {"job": attempt.job_id}
-    process = spawn(store.url, attempt)
+    process = spawn(store.url, attempt, terms.memory)
     log.info("attempt started, process %s", process.pid, extra=job)
     try:
         cause = _until_end(store, attempt, terms, stopping, process)
@@ -147,10 +153,10 @@ def _context() -> ForkServerContext:
     return context
 
 
-def spawn(url: str, attempt: Attempt) -> BaseProcess:
+def spawn(url: str, attempt: Attempt, memory: int) -> BaseProcess:
     """A fresh process that works on an attempt."""
     with _starting:
-        process = _context().Process(target=main, args=(url, attempt), daemon=True)
+        process = _context().Process(target=main, args=(url, attempt, memory), daemon=True)
         process.start()
     return process
 
@@ -197,4 +203,6 @@ def _epitaph(process: BaseProcess) -> str:
     if code is not None and code < 0:
         hint = " (the system may have run out of memory)" if code == -9 else ""
         return f"the worker process was killed by signal {-code}{hint}"
+    if code == STORE_FAILED:
+        return "the store could not be written (its disk may be full)"
     return f"the worker process ended with exit code {code}"

@@ -27,7 +27,8 @@ from sqlalchemy import Connection, Row, and_, delete, func, insert, select, upda
 from sqlalchemy.exc import IntegrityError
 
 from engine.model import Array
-from service.tables import connect, documents, iterations, jobs, tasks
+from service.strict_json import dumps, finite
+from service.tables import connect, documents, iterations, jobs, pulse, tasks
 
 ENDED = ("successful", "failed", "dismissed")
 
@@ -169,7 +170,8 @@ class Store:
     def check(self) -> None:
         """Raise if the store cannot be written to."""
         with self._engine.begin() as sql:
-            sql.execute(update(jobs).where(jobs.c.seq == -1).values(message=""))
+            sql.execute(delete(pulse))
+            sql.execute(insert(pulse).values(time=time.time()))
 
     def document(self, seq: int, name: str) -> bytes | None:
         """The JSON text of a request or result."""
@@ -273,7 +275,7 @@ class Store:
                 .scalar_subquery()
             )
             if estimate is not None:
-                progress |= {"estimate": dumps(estimate), "log_likelihood": _finite(log_likelihood)}
+                progress |= {"estimate": dumps(estimate), "log_likelihood": finite(log_likelihood)}
             sql.execute(update(jobs).where(jobs.c.seq == attempt.job).values(progress))
         return True
 
@@ -327,26 +329,6 @@ class Store:
                 cause = "the process that watched the worker disappeared"
                 _lose(sql, task.job, task.task, task.losses, cause, losses_allowed)
         return len(expired)
-
-
-def dumps(value: Any) -> str:
-    """JSON text; numbers that are not finite become null."""
-    try:
-        return json.dumps(value, allow_nan=False, separators=(",", ":"))
-    except ValueError:
-        return json.dumps(_without_nan(value), allow_nan=False, separators=(",", ":"))
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    return _finite(value) if isinstance(value, float) else value
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and np.isfinite(value) else None
 
 
 def _put(sql: Connection, seq: int, name: str, text: str) -> None:

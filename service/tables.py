@@ -92,6 +92,9 @@ documents = Table(
     Column("body", LargeBinary, nullable=False),
 )
 
+# Written to find out whether the store can be written.
+pulse = Table("pulse", metadata, Column("time", Double, primary_key=True))
+
 
 def connect(url: str) -> Engine:
     """An engine for the URL with the tables in place; SQLite's folder is made."""

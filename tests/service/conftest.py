@@ -142,13 +142,18 @@ def make_client(tmp_path: Path) -> Iterator[Callable[..., Served]]:
 class Spawned:
     """``python -m service`` on a free port."""
 
-    def __init__(self, state: Path, **settings: Any) -> None:
+    def __init__(
+        self, state: Path, environment: dict[str, str] | None = None, **settings: Any
+    ) -> None:
         port = free_port()
         values = {"port": port, "state_dir": state, "workers": 1} | settings
         env = {f"RBPS_{name.upper()}": str(value) for name, value in values.items()}
+        self.state = state
         self.log = open(state / "log", "ab")  # noqa: SIM115 - closed in stop
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "service"], env=os.environ | env, stderr=self.log
+            [sys.executable, "-m", "service"],
+            env=os.environ | (environment or {}) | env,
+            stderr=self.log,
         )
         self.client = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20)
         for _ in range(400):
@@ -170,8 +175,8 @@ class Spawned:
 def spawn(tmp_path: Path) -> Iterator[Callable[..., Spawned]]:
     made: list[Spawned] = []
 
-    def make(**settings: Any) -> Spawned:
-        made.append(Spawned(tmp_path, **settings))
+    def make(environment: dict[str, str] | None = None, **settings: Any) -> Spawned:
+        made.append(Spawned(tmp_path, environment, **settings))
         return made[-1]
 
     yield make
