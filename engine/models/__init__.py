@@ -1,5 +1,12 @@
 """The models that come with the engine, one per file."""
 
-from engine.models import linear_2, local_level, mixed_4, servo, tanks
+from engine.models import linear_2, local_level, mixed_4, oscillator, servo, tanks
 
-SHIPPED = (linear_2.MODEL, mixed_4.MODEL, local_level.MODEL, servo.MODEL, tanks.MODEL)
+SHIPPED = (
+    linear_2.MODEL,
+    mixed_4.MODEL,
+    local_level.MODEL,
+    oscillator.MODEL,
+    servo.MODEL,
+    tanks.MODEL,
+)

@@ -23,7 +23,9 @@ def full(value, K, i):
     return value[i] if value.shape[0] == K and value.ndim > 1 else value
 
 
-@pytest.mark.parametrize("name", ["linear-2", "mixed-4", "local-level", "servo", "tanks"])
+@pytest.mark.parametrize(
+    "name", ["linear-2", "mixed-4", "local-level", "oscillator", "servo", "tanks"]
+)
 @pytest.mark.parametrize("irregular", [False, True])
 def test_stacked_steps_are_the_steps_one_by_one(name, irregular):
     model = registry.get_model(name)
@@ -41,7 +43,7 @@ def test_stacked_steps_are_the_steps_one_by_one(name, irregular):
             np.testing.assert_allclose(got.ravel(), expected.ravel(), rtol=1e-11, atol=1e-14)
 
 
-@pytest.mark.parametrize("name", ["servo", "tanks"])
+@pytest.mark.parametrize("name", ["oscillator", "servo", "tanks"])
 def test_every_parameter_is_described(name):
     for parameter in registry.get_model(name).parameters:
         assert parameter.unit
@@ -157,3 +159,36 @@ def test_servo_without_viscous_friction():
     v, z = run_servo(0.0, 1.0, 0.1, 10, Fv=0.0, Fc=0.0, offset=0.0, gtau=95.0)
     assert v[-1] == pytest.approx(1.0)
     assert z[0] == pytest.approx(0.5)
+
+
+# ---- oscillator ------------------------------------------------------------------------------
+
+
+def test_oscillator_is_exact_for_any_step_and_rests_at_gain_times_input():
+    model = registry.get_model("oscillator")
+    theta = model.record(model.theta({"omega": 5.0, "zeta": 0.1, "gain": 2.0}))
+
+    def run(dt, n):
+        a, z = np.array([[0.3]]), np.array([[-1.0]])
+        for _ in range(n):
+            f, A, _ = model.transition(a, [0.7], 0.0, dt, theta)
+            x = f + z @ A.T
+            a, z = x[:, :1], x[:, 1:]
+        return np.concatenate([a, z], axis=1)[0]
+
+    np.testing.assert_allclose(run(0.5, 2), run(0.001, 1000), rtol=1e-9)
+    damped = 5.0 * np.sqrt(1.0 - 0.1**2)
+    x0, v0 = 0.3 - 1.4, -1.0  # about the rest position
+    swing = x0 * np.cos(damped) + (v0 + 0.5 * x0) / damped * np.sin(damped)
+    assert run(0.5, 2)[0] == pytest.approx(1.4 + np.exp(-0.5) * swing)
+    assert run(0.5, 100)[0] == pytest.approx(1.4)
+
+
+def test_oscillator_noise_grows_with_the_step_as_the_variances_say():
+    model = registry.get_model("oscillator")
+    theta = model.record(model.theta({"omega": 5.0, "zeta": 0.1, "sigma_v": 0.4}))
+    a = np.zeros((1, 1))
+    _, A, Q = model.transition(a, [0.0], 0.0, 50.0, theta)
+    stationary = 0.4**2 / (4.0 * 0.1 * 5.0)  # velocity variance sigma^2 / (4 zeta omega)
+    np.testing.assert_allclose(Q, [[stationary / 25.0, 0.0], [0.0, stationary]], atol=1e-9)
+    np.testing.assert_allclose(A, 0.0, atol=1e-9)
