@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -24,6 +25,7 @@ from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.outcome import Outcome
 from engine.proposals import Proposal
 from engine.series import Series, as_series_list
+from engine.warm_start import FAR, moment_maximum
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ def rbps_em(
     recover: bool = True,
     m_step: str = "scoring",
     tolerance: float | None = 1e-3,
+    warm_start: bool = True,
 ) -> EmResult:
     """Estimate theta from one or several series; paper, Algorithm 1 (RBPS-EM).
 
@@ -115,11 +118,14 @@ def rbps_em(
     "linear-cost" is "exact" with trajectories drawn by MCMC moves, in O(M), see :mod:`engine.linear_cost`.
     ``recover``: run a filter that collapsed again with more particles (the paper does not).
     ``m_step``: "scoring" or "bfgs", see :mod:`engine.maximization`.
+    ``warm_start``: let the first iteration leave from the maximum of an approximate likelihood where
+    theta0 is far less likely, see :mod:`engine.warm_start`; False always starts EM at theta0.
     Raises OptionError, SeriesError, ModelError.
     """
+    listed = as_series_list(series, model)
     expect = rbps_step(
         model,
-        as_series_list(series, model),
+        listed,
         n_particles,
         n_particles if n_trajectories is None else n_trajectories,
         proposal=proposal,
@@ -128,8 +134,10 @@ def rbps_em(
         smoother=smoother,
         recover=recover,
     )
+    indices = model.free_indices(free)
+    ahead = partial(moment_maximum, model, listed, indices) if warm_start else None
     return iterate(
-        model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance
+        model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance, ahead
     )
 
 
@@ -166,8 +174,12 @@ def iterate(
     resume: Checkpoint | EmResult | None,
     m_step: str,
     tolerance: float | None,
+    ahead: Callable[[Theta], Theta | None] | None = None,
 ) -> EmResult:
-    """The loop of Algorithm 1: E step, M step, settled?"""
+    """The loop of Algorithm 1: E step, M step, settled?
+
+    ``ahead`` may name a point from which the first iteration leaves if that is far more likely.
+    """
     if int(n_iterations) != n_iterations or n_iterations < 1:
         raise OptionError(
             f"n_iterations = {n_iterations}; a positive whole number is needed", "n_iterations"
@@ -184,11 +196,13 @@ def iterate(
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
         theta = log.theta
         step = expect(theta, rng)
-        new = theta
-        if np.isfinite(step.log_likelihood):
-            new = Theta(maximize(step.q, theta, indices, m_step), theta.names)
+        new, origin = theta, step
+        if k == 1 and ahead is not None:
+            new, origin = _more_likely(expect, ahead(theta), theta, step, rng)
+        if np.isfinite(origin.log_likelihood):
+            new = Theta(maximize(origin.q, new, indices, m_step), theta.names)
         it = log.add(k, new, step, time.perf_counter() - started)
-        if not (np.isfinite(step.log_likelihood) and np.isfinite(np.asarray(new)).all()):
+        if not (np.isfinite(origin.log_likelihood) and np.isfinite(np.asarray(new)).all()):
             outcome = Outcome.DIVERGED
             break
         settled = log.settled(indices, tolerance)
@@ -198,6 +212,18 @@ def iterate(
     if settled and outcome is not Outcome.STOPPED_BY_CALLER:
         outcome = Outcome.CONVERGED
     return log.result(names, indices, outcome)
+
+
+def _more_likely(
+    expect: Expect, other: Theta | None, theta: Theta, step: EStep, rng: np.random.Generator
+) -> tuple[Theta, EStep]:
+    """Theta with its E step, or the other if that is far more likely by the particle filter."""
+    if other is not None:
+        there = expect(other, rng)
+        gain = there.log_likelihood - step.log_likelihood
+        if np.isfinite(there.log_likelihood) and not gain < FAR:
+            return other, there
+    return theta, step
 
 
 def _stops(callback: Callback | None, iteration: Iteration) -> bool:

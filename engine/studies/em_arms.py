@@ -36,6 +36,7 @@ PAPER: dict[str, Mapping[str, Any]] = {
         "recover": False,
         "m_step": "bfgs",
         "tolerance": None,
+        "warm_start": False,
     },
     "ps": {
         "n_particles": 50,
