@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +23,8 @@ import uvicorn
 import engine
 from service.app import create_app
 from service.settings import Settings
+from service.store import Store
+from service.tables import metadata
 
 ENDED = ("successful", "failed", "dismissed")
 
@@ -203,3 +207,50 @@ def workers() -> Callable[[int], list[int]]:
         return found
 
     return find
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[str]:
+    """URL of a PostgreSQL server started for the tests; skips where there is none."""
+    found = sorted(Path("/usr/lib/postgresql").glob("*/bin")) or [Path("/nowhere")]
+    initdb = shutil.which("initdb") or shutil.which("initdb", path=str(found[-1]))
+    if initdb is None:
+        pytest.skip("PostgreSQL's binaries are not installed")
+    folder = Path(tempfile.mkdtemp(prefix="rbps-postgres-"))
+    user: dict[str, Any] = {}
+    if os.getuid() == 0:  # the server does not run as root
+        user = {"user": "postgres", "group": "postgres", "extra_groups": []}
+        shutil.chown(folder, "postgres", "postgres")
+    data, port = folder / "data", free_port()
+    quiet: dict[str, Any] = {"check": True, "stdout": subprocess.DEVNULL, "cwd": folder}
+    subprocess.run([initdb, "-D", data, "-U", "rbps", "-A", "trust", "-N"], **quiet, **user)
+    control = [Path(initdb).resolve().parent / "pg_ctl", "-D", data, "-w"]
+    options = f"-p {port} -c listen_addresses=127.0.0.1 -c unix_socket_directories={folder}"
+    start = [*control, "-l", folder / "log", "-o", options, "start"]
+    try:
+        subprocess.run(start, **quiet, **user)
+        yield f"postgresql+psycopg://rbps@127.0.0.1:{port}/postgres"
+    finally:
+        subprocess.run([*control, "-m", "immediate", "stop"], **(quiet | {"check": False}), **user)
+        shutil.rmtree(folder)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """URL of an empty database."""
+    if request.param == "sqlite":
+        return Settings(state_dir=tmp_path).store_url
+    url: str = request.getfixturevalue("postgres")
+    from sqlalchemy import create_engine
+
+    engine_ = create_engine(url)
+    metadata.drop_all(engine_)
+    engine_.dispose()
+    return url
+
+
+@pytest.fixture
+def store(database: str) -> Iterator[Store]:
+    made = Store(database)
+    yield made
+    made.close()

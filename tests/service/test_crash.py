@@ -7,9 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from service.settings import Settings
-from service.store import Store
-
 
 @pytest.fixture
 def request_(estimation):
@@ -93,24 +90,3 @@ def test_run_time_is_limited(make_client, long, ended):
     url = client.post("/jobs", json=long).headers["location"]
     job = ended(client, url)
     assert (job["status"], "longer than the 0.5 s" in job["message"]) == ("failed", True)
-
-
-def test_an_attempt_that_lost_its_task_cannot_write(tmp_path):
-    store = Store(Settings(state_dir=tmp_path).store_url)
-    job_id = store.create("estimate", "linear-2", {}, 10)
-    first = store.claim("one", lease=-1.0)
-    assert store.claim("two", 10.0) is None
-    assert store.expire(losses_allowed=2) == 1
-    second = store.claim("two", 10.0)
-    assert (second.losses, second.task) == (1, first.task)
-    assert not store.record(first, 1, {})
-    assert not store.finish(first, {"mine": 1})
-    assert not store.fail(first, {"detail": "mine"})
-    assert not store.renew(first, 10.0)
-    assert not store.lost(first, "gone", 2)
-    assert store.renew(second, 10.0)
-    assert store.finish(second, {"mine": 2})
-    assert store.document(second.job, "result") == b'{"mine":2}'
-    assert store.job(job_id).status == "successful"
-    assert not store.finish(second, {"mine": 3})
-    store.close()

@@ -1,13 +1,6 @@
 """Several starts and the bootstrap: tasks in stages, reduced to one result."""
 
-import json
-
 import pytest
-
-from service import stages
-from service.prepare import load
-from service.settings import Settings
-from service.store import Store
 
 
 def test_best_of_several_starts(client, estimation, ended):
@@ -46,35 +39,3 @@ def test_bootstrap_agrees_with_the_observed_information(client, estimation, ende
     assert (found[1]["bootstrap"]["runs"], found[1]["bootstrap"]["failed"]) == (24, 0)
     low, _, high = found[1]["bootstrap"]["quantiles"]["theta"].values()
     assert low < found[1]["estimate"]["theta"]["value"] < high
-
-
-def test_stages_follow_each_other_whoever_runs_them(tmp_path, estimation):
-    """Two attempts at once, one lost and taken up again: each stage once, in order."""
-    request = estimation(method="rts-em", iterations=3, starts=2, bootstrap=2)
-    job = load(request)
-    plan = stages.plan(job.request)
-    assert plan == [("fit", 2), ("choose", 1), ("resample", 2), ("summarize", 1)]
-    store = Store(Settings(state_dir=tmp_path).store_url)
-    made = store.create("estimate", "linear-2", request, 12, [n for _, n in plan])
-    first, second = store.claim("a", 10.0), store.claim("b", 10.0)
-    assert (first.task, second.task) == (0, 1)
-    assert store.claim("c", 10.0) is None
-    assert store.lost(first, "killed", 2)
-    first = store.claim("a", 10.0)
-    assert (first.task, first.losses) == (0, 1)
-    assert store.finish(second, {"n": 1})
-    assert store.claim("c", 10.0) is None
-    assert store.finish(first, {"n": 0})
-    choose = store.claim("c", 10.0)
-    assert choose.task == 2
-    assert store.claim("d", 10.0) is None
-    assert json.loads(store.document(choose.job, "task-1")) == {"n": 1}
-    assert store.finish(choose, {"n": 2})
-    third, fourth = store.claim("a", 10.0), store.claim("b", 10.0)
-    assert (third.task, fourth.task) == (3, 4)
-    assert store.finish(third, {})
-    assert store.finish(fourth, {})
-    assert store.job(made).status == "running"
-    assert store.finish(store.claim("a", 10.0), {"n": 5})
-    assert store.job(made).status == "successful"
-    store.close()

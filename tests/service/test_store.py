@@ -1,0 +1,144 @@
+"""The store alone, on SQLite and on PostgreSQL: who may write, what follows what, who waits."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+
+from service import stages
+from service.prepare import load
+from service.store import KeyReused
+
+
+def test_an_attempt_that_lost_its_task_cannot_write(store):
+    job_id = store.create("estimate", "linear-2", {}, 10)
+    first = store.claim("one", lease=-1.0)
+    assert store.claim("two", 10.0) is None
+    assert store.expire(losses_allowed=2) == 1
+    second = store.claim("two", 10.0)
+    assert (second.losses, second.task) == (1, first.task)
+    assert not store.record(first, 1, {})
+    assert not store.finish(first, {"mine": 1})
+    assert not store.fail(first, {"detail": "mine"})
+    assert not store.renew(first, 10.0)
+    assert not store.lost(first, "gone", 2)
+    assert store.renew(second, 10.0)
+    assert store.finish(second, {"mine": 2})
+    assert store.document(second.job, "result") == b'{"mine":2}'
+    assert store.job(job_id).status == "successful"
+    assert not store.finish(second, {"mine": 3})
+
+
+def test_stages_follow_each_other_whoever_runs_them(store, estimation):
+    """Two attempts at once, one lost and taken up again: each stage once, in order."""
+    request = estimation(method="rts-em", iterations=3, starts=2, bootstrap=2)
+    job = load(request)
+    plan = stages.plan(job.request)
+    assert plan == [("fit", 2), ("choose", 1), ("resample", 2), ("summarize", 1)]
+    made = store.create("estimate", "linear-2", request, 12, [n for _, n in plan])
+    first, second = store.claim("a", 10.0), store.claim("b", 10.0)
+    assert (first.task, second.task) == (0, 1)
+    assert store.claim("c", 10.0) is None
+    assert store.lost(first, "killed", 2)
+    first = store.claim("a", 10.0)
+    assert (first.task, first.losses) == (0, 1)
+    assert store.finish(second, {"n": 1})
+    assert store.claim("c", 10.0) is None
+    assert store.finish(first, {"n": 0})
+    choose = store.claim("c", 10.0)
+    assert choose.task == 2
+    assert store.claim("d", 10.0) is None
+    assert json.loads(store.document(choose.job, "task-1")) == {"n": 1}
+    assert store.finish(choose, {"n": 2})
+    third, fourth = store.claim("a", 10.0), store.claim("b", 10.0)
+    assert (third.task, fourth.task) == (3, 4)
+    assert store.finish(third, {})
+    assert store.finish(fourth, {})
+    assert store.job(made).status == "running"
+    assert store.finish(store.claim("a", 10.0), {"n": 5})
+    assert store.job(made).status == "successful"
+
+
+def test_many_claim_and_each_task_is_given_once_in_order(store):
+    made = [store.create("simulate", "linear-2", {}, 1) for _ in range(40)]
+    claimed, errors = [], []
+
+    def claim(name):
+        try:
+            while (attempt := store.claim(name, 10.0)) is not None:
+                claimed.append(attempt.job_id)
+                assert store.finish(attempt, {"by": name})
+        except Exception as error:  # noqa: BLE001 - shown by the assertion below
+            errors.append(error)
+
+    threads = [threading.Thread(target=claim, args=(f"{i}",)) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not errors
+    assert sorted(claimed) == sorted(made)
+    first = [made.index(job) for job in claimed]
+    assert all(abs(place - i) < 8 for i, place in enumerate(first))
+
+
+def test_iterations_come_back_with_the_same_bits(store):
+    store.create("estimate", "linear-2", {}, 10)
+    attempt = store.claim("a", 10.0)
+    rng = np.random.default_rng(0)
+    rows = {k: np.append(rng.standard_normal(4), np.nan) for k in range(5)}
+    assert store.record(attempt, 2, {k: rows[k] for k in (0, 1, 2)})
+    assert store.record(attempt, 4, {k: rows[k] for k in (3, 4)}, {"theta": 0.5}, float("nan"))
+    ks, found = store.rows(attempt.job)
+    assert ks == list(rows)
+    assert found.tobytes() == np.array(list(rows.values())).tobytes()
+    assert store.rows(attempt.job, after=3)[0] == [4]
+    job = store.job(attempt.job_id)
+    assert (job.iteration, job.log_likelihood) == (4, None)
+
+
+def test_a_key_names_one_job_however_many_ask(store):
+    made = []
+
+    def create(i):
+        made.append(store.create("simulate", "m", {"n": 1}, 1, idempotency_key="k", owner="o"))
+
+    threads = [threading.Thread(target=create, args=(i,)) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(made) == 8
+    assert len(set(made)) == 1
+    assert store.create("simulate", "m", {"n": 2}, 1, idempotency_key="k", owner="p") != made[0]
+    with pytest.raises(KeyReused, match=made[0]):
+        store.create("simulate", "m", {"n": 2}, 1, idempotency_key="k", owner="o")
+
+
+def test_dismissed_jobs_leave_no_data(store):
+    made = store.create("estimate", "linear-2", {"y": [1, 2]}, 10)
+    attempt = store.claim("a", 10.0)
+    assert store.record(attempt, 0, {0: np.zeros(5)})
+    assert store.dismiss(made).status == "dismissed"
+    assert not store.holds(attempt)
+    assert not store.record(attempt, 1, {1: np.zeros(5)})
+    assert store.document(attempt.job, "request") is None
+    assert store.rows(attempt.job)[0] == []
+    assert store.dismiss("none") is None
+    assert store.counts() == {"dismissed": 1}
+    store.check()
+
+
+def test_the_service_on_any_store(database, make_client, estimation, ended):
+    client = make_client(database_url=database, workers=2)
+    assert client.get("/readyz").status_code == 200
+    request = estimation(method="rts-em", iterations=10, starts=3)
+    urls = [client.post("/jobs", json=request).headers["location"] for _ in range(2)]
+    found = []
+    for url in urls:
+        job = ended(client, url)
+        assert job["status"] == "successful", job["message"]
+        found.append(client.get(f"{url}/results").json()["estimate"])
+    assert found[0] == found[1]
+    assert 'rbps_jobs{status="successful"} 2' in client.get("/metrics").text
