@@ -192,13 +192,13 @@ def screen_effects(
     """Every effect of the catalogue tested on a fitted model, but those of kind ``without``."""
     model, theta = fit.model, np.asarray(fit.theta)
     indices = model.free_indices(fit.free)
-    here = replace(setting, model=model)
     projection = Projection(parameter_columns(model, theta, indices, series))
     path = moment_path(model, theta, series)
     errors = None
     if without != TAILS:
         errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
-    effects = [e for e in all_effects(here, kinds) if e.size.name not in model.parameter_names]
+    # those of the base model: a change of what an effect itself added is no cause of its own
+    effects = [e for e in all_effects(setting, kinds) if e.size.name not in model.parameter_names]
     tests: list[Test] = []
     for i, effect in enumerate(effects):
         progress("screen", i / len(effects))
