@@ -57,8 +57,8 @@ def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array
     """Points (CANDIDATES, n) spread evenly over a box around theta."""
     x = np.asarray(theta)[indices]
     reach = REACH * np.array([parameter_scale(model, theta, k) for k in indices])
-    low = np.maximum(x - reach, model.lower[indices])
-    high = np.minimum(x + reach, model.upper[indices])
+    low: Array = np.maximum(x - reach, model.lower[indices])
+    high: Array = np.minimum(x + reach, model.upper[indices])
     share: Array = np.random.default_rng(0).random((CANDIDATES, len(indices)))
     return low + share * (high - low)
 
