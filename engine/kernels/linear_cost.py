@@ -72,6 +72,8 @@ def backward_linear(a, z, P, w, mu, L, AP, ancestors, first, noise, rng, tries, 
     With ``moves`` > 0, that many steps of an independent Metropolis-Hastings chain per trajectory
     and time: started at the ancestor that the particle had in the filter, candidates drawn from the
     filter's weights w (T, M), accepted by the ratio of N(x~_{t+1}; mu_i, Sigma_i) (Dau, Chopin 2022).
+    Candidates must not look at the particles of t+1: only then is the ancestor a draw from the chain's
+    own stationary density, and one move is enough.
     Otherwise rejection sampling from the same candidates, exact, with at most ``tries`` of them
     before all M weights are computed (Douc et al. 2011; Taghavi et al. 2013).
 

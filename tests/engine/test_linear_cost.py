@@ -140,6 +140,7 @@ def test_em_with_linear_cost() -> None:
             n_iterations=1,
             seed=k,
             smoother="linear-cost",
+            warm_start=False,
         ).theta[0]
         for k in range(12)
     ]
