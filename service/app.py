@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 
@@ -12,7 +12,7 @@ from service import problems
 from service.api import router
 from service.auth import Keys, check_exposure
 from service.limits import BodyLimit
-from service.runner import LocalRunner, Terms
+from service.runner import LocalRunner, Runner, Terms
 from service.settings import Settings
 from service.store import Store
 from service.supervisor import Supervisor
@@ -24,9 +24,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     keys = Keys(settings.keys_file)
     check_exposure(settings, keys)
     store = Store(settings.store_url)
-    runner = LocalRunner(
-        store, settings.workers, Terms.of(settings), on_free=lambda: supervisor.wake()
-    )
+    runner = make_runner(store, settings, lambda: supervisor.wake())
     supervisor = Supervisor(store, runner, settings)
 
     @asynccontextmanager
@@ -49,3 +47,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     problems.install(app)
     app.state.supervisor = supervisor
     return app
+
+
+def make_runner(store: Store, settings: Settings, on_free: Callable[[], None]) -> Runner:
+    """On this machine, or on a Dask cluster."""
+    if not settings.dask_scheduler:
+        return LocalRunner(store, settings.workers, Terms.of(settings), on_free)
+    from service.dask_runner import DaskRunner  # an optional extra
+
+    return DaskRunner(store, settings.dask_scheduler, Terms.of(settings), on_free)

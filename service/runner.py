@@ -105,10 +105,7 @@ class LocalRunner:
     def _warm_up(self) -> None:
         """Let the forkserver load the engine, or on a new machine compile its kernels."""
         try:
-            with _starting:
-                process = _context().Process(target=int, daemon=True)
-                process.start()
-            _kill(process)
+            warm_up()
         finally:
             self._warm.set()
             self._on_free()
@@ -151,6 +148,14 @@ def _context() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["service.preload"])
     return context
+
+
+def warm_up() -> None:
+    """Return when the forkserver has the engine loaded."""
+    with _starting:
+        process = _context().Process(target=int, daemon=True)
+        process.start()
+        process.join()
 
 
 def spawn(url: str, attempt: Attempt, memory: int) -> BaseProcess:

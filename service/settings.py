@@ -45,6 +45,7 @@ class Settings:
     keys_file: Path | None = None  # API keys, see auth.py; without it, loopback only
     open_network: bool = False  # listen beyond loopback without keys
 
+    dask_scheduler: str = ""  # address of a Dask scheduler; without it, attempts run here
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)  # attempts at once
     lease_seconds: float = 15.0  # an attempt nobody renews for so long is started again
     losses_allowed: int = 2  # how often an attempt whose worker died is started again

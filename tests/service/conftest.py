@@ -254,3 +254,8 @@ def store(database: str) -> Iterator[Store]:
     made = Store(database)
     yield made
     made.close()
+
+
+@pytest.fixture(scope="session")
+def free_ports() -> Callable[[], int]:
+    return free_port

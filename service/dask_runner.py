@@ -1,0 +1,92 @@
+r"""Attempts on other machines: the same ``watch`` inside a task of a Dask cluster.
+
+    dask scheduler
+    DASK_DISTRIBUTED__WORKER__DAEMON=False dask worker tcp://scheduler:8786 \
+        --nworkers 4 --nthreads 1 --preload service.dask_runner
+    RBPS_DASK_SCHEDULER=tcp://scheduler:8786 RBPS_DATABASE_URL=postgresql+psycopg://... \
+        python -m service
+
+Dask only says on which machine an attempt runs. Its worker starts the child process, keeps the
+lease, and kills the child; the store must be one that all machines reach (PostgreSQL). A worker
+that disappears is reported by the scheduler, one that is cut off by the end of its lease.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from functools import cache
+from typing import Any, cast
+
+import distributed
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.logs import configure
+from service.runner import Terms, warm_up, watch
+from service.store import Attempt, Store
+
+log = logging.getLogger("service")
+
+
+class DaskRunner:
+    """As many attempts at once as the cluster's workers have threads."""
+
+    def __init__(
+        self, store: Store, scheduler: str, terms: Terms, on_free: Callable[[], None]
+    ) -> None:
+        self._store, self._terms, self._on_free = store, terms, on_free
+        self._client: Any = cast(Any, distributed).Client(
+            scheduler, set_as_default=False, name="rbps"
+        )
+        self._running: dict[str, tuple[Attempt, Any]] = {}
+
+    def free(self) -> int:
+        """How many more attempts can start now."""
+        return sum(self._client.nthreads().values()) - len(self._running)
+
+    def running(self) -> int:
+        """How many attempts there are."""
+        return len(self._running)
+
+    def start(self, attempt: Attempt) -> None:
+        """Submit the attempt; never run twice by Dask itself, whatever its settings."""
+        future = self._client.submit(
+            remote, self._store.url, attempt, self._terms, key=attempt.token, pure=False, retries=0
+        )
+        self._running[attempt.token] = attempt, future
+        future.add_done_callback(lambda done: self._done(attempt, done))
+
+    def stop(self, drain: bool) -> None:
+        """Let running attempts end (drain), or give them back to the queue; then return."""
+        for attempt, future in list(self._running.values()):
+            if not drain:
+                self._store.release(attempt)  # its watcher sees it and kills the process
+            future.exception()
+        self._client.close()
+
+    def _done(self, attempt: Attempt, future: Any) -> None:
+        self._running.pop(attempt.token, None)
+        try:
+            if future.status != "finished":
+                cause = "the machine or Dask worker that ran the computation disappeared"
+                self._store.lost(attempt, cause, self._terms.losses_allowed)
+        except SQLAlchemyError:  # the lease will run out
+            log.exception("the loss could not be written", extra={"job": attempt.job_id})
+        self._on_free()
+
+
+def remote(url: str, attempt: Attempt, terms: Terms) -> None:
+    """The task: watch an attempt on this machine."""
+    watch(_store(url), attempt, terms, threading.Event())
+
+
+@cache
+def _store(url: str) -> Store:
+    return Store(url)
+
+
+def dask_setup(worker: Any) -> None:
+    """Called by ``--preload``: the worker joins the cluster once its kernels are loaded."""
+    configure()
+    warm_up()
