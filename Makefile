@@ -3,7 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo serve test lint
+.PHONY: setup demo serve test lint tables bench warm
 
 setup: .venv/ready
 
@@ -27,3 +27,14 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Every table and figure of the source documents at full size: about three hours on two cores,
+# resumable; a short version: make tables RUNS=8
+tables: setup
+	$(BIN)/python -m engine.studies all $(if $(RUNS),--runs $(RUNS))
+
+bench: setup
+	$(BIN)/python -m tests.benchmarks.bench_em
+
+warm: setup
+	$(BIN)/python -m engine.warm
