@@ -8,6 +8,7 @@ started at the state that each of them estimates from the same first rows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -26,6 +27,7 @@ from engine.series import Series
 LOSS = 0.05  # an extension that is worse at this level is not adopted,
 MATTERS = 1.0  # if what it loses in all is more than this: a likelihood ratio of e
 BLOCKS, EVERY = 25, 5  # of interleaved blocks
+FOLDS_BELOW = 500  # rows: where fewer, each block is left out in turn
 TIMES = 200  # rows at most that a time is sought at
 
 
@@ -76,29 +78,49 @@ def measure_gain(
     first = len(whole) - len(test)
     rows = np.arange(len(whole)) >= first
     how = "held-out rows" if history is None else "the last rows, held out"
-    return score(base, extended, whole, first, rows, how, seed)
+    return score([Trial(base, extended, rows)], whole, first, how, seed)
 
 
 def measure_gain_interleaved(
     base: QuasiFit, extended: QuasiFit, series: Series, seed: int = 0
 ) -> Gain:
-    """The gain on every fifth block of rows, for models fitted anew to the others.
+    """The gain on blocks of rows left out, for models fitted anew to the others.
 
-    For effects of time, which seldom happen again in the last rows of a record. Each row left out of
-    the fit is predicted knowing all measurements before it.
+    For effects of time, which seldom happen again in the last rows of a record. Every fifth block
+    is left out; in a record below 500 rows, where that is too little to judge by, five times in
+    turn, so that each row is left out once. A row left out of the fit is predicted knowing all
+    measurements before it.
     """
-    rows = every_fifth(len(series))
-    masked = series.masked(rows)
-    fits = []
-    for fit in (base, extended):
-        theta = np.asarray(fit.theta)
-        if fit is extended:
-            theta = _times_again(base, extended, masked)
-        try:
-            fits.append(quasi_ml(fit.model, masked, theta, fit.free))
-        except (EngineError, np.linalg.LinAlgError):
-            fits.append(fit)
-    return score(fits[0], fits[1], series, 0, rows, "every fifth block, left out of the fit", seed)
+    folds = range(EVERY) if len(series) < FOLDS_BELOW else [EVERY // 2]
+    trials = []
+    for fold in folds:
+        rows = every_fifth(len(series), fold)
+        masked = series.masked(rows)
+        if not masked.observed.any():
+            continue
+        fits = []
+        for fit in (base, extended):
+            theta = np.asarray(fit.theta)
+            if fit is extended:
+                theta = _times_again(base, extended, masked)
+            try:
+                fits.append(quasi_ml(fit.model, masked, theta, fit.free))
+            except (EngineError, np.linalg.LinAlgError):
+                fits.append(fit)
+        trials.append(Trial(fits[0], fits[1], rows))
+    how = "every fifth block, left out of the fit"
+    if len(trials) > 1:
+        how = "blocks, each left out of a fit in turn"
+    return score(trials, series, 0, how, seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Two fits and the rows (T,) that neither has seen."""
+
+    base: QuasiFit
+    extended: QuasiFit
+    rows: NDArray[np.bool_]
 
 
 def joined(one: Series, other: Series) -> Series:
@@ -115,44 +137,43 @@ def joined(one: Series, other: Series) -> Series:
     )
 
 
-def score(
-    base: QuasiFit,
-    extended: QuasiFit,
-    series: Series,
-    first: int,
-    rows: NDArray[np.bool_],
-    how: str,
-    seed: int,
-) -> Gain:
-    """Score both models on the marked rows (T,); free runs start at row ``first``."""
-    rows = rows & series.observed.any(axis=1)
+def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: int) -> Gain:
+    """Score both models of each trial on its rows; free runs start at row ``first``."""
+    seen, part = series.observed.any(axis=1), series.part(first, len(series))
     notes: list[str] = []
-    terms = [
-        np.asarray(moment_filter(fit.model, np.asarray(fit.theta)[None], series).log_terms[:, 0])
-        for fit in (base, extended)
-    ]
-    d = np.where(rows, terms[1] - terms[0], 0.0)
+    d, rows = np.zeros(len(series)), np.zeros(len(series), dtype=bool)
+    runs = [np.full(part.y.shape, np.nan) for _ in range(2)]
+    floors, lost = [], False
+    for trial in trials:
+        marked = trial.rows & seen
+        rows |= marked
+        terms = [_terms(fit, series) for fit in (trial.base, trial.extended)]
+        d[marked] = (terms[1] - terms[0])[marked]
+        lost |= not np.isfinite(terms[1][marked]).all()
+        shown = trial.rows[first:] if len(trials) > 1 else np.ones(len(part), dtype=bool)
+        for k, fit in enumerate((trial.base, trial.extended)):
+            run = free_run_from(fit, series, first)
+            if run is not None:
+                runs[k][shown] = run[0][shown]
+                if k == 1:
+                    floors.append(noise_level(fit, part, run[1]))
     n = int(rows.sum())
     if n < 2:
         notes.append("Hardly any measurement is held out: the gain cannot be measured.")
-        d[:] = np.nan
-    elif not np.isfinite(terms[1][: _end(rows)]).all():
+    if lost:
         notes.append("The extended model's filter is lost on the held-out data.")
+    if n < 2 or not np.isfinite(d).all():
         d[:] = np.nan
     mean, error, p_gain = diebold_mariano(d[first:], rows[first:])
-    p_loss = 1.0 - p_gain
-    lost = n >= 2 and not np.isfinite(mean)
-    runs, part = [], series.part(first, len(series))
-    for fit, name in ((base, "model as given"), (extended, "extended model")):
-        run = free_run_from(fit, series, first)
-        if run is None:
-            notes.append(f"The free run of the {name} runs away on the held-out data.")
-        runs.append(run)
+    kept = rows[first:]
     outputs: tuple[OutputGain, ...] = ()
-    if runs[0] is not None and runs[1] is not None:
-        floor = noise_level(extended, part, runs[1][1])
-        kept = rows[first:]
-        outputs = tuple(output_gains(base, part, kept, runs[0][0], runs[1][0], floor, seed))
+    away = [not np.isfinite(run[kept]).all() for run in runs]
+    for gone, name in zip(away, ("model as given", "extended model"), strict=True):
+        if gone:
+            notes.append(f"The free run of the {name} runs away on the held-out data.")
+    if not any(away) and floors:
+        floor = np.sqrt(np.mean(np.square(floors), axis=0))
+        outputs = tuple(output_gains(trials[0].base, part, kept, runs[0], runs[1], floor, seed))
     return Gain(
         how=how,
         samples=n,
@@ -160,16 +181,22 @@ def score(
         per_sample=mean,
         standard_error=error,
         p_value=p_gain,
-        p_loss=p_loss,
+        p_loss=1.0 - p_gain,
         outputs=outputs,
-        adopt=not (lost or (p_loss < LOSS and float(np.sum(d)) < -MATTERS)),
+        adopt=not (lost or (1.0 - p_gain < LOSS and float(np.sum(d)) < -MATTERS)),
         notes=tuple(notes),
         t=np.asarray(part.t),
-        y=np.where(rows[first:, None], part.y, np.nan),
-        before=None if runs[0] is None else runs[0][0],
-        after=None if runs[1] is None else runs[1][0],
+        y=np.where(kept[:, None], part.y, np.nan),
+        before=None if away[0] else runs[0],
+        after=None if away[1] else runs[1],
         d=np.where(rows, d, np.nan)[first:],
     )
+
+
+def _terms(fit: QuasiFit, series: Series) -> Array:
+    """One-step predictive log-densities (T,)."""
+    theta = np.asarray(fit.theta)[None]
+    return np.asarray(moment_filter(fit.model, theta, series).log_terms[:, 0])
 
 
 def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, float]:
@@ -188,12 +215,6 @@ def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, fl
     return mean, error, float(student_t.sf(mean / error, n - 1))
 
 
-def _end(rows: NDArray[np.bool_]) -> int:
-    """One past the last marked row."""
-    marked = np.flatnonzero(rows)
-    return int(marked[-1]) + 1 if marked.size else 0
-
-
 def lags_for(d: Array) -> int:
     """Lags of the Bartlett weights for d of correlation r: 1.1447 (alpha T)^(1/3), Andrews (1991).
 
@@ -207,10 +228,10 @@ def lags_for(d: Array) -> int:
     return min(max(fewest, int(1.1447 * (alpha * T) ** (1.0 / 3.0))), max(T // 3, 1))
 
 
-def every_fifth(T: int) -> NDArray[np.bool_]:
-    """The rows (T,) of every fifth of 25 blocks, from the third on."""
+def every_fifth(T: int, first: int = EVERY // 2) -> NDArray[np.bool_]:
+    """The rows (T,) of every fifth of 25 blocks, from block ``first`` on."""
     block = np.arange(T) * BLOCKS // T if T >= 2 * BLOCKS else np.arange(T) // 2
-    return np.asarray(block % EVERY == EVERY // 2)
+    return np.asarray(block % EVERY == first)
 
 
 def _times_again(base: QuasiFit, extended: QuasiFit, masked: Series) -> Array:
