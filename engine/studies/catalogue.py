@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.studies import estimates, lost, states
+from engine.studies import estimates, lost, poster, states, uncertainty
 from engine.studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -15,6 +15,9 @@ STUDIES: dict[str, Study] = {
         lost.FIGURE_1_SMALL,
         estimates.TABLE_II,
         lost.LOST_RUNS,
+        poster.POSTER_LINEAR,
+        poster.POSTER_NONLINEAR,
+        uncertainty.STANDARD_ERRORS,
     )
 }
 ALIASES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import time
 from collections.abc import Callable, Mapping
@@ -14,8 +15,9 @@ from engine.em import EmResult, rbps_em, rts_em
 from engine.errors import ModelError
 from engine.model import Array
 from engine.ps_em import ps_em
-from engine.registry import get_model
-from engine.studies.problems import PROBLEMS, Problem, log_likelihood
+from engine.series import Series
+from engine.standard_errors import standard_errors
+from engine.studies.problems import PROBLEMS, Problem, log_likelihood, model_named
 from engine.studies.realisation import METHOD, realisation, stream
 from engine.studies.study import Arm, Row
 
@@ -58,10 +60,12 @@ def em_arm(
     method: str = "rbps",
     options: Mapping[str, Any] | None = None,
     at_truth: bool = False,
+    errors: bool = False,
 ) -> Arm:
     """Estimate by a method with options (default: none, so the method's defaults).
 
     ``at_truth`` starts at the true parameters: what a run that is not lost is measured against.
+    ``errors`` asks for standard errors at the estimate too.
     """
     options = dict(options or {})
     known = inspect.signature(METHODS[method]).parameters
@@ -72,12 +76,20 @@ def em_arm(
         and name not in ("theta0", "free", "callback", "resume", "seed")
     }
     settings = {"method": method, **used, **options, "start": "truth" if at_truth else "paper's"}
-    work = partial(estimate, problem, method, options, at_truth)
+    if errors:
+        settings["standard_errors"] = "defaults"
+    work = partial(estimate, problem, method, options, at_truth, errors)
     return Arm(f"{problem}.{label}", work, settings)
 
 
 def estimate(
-    problem_name: str, method: str, options: Mapping[str, Any], at_truth: bool, seed: int, run: int
+    problem_name: str,
+    method: str,
+    options: Mapping[str, Any],
+    at_truth: bool,
+    errors: bool,
+    seed: int,
+    run: int,
 ) -> Row:
     """One run: data, start, EM, and the log-likelihood of what came out.
 
@@ -85,7 +97,7 @@ def estimate(
     the iterates, ``theta.`` what the method reports, ``trace.`` up to POINTS iterates.
     """
     problem = PROBLEMS[problem_name]
-    model = get_model(problem.model)
+    model = model_named(problem.model)
     series = realisation(model, seed, run).series
     start = {} if at_truth else dict(problem.started(seed, run))
     theta0 = model.theta(start)
@@ -111,6 +123,21 @@ def estimate(
         else (np.nan, np.nan)
     )
     row.update(_parameters(problem, model.parameter_names, theta, trace))
+    if errors:
+        row.update(_standard_errors(problem, theta, series))
+    return row
+
+
+def _standard_errors(problem: Problem, theta: Array, series: Series) -> Row:
+    model = model_named(problem.model)
+    started = time.perf_counter()
+    values = np.full(len(theta), np.nan)
+    if np.isfinite(theta).all():
+        with contextlib.suppress(*FAILURES):
+            values = standard_errors(model, theta, series, problem.free).values
+    row: Row = {"se_seconds": time.perf_counter() - started}
+    for name in problem.free:
+        row[f"se.{name}"] = float(values[model.parameter_names.index(name)])
     return row
 
 
@@ -139,10 +166,10 @@ def _paper(method: str, n_iterations: int, m_step: str = "bfgs") -> dict[str, An
 RTS_I = em_arm("table-I", "rts-em", "rts", _paper("rts", 100))
 PS_I = em_arm("table-I", "ps-em", "ps", _paper("ps", 100))
 RBPS_I = em_arm("table-I", "rbps-em", "rbps", _paper("rbps", 100))
-DEFAULT_I = em_arm("table-I", "default")
+DEFAULT_I = em_arm("table-I", "default", errors=True)
 RBPS_THETA_2 = em_arm("theta-2", "rbps-em", "rbps", _paper("rbps", 500))
 PS_THETA_2 = em_arm("theta-2", "ps-em", "ps", _paper("ps", 500))
-DEFAULT_THETA_2 = em_arm("theta-2", "default")
+DEFAULT_THETA_2 = em_arm("theta-2", "default", errors=True)
 TRUTH_THETA_2 = em_arm("theta-2", "truth", at_truth=True)
 # scoring finds the same maximiser as BFGS, at 18 ms per iteration in place of 46
 RBPS_ALL_FIVE = em_arm("all-five", "rbps-em", "rbps", _paper("rbps", 1000, "scoring"))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from engine.kalman import kalman_smoother
-from engine.model import ThetaLike
+from engine.model import MixedModel, ThetaLike
+from engine.models import growth, scalar_linear
 from engine.rbpf import rbpf
 from engine.registry import get_model
 from engine.series import Series
@@ -33,6 +35,24 @@ def _all_five(rng: np.random.Generator) -> dict[str, float]:
     u = rng.random(5)
     high = (2.0, 2.0, 0.6, 1.0, np.pi / 2.0)
     return {f"theta_{k + 1}": float(u[k] * high[k]) for k in range(5)}
+
+
+def _near(truth: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
+    """Every parameter times 2^U[-1, 1], a pole a times 2^U[-1, 0]."""
+    return {
+        name: value * 2.0 ** rng.uniform(-1.0, 0.0 if name == "a" else 1.0)
+        for name, value in truth.items()
+    }
+
+
+SCALAR = {"a": 0.9, "q": 0.1, "r": 0.1}
+GROWTH = {"a": 0.5, "b": 25.0, "c": 8.0, "d": 0.05, "q": 0.1, "r": 0.1}
+UNREGISTERED = {"scalar-linear": scalar_linear.MODEL, "growth": growth.MODEL}
+
+
+def model_named(name: str) -> MixedModel:
+    """A registered model, or one of the poster's examples."""
+    return UNREGISTERED[name] if name in UNREGISTERED else get_model(name)
 
 
 @dataclass(frozen=True)
@@ -60,6 +80,8 @@ PROBLEMS = {
             ("theta_1", "theta_2", "theta_3", "theta_4", "theta_5"),
             _all_five,
         ),
+        Problem("poster-linear", "scalar-linear", tuple(SCALAR), partial(_near, SCALAR)),
+        Problem("poster-nonlinear", "growth", tuple(GROWTH), partial(_near, GROWTH)),
     )
 }
 
@@ -71,8 +93,8 @@ def log_likelihood(
 
     Exact for the linear model, else the log of the mean likelihood of REPEATS filters.
     """
-    model = get_model(model_name)
-    if model_name == "linear-2":
+    model = model_named(model_name)
+    if model_name in ("linear-2", "scalar-linear"):
         return kalman_smoother(model, theta, series).log_likelihood, 0.0
     rng = np.random.default_rng(stream(seed, run, LIKELIHOOD))
     each = np.array(
