@@ -15,8 +15,8 @@ from engine.model import Array, Gaussian, MixedModel
 def promote(model: MixedModel, names: Sequence[str]) -> MixedModel:
     """The same model with the linear states ``names`` appended to its nonlinear ones.
 
-    p(a_1) must be Gaussian; z_{1|0} and P_{1|0} are taken at its mean. States that are nonlinear already are left where they are. Raises
-    OptionError for an unknown state.
+    p(a_1) must be Gaussian; z_{1|0} and P_{1|0} are taken at its mean. States that are nonlinear
+    already are left where they are. Raises OptionError for an unknown state.
     """
     for name in names:
         if name not in model.nonlinear and name not in model.linear:
