@@ -6,7 +6,7 @@ import numpy as np
 
 from engine.diagnose.diagnosis import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.screen import UNTESTABLE, Screen
-from engine.diagnose.search import GENERIC, MARGIN, Refit, Round, Search
+from engine.diagnose.search import GENERIC, MARGIN, TAILS, Refit, Round, Search
 
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
@@ -71,8 +71,12 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         refit = refits.get(other.name)
         if likeness < ALIKE and refit is None:
             continue
-        ruled_out = other.name not in set_of(found)
+        # close in score and yet not in the set: the plainer name was kept for the same thing
+        same = refit is not None and refit.score >= best.score - MARGIN
+        ruled_out = not same and other.name not in set_of(found)
         difference = best.effect.look_alikes.get(other.kind, "")
+        if same and other.name not in set_of(found):
+            difference = "says the same in other words here"
         out.append(
             LookAlike(other.name, likeness, refit.gain if refit else None, ruled_out, difference)
         )
@@ -84,8 +88,8 @@ def detectable_of(seen: Screen) -> tuple[Detectable, ...]:
     """The smallest size of each effect that a screen would have shown with 80 % probability."""
     out = []
     for score in seen.scores:
-        if score.effect.kind == GENERIC:
-            continue
+        if score.effect.kind in (GENERIC, TAILS):
+            continue  # a detector, and a test whose power is not in its size
         testable = bool(np.isfinite(score.se) and score.rho > UNTESTABLE)
         smallest = (np.sqrt(seen.threshold) + POWER) * score.se
         out.append(
