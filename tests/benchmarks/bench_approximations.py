@@ -102,6 +102,7 @@ def main() -> None:
     for case, (model, parameter) in CASES.items():
         series = engine.simulate(model, None, 100, np.random.default_rng(1)).series
         want = truth(model, series)
+        longer = engine.simulate(model, None, 300, np.random.default_rng(1)).series
         for M in SIZES:
             for smoother in ("algorithm-3", "exact"):
                 runs = []
@@ -122,17 +123,18 @@ def main() -> None:
                     row[f"{name}: sd"] = float(ratio.std(ddof=1))
                 run = engine.rbps_em(
                     model,
-                    series,
+                    longer,
                     free=[parameter],
                     n_particles=M,
-                    n_iterations=60 if M < 500 else 30,
+                    n_iterations=80 if M < 500 else 40,
                     smoother=smoother,
                     tolerance=None,
+                    warm_start=False,
                 )
                 row["EM estimate"] = float(run.trace[-20:, model.index(parameter)].mean())
                 row["exact EM"] = float("nan")
                 if model.name != "mixed-4":
-                    exact = engine.rts_em(model, series, free=[parameter], n_iterations=300)
+                    exact = engine.rts_em(model, longer, free=[parameter], n_iterations=300)
                     row["exact EM"] = exact.theta[parameter]
                 rows.append(row)
                 print(line(row), flush=True)

@@ -35,24 +35,24 @@ def test_same_paths_as_the_full_sampler(model: engine.MixedModel, method: str) -
     """Of all index paths through a filter with M = 4, T = 4, each is drawn as often as it should be."""
     series = engine.simulate(model, None, 4, np.random.default_rng(2)).series
     filtered = engine.rbpf(model, None, series, 4, np.random.default_rng(3), "bootstrap")
-    N, rng = 150_000, np.random.default_rng(4)
+    N, rng = 60_000, np.random.default_rng(4)
     full = engine.rb_ffbsi(filtered, N, rng, joint=True)
     tries = 2 if method == "rejection" else None  # so that the fallback has its share
-    fast, cost = backward_draws(filtered, N, rng, method, 40, tries, condition=False)
+    fast, cost = backward_draws(filtered, N, rng, method, 30, tries, condition=False)
     if method == "rejection":
         assert 0.05 < cost.full < 0.95
     code = 4 ** np.arange(4)
     one, other = (np.bincount(code @ run.index, minlength=256) / N for run in (full, fast))
     error = np.sqrt((one + other) / N)
-    assert np.abs(one - other).max() < 0.005
+    assert np.abs(one - other).max() < 0.008
     assert (np.abs(one - other)[error > 0] < 4.5 * error[error > 0]).all()
     for run in (full, fast):  # the z that go with them
         assert run.trajectories is not None
     np.testing.assert_allclose(
-        fast.trajectories.mean(axis=1), full.trajectories.mean(axis=1), atol=0.02
+        fast.trajectories.mean(axis=1), full.trajectories.mean(axis=1), atol=0.03
     )
     covs = [np.cov(run.trajectories.swapaxes(0, 1).reshape(N, 8).T) for run in (fast, full)]
-    np.testing.assert_allclose(covs[0], covs[1], atol=0.03)
+    np.testing.assert_allclose(covs[0], covs[1], atol=0.05)
 
 
 @pytest.mark.parametrize(("method", "moves"), [("mcmc", 1), ("mcmc", 3), ("rejection", 1)])

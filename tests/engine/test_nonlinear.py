@@ -183,7 +183,7 @@ def test_heavy_tails_are_estimated() -> None:
         y[t] = 0.05 * x[0, 0] ** 2 + general.measurement_noise(record).sample(rng, 1)[0]
         x = general.draw_next(x, None, float(t), 1.0, record, rng)
     series = engine.Series(y)
-    run = ps_em(general, series, {"nu": 20.0, "r": 0.3}, ["nu", "r"], 100, 30, 30, tolerance=None)
+    run = ps_em(general, series, {"nu": 20.0, "r": 0.3}, ["nu", "r"], 100, 25, 20, tolerance=None)
     assert run.theta["nu"] < 6.0
     assert run.theta["r"] < 0.25
     assert run.log_likelihood[-5:].mean() > run.log_likelihood[0] + 10.0
