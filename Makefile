@@ -3,7 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo serve test lint tables bench warm
+.PHONY: setup demo serve test lint tables bench warm load chaos
 
 setup: .venv/ready
 
@@ -20,7 +20,7 @@ serve: setup
 	$(BIN)/python -m service
 
 test: setup
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not slow"
 
 lint: setup
 	$(BIN)/ruff check .
@@ -38,3 +38,10 @@ bench: setup
 
 warm: setup
 	$(BIN)/python -m engine.warm
+
+# The service under 200 jobs and 50 polling clients; and killed at 50 random moments.
+load: setup
+	$(BIN)/python tests/benchmarks/load.py
+
+chaos: setup
+	$(BIN)/python tests/benchmarks/chaos.py

@@ -43,7 +43,7 @@ class DaskRunner:
 
     def free(self) -> int:
         """How many more attempts can start now."""
-        return sum(self._client.nthreads().values()) - len(self._running)
+        return int(sum(self._client.nthreads().values())) - len(self._running)
 
     def running(self) -> int:
         """How many attempts there are."""

@@ -1,0 +1,76 @@
+"""``python -m service`` for the load and chaos runs, and the jobs they submit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+
+import engine
+
+
+class ServiceProcess:
+    """A service that can be killed and started again on the same port and store."""
+
+    def __init__(self, state: Path, **settings: Any) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        values = {"port": port, "state_dir": state} | settings
+        self._env = os.environ | {f"RBPS_{k.upper()}": str(v) for k, v in values.items()}
+        self._log = (state / "log").open("ab")
+        self.url = f"http://127.0.0.1:{port}"
+        self.start()
+
+    def start(self) -> None:
+        """Start and wait until it answers."""
+        command = [sys.executable, "-m", "service"]
+        self.process = subprocess.Popen(command, env=self._env, stderr=self._log)
+        end = time.monotonic() + 300
+        while time.monotonic() < end:
+            try:
+                httpx.get(f"{self.url}/livez", timeout=5)
+                return
+            except httpx.TransportError:
+                time.sleep(0.05)
+        raise RuntimeError("the service did not start")
+
+    def stop(self, how: int = signal.SIGTERM) -> None:
+        """Send a signal and wait."""
+        self.process.send_signal(how)
+        self.process.wait(60)
+
+    def descendants(self) -> list[int]:
+        """The forkserver and the workers."""
+        found, look = [], [self.process.pid]
+        while look:
+            pid = look.pop()
+            try:
+                lists = [f.read_text() for f in Path(f"/proc/{pid}/task").glob("*/children")]
+            except (FileNotFoundError, ProcessLookupError):
+                continue
+            children = [int(child) for text in lists for child in text.split()]
+            found += children
+            look += children
+        return found
+
+
+def request(seed: int, samples: int = 200, iterations: int = 30) -> dict[str, Any]:
+    """An estimation of one parameter of mixed-4."""
+    model = engine.get_model("mixed-4")
+    y = engine.simulate(model, None, samples, np.random.default_rng(seed)).y
+    return {
+        "kind": "estimate",
+        "model": "mixed-4",
+        "series": [{"y": y.tolist(), "dt": 1.0}],
+        "parameters": {"start": {"theta_2": 0.5}, "free": ["theta_2"]},
+        "options": {"iterations": iterations, "seed": seed, "standard_errors": False},
+    }
