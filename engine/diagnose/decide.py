@@ -6,7 +6,7 @@ import numpy as np
 
 from engine.diagnose.diagnosis import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.screen import UNTESTABLE, Screen
-from engine.diagnose.search import GENERIC, MARGIN, TAILS, Refit, Round, Search
+from engine.diagnose.search import GENERIC, MARGIN, Refit, Round, Search
 from engine.diagnose.tails import KIND as TAILS
 
 POWER = 0.84  # normal quantile of 80 %
