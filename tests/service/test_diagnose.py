@@ -44,13 +44,13 @@ def test_a_diagnosis_from_post_to_results_and_its_extension_used_at_once(client,
         "parameters": {"values": found["extension"]["theta"]}, "options": {"particles": 50},
     }  # fmt: skip
     url = client.post("/jobs", json=smooth).headers["location"]
-    job = ended(client, url)
+    job = ended(client, url, 120.0)
     assert job["status"] == "successful", job["message"]
     assert job["model"].startswith("linear-2+step:y")
     extended = client.get(f"{url}/results").json()
     plain = smooth | {"model": "linear-2", "parameters": {"values": found["base_theta"]}}
     url = client.post("/jobs", json=plain).headers["location"]
-    assert ended(client, url)["status"] == "successful"
+    assert ended(client, url, 120.0)["status"] == "successful"
     base = client.get(f"{url}/results").json()
     gained = extended["log_likelihood"]["value"] - base["log_likelihood"]["value"]
     assert gained > 5.0
@@ -87,7 +87,7 @@ def test_a_model_with_effects_is_estimated(client, ended, data):
         "options": {"particles": 20, "iterations": 3, "standard_errors": False},
     }  # fmt: skip
     url = client.post("/jobs", json=job).headers["location"]
-    assert ended(client, url)["status"] == "successful"
+    assert ended(client, url, 120.0)["status"] == "successful"
     assert set(client.get(f"{url}/trace").json()["theta"]) == {"theta", "force_z"}
     model = extend(engine.get_model("linear-2"), ["force:z"])
     assert set(client.get(f"{url}/results").json()["estimate"]) == set(model.parameter_names)
@@ -117,7 +117,7 @@ def test_what_is_wrong_is_named(client, pushed, change, field, word):
 
 def test_too_few_measurements_fail_with_the_reason(client, ended):
     url = client.post("/jobs", json=request([[0.1 * i] for i in range(20)])).headers["location"]
-    job = ended(client, url)
+    job = ended(client, url, 120.0)
     assert job["status"] == "failed"
     assert "30" in job["message"]
 
