@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.studies import estimates, lost, poster, states, uncertainty
+from engine.studies import diagnose_measured, estimates, lost, poster, states, uncertainty
 from engine.studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -18,6 +18,7 @@ STUDIES: dict[str, Study] = {
         poster.POSTER_LINEAR,
         poster.POSTER_NONLINEAR,
         uncertainty.STANDARD_ERRORS,
+        diagnose_measured.MEASURED,
     )
 }
 ALIASES = {
