@@ -36,6 +36,8 @@ from engine.studies.study import Arm, Row, Study, Tables
 DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[3] / "shared" / "data")
 POINTS = 300  # of each curve that is kept for the picture
 SHOWN = 8  # candidates in the picture
+STRETCH = 600  # samples of silverbox, 1 s
+THINNED = 40  # samples of 1 ms of emps that become one
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Case:
     name: str
     folder: str
     load: Callable[[Path], tuple[str, Series, Series | None, dict[str, Any]]]
+    cut: str = ""  # which part of the data
 
     @property
     def there(self) -> bool:
@@ -63,17 +66,22 @@ def _tanks(folder: Path) -> tuple[str, Series, Series | None, dict[str, Any]]:
 
 
 def _silverbox(folder: Path) -> tuple[str, Series, Series | None, dict[str, Any]]:
-    """1000 samples of the estimation part, 1000 of the multisine test part (row 65062 on)."""
+    """A stretch of the estimation part, and one of the multisine test part (row 65062 on)."""
     record = read_series(folder / "multisine.csv", dt=2**14 / 1e7)
     start = {"omega": 430.0, "zeta": 0.05, "gain": 1.0, "sigma_v": 10.0, "sigma_y": 1e-3}
     options = {"theta": start}
-    return "oscillator", record.part(1000, 2000), record.part(65062, 66062), options
+    return (
+        "oscillator",
+        record.part(1000, 1000 + STRETCH),
+        record.part(65062, 65062 + STRETCH),
+        options,
+    )
 
 
 def _emps(folder: Path) -> tuple[str, Series, Series | None, dict[str, Any]]:
-    """Every 20th sample; the input is averaged over the 20 ms it is held for."""
+    """One sample in so many; the input is averaged over the time that it is held for."""
     parts = [
-        thinned(read_series(folder / f"{name}.csv", y=["y_m"], u=["u_V"], dt=1e-3), 20)
+        thinned(read_series(folder / f"{name}.csv", y=["y_m"], u=["u_V"], dt=1e-3), THINNED)
         for name in ("estimation", "test_pulses")
     ]
     options = {
@@ -88,8 +96,8 @@ CASES = {
     for case in (
         Case("nile", "", _nile),
         Case("tanks", "cascaded_tanks", _tanks),
-        Case("silverbox", "silverbox", _silverbox),
-        Case("emps", "emps", _emps),
+        Case("silverbox", "silverbox", _silverbox, f"{STRETCH} samples"),
+        Case("emps", "emps", _emps, f"1 sample in {THINNED}"),
     )
 }
 
@@ -280,11 +288,15 @@ def _column(values: list[float | None]) -> Array:
     return np.array(values, dtype=float)
 
 
+def _settings(case: Case) -> dict[str, str]:
+    return {"data": case.folder or case.name} | ({"cut": case.cut} if case.cut else {})
+
+
 MEASURED = Study(
     "diagnose-measured",
     "Diagnosis of models on measured data",
     {
-        Arm(f"measured.{case.name}", partial(work, case.name), {"data": case.folder or "nile"}): 1
+        Arm(f"measured.{case.name}", partial(work, case.name), _settings(case)): 1
         for case in CASES.values()
         if case.there
     },
