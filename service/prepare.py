@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from engine.diagnose.catalogue import Setting, effect_kinds, extend
+from engine.diagnose.catalogue import effect_kinds, extend
+from engine.diagnose.setting import Setting
 from engine.errors import EngineError, OptionError, SeriesError
 from engine.model import Array, MixedModel, Theta
 from engine.registry import get_model

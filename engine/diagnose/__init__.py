@@ -30,7 +30,8 @@ from engine.diagnose.decide import cause_of, detectable_of, verdict_of
 from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
 from engine.diagnose.effect import Effect
 from engine.diagnose.gain import Gain, measure_gain, measure_gain_interleaved
-from engine.diagnose.search import Search, search, setting_for
+from engine.diagnose.search import Search, search
+from engine.diagnose.setting import setting_for
 from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.tails import KIND as TAILS
 from engine.errors import OptionError, SeriesError

@@ -16,6 +16,7 @@ import numpy as np
 
 from engine.errors import OptionError
 from engine.model import Array, MixedModel, Parameter
+from engine.promote import promote
 
 FAMILIES = ("state", "measurement", "noise", "input", "time")
 
@@ -119,8 +120,6 @@ def add_to_state(
     needs: Sequence[str] = (),
 ) -> MixedModel:
     """``target``' = ... + dt * term(signals, own parameters); linear states in ``needs`` are promoted."""
-    from engine.promote import promote
-
     base = promote(model, needs)
     split = Split(model)
     row = [*base.nonlinear, *base.linear].index(target)
@@ -158,8 +157,6 @@ def add_to_output(
     needs: Sequence[str] = (),
 ) -> MixedModel:
     """``output`` = ... + term(signals, own parameters)."""
-    from engine.promote import promote
-
     base = promote(model, needs)
     split = Split(model)
     row = list(base.outputs).index(output)

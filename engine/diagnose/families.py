@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from engine.diagnose.columns import Column, Projection
 from engine.diagnose.effect import Effect
-from engine.diagnose.screen import Column, Projection, Test, make_test
+from engine.diagnose.screen import Test, make_test
 from engine.expectation import parameter_scale
 from engine.kernels.footprints import footprints
 from engine.model import Array, MixedModel

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import Kind, Setting, each_input
 from engine.diagnose.effect import Effect, Split, change_inputs, identifier, on_base
+from engine.diagnose.setting import Kind, Setting, each_input
 from engine.model import Array, Gaussian, MixedModel, Parameter
 
 

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from engine.diagnose.latex import to_latex
-from engine.diagnose.search import setting_for
+from engine.diagnose.setting import setting_for
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
 from engine.diagnose.words import listed, number, percent, probability, tidy, with_unit
 from engine.errors import EngineError

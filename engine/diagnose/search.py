@@ -17,76 +17,52 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import Setting, all_effects
-from engine.diagnose.effect import Effect
-from engine.diagnose.families import family_test, grid, is_timed
-from engine.diagnose.screen import (
-    Projection,
-    Score,
-    Screen,
-    Test,
-    effect_columns,
-    make_test,
-    parameter_columns,
-    screen,
-)
+from engine.diagnose.catalogue import all_effects
+from engine.diagnose.columns import Projection, effect_columns, parameter_columns
+from engine.diagnose.families import family_test, is_timed
+from engine.diagnose.refits import Refit, cost, distinct, refit
+from engine.diagnose.screen import Score, Screen, Test, make_test, screen
+from engine.diagnose.setting import Setting
 from engine.diagnose.tails import KIND as TAILS
 from engine.diagnose.tails import (
-    fit_tails,
     pit_of,
     standardised_errors,
     tail_test,
 )
 from engine.errors import EngineError
-from engine.model import Array, MixedModel
-from engine.moment_filter import moment_filter, moment_path
-from engine.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
+from engine.model import MixedModel
+from engine.moment_filter import moment_path
+from engine.quasi_ml import QuasiFit, quasi_ml
 from engine.series import Series
 
 MARGIN = 4.0  # of the score: a likelihood ratio of e^2 = 7
-TIME_COST = 4.0  # for a time or frequency found on a grid
+
+
 REFITS = 12  # effects refitted in a round
+
+
 WORTH = 0.25  # of the best statistic: below this an effect is not refitted
+
+
 LATER = 0.2  # of alpha: a second effect needs more than a first, as each round is a new chance
+
+
 GENERIC = "latent"
+
+
 SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")
+
+
 SWALLOWED_REFITS = 6
-PLAIN = ("bias", "step", "force", "input-offset", "coulomb", "cubic")  # plainer names first
-NESTS = {  # a kind with a width of its own, and plainer ones it becomes at the end of its range
-    "stribeck": ("coulomb",),
-    "deadzone": ("coulomb", "coupling"),
-    "saturation": ("coulomb", "coupling"),
-    "variance": ("level",),
-}
-NEEDED = 2.0  # of the score, that the wider kind must be ahead
-SAME = 2.0  # total difference of log-densities below which two refits say the same
+
+
 OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
+
+
 TAILS_ALARM = 1e-3  # p-value from which outliers are refitted, whatever their rank
 
+
 Progress = Callable[[str, float], Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """An effect estimated together with the model's parameters.
-
-    ``gain`` is 2 (log-likelihood gained), ``score`` that less its costs.
-    """
-
-    effect: Effect
-    fit: QuasiFit
-    gain: float
-    score: float
-
-    @property
-    def size(self) -> float:
-        """The estimated size."""
-        return float(self.fit.theta[self.effect.size.name])
-
-    @property
-    def standard_error(self) -> float:
-        """Its standard error."""
-        return float(self.fit.standard_errors[self.fit.free.index(self.effect.size.name)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,146 +246,5 @@ def refit_best(
     return Round(seen, tuple(ranked), top, equivalent)
 
 
-def distinct(refits: Sequence[Refit], series: Series) -> tuple[Refit, ...]:
-    """The refits without those that say the same in other words.
-
-    A pulse on an integrator is a step of its reading: where two refits predict alike at every
-    sample, the plainer kind (see PLAIN) stands for both.
-    """
-    refits = [r for r in refits if not _merely_wider(r, refits)]
-    terms = [held_out_terms(r.fit, series) for r in refits]
-    kept: list[int] = []
-    for i in sorted(range(len(refits)), key=lambda i: _plainness(refits[i])):
-        rank = _plainness(refits[i])
-        if not any(
-            rank > _plainness(refits[j]) and np.abs(terms[i] - terms[j]).sum() < SAME for j in kept
-        ):
-            kept.append(i)
-    return tuple(refits[i] for i in sorted(kept))
-
-
-def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
-    """Whether a plainer effect at the same place does as well."""
-    effect = found.effect
-    return any(
-        other.effect.kind in NESTS.get(effect.kind, ())
-        and other.effect.channel in (effect.channel, effect.channel.partition("->")[0])
-        and found.score < other.score + NEEDED
-        for other in others
-    )
-
-
-def _plainness(found: Refit) -> int:
-    kind = found.effect.kind
-    return PLAIN.index(kind) if kind in PLAIN else len(PLAIN)
-
-
 def _screen_score(score: Score) -> float:
     return score.statistic - cost(score.effect)
-
-
-def cost(effect: Effect) -> float:
-    """What an effect's further parameters must gain before they count."""
-    further = len(effect.parameters) - 1 - len(effect.held)
-    return 2.0 * further + (TIME_COST if is_timed(effect) else 0.0)
-
-
-def refit(fit: QuasiFit, series: Series, score: Score) -> Refit:
-    """Maximum likelihood of the extended model, started at the score's one-step estimate."""
-    effect = score.effect
-    extended = effect.apply(fit.model)
-    n = len(fit.theta)
-    if effect.kind == TAILS:
-        return _refit_tails(fit, extended, effect, series)
-    start = np.concatenate([fit.theta, [score.size], score.at])
-    null = start.copy()
-    null[n] = 0.0
-    start = np.clip(start, extended.lower, extended.upper)
-    own = [p.name for p in effect.parameters]
-    sought = [name for name in own if name.endswith("_time")] if is_timed(effect) else []
-    fixed = {*sought, *effect.held}
-    free = [*fit.free, *(name for name in own if name not in fixed)]
-    start = _best_start(extended, series, start, n)
-    found = quasi_ml(extended, series, start, free)
-    if sought:
-        found = _refine_time(extended, series, found, free, sought[0], effect)
-    zero = float(log_likelihoods(extended, [series], null[None])[0])
-    gain = 2.0 * (found.log_likelihood - zero)
-    return Refit(effect, found, gain, gain - cost(effect))
-
-
-def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> Refit:
-    """By particles: the moment filter's likelihood does not see outliers."""
-    gain, theta = fit_tails(fit, extended, series, seed=0)
-    own = [p.name for p in effect.parameters]
-    information = np.zeros((len(fit.free) + len(own), len(fit.free) + len(own)))
-    information[: len(fit.free), : len(fit.free)] = fit.information
-    share = float(theta[len(fit.theta)])
-    k = len(fit.free)
-    information[k, k] = len(series) / (share * (1.0 - share))  # as if every outlier were known
-    found = QuasiFit(
-        extended,
-        extended.theta(theta),
-        fit.log_likelihood + 0.5 * gain,
-        (*fit.free, *own),
-        information,
-        1,
-        True,
-    )
-    return Refit(effect, found, gain, gain - cost(effect))
-
-
-def _best_start(extended: MixedModel, series: Series, start: Array, n: int) -> Array:
-    """The best of a few sizes around the one-step estimate, which may overshoot."""
-    sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01]) * start[n]
-    starts = np.repeat(start[None], len(sizes), axis=0)
-    starts[:, n] = np.clip(sizes, extended.lower[n], extended.upper[n])
-    values = log_likelihoods(extended, [series], starts)
-    return np.asarray(starts[int(np.argmax(values))])
-
-
-def _refine_time(
-    extended: MixedModel,
-    series: Series,
-    found: QuasiFit,
-    free: Sequence[str],
-    name: str,
-    effect: Effect,
-) -> QuasiFit:
-    """Move a time to the row where the likelihood is largest, then fit once more."""
-    k = extended.index(name)
-    theta = np.asarray(found.theta)
-    here = int(np.argmin(np.abs(series.t - theta[k])))
-    reach = (
-        2
-        if effect.kind == "pulse"
-        else int(np.ceil(len(series) / max(len(grid(effect, series)), 1)))
-    )
-    rows = np.arange(max(here - reach, 1), min(here + reach + 1, len(series) - 1))
-    thetas = np.repeat(theta[None], len(rows), axis=0)
-    thetas[:, k] = series.t[rows]
-    values = log_likelihoods(extended, [series], thetas)
-    best = int(np.argmax(values))
-    if rows[best] == here or not values[best] > found.log_likelihood:
-        return found
-    return quasi_ml(extended, series, thetas[best], free)
-
-
-def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
-    """Typical sizes of every channel, from the data and the filter's means."""
-    path = moment_path(model, theta, series)
-    scale: dict[str, float] = {}
-    for i, name in enumerate([*model.nonlinear, *model.linear]):
-        scale[name] = float(np.sqrt(np.mean(path.filtered[:, i] ** 2)))
-    for i, name in enumerate(model.inputs):
-        scale[name] = float(np.sqrt(np.mean(series.u[:, i] ** 2)))
-    for i, name in enumerate(model.outputs):
-        scale[name] = float(np.sqrt(np.nanmean(series.y[:, i] ** 2)))
-    return Setting(
-        model, scale, (float(series.t[0]), float(series.t[-1])), float(np.median(series.steps))
-    )
-
-
-def held_out_terms(fit: QuasiFit, series: Series) -> Array:
-    """One-step predictive log-densities (T,) of a series under a fitted model."""
-    return np.asarray(moment_filter(fit.model, np.asarray(fit.theta)[None], series).log_terms[:, 0])

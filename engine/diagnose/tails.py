@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 from scipy.stats import kurtosistest, norm
 
-from engine.diagnose.catalogue import Kind, Setting
 from engine.diagnose.effect import Effect, identifier
 from engine.diagnose.screen import Test
+from engine.diagnose.setting import Kind, Setting
 from engine.errors import EngineError
 from engine.heavy_tails import with_mixture
 from engine.kernels.filtering import condition, draw_prior

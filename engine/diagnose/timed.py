@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import Kind, Maker, Setting, each_output, each_parameter, each_state
 from engine.diagnose.effect import (
     Effect,
     Split,
@@ -16,6 +15,7 @@ from engine.diagnose.effect import (
     identifier,
     on_base,
 )
+from engine.diagnose.setting import Kind, Maker, Setting, each_output, each_parameter, each_state
 from engine.model import Array, MixedModel, Parameter
 
 

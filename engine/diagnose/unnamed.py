@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.diagnose.refits import Refit
 from engine.diagnose.runs import smoothed
-from engine.diagnose.search import Refit
 from engine.diagnose.words import number, with_unit
 from engine.model import Array
 from engine.moment_filter import moment_path

@@ -19,7 +19,7 @@ from engine.diagnose.gain import (
 )
 from engine.diagnose.latex import to_latex
 from engine.diagnose.report import plain
-from engine.diagnose.search import setting_for
+from engine.diagnose.setting import setting_for
 from engine.diagnose.simulation_gain import bootstrap_means
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL

@@ -1,0 +1,217 @@
+"""Derivatives of the one-step predictions by an effect's size: the columns of the score tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.diagnose.effect import Effect
+from engine.kernels.footprints import sensitivities
+from engine.kernels.moments import sigma_points, transform
+from engine.model import Array, MixedModel
+from engine.moment_filter import MomentFiltered, MomentPath, moment_filter
+from engine.points import Points
+from engine.quasi_ml import neighbours, whitening
+from engine.series import Series
+
+REACH = 0.05  # a probe's size in its own standard errors
+
+
+UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could show
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One direction in which the model might be wrong: contributions s (T,) and vector v."""
+
+    s: Array
+    v: Array
+
+
+class Projection:
+    """Takes the fitted parameters' directions out of columns."""
+
+    def __init__(self, nuisance: Sequence[Column]) -> None:
+        self.n = len(nuisance)
+        if not self.n:
+            return
+        V = np.array([c.v for c in nuisance])
+        self.s = np.array([c.s for c in nuisance])
+        size = np.sqrt((V**2).sum(axis=1))
+        self.size = np.where(size > 0.0, size, 1.0)
+        self.V = V / self.size[:, None]
+        self.inverse = np.linalg.pinv(self.V @ self.V.T, rcond=1e-10, hermitian=True)
+
+    def __call__(self, s: Array, v: Array) -> tuple[Array, Array]:
+        """Projected s (n, T) and v (n, .)."""
+        if not self.n:
+            return s, v
+        coefficients = (v @ self.V.T) @ self.inverse
+        return s - coefficients @ (self.s / self.size[:, None]), v - coefficients @ self.V
+
+
+def innovation_columns(
+    base: MomentFiltered, observed: NDArray[np.bool_], pairs: Sequence[tuple[int, int, float]]
+) -> list[Column]:
+    """Columns from pairs (low, high, distance) of filters in one batch; row 0 is the base."""
+    root = whitening(base.S[:, 0], observed)
+    columns = []
+    for low, high, distance in pairs:
+        d_nu = np.nan_to_num(base.innovations[:, high] - base.innovations[:, low]) / distance
+        d_S = (base.S[:, high] - base.S[:, low]) / distance
+        z = np.einsum("tij,tj->ti", root, d_nu)
+        E = root @ d_S @ np.swapaxes(root, -1, -2) / np.sqrt(2.0)
+        s = (base.log_terms[:, high] - base.log_terms[:, low]) / distance
+        columns.append(Column(s, np.concatenate([z.ravel(), E.ravel()])))
+    return columns
+
+
+def parameter_columns(
+    model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series
+) -> list[Column]:
+    """The directions of the estimated parameters."""
+    if not len(indices):
+        return []
+    thetas, distances = neighbours(model, theta, indices)
+    filtered = moment_filter(model, thetas, series)
+    pairs = [(1 + 2 * i, 2 + 2 * i, float(d)) for i, d in enumerate(distances)]
+    return innovation_columns(filtered, series.observed, pairs)
+
+
+def effect_columns(
+    effect: Effect, model: MixedModel, theta: Array, series: Series, path: MomentPath
+) -> list[tuple[tuple[float, ...], Column]]:
+    """One column per probe of an effect; none where its filter is lost.
+
+    An effect without states of its own changes the model's functions along the base filter's path;
+    one with such states needs filters of its own.
+    """
+    extended = effect.apply(model)
+    static = extended.nx == model.nx
+    out = []
+    for probe in effect.probes:
+        at = np.concatenate([theta, [0.0], probe])
+        column: Column | None
+        if static:
+            column = static_column(effect, extended, at, len(theta), model, series, path)
+        else:
+            column = _dynamic_column(effect, extended, at, len(theta), series)
+        if column is not None and np.isfinite(column.s).all() and np.isfinite(column.v).all():
+            out.append((probe, column))
+    return out
+
+
+def static_column(
+    effect: Effect,
+    extended: MixedModel,
+    at: Array,
+    k: int,
+    model: MixedModel,
+    series: Series,
+    path: MomentPath,
+) -> Column:
+    """The column of parameter k of ``extended`` at ``at``, along the path of the base model."""
+    upper = extended.upper[k]
+    step = 1e-5 * (upper if np.isfinite(upper) else 1.0)
+    low, high = at.copy(), at.copy()
+    low[k] = max(at[k] - step, extended.lower[k])
+    high[k] += step
+    ends = [along_path(extended, point, model, series, path) for point in (low, high)]
+    b, dQ, e, dR, dX = ((y - x) / (high[k] - low[k]) for x, y in zip(*ends, strict=True))
+    root = whitening(path.S, series.observed)
+    precision = np.swapaxes(root, -1, -2) @ root
+    nu = np.nan_to_num(path.innovations)
+    g, dS = sensitivities(path.F, path.H, path.K, precision, nu, b, e, dQ, dR, dX)
+    z = np.einsum("tij,tj->ti", root, nu)
+    Z = -np.einsum("tij,tj->ti", root, g)
+    E = root @ dS @ np.swapaxes(root, -1, -2)
+    s = -(Z * z).sum(axis=1) + 0.5 * (
+        np.einsum("ti,tij,tj->t", z, E, z) - np.trace(E, axis1=1, axis2=2)
+    )
+    return Column(s, np.concatenate([Z.ravel(), E.ravel() / np.sqrt(2.0)]))
+
+
+def along_path(
+    extended: MixedModel, theta: Array, model: MixedModel, series: Series, path: MomentPath
+) -> tuple[Array, Array, Array, Array, Array]:
+    """One step of ``extended`` from each of the moments on the path of ``model``.
+
+    Mean and covariance of x_{t+1}, (T-1, nx) and (T-1, nx, nx); mean and covariance of y_t, (T, ny) and
+    (T, ny, ny); Cov(x_t, y_t) (T, nx, ny); all in the base model's order of states.
+    """
+    states = [*model.nonlinear, *model.linear]
+    order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
+    back = np.argsort(order)
+    record = extended.record(theta)
+    out = []
+    for transition in (True, False):
+        if transition:
+            m, P = path.filtered[:-1], path.P_filtered[:-1]
+        else:
+            m, P = path.predicted, path.P_predicted
+        m = np.ascontiguousarray(m[:, order])
+        P = np.ascontiguousarray(P[:, order][:, :, order])
+        a, z, V, offsets = sigma_points(m, P, extended.na)
+        n, S = a.shape[:2]
+        f, A, Q = Points(extended, series, a, theta).at(np.arange(n), record, transition)
+        out.append(
+            transform(
+                f.reshape(n * S, -1), _rows(A, n, S), _rows(Q, n, S), z, V, offsets, extended.na
+            )
+        )
+    (x_mean, x_cov, _), (y_mean, y_cov, cross) = out
+    return (
+        x_mean[:, back],
+        x_cov[:, back][:, :, back],
+        y_mean,
+        y_cov,
+        np.ascontiguousarray(np.swapaxes(cross[:, :, back], 1, 2)),
+    )
+
+
+def _rows(matrix: Array, n: int, S: int) -> Array:
+    """(1, ., .) where common to all points, else (n S, ., .)."""
+    shape = matrix.shape[2:]
+    if matrix.shape[:2] == (1, 1):
+        return np.ascontiguousarray(matrix[0])
+    return np.ascontiguousarray(np.broadcast_to(matrix, (n, S, *shape))).reshape(n * S, *shape)
+
+
+def _dynamic_column(
+    effect: Effect, extended: MixedModel, at: Array, k: int, series: Series
+) -> Column | None:
+    step = _step(extended, at, k, series)
+    if step is None:
+        return None
+    thetas = np.repeat(at[None], 3, axis=0)
+    thetas[1, k] = 0.0 if effect.one_sided else -step
+    thetas[2, k] = step
+    filtered = moment_filter(extended, thetas, series)
+    pair = (1, 2, step if effect.one_sided else 2.0 * step)
+    return innovation_columns(filtered, series.observed, [pair])[0]
+
+
+def _step(extended: MixedModel, at: Array, k: int, series: Series) -> float | None:
+    """A size of about REACH standard errors, found on the first part of the series."""
+    part = series if len(series) <= 100 else series.part(0, 100)
+    step = 1e-3 * max(min(float(extended.upper[k]), 1.0), 1e-300)
+    for _ in range(12):
+        thetas = np.repeat(at[None], 2, axis=0)
+        thetas[1, k] = step
+        filtered = moment_filter(extended, thetas, part)
+        column = innovation_columns(filtered, part.observed, [(0, 1, 1.0)])[0]
+        reach = float(np.linalg.norm(column.v)) * np.sqrt(len(series) / len(part))
+        if not np.isfinite(reach):
+            step *= 1e-2
+        elif reach == 0.0:
+            step *= 1e2
+        elif 0.3 * REACH <= reach <= 3.0 * REACH:
+            return step
+        else:
+            step *= min(max(REACH / reach, 1e-4), 1e4)
+        if not 1e-250 < step < 1e250:
+            break
+    return None
