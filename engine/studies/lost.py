@@ -164,10 +164,10 @@ LOST_RUNS = Study(
     {
         arms.DEFAULT_THETA_2: 200,
         arms.TRUTH_THETA_2: 200,
-        arms.RBPS_THETA_2: 200,
+        arms.RBPS_THETA_2: 130,
         arms.DEFAULT_ALL_FIVE: 100,
         arms.TRUTH_ALL_FIVE: 100,
-        arms.RBPS_ALL_FIVE: 100,
+        arms.RBPS_ALL_FIVE: 70,
     },
     report,
     plot,

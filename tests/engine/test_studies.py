@@ -250,14 +250,14 @@ def test_standard_errors_report(tmp_path):
     for run in range(200):
         made.append({"run": str(run), "theta.theta": str(0.1 + 0.03 * rng.standard_normal())})
         made[-1] |= {"se.theta": "0.03", "se_seconds": "1"}
-    cells, _ = uncertainty._case(Table(made, {}, 0.0, 1), "table-I", "theta")
-    assert cells[5] == "yes"
-    assert cells[7] == "yes"
+    cells = uncertainty.case(Table(made, {}, 0.0, 1), "table-I", "theta")
+    assert cells[4] == "yes"
+    assert cells[6] == "yes"
     for row in made:
         row["se.theta"] = "0.02"
-    cells, _ = uncertainty._case(Table(made, {}, 0.0, 1), "table-I", "theta")
-    assert cells[5] == "no"
-    assert cells[7] == "no"
+    cells = uncertainty.case(Table(made, {}, 0.0, 1), "table-I", "theta")
+    assert cells[4] == "no"
+    assert cells[6] == "no"
 
 
 def test_command_line(tmp_path, capsys):
