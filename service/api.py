@@ -14,13 +14,8 @@ import engine
 from engine.diagnose.extended import get_model
 from engine.errors import OptionError
 from service import documents, metrics, stages
-from service.auth import Keys
-from service.prepare import Request, check_limits, dump, prepare
-from service.problems import MEDIA_TYPE, Problem
-from service.schemas import (
-    EXAMPLES,
+from service.answers import (
     JobList,
-    JobRequest,
     JobStatus,
     Link,
     ModelList,
@@ -30,6 +25,11 @@ from service.schemas import (
     Status,
     Trace,
 )
+from service.auth import Keys
+from service.examples import EXAMPLES
+from service.prepare import Request, check_limits, dump, prepare
+from service.problems import MEDIA_TYPE, Problem
+from service.schemas import JobRequest
 from service.settings import Settings
 from service.store import ENDED, KeyReused, Store
 from service.strict_json import dumps

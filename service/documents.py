@@ -11,7 +11,7 @@ import numpy as np
 
 import engine
 from engine.model import Array, MixedModel
-from service.schemas import JobStatus, Link, ModelOut, ParameterOut, Trace
+from service.answers import JobStatus, Link, ModelOut, ParameterOut, Trace
 
 
 def job_status(row: Any) -> JobStatus:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.schemas import EXAMPLES
+from service.examples import EXAMPLES
 
 
 def test_document_lists_every_call(client):

@@ -1,0 +1,166 @@
+"""The JSON that comes out."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, Field
+
+Kind = Literal["estimate", "smooth", "simulate", "diagnose"]
+Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
+
+
+class Link(BaseModel):
+    """A link of a document."""
+
+    href: str
+    rel: str
+    title: str = ""
+
+
+class JobStatus(BaseModel):
+    """The state of one job."""
+
+    jobID: str  # noqa: N815 - the name OGC API - Processes gives it
+    kind: Kind
+    model: str
+    status: Status
+    progress: int = Field(description="per cent", examples=[37])
+    iteration: int
+    iterations: int
+    created: str = Field(examples=["2026-03-01T08:30:00.000Z"])
+    started: str | None
+    updated: str
+    finished: str | None
+    estimated_end: str | None = Field(description="where a running job will be done, by its rate")
+    message: str
+    estimate: dict[str, float] | None = Field(description="latest estimate")
+    log_likelihood: float | None
+    links: list[Link]
+
+
+class JobList(BaseModel):
+    """Jobs, newest first."""
+
+    jobs: list[JobStatus]
+    links: list[Link]
+
+
+class Trace(BaseModel):
+    """Every iteration; row 0 is the start."""
+
+    iteration: list[int]
+    theta: dict[str, list[float | None]]
+    log_likelihood: list[float | None]
+    ess: list[float | None]
+    seconds: list[float | None]
+
+
+class ParameterOut(BaseModel):
+    """A parameter of a model; a bound that is null is infinite."""
+
+    name: str
+    unit: str
+    default: float
+    bounds: tuple[float | None, float | None]
+    description: str
+
+
+class ModelOut(BaseModel):
+    """A registered model: channels and states with units, parameters, equations."""
+
+    name: str
+    description: str
+    equations: list[str]
+    nonlinear: dict[str, str]
+    linear: dict[str, str]
+    inputs: dict[str, str]
+    outputs: dict[str, str]
+    parameters: list[ParameterOut]
+    example: dict[str, Any] = Field(description="a request for POST /jobs")
+    links: list[Link]
+
+
+class ModelList(BaseModel):
+    """Registered models, and plug-ins that could not be loaded."""
+
+    models: list[ModelOut]
+    broken_plugins: dict[str, str]
+    links: list[Link]
+
+
+class ProblemOut(BaseModel):
+    """RFC 9457."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    errors: list[dict[str, Any]] | None = None
+
+
+class Estimated(BaseModel):
+    """An estimate; the standard error is null where it was not computed."""
+
+    value: float
+    standard_error: float | None
+    unit: str
+    fixed: bool = Field(default=False, description="true for a parameter that was not free")
+
+
+class Uncertain(BaseModel):
+    """A value with its Monte Carlo standard error."""
+
+    value: float | None
+    standard_error: float | None
+
+
+class States(BaseModel):
+    """Smoothed states of one series."""
+
+    t: list[float]
+    mean: dict[str, list[float | None]]
+    standard_deviation: dict[str, list[float | None]]
+
+
+class StatesOut(BaseModel):
+    """Smoothed states of every series, with the states' units."""
+
+    units: dict[str, str]
+    series: list[States]
+
+
+class Simulated(BaseModel):
+    """Simulated outputs and states of one series."""
+
+    t: list[float]
+    y: dict[str, list[float]]
+    states: dict[str, list[float]]
+    rmse: float | None = Field(
+        default=None, description="against the measured y, where there is one"
+    )
+
+
+class SimulationOut(BaseModel):
+    """Simulated outputs and states of every series, with units."""
+
+    units: dict[str, str]
+    series: list[Simulated]
+
+
+class Results(BaseModel):
+    """What a job found; which members there are depends on its kind."""
+
+    estimate: dict[str, Estimated] | None = None
+    parameters: dict[str, float] | None = None
+    outcome: str | None = None
+    message: str | None = None
+    log_likelihood: Uncertain | None = None
+    trace: Trace | None = None
+    states: StatesOut | None = None
+    simulation: SimulationOut | None = None
+    diagnosis: dict[str, Any] | None = Field(
+        default=None, description="verdict, causes, symptoms, extension, gain, detectable, page"
+    )
+    starts: list[dict[str, Any]] | None = Field(default=None, description="each start's outcome")
+    bootstrap: dict[str, Any] | None = Field(default=None, description="estimates, quantiles")
