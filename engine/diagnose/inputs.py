@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effect import Effect, Split, change_inputs, identifier, on_base
+from engine.diagnose.effect import Effect, Split, change_inputs, identifier
+from engine.diagnose.more_states import add_memory
 from engine.diagnose.setting import Kind, Setting, each_input
-from engine.model import Array, Gaussian, MixedModel, Parameter
+from engine.model import Array, MixedModel, Parameter
 
 
 def input_offset(setting: Setting, channel: str) -> Effect | None:
@@ -85,46 +85,26 @@ def _delay(setting: Setting, channel: str) -> Effect | None:
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
-        na, nx, index = model.na, model.nx, list(model.inputs).index(channel)
-        order = [*range(na), nx, *range(na, nx)]
+        index = list(model.inputs).index(channel)
 
-        def driven(a: Array, u: Any, own: Any) -> list[Any]:
+        def driven(last: Array, u: Any, own: Any) -> list[Any]:
             rows = list(u)
-            rows[index] = (1.0 - own[0]) * u[index] + own[0] * a[:, na]
+            rows[index] = (1.0 - own[0]) * u[index] + own[0] * last
             return rows
 
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            f, A, Q = model.transition(a[:, :na], driven(a, u, own), t, dt, own_base)
-            now = np.broadcast_to(u[index], (len(a),))
-            f = np.concatenate([f, now[:, None]], axis=1)
-            A = np.concatenate([A, np.zeros((*A.shape[:-2], 1, model.nz))], axis=-2)
-            Q_all = np.zeros((*Q.shape[:-2], nx + 1, nx + 1))
-            Q_all[..., :nx, :nx] = Q
-            return f[:, order], A[..., order, :], Q_all[..., order, :][..., order]
+        def step(
+            a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
+        ) -> tuple[Array, Array, Array, Array]:
+            f, A, Q = model.transition(a, driven(last, u, own), t, dt, record)
+            return f, A, Q, np.broadcast_to(u[index], (len(a),))
 
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            return model.observation(a[:, :na], driven(a, u, own), t, own_base)
+        def observe(
+            a: Array, last: Array, u: Any, t: Any, record: Any, own: Any
+        ) -> tuple[Array, Array, Array]:
+            return model.observation(a, driven(last, u, own), t, record)
 
-        def initial(theta: Any) -> tuple[Any, Any, Any]:
-            start = model.start(split(theta)[0])
-            density: Any = start.density
-            cov = np.zeros((na + 1, na + 1))
-            cov[:na, :na] = density.cov
-            _, P = start.linear(density.mean[None])
-            return (
-                Gaussian(np.append(density.mean, 0.0), cov),
-                lambda a: start.linear(a[:, :na])[0],
-                P if P.ndim == 2 else P[0],
-            )
-
-        extended = on_base(
-            model, split, dynamics=dynamics, measurement=measurement, initial=initial
-        )
-        return replace(
-            extended, nonlinear={**model.nonlinear, f"last_{channel}": setting.unit(channel)}
-        )
+        unit = setting.unit(channel)
+        return add_memory(model, split, f"last_{channel}", unit, step, observe)
 
     return Effect(
         "delay",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effect import Effect, Split, add_to_output, identifier, on_base, per_point
-from engine.diagnose.memory import add_linear_state
+from engine.diagnose.more_states import add_linear_state
 from engine.diagnose.setting import Kind, Maker, Setting, each_output
 from engine.model import Array, MixedModel, Parameter
 from engine.promote import promote

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +10,10 @@ from engine.diagnose.effect import (
     Effect,
     Split,
     identifier,
-    on_base,
 )
+from engine.diagnose.more_states import add_linear_state, add_memory
 from engine.diagnose.setting import Kind, Setting, each_state, pair
-from engine.model import Array, Gaussian, MixedModel, Parameter
+from engine.model import Array, MixedModel, Parameter
 from engine.promote import promote
 
 
@@ -76,48 +74,6 @@ def _pole(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def add_linear_state(
-    model: MixedModel,
-    split: Split,
-    name: str,
-    unit: str,
-    dynamics: Any,
-    variance: Callable[[Any], float] = lambda own: 0.0,
-    **functions: Any,
-) -> MixedModel:
-    """The model with one more linear state, zero at first up to ``variance(own parameters)``."""
-    na = model.na
-
-    def initial(theta: Any) -> tuple[Any, Any, Any]:
-        own_base, own = split(theta)
-        start = model.start(own_base)
-
-        def z1(a: Array) -> Array:
-            z, _ = start.linear(a[:, :na])
-            return np.concatenate([z, np.zeros((len(a), 1))], axis=1)
-
-        _, P = start.linear(np.zeros((1, na)))
-        if P.ndim == 3:
-            P = P[0]
-        P_all = np.zeros((model.nz + 1, model.nz + 1))
-        P_all[:-1, :-1] = P
-        P_all[-1, -1] = variance(own)
-        return start.density, z1, P_all
-
-    if "measurement" not in functions:
-
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            h, C, R = model.observation(a, u, t, split(theta)[0])
-            return h, np.concatenate([C, np.zeros((*C.shape[:-1], 1))], axis=-1), R
-
-        functions["measurement"] = measurement
-    free_name = name
-    while free_name in {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}:
-        free_name += "_"
-    extended = on_base(model, split, dynamics=dynamics, initial=initial, **functions)
-    return replace(extended, linear={**model.linear, free_name: unit})
-
-
 def _hysteresis(setting: Setting, channel: str) -> Effect | None:
     """Bouc-Wen with n = 1: h' = h + dt (v - |v| h / w), a force that remembers (Wen 1976)."""
     found = pair(setting, channel)
@@ -130,50 +86,25 @@ def _hysteresis(setting: Setting, channel: str) -> Effect | None:
     def extend(model: MixedModel) -> MixedModel:
         base = promote(model, (source,))
         split = Split(model)
-        na, nx = base.na, base.nx
         column = list(base.nonlinear).index(source)
         row = [*base.nonlinear, *base.linear].index(target)
-        order = [*range(na), nx, *range(na, nx)]
 
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            f, A, Q = base.transition(a[:, :na], u, t, dt, own_base)
-            v, memory = a[:, column], a[:, na]
-            keep = np.exp(-dt * np.abs(v) / own[1])
-            moved = keep * memory + (1.0 - keep) * own[1] * np.sign(v)
-            f_all = np.concatenate([f, moved[:, None]], axis=1)
-            f_all[:, row] += dt * own[0] * memory
-            A_all = np.concatenate([A, np.zeros((*A.shape[:-2], 1, base.nz))], axis=-2)
-            Q_all = np.zeros((*Q.shape[:-2], nx + 1, nx + 1))
-            Q_all[..., :nx, :nx] = Q
-            return (
-                f_all[:, order],
-                A_all[..., order, :],
-                Q_all[..., order, :][..., order],
-            )
+        def step(
+            a: Array, memory: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
+        ) -> tuple[Array, Array, Array, Array]:
+            f, A, Q = base.transition(a, u, t, dt, record)
+            f = f.copy()
+            f[:, row] += dt * own[0] * memory
+            keep = np.exp(-dt * np.abs(a[:, column]) / own[1])
+            return f, A, Q, keep * memory + (1.0 - keep) * own[1] * np.sign(a[:, column])
 
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            return base.observation(a[:, :na], u, t, split(theta)[0])
+        def observe(
+            a: Array, memory: Array, u: Any, t: Any, record: Any, own: Any
+        ) -> tuple[Array, Array, Array]:
+            return base.observation(a, u, t, record)
 
-        def initial(theta: Any) -> tuple[Any, Any, Any]:
-            start = base.start(split(theta)[0])
-            density: Any = start.density
-            cov = np.zeros((na + 1, na + 1))
-            cov[:na, :na] = density.cov
-            _, P = start.linear(density.mean[None])
-            return (
-                Gaussian(np.append(density.mean, 0.0), cov),
-                lambda a: start.linear(a[:, :na])[0],
-                P if P.ndim == 2 else P[0],
-            )
-
-        return replace(
-            base,
-            nonlinear={**base.nonlinear, f"memory_{source}": f"{setting.unit(source)} s"},
-            dynamics=dynamics,
-            measurement=measurement,
-            initial=initial,
-        )
+        unit = f"{setting.unit(source)} s"
+        return add_memory(base, split, f"memory_{source}", unit, step, observe)
 
     return Effect(
         "hysteresis",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effect import Effect, Split, identifier, on_base, per_point
-from engine.diagnose.memory import add_linear_state
+from engine.diagnose.more_states import add_linear_state
 from engine.diagnose.setting import Kind, Setting, each_output, each_state
 from engine.model import Array, MixedModel, Parameter
 
