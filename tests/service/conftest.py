@@ -29,9 +29,14 @@ from service.tables import metadata
 ENDED = ("successful", "failed", "dismissed")
 
 
+def slowness() -> float:
+    """By how much a machine that others use too is slower than an idle one."""
+    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+
+
 def wait_for(client: Any, url: str, until: Callable[[dict], bool], seconds: float = 40.0) -> dict:
     """The job's status document as soon as ``until`` holds for it."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + seconds * slowness()
     while time.monotonic() < end:
         document = client.get(url).json()
         if until(document):
@@ -80,14 +85,13 @@ def estimation(data: list[list[float]]) -> Callable[..., dict[str, Any]]:
 def long(estimation: Callable[..., dict[str, Any]]) -> dict[str, Any]:
     """A request that computes far longer than any test waits."""
     request = estimation(particles=200, iterations=10_000)
-    request["series"] = [{"y": [[float(i % 7)] for i in range(2000)]}]
+    request["series"] = [{"y": [[float(i % 7)] for i in range(1000)]}]
     return request
 
 
 @pytest.fixture
 def patience() -> float:
-    """By how much a machine that others use too is slower than an idle one."""
-    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    return slowness()
 
 
 class Served(httpx.Client):
