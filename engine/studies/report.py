@@ -15,10 +15,16 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-def against(reported: str, ours: Figure, reported_runs: int, decimals: int) -> list[str]:
+def against(
+    reported: str,
+    ours: Figure,
+    reported_runs: int,
+    decimals: int,
+    reported_error: float | None = None,
+) -> list[str]:
     """Cells: reported value, ours, its standard error, verdict; ``reported`` as it is printed."""
     places = len(reported.partition(".")[2])
-    sigmas = deviation(ours, float(reported), reported_runs, 10.0**-places)
+    sigmas = deviation(ours, float(reported), reported_runs, 10.0**-places, reported_error)
     return [reported, *plain(ours, decimals), verdict(sigmas)]
 
 

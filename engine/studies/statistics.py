@@ -52,13 +52,21 @@ def root_mean(squares: Array) -> Figure:
     return Figure(root, m.error / (2.0 * root) if root > 0.0 else 0.0, m.runs)
 
 
-def deviation(ours: Figure, reported: float, reported_runs: int, digits: float) -> float:
+def deviation(
+    ours: Figure,
+    reported: float,
+    reported_runs: int,
+    digits: float,
+    reported_error: float | None = None,
+) -> float:
     """(ours - reported) in standard errors of the difference.
 
-    The reported value is a Monte Carlo figure too: its error is taken to be ours, scaled to its
-    number of runs, and ``digits``, the unit of its last digit, rounds it.
+    The reported value is a Monte Carlo figure too: its error, where it is not given, is taken to be
+    ours, scaled to its number of runs, and ``digits``, the unit of its last digit, rounds it.
     """
-    theirs = ours.error * np.sqrt(ours.runs / reported_runs)
+    theirs = reported_error
+    if theirs is None:
+        theirs = ours.error * float(np.sqrt(ours.runs / reported_runs))
     total = float(np.sqrt(ours.error**2 + theirs**2 + digits**2 / 12.0))
     return (ours.value - reported) / total if total > 0.0 else np.nan
 
