@@ -9,6 +9,11 @@ from engine.studies.statistics import Figure, deviation, verdict
 from engine.studies.study import Table, Tables
 
 
+DOMINATED = (
+    0.2  # relative error from which a figure says more about a few runs than about the method
+)
+
+
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
@@ -25,7 +30,10 @@ def against(
     """Cells: reported value, ours, its standard error, verdict; ``reported`` as it is printed."""
     places = len(reported.partition(".")[2])
     sigmas = deviation(ours, float(reported), reported_runs, 10.0**-places, reported_error)
-    return [reported, *plain(ours, decimals), verdict(sigmas)]
+    judged = verdict(sigmas)
+    if ours.error > DOMINATED * abs(ours.value):
+        judged = "cannot be judged: a few runs dominate"
+    return [reported, *plain(ours, decimals), judged]
 
 
 def plain(ours: Figure, decimals: int) -> list[str]:

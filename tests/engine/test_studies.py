@@ -130,6 +130,11 @@ def test_verdicts():
     assert against("0.50", ours, 100, 2) == ["0.50", "1.00", "0.10", "differs: higher by 3.5 s.e."]
 
 
+def test_a_figure_that_few_runs_make_is_not_judged():
+    assert against("8.69", Figure(99.0, 47.0, 1000), 1000, 2)[-1].startswith("cannot be judged")
+    assert against("8.69", Figure(8.6, 0.5, 1000), 1000, 2)[-1] == "agrees"
+
+
 def test_bounds_on_rates():
     assert rate_bound(0, 100) == pytest.approx(1.0 - 0.05 ** (1 / 100))
     assert rate_bound(0, 200) == pytest.approx(3.0 / 200, rel=0.01)
