@@ -8,10 +8,8 @@ from engine.studies.progress import clock
 from engine.studies.statistics import Figure, deviation, verdict
 from engine.studies.study import Table, Tables
 
-
-DOMINATED = (
-    0.2  # relative error from which a figure says more about a few runs than about the method
-)
+# relative error from which a figure says more about a few runs than about the method
+DOMINATED = 0.2
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
