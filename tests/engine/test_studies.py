@@ -256,13 +256,13 @@ def test_standard_errors_report(tmp_path):
         made.append({"run": str(run), "theta.theta": str(0.1 + 0.03 * rng.standard_normal())})
         made[-1] |= {"se.theta": "0.03", "se_seconds": "1"}
     cells = uncertainty.case(Table(made, {}, 0.0, 1), "table-I", "theta")
-    assert cells[4] == "yes"
-    assert cells[6] == "yes"
+    assert cells[5] == "yes"
+    assert cells[7] == "yes"
     for row in made:
         row["se.theta"] = "0.02"
     cells = uncertainty.case(Table(made, {}, 0.0, 1), "table-I", "theta")
-    assert cells[4] == "no"
-    assert cells[6] == "no"
+    assert cells[5] == "no"
+    assert cells[7] == "no"
 
 
 def test_command_line(tmp_path, capsys):
