@@ -12,6 +12,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.context import ForkServerContext
@@ -28,6 +29,7 @@ from service.store import Attempt, Store
 log = logging.getLogger("service")
 
 POLL_SECONDS = 0.25  # how soon a cancelled job's process is killed
+START_TRIES = 3
 _starting = threading.Lock()  # multiprocessing polls all children when it starts one
 
 
@@ -125,7 +127,13 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
     lease lost), when its time is up, or when the service stops.
     """
     job = {"job": attempt.job_id}
-    process = spawn(store.url, attempt, terms.memory)
+    try:
+        process = _started(store, attempt, terms)
+    except (OSError, EOFError):  # the forkserver was killed, or the machine has no process left
+        log.exception("no worker process could be started; the task is queued again", extra=job)
+        store.release(attempt)
+        time.sleep(POLL_SECONDS)
+        return
     log.info("attempt started, process %s", process.pid, extra=job)
     try:
         cause = _until_end(store, attempt, terms, stopping, process)
@@ -141,6 +149,15 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
     log.info("attempt ended, exit code %s", process.exitcode, extra=job)
 
 
+def _started(store: Store, attempt: Attempt, terms: Terms) -> BaseProcess:
+    """Spawn; the lease is kept meanwhile, for a new forkserver has to load the engine first."""
+    with ThreadPoolExecutor(1) as pool:
+        process = pool.submit(spawn, store.url, attempt, terms.memory)
+        while wait([process], terms.lease / 4).not_done:
+            store.renew(attempt, terms.lease)
+        return process.result()
+
+
 def _context() -> ForkServerContext:
     """Processes forked from a server that has the engine loaded and only one thread."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -152,18 +169,29 @@ def _context() -> ForkServerContext:
 
 def warm_up() -> None:
     """Return when the forkserver has the engine loaded."""
+    process = _start(int, ())
     with _starting:
-        process = _context().Process(target=int, daemon=True)
-        process.start()
         process.join()
 
 
 def spawn(url: str, attempt: Attempt, memory: int) -> BaseProcess:
     """A fresh process that works on an attempt."""
-    with _starting:
-        process = _context().Process(target=main, args=(url, attempt, memory), daemon=True)
-        process.start()
-    return process
+    return _start(main, (url, attempt, memory))
+
+
+def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
+    """Start a process; a forkserver that was killed is replaced by the next try."""
+    for tries_left in reversed(range(START_TRIES)):
+        try:
+            with _starting:
+                process = _context().Process(target=target, args=args, daemon=True)
+                process.start()
+            return process
+        except (OSError, EOFError):
+            if not tries_left:
+                raise
+            time.sleep(0.1)
+    raise AssertionError("unreachable")
 
 
 def _until_end(

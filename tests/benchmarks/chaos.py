@@ -26,7 +26,7 @@ def main() -> None:
     bodies = [request(seed, samples=60, iterations=12) for seed in range(SEEDS)]
     expected = [trace(body) for body in bodies]
     killed = {"worker": 0, "forkserver": 0, "service": 0}
-    with tempfile.TemporaryDirectory() as state:
+    with tempfile.TemporaryDirectory(prefix="rbps-chaos-") as state:
         service = ServiceProcess(Path(state), workers=2, lease_seconds=2, losses_allowed=KILLS)
         begin = time.monotonic()
         jobs = [submit(service, bodies[i % SEEDS], i) for i in range(JOBS)]

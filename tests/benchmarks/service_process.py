@@ -36,6 +36,8 @@ class ServiceProcess:
         self.process = subprocess.Popen(command, env=self._env, stderr=self._log)
         end = time.monotonic() + 300
         while time.monotonic() < end:
+            if self.process.poll() is not None:
+                raise RuntimeError(f"the service ended with {self.process.returncode}")
             try:
                 httpx.get(f"{self.url}/livez", timeout=5)
                 return

@@ -85,6 +85,18 @@ def test_a_worker_that_always_dies_fails_the_job(spawn, workers, wait, ended, lo
     assert (answer.status_code, answer.json()["title"]) == (500, "worker lost")
 
 
+def test_a_killed_forkserver_is_replaced(spawn, workers, wait, ended, request_, expected):
+    service = spawn()
+    url = service.client.post("/jobs", json=request_).headers["location"]
+    wait(service.client, url, lambda job: job["iteration"] >= 3)
+    (worker,) = workers(service.process.pid)
+    parent = int(Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[1])
+    os.kill(parent, signal.SIGKILL)
+    assert ended(service.client, url)["status"] == "successful"
+    assert without_seconds(service.client.get(f"{url}/results").json()) == expected
+    assert gone(worker)
+
+
 def test_run_time_is_limited(make_client, long, ended):
     client = make_client(run_seconds=0.5)
     url = client.post("/jobs", json=long).headers["location"]
