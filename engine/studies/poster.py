@@ -59,6 +59,8 @@ def report_linear(tables: Tables) -> str:
         "x' = a x + v, y = x + e, v ~ N(0, q), e ~ N(0, r): 200 samples, 100 iterations, "
         "50 particles, starts drawn within a factor of 2. The poster's own figures are lost.\n",
         markdown(head, lines),
+        "PS-EM's bias is that of 50 particles: with 400, on the first five realisations, it falls to "
+        "about a fifth (a 0.032 -> 0.007, q -0.032 -> -0.006, r 0.030 -> 0.005).\n",
         made_with(tables),
     ]
     return "\n".join(text)
