@@ -36,7 +36,8 @@ class Gain:
     """The gain on ``samples`` held-out rows, of which ``how`` tells the choice.
 
     ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
-    (one-sided), ``p_loss`` of no loss. ``adopt`` is False where the loss is significant and above 1. For
+    (one-sided), ``p_loss`` of no loss. ``adopt`` is False where the loss is significant and
+    above 1, or where free runs lose significantly and predictions do not gain. For
     pictures: times ``t``, readings ``y``, free runs ``before`` and ``after`` (n, ny), differences ``d`` (n,).
     """
 
@@ -174,6 +175,13 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     if not any(away) and floors:
         floor = np.sqrt(np.mean(np.square(floors), axis=0))
         outputs = tuple(output_gains(trials[0].base, part, kept, runs[0], runs[1], floor, seed))
+    density_lost = 1.0 - p_gain < LOSS and float(np.sum(d)) < -MATTERS
+    runs_lost = [o.output for o in outputs if o.interval_difference[0] > 0.0]
+    if runs_lost and p_gain > LOSS and not density_lost:
+        notes.append(
+            f"The extended model simulates {', '.join(runs_lost)} worse, and does not clearly predict "
+            "better: it explains the data as noise and not by a cause."
+        )
     return Gain(
         how=how,
         samples=n,
@@ -183,7 +191,7 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
         p_value=p_gain,
         p_loss=1.0 - p_gain,
         outputs=outputs,
-        adopt=not (lost or (1.0 - p_gain < LOSS and float(np.sum(d)) < -MATTERS)),
+        adopt=not (lost or density_lost or (runs_lost and p_gain > LOSS)),
         notes=tuple(notes),
         t=np.asarray(part.t),
         y=np.where(kept[:, None], part.y, np.nan),

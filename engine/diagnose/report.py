@@ -91,7 +91,7 @@ def gain_line(gain: Gain) -> str:
             f"; free run of {output.output} {with_unit(output.rmse_before, output.unit)} rms before, "
             f"{with_unit(output.rmse_after, output.unit)} after"
         )
-    return text + (". Adopted." if gain.adopt else ". NOT adopted: it predicts worse there.")
+    return text + (". Adopted." if gain.adopt else ". NOT adopted: it does worse there.")
 
 
 def _wrong(d: Diagnosis) -> Iterator[str]:
@@ -211,7 +211,7 @@ def _gain(gain: Gain | None) -> Iterator[str]:
     yield (
         "  Adopted."
         if gain.adopt
-        else "  Not adopted: the extended model predicts these data worse."
+        else "  Not adopted: the extended model does worse on these data."
     )
 
 

@@ -24,6 +24,7 @@ from engine.diagnose.simulation_gain import bootstrap_means
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
 from engine.models.mixed_4 import MODEL as MIXED
+from engine.models.tanks import MODEL as TANKS
 from engine.quasi_ml import quasi_ml
 from engine.series import Series
 from engine.simulate import simulate
@@ -227,3 +228,25 @@ def test_step_of_the_nile_is_named_on_the_page():
     time = found.causes[0].parameters
     assert min(abs(v - 1899.0) for v in time.values()) <= 1.0
     assert "1e8 m^3" in page
+
+
+def test_an_extension_that_simulates_worse_and_predicts_no_better_is_not_adopted():
+    from dataclasses import replace
+
+    from engine.model import Theta
+
+    rng = np.random.default_rng(9)
+    u = np.repeat(rng.uniform(0.5, 5.0, 20), 15)
+    noisy = {"sigma_level": 0.1, "sigma_inflow": 0.0}
+    series = simulate(TANKS, noisy, 300, rng, u=u, dt=4.0).series
+    extended = extend(TANKS, ["force:upper"])
+    free = ["k1", "k3", "k4"]
+    base = quasi_ml(TANKS, series, noisy, free)
+    same = quasi_ml(extended, series, [*base.theta, 0.0], free)
+    theta = np.array([*base.theta.tolist(), 0.012])  # predicts as well, drifts off in simulation
+    theta[extended.index("sigma_level")] = 0.11
+    drifting = replace(same, theta=Theta(theta, extended.parameter_names))
+    gain = measure_gain(base, drifting, series, seed=1)
+    assert gain.outputs[0].interval_difference[0] > 0.0
+    assert gain.p_value > 0.05
+    assert not gain.adopt
