@@ -1,4 +1,7 @@
-"""``make chaos``: kill -9 at 50 random moments under load; every job ends, with the same bits."""
+"""``make chaos``: kill -9 at 50 random moments under load; every job ends, with the same bits.
+
+``chaos.py [KILLS] [JOBS]`` for another number of each.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,22 @@ import tempfile
 import time
 from pathlib import Path
 
+os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as in workers: same bits
+
 import httpx
 import numpy as np
 from service_process import ServiceProcess, request
 
 import engine
 
-KILLS, JOBS, SEEDS = 50, 40, 4
+KILLS, JOBS = (int(text) for text in (sys.argv[1:] + ["50", "40"][len(sys.argv) - 1 :]))
+SEEDS = 4
 RESULTS = Path(__file__).parent / "results" / "service-chaos.json"
 
 
 def main() -> None:
     """Run, print, write the figures."""
-    rng = np.random.default_rng(int(sys.argv[1]) if len(sys.argv) > 1 else 0)
+    rng = np.random.default_rng(0)
     bodies = [request(seed, samples=60, iterations=12) for seed in range(SEEDS)]
     expected = [trace(body) for body in bodies]
     killed = {"worker": 0, "forkserver": 0, "service": 0}
@@ -37,9 +43,10 @@ def main() -> None:
         seconds = time.monotonic() - begin
         traces = [get(service, f"/jobs/{job}/trace")["theta"]["theta_2"] for job in jobs]
         listed = get(service, "/jobs?limit=1000")["jobs"]
+        below = service.descendants()
         service.stop()
-        time.sleep(0.5)
-        left = sum("-m service" in command(pid) for pid in processes())
+        time.sleep(2.0)
+        left = sum(bool(command(pid)) for pid in below)
     figures = {
         "killed": killed,
         "jobs": JOBS,
@@ -106,11 +113,6 @@ def wait(service: ServiceProcess, job: str) -> dict:
 def get(service: ServiceProcess, path: str) -> dict:
     """GET as JSON."""
     return httpx.get(service.url + path, timeout=60).json()
-
-
-def processes() -> list[int]:
-    """All process ids."""
-    return [int(path.name) for path in Path("/proc").glob("[0-9]*")]
 
 
 def command(pid: int) -> str:
