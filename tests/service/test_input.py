@@ -121,7 +121,7 @@ def test_unknown_things_are_404_and_problems(client):
 
 
 def test_limits(make_client, estimation, long):
-    client = make_client(max_body=10_000, max_queue=1, max_samples=50, max_series=2, workers=1)
+    client = make_client(max_body=5_000, max_queue=1, max_samples=50, max_series=2, workers=1)
     answer = client.post("/jobs", json=long)
     assert (answer.status_code, answer.json()["status"]) == (413, 413)
 
