@@ -120,7 +120,7 @@ def _cause(d: Diagnosis) -> Iterator[str]:
                 text += f", 2 x log-likelihood gained {number(other.gain)}"
             text += ")"
             if other.difference:
-                text += f"; it {other.difference}"
+                text += f"; it {_verb(other.difference)}"
             yield from _wrapped(text, "      - ")
         advice = experiment(cause)
         if advice:
@@ -130,12 +130,17 @@ def _cause(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(force.sentence, "  ")
 
 
+def _verb(difference: str) -> str:
+    """``is an odd function ...`` for what is written without its verb."""
+    return f"is {difference}" if difference.startswith(("a ", "an ")) else difference
+
+
 def experiment(cause: Cause) -> str:
     """What would tell the equivalent effects apart."""
     others = [o for o in cause.look_alikes if not o.ruled_out]
     if len(cause.equivalent) < 2:
         return ""
-    known = [f"{o.effect} {o.difference}" for o in others if o.difference]
+    known = [f"{o.effect} {_verb(o.difference)}" for o in others if o.difference]
     if known:
         return f"To tell them apart, excite what differs: {'; '.join(known)}."
     return (

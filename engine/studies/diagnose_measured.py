@@ -36,8 +36,8 @@ from engine.studies.study import Arm, Row, Study, Tables
 DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[3] / "shared" / "data")
 POINTS = 300  # of each curve that is kept for the picture
 SHOWN = 8  # candidates in the picture
-STRETCH = 600  # samples of silverbox, 1 s
-THINNED = 40  # samples of 1 ms of emps that become one
+STRETCH = 300  # samples of silverbox, half a second, 33 periods of its resonance
+THINNED = 80  # samples of 1 ms of emps that become one
 
 
 @dataclass(frozen=True)
