@@ -37,6 +37,7 @@ DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[3] / "shared" 
 POINTS = 300  # of each curve that is kept for the picture
 SHOWN = 8  # candidates in the picture
 STRETCH = 300  # samples of silverbox, half a second, 33 periods of its resonance
+NOTE = "Seconds were taken on two cores that some ten other processes used as well.\n"
 THINNED = 80  # samples of 1 ms of emps that become one
 
 
@@ -183,7 +184,7 @@ def curves(found: Diagnosis) -> dict[str, Any]:
 def _thin(values: Array) -> list[float | None]:
     column = values if values.ndim == 1 else values[:, 0]
     rows = np.unique(np.linspace(0, len(column) - 1, min(POINTS, len(column))).astype(int))
-    return [float(f"{x:.5g}") if np.isfinite(x) else None for x in column[rows].tolist()]
+    return [float(f"{x:.8g}") if np.isfinite(x) else None for x in column[rows].tolist()]
 
 
 def report(tables: Tables) -> str:
@@ -212,7 +213,7 @@ def report(tables: Tables) -> str:
         "log-density",
         "seconds",
     ]
-    return "\n".join([markdown(head, rows), *pages, made_with(tables)])
+    return "\n".join([markdown(head, rows), NOTE, *pages, made_with(tables)])
 
 
 def _simulations(row: Row) -> str:

@@ -50,7 +50,8 @@ falls from 417 to 201 N s/m (known: 203). `coulomb:velocity` itself was refitted
 log-likelihood: sampled at 80 ms, a force that is switched by the sign chatters about standstill, and the
 narrow dead zone rounds that off. Slope and width alone are not determined, only their product, as the
 standard error says. The constant force is not seen because the model's load force, a random walk, has
-taken it over. The other two effects repair the standstills. One step ahead the extension gains
+taken it over; a free run has no such walk, and drifts by it. The other two effects repair the
+standstills. One step ahead the extension gains
 much, in free run from likelihood estimates it is worse, fitted by simulation error it halves the error
 (62 to 31 mm): the structure is right and the likelihood's parameters do not simulate.""",
 }
