@@ -51,7 +51,7 @@ log-likelihood: sampled at 80 ms, a force that is switched by the sign chatters 
 narrow dead zone rounds that off. Slope and width alone are not determined, only their product, as the
 standard error says. The constant force is not seen because the model's load force, a random walk, has
 taken it over; a free run has no such walk, and drifts by it. The other two effects repair the
-standstills. One step ahead the extension gains
-much, in free run from likelihood estimates it is worse, fitted by simulation error it halves the error
-(62 to 31 mm): the structure is right and the likelihood's parameters do not simulate.""",
+standstills. One step ahead the extension gains much, in free run from likelihood estimates it is
+worse, fitted by simulation error it halves the error (62 to 31 mm): the structure is right and the
+likelihood's parameters do not simulate.""",
 }
