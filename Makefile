@@ -19,8 +19,9 @@ demo: setup
 serve: setup
 	$(BIN)/python -m service
 
+# python -m puts this folder on the path, so that worker processes can import the test modules.
 test: setup
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow"
 
 lint: setup
 	$(BIN)/ruff check .
