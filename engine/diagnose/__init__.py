@@ -30,6 +30,7 @@ from engine.diagnose.decide import cause_of, detectable_of, verdict_of
 from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
 from engine.diagnose.effect import Effect
 from engine.diagnose.gain import Gain, measure_gain, measure_gain_interleaved
+from engine.diagnose.runs import covariance_of
 from engine.diagnose.search import Search, search
 from engine.diagnose.setting import setting_for
 from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
@@ -125,7 +126,7 @@ def diagnose(
         verdict = Verdict.UNKNOWN
 
     clock.start("symptoms")
-    symptoms = find_symptoms(model, base.theta, train, seed=seed)
+    symptoms = find_symptoms(model, base.theta, train, covariance_of(base), seed=seed)
 
     clock.start("gain")
     gain = None
