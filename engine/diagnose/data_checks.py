@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.diagnose.words import listed, number, percent, with_unit
 from engine.model import Array, MixedModel
 from engine.series import Series
+from engine.words import listed, number, percent, with_unit
 
 SHORT = 100  # samples; and ten per parameter
 OUTLIER = 6.0  # robust standard deviations off the neighbours' median

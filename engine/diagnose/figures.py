@@ -10,9 +10,9 @@ import numpy as np
 
 from engine.diagnose.regions import Region
 from engine.diagnose.report import unnamed
-from engine.diagnose.words import tidy
 from engine.errors import OptionError
 from engine.model import Array
+from engine.words import tidy
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from engine.diagnose.latex import to_latex
 from engine.diagnose.setting import setting_for
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
-from engine.diagnose.words import listed, number, percent, probability, tidy, with_unit
 from engine.errors import EngineError
+from engine.words import listed, number, percent, probability, tidy, with_unit
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from engine.diagnose.regions import NOTABLE, Region
-from engine.diagnose.words import number, percent, with_unit
+from engine.words import number, percent, with_unit
 
 if TYPE_CHECKING:
     from engine.diagnose.symptoms import Fit

@@ -8,10 +8,10 @@ import numpy as np
 
 from engine.diagnose.refits import Refit
 from engine.diagnose.runs import smoothed
-from engine.diagnose.words import number, with_unit
 from engine.model import Array
 from engine.moment_filter import moment_path
 from engine.series import Series
+from engine.words import number, with_unit
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,6 @@ from engine.diagnose.regions import Errors, by_frequency, by_signal, most_tellin
 from engine.diagnose.residuals import auxiliary, standardised, whiteness
 from engine.diagnose.runs import covariance_of, smoothed, start_state
 from engine.diagnose.symptoms import find_symptoms
-from engine.diagnose.words import number, percent, tidy, with_unit
 from engine.kalman import kalman_smoother
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
@@ -24,6 +23,7 @@ from engine.moment_filter import moment_path
 from engine.quasi_ml import quasi_ml
 from engine.series import Series
 from engine.simulate import simulate
+from engine.words import number, percent, tidy, with_unit
 
 QUIET = {"sigma_level": 0.001, "sigma_inflow": 0.0}
 
