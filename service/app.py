@@ -8,7 +8,7 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from service import problems
+from service import pages, problems
 from service.api import router
 from service.auth import Keys, check_exposure
 from service.limits import BodyLimit
@@ -43,6 +43,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         redoc_url=None,
     )
     app.add_middleware(BodyLimit, max_body=settings.max_body, seconds=settings.body_seconds)
+    app.add_middleware(pages.PageHeaders)
+    app.router.routes.extend(pages.routes(keys.needed))  # before the JSON calls
     app.include_router(router(store, supervisor, settings, keys))
     problems.install(app)
     app.state.supervisor = supervisor

@@ -1,0 +1,118 @@
+"""The HTML side: the same addresses as the JSON, for clients that prefer text/html.
+
+A page is a shell without data. Its scripts ask the JSON calls of ``api.py`` for what they show, with the
+API key where the service has keys; so a page shows nothing that the API would not tell its reader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, MutableMapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import BaseRoute, Match, Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+HERE = Path(__file__).parent
+STATIC = HERE / "static"
+
+# Nothing from other addresses, no script or style within the page, no page within another's.
+POLICY = (
+    "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
+    "object-src 'none'"
+)
+
+
+class Page(Route):
+    """A route that exists only for clients that prefer HTML; others go on to the JSON call."""
+
+    def matches(self, scope: Scope) -> tuple[Match, Scope]:
+        """As a route, if the Accept header prefers HTML."""
+        if scope["type"] == "http" and not prefers_html(Headers(scope=scope).get("accept", "")):
+            return Match.NONE, {}
+        return super().matches(scope)
+
+
+def routes(keys_needed: bool) -> list[BaseRoute]:
+    """Start page, list of jobs, static files. Goes before the JSON calls."""
+
+    def start(request: Request) -> Response:
+        return render("start.html", keys_needed)
+
+    def jobs(request: Request) -> Response:
+        return render("jobs.html", keys_needed)
+
+    return [
+        Page("/", start),
+        Page("/jobs", jobs),
+        Mount("/static", StaticFiles(directory=STATIC)),
+    ]
+
+
+def render(template: str, keys_needed: bool, **values: Any) -> Response:
+    """A page from a template; ``keys_needed`` tells its scripts to ask for an API key."""
+    page = environment().get_template(template)
+    return HTMLResponse(page.render(values, keys_needed=keys_needed))
+
+
+@cache
+def environment() -> Environment:
+    """The templates, with everything put into them escaped."""
+    made = Environment(
+        loader=FileSystemLoader(HERE / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.globals["version"] = version("rbps")
+    return made
+
+
+def prefers_html(accept: str) -> bool:
+    """Whether an Accept header ranks text/html above application/json."""
+    quality: dict[str, float] = {}
+    for part in accept.split(","):
+        media, *parameters = (piece.strip().lower() for piece in part.split(";"))
+        q = next((p[2:] for p in parameters if p.startswith("q=")), "1")
+        quality[media] = float(q) if q.replace(".", "", 1).isdigit() else 0.0
+    return _rank(quality, "text/html") > _rank(quality, "application/json")
+
+
+def _rank(quality: Mapping[str, float], media: str) -> float:
+    """The quality of a media type by the most specific range that holds it."""
+    ranges = (media, media.partition("/")[0] + "/*", "*/*")
+    return next((quality[name] for name in ranges if name in quality), 0.0)
+
+
+class PageHeaders:
+    """ASGI middleware: what browsers need to be told about every answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on; add headers to the answer."""
+
+        async def told(message: MutableMapping[str, Any]) -> None:
+            if message["type"] == "http.response.start":
+                _add_headers(MutableHeaders(raw=message["headers"]), scope["path"])
+            await send(message)
+
+        await self.app(scope, receive, told if scope["type"] == "http" else send)
+
+
+def _add_headers(headers: MutableHeaders, path: str) -> None:
+    headers.setdefault("Content-Security-Policy", POLICY)
+    headers["X-Content-Type-Options"] = "nosniff"
+    headers["Referrer-Policy"] = "same-origin"
+    headers.add_vary_header("Accept")  # the same address is HTML for some and JSON for others
+    if path.startswith("/static/") or headers.get("content-type", "").startswith("text/html"):
+        headers["Cache-Control"] = "no-cache"  # ask again: a new version may have been installed
