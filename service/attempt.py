@@ -34,6 +34,10 @@ from service.store import Attempt, Store
 
 log = logging.getLogger("service")
 
+_ENDS = {
+    True: "task %d is done, its result is written",
+    False: "task %d was computed to its end, but is not this attempt's any more",
+}
 STORE_FAILED = 75  # exit code: the store could not be used; another attempt may be luckier
 FLUSH_SECONDS = 0.1  # iterations faster than this are written several at a time
 
@@ -61,7 +65,8 @@ def run(store: Store, attempt: Attempt) -> None:
         progress = StoredProgress(store, attempt)
         result = stages.run(job, attempt.task, progress)
         progress.flush()
-        store.finish(attempt, result, str(result.get("message", "")))
+        told = store.finish(attempt, result, str(result.get("message", "")))
+        log.info(_ENDS[told], attempt.task, extra={"job": attempt.job_id})
     except SQLAlchemyError:
         raise
     except Exception as error:  # noqa: BLE001 - whatever it is, the job's owner must be told
@@ -82,6 +87,8 @@ class StoredProgress:
         """Iterations of earlier attempts at this task."""
         ks, rows = self.store.rows(self.attempt.job, self.attempt.task)
         self.k = max(ks, default=0)
+        if ks:
+            log.info("goes on after iteration %d", self.k, extra={"job": self.attempt.job_id})
         return rows
 
     def start(self, theta: Theta) -> None:
@@ -118,6 +125,7 @@ class StoredProgress:
             message,
         )
         if not mine:
+            log.info("leaves: the task is not its own any more", extra={"job": self.attempt.job_id})
             raise SystemExit(0)
         self._pending, self._written = {}, time.monotonic()
 

@@ -1,118 +1,174 @@
-"""``make chaos``: kill -9 at 50 random moments under load; every job ends, with the same bits.
+"""``make chaos``: kill -9 at 50 random moments under load; every job ends as it would have, bit by bit.
 
-``chaos.py [KILLS] [JOBS]`` for another number of each.
+    python -m tests.benchmarks.chaos [--kills 50] [--jobs 60] [--seed 0] [--results ...] [--keep ...]
+
+Eight clients each keep one job in the service, of every kind, with several starts and a bootstrap,
+some that must fail and some that are cancelled. Meanwhile SIGKILL hits, in an order drawn from the
+seed: a worker; the forkserver above the workers; the service process, in which the supervisor is a
+thread; all processes of the service at once. What each kind of job leaves is compared with what an
+undisturbed service gives. Exits with 1 if a promise is broken. Writes ``service-chaos.md`` and two
+tables of what ``.md`` sums up.
 """
 
 from __future__ import annotations
 
+import argparse
+import csv
 import json
 import os
 import signal
 import sys
 import tempfile
+import threading
 import time
+from collections import Counter
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
-
-os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as in workers: same bits
+from typing import Any
 
 import httpx
 import numpy as np
-from service_process import ServiceProcess, request
 
-import engine
+from tests.benchmarks.machine import Watch, processes
+from tests.benchmarks.service_process import ENDED, ServiceProcess, request
 
-KILLS, JOBS = (int(text) for text in (sys.argv[1:] + ["50", "40"][len(sys.argv) - 1 :]))
-SEEDS = 4
-RESULTS = Path(__file__).parent / "results" / "service-chaos.json"
+CLIENTS, WORKERS, LEASE = 8, 2, 2.0
+PAUSE = (0.05, 1.5)  # s between kills, uniform
+PATIENCE = 600.0  # s; a job that has not ended by then hangs
+SHARES = {"worker": 0.4, "forkserver": 0.2, "supervisor": 0.2, "whole service": 0.2}
+RESULTS = Path(__file__).parent / "results"
 
 
-def main() -> None:
-    """Run, print, write the figures."""
-    rng = np.random.default_rng(0)
-    bodies = [request(seed, samples=60, iterations=12) for seed in range(SEEDS)]
-    expected = [trace(body) for body in bodies]
-    killed = {"worker": 0, "forkserver": 0, "service": 0}
-    with tempfile.TemporaryDirectory(prefix="rbps-chaos-") as state:
-        service = ServiceProcess(Path(state), workers=2, lease_seconds=2, losses_allowed=KILLS)
-        begin = time.monotonic()
-        jobs = [submit(service, bodies[i % SEEDS], i) for i in range(JOBS)]
-        for _ in range(KILLS):
-            time.sleep(rng.uniform(0.05, 1.0))
-            killed[kill(service, rng)] += 1
-        documents = [wait(service, job) for job in jobs]
-        seconds = time.monotonic() - begin
-        traces = [get(service, f"/jobs/{job}/trace")["theta"]["theta_2"] for job in jobs]
-        listed = get(service, "/jobs?limit=1000")["jobs"]
-        below = service.descendants()
-        service.stop()
-        time.sleep(2.0)
-        left = sum(bool(command(pid)) for pid in below)
-    figures = {
-        "killed": killed,
-        "jobs": JOBS,
-        "jobs_listed": len(listed),  # a POST repeated with its key made no second job
-        "successful": sum(job["status"] == "successful" for job in documents),
-        "same_bits_as_undisturbed": sum(
-            found == expected[i % SEEDS] for i, found in enumerate(traces)
-        ),
-        "jobs_that_were_restarted": sum("restart" in job["message"] for job in documents),
-        "processes_left": left,
-        "seconds": round(seconds, 1),
+def jobs() -> dict[str, dict[str, Any]]:
+    """Requests by name; clients send them in turn."""
+    linear = {"model": "linear-2", "parameters": {"start": {"theta": 0.3}, "free": ["theta"]}}
+    data = {"series": [{"y": [[float(i % 7)] for i in range(300)]}]}
+    draw = {"kind": "simulate", "model": "mixed-4", "options": {"samples": 5000, "seed": 3}}
+    return {
+        "estimate": request(0, iterations=60),
+        "starts and bootstrap": request(1, 80, 20, starts=3, bootstrap=3),
+        "estimate, cancelled": request(2, iterations=20_000),
+        "estimate, PS-EM": request(3, 100, 40, method="ps-em"),
+        "smooth": {"kind": "smooth", "model": "linear-2", "options": {"particles": 1000}} | data,
+        "estimate, errors": request(4, iterations=40, standard_errors=True),
+        "simulate": draw,
+        "simulate, fails": draw | {"parameters": {"values": {"theta_4": 1.2}}},
+        "exact EM": request(5)
+        | linear
+        | data
+        | {"options": {"method": "rts-em", "iterations": 200}},
+        "estimate, two series": _two_series(),
     }
-    RESULTS.write_text(json.dumps(figures, indent=1) + "\n")
-    print(json.dumps(figures, indent=1))
-    all_well = JOBS == len(listed) == figures["successful"] == figures["same_bits_as_undisturbed"]
-    sys.exit(0 if all_well and not left else 1)
 
 
-def trace(body: dict) -> list[float]:
-    """What an undisturbed estimation in this process gives."""
-    found = engine.rbps_em(
-        engine.get_model(body["model"]),
-        engine.Series(body["series"][0]["y"]),
-        body["parameters"]["start"],
-        body["parameters"]["free"],
-        n_iterations=body["options"]["iterations"],
-        seed=body["options"]["seed"],
-    )
-    return found.trace[:, 1].tolist()
+def _two_series() -> dict[str, Any]:
+    one, other = request(6, iterations=40), request(7)
+    return one | {"series": one["series"] + other["series"]}
 
 
-def submit(service: ServiceProcess, body: dict, number: int) -> str:
-    """POST with an Idempotency-Key, as a careful client does."""
-    headers = {"Idempotency-Key": f"job {number}"}
-    return httpx.post(f"{service.url}/jobs", json=body, headers=headers, timeout=60).json()["jobID"]
+def right_end(name: str) -> str:
+    """The status a job must end with."""
+    return {"cancelled": "dismissed", "fails": "failed"}.get(name.rpartition(", ")[2], "successful")
 
 
-def kill(service: ServiceProcess, rng: np.random.Generator) -> str:
-    """SIGKILL a worker, the forkserver above the workers, or the whole service."""
-    below = service.descendants()
-    servers = [pid for pid in below if "forkserver" in command(pid)]
-    workers = [pid for pid in below if pid not in servers[:1] and "forkserver" in command(pid)]
-    what = rng.choice(["worker", "worker", "worker", "forkserver", "service"])
-    if what == "service" or not servers:
-        service.stop(signal.SIGKILL)
-        service.start()
-        return "service"
-    targets = workers if what == "worker" and workers else servers[:1]
-    os.kill(int(rng.choice(targets)), signal.SIGKILL)
-    return "worker" if targets is workers else "forkserver"
+class Client(threading.Thread):
+    """Keeps one job in the service until there have been enough."""
+
+    def __init__(self, url: str, numbers: Iterator[int], jobs: int, done: threading.Event) -> None:
+        super().__init__()
+        self.http = httpx.Client(base_url=url, timeout=60)
+        self.numbers, self.jobs, self.done = numbers, jobs, done
+        self.found: list[dict[str, Any]] = []
+        self.broken: list[str] = []
+
+    def run(self) -> None:
+        requests = jobs()
+        names = list(requests)
+        for i in self.numbers:
+            if i >= self.jobs and self.done.is_set():
+                return
+            name = names[i % len(names)]
+            self.found.append({"number": i, "name": name} | self._one(i, name, requests[name]))
+
+    def _one(self, i: int, name: str, body: dict[str, Any]) -> dict[str, Any]:
+        headers = {"Idempotency-Key": f"job {i}"}
+        job = self.ask("POST", "/jobs", json=body, headers=headers).json()["jobID"]
+        end, before = time.monotonic() + PATIENCE, 0
+        while time.monotonic() < end:
+            status = self.ask("GET", f"/jobs/{job}").json()
+            if status["kind"] == "estimate" and status["iteration"] < before:
+                self.broken.append(f"job {job} went back from {before} to {status['iteration']}")
+            before = status["iteration"]
+            if status["status"] in ENDED:
+                return {"job": job, "status": status["status"], "left": left(self, job)}
+            if right_end(name) == "dismissed" and before >= 5:
+                self.ask("DELETE", f"/jobs/{job}")
+            time.sleep(0.2)
+        return {"job": job, "status": f"hangs: {status['status']}", "left": None}
+
+    def ask(self, verb: str, path: str, **more: Any) -> httpx.Response:
+        """As a careful client: again until there is an answer."""
+        end = time.monotonic() + PATIENCE
+        while True:
+            try:
+                answer = self.http.request(verb, path, **more)
+                if answer.status_code not in (500, 503):
+                    return answer
+                if path.endswith("/results"):  # a failed job's own problem
+                    return answer
+                self.broken.append(f"{verb} {path}: {answer.status_code} {answer.text[:200]}")
+            except httpx.TransportError:
+                if time.monotonic() > end:
+                    raise
+            time.sleep(0.2)
 
 
-def wait(service: ServiceProcess, job: str) -> dict:
-    """The status document at the end."""
-    end = time.monotonic() + 600
-    while time.monotonic() < end:
-        document = get(service, f"/jobs/{job}")
-        if document["status"] in ("successful", "failed", "dismissed"):
-            return document
-        time.sleep(0.2)
-    raise AssertionError(f"hangs: {document}")
+def left(client: Client, job: str) -> Any:
+    """All a job left: results or problem, without times; and the trace of every iteration."""
+    results = client.ask("GET", f"/jobs/{job}/results").json()
+    traces = client.ask("GET", f"/jobs/{job}/trace").json()
+    for document in (traces, results.get("trace") or {}):
+        document.pop("seconds", None)
+    if results.get("title") == "dismissed":
+        return None
+    return {"results": results, "trace": traces}
 
 
-def get(service: ServiceProcess, path: str) -> dict:
-    """GET as JSON."""
-    return httpx.get(service.url + path, timeout=60).json()
+def undisturbed(state: Path) -> dict[str, Any]:
+    """What each job leaves if nobody kills anything."""
+    service = ServiceProcess(state, workers=WORKERS)
+    try:
+        client = Client(service.url, iter(range(len(jobs()))), len(jobs()), threading.Event())
+        client.run()
+    finally:
+        service.stop()
+    return {one["name"]: one for one in client.found}
+
+
+def order(kills: int, rng: np.random.Generator) -> list[str]:
+    """What to kill, one after the other."""
+    bounds = np.rint(kills * np.cumsum([0.0, *SHARES.values()])).astype(int)
+    return [str(x) for x in rng.permutation(np.repeat(list(SHARES), np.diff(bounds)))]
+
+
+def targets(service: ServiceProcess, what: str, rng: np.random.Generator) -> list[int]:
+    """Process ids; waits until there is such a process."""
+    end = time.monotonic() + PATIENCE
+    while what in ("worker", "forkserver"):
+        all_ = processes()
+        servers = {
+            p for p in all_ if all_[p][0] == service.process.pid and "forkserver" in command(p)
+        }
+        workers = sorted(pid for pid, (parent, _, _) in all_.items() if parent in servers)
+        if what == "worker" and workers:
+            return [int(rng.choice(workers))]
+        if what == "forkserver" and servers:
+            return sorted(servers)
+        if time.monotonic() > end:
+            raise RuntimeError(f"there is no {what}")
+        time.sleep(0.01)
+    return [service.process.pid, *(service.below() if what == "whole service" else [])]
 
 
 def command(pid: int) -> str:
@@ -121,6 +177,204 @@ def command(pid: int) -> str:
         return Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
     except (FileNotFoundError, ProcessLookupError):
         return ""
+
+
+def kill(service: ServiceProcess, what: str, rng: np.random.Generator) -> int:
+    """SIGKILL; the number of processes that were hit. A killed service is started again."""
+    hit = 0
+    for pid in targets(service, what, rng):
+        try:
+            os.kill(pid, signal.SIGKILL)
+            hit += 1
+        except ProcessLookupError:
+            pass
+    if what in ("supervisor", "whole service"):
+        service.process.wait()
+        service.start()  # not waited for: the next kill may hit it before it answers
+    return hit
+
+
+def disturbed(state: Path, kills: int, n: int, seed: int) -> dict[str, Any]:
+    """The run itself: kills, jobs, and what the log says about each attempt."""
+    rng = np.random.default_rng(seed)
+    service = ServiceProcess(state, workers=WORKERS, lease_seconds=LEASE, losses_allowed=kills)
+    numbers, done = Numbers(), threading.Event()
+    clients = [Client(service.url, numbers, n, done) for _ in range(CLIENTS)]
+    begin, killed = time.monotonic(), []
+    for client in clients:
+        client.start()
+    try:
+        for what in order(kills, rng):
+            time.sleep(rng.uniform(*PAUSE))
+            hit = kill(service, what, rng)
+            killed.append(
+                {"seconds": round(time.monotonic() - begin, 2), "killed": what, "processes": hit}
+            )
+    finally:
+        done.set()
+        for client in clients:
+            client.join()
+    seconds = time.monotonic() - begin
+    service.wait_until_up()
+    listed = clients[0].ask("GET", "/jobs?limit=1000").json()["jobs"]
+    service.stop()
+    end = time.monotonic() + 10.0
+    while (orphans := belonging_to(state)) and time.monotonic() < end:
+        time.sleep(0.1)
+    return {
+        "kills": killed,
+        "jobs": sorted((one for c in clients for one in c.found), key=lambda one: one["number"]),
+        "broken": [text for client in clients for text in client.broken],
+        "listed": len(listed),
+        "orphans": len(orphans),
+        "seconds": seconds,
+        "log": [
+            json.loads(line) for line in service.log.read_text().splitlines() if line[:1] == "{"
+        ],
+    }
+
+
+class Numbers:
+    """0, 1, 2, ... for several threads."""
+
+    def __init__(self) -> None:
+        self._count, self._lock = count(), threading.Lock()
+
+    def __iter__(self) -> Numbers:
+        return self
+
+    def __next__(self) -> int:
+        with self._lock:
+            return next(self._count)
+
+
+def belonging_to(state: Path) -> list[int]:
+    """Processes that were started with this state directory."""
+    mark, found = f"RBPS_STATE_DIR={state}\0".encode(), []
+    for file in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            if mark in file.read_bytes():
+                found.append(int(file.parent.name))
+        except OSError:
+            continue
+    return found
+
+
+def judge(run: dict[str, Any], expected: dict[str, Any]) -> list[dict[str, Any]]:
+    """One row for each job."""
+    rows = []
+    for one in run["jobs"]:
+        said = [line["message"] for line in run["log"] if line.get("job") == one["job"]]
+        written = Counter(text for text in said if text.endswith("its result is written"))
+        attempts = sum(text.startswith("attempt started") for text in said)
+        rows.append(
+            {
+                "number": one["number"],
+                "job": one["name"],
+                "status": one["status"],
+                "right": one["status"] == right_end(one["name"]),
+                "attempts": attempts,
+                "tasks_ended": len(written),
+                "interrupted": max(0, attempts - max(1, len(written))),
+                "resumed_at": max(
+                    (int(text.split()[-1]) for text in said if text.startswith("goes on after")),
+                    default=0,
+                ),
+                "ended_twice": sum(n - 1 for n in written.values())
+                + (one["status"] != "dismissed")
+                * sum("was computed to its end, but" in text for text in said),
+                "same_bits": one["left"] == expected[one["name"]]["left"],
+            }
+        )
+    return rows
+
+
+def main() -> None:
+    """Run, print, write the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--jobs", type=int, default=60, help="at least so many")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--keep", type=Path, help="a new folder where stores and logs remain")
+    chosen = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="rbps-chaos-") as temporary, Watch() as machine:
+        state = chosen.keep or Path(temporary)
+        for part in ("calm", "storm"):
+            (state / part).mkdir(parents=True)
+        expected = undisturbed(state / "calm")
+        for name, one in expected.items():
+            if one["status"] != right_end(name):
+                sys.exit(f"undisturbed, '{name}' ended as {one['status']}: {one['left']}")
+        run = disturbed(state / "storm", chosen.kills, chosen.jobs, chosen.seed)
+    rows = judge(run, expected)
+    text, good = report(run, rows, chosen.seed, machine.figures())
+    write(chosen.results / "service-chaos.jobs.csv", rows)
+    write(chosen.results / "service-chaos.kills.csv", run["kills"])
+    (chosen.results / "service-chaos.md").write_text(text)
+    print(text)
+    sys.exit(0 if good else 1)
+
+
+def write(path: Path, rows: list[dict[str, Any]]) -> None:
+    """A table with a head."""
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def report(
+    run: dict[str, Any], rows: list[dict[str, Any]], seed: int, machine: dict[str, float]
+) -> tuple[str, bool]:
+    """The text, and whether every promise was kept."""
+    kinds = Counter(kill["killed"] for kill in run["kills"])
+    states = Counter(row["status"] for row in rows)
+    compared = [row for row in rows if row["status"] != "dismissed"]
+    promises = {
+        "jobs that did not end in the right state": sum(not row["right"] for row in rows),
+        "jobs more or fewer than were accepted": abs(run["listed"] - len(rows)),
+        "results that differ from an undisturbed run in any bit": sum(
+            not row["same_bits"] for row in compared
+        ),
+        "tasks computed to their end twice": sum(row["ended_twice"] for row in rows),
+        "jobs that hang": sum(row["status"].startswith("hangs") for row in rows),
+        "processes left behind": run["orphans"],
+        "answers 500 or 503, progress that went back": len(run["broken"]),
+    }
+    interrupted = [row for row in compared if row["interrupted"]]
+    lines = [
+        "# The service under kill -9",
+        "",
+        f"`make chaos`: {len(run['kills'])} times SIGKILL at random moments (seed {seed}), "
+        f"{CLIENTS} clients that keep one job each in the service, {WORKERS} workers, a lease of "
+        f"{LEASE:g} s. The supervisor is a thread of the service process; to kill it is to kill that "
+        "process. An attempt may be lost as often as there are kills (the setting's default is 2).",
+        "",
+        "| killed | times |",
+        "| --- | ---: |",
+        *(f"| {what} | {kinds[what]} |" for what in SHARES),
+        "",
+        "| jobs | number |",
+        "| --- | ---: |",
+        f"| accepted | {len(rows)} |",
+        *(f"| {status} | {n} |" for status, n in sorted(states.items())),
+        f"| attempts started | {sum(row['attempts'] for row in rows)} |",
+        f"| interrupted at least once | {sum(row['interrupted'] > 0 for row in rows)} |",
+        f"| went on from a checkpoint | {sum(row['resumed_at'] > 0 for row in rows)} |",
+        f"| compared bit for bit with an undisturbed run | {len(compared)} |",
+        f"| of these, interrupted | {len(interrupted)} |",
+        "",
+        "| promise broken | times |",
+        "| --- | ---: |",
+        *(f"| {what} | {n} |" for what, n in promises.items()),
+        "",
+        f"{run['seconds']:.0f} s. The machine meanwhile: "
+        + ", ".join(f"{what} {value:g}" for what, value in machine.items())
+        + ".",
+        *("", *run["broken"]),
+    ]
+    return "\n".join(lines).rstrip() + "\n", not any(promises.values())
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -15,6 +16,9 @@ import httpx
 import numpy as np
 
 import engine
+from tests.benchmarks.machine import below, processes
+
+ENDED = ("successful", "failed", "dismissed")
 
 
 class ServiceProcess:
@@ -27,22 +31,26 @@ class ServiceProcess:
         values = {"port": port, "state_dir": state} | settings
         self._env = os.environ | {f"RBPS_{k.upper()}": str(v) for k, v in values.items()}
         self._log = (state / "log").open("ab")
+        self.log = state / "log"
         self.url = f"http://127.0.0.1:{port}"
         self.start()
+        self.wait_until_up()
 
     def start(self) -> None:
-        """Start and wait until it answers."""
+        """Start; it does not answer yet."""
         command = [sys.executable, "-m", "service"]
         self.process = subprocess.Popen(command, env=self._env, stderr=self._log)
+
+    def wait_until_up(self) -> None:
+        """Return when it answers."""
         end = time.monotonic() + 300
         while time.monotonic() < end:
             if self.process.poll() is not None:
                 raise RuntimeError(f"the service ended with {self.process.returncode}")
-            try:
+            with contextlib.suppress(httpx.TransportError):
                 httpx.get(f"{self.url}/livez", timeout=5)
                 return
-            except httpx.TransportError:
-                time.sleep(0.05)
+            time.sleep(0.05)
         raise RuntimeError("the service did not start")
 
     def stop(self, how: int = signal.SIGTERM) -> None:
@@ -50,22 +58,12 @@ class ServiceProcess:
         self.process.send_signal(how)
         self.process.wait(60)
 
-    def descendants(self) -> list[int]:
-        """The forkserver and the workers."""
-        found, look = [], [self.process.pid]
-        while look:
-            pid = look.pop()
-            try:
-                lists = [f.read_text() for f in Path(f"/proc/{pid}/task").glob("*/children")]
-            except (FileNotFoundError, ProcessLookupError):
-                continue
-            children = [int(child) for text in lists for child in text.split()]
-            found += children
-            look += children
-        return found
+    def below(self) -> list[int]:
+        """The forkserver, its tracker and the workers."""
+        return sorted(below(self.process.pid, processes()) - {self.process.pid})
 
 
-def request(seed: int, samples: int = 200, iterations: int = 30) -> dict[str, Any]:
+def request(seed: int, samples: int = 200, iterations: int = 30, **options: Any) -> dict[str, Any]:
     """An estimation of one parameter of mixed-4."""
     model = engine.get_model("mixed-4")
     y = engine.simulate(model, None, samples, np.random.default_rng(seed)).y
@@ -74,5 +72,5 @@ def request(seed: int, samples: int = 200, iterations: int = 30) -> dict[str, An
         "model": "mixed-4",
         "series": [{"y": y.tolist(), "dt": 1.0}],
         "parameters": {"start": {"theta_2": 0.5}, "free": ["theta_2"]},
-        "options": {"iterations": iterations, "seed": seed, "standard_errors": False},
+        "options": {"iterations": iterations, "seed": seed, "standard_errors": False} | options,
     }
