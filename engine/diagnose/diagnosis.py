@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 from engine.diagnose.gain import Gain
 from engine.diagnose.search import Round, Search
 from engine.diagnose.symptoms import Symptoms
 from engine.model import MixedModel, Theta
+from engine.report import write_report
 from engine.series import Series
 
 
@@ -117,10 +119,14 @@ class Diagnosis:
         return page(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """The same content as JSON-able data."""
-        from engine.diagnose.report import as_dict
+        """The same content as JSON-able data, with the curves that pictures show."""
+        from engine.diagnose.document import as_dict
 
         return as_dict(self)
+
+    def report(self, path: str | Path) -> Path:
+        """Write one self-contained HTML file, which opens from disk and prints; returns its path."""
+        return write_report(self.to_dict(), path)
 
     def figures(self) -> dict[str, Any]:
         """Matplotlib figures by name; needs the extra ``plot``."""

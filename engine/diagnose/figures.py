@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from engine.diagnose.regions import Region
+from engine.diagnose.regions import Region, single_bands
 from engine.diagnose.report import unnamed
 from engine.errors import OptionError
 from engine.model import Array
@@ -107,14 +105,6 @@ def _where(symptoms: Symptoms, outputs: dict[str, str]) -> Any:
     for panel in panels[len(parts) :]:
         panel.set_visible(False)
     return figure
-
-
-def single_bands(regions: Sequence[Region]) -> list[Region]:
-    """Of all runs of bands those that are one band only, in order."""
-    edges = sorted({r.low for r in regions} | {r.high for r in regions})
-    following = dict(pairwise(edges))
-    single = [r for r in regions if following.get(r.low) == r.high]
-    return sorted(single, key=lambda r: r.low)
 
 
 def _by_bands(panel: Any, title: str, regions: list[Region], outputs: dict[str, str]) -> None:

@@ -13,8 +13,9 @@ where bands are cut by anything that holds the measured value, errors grow with 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,6 +217,14 @@ def _runs(n: int) -> Iterator[tuple[int, int]]:
         for last in range(first, n):
             if last - first + 1 < n:
                 yield first, last
+
+
+def single_bands(regions: Sequence[Region]) -> list[Region]:
+    """Of all runs of bands of one signal those that are one band only, in order."""
+    edges = sorted({r.low for r in regions} | {r.high for r in regions})
+    following = dict(pairwise(edges))
+    single = [r for r in regions if following.get(r.low) == r.high]
+    return sorted(single, key=lambda r: r.low)
 
 
 def most_telling(regions: list[Region], limit: int, notable: float = NOTABLE) -> list[Region]:

@@ -1,15 +1,11 @@
-"""A diagnosis as a page for people, and as data."""
+"""A diagnosis as a page for people."""
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Iterator
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from engine.diagnose.latex import to_latex
-from engine.diagnose.setting import setting_for
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
 from engine.errors import EngineError
 from engine.words import listed, number, percent, probability, tidy, with_unit
@@ -253,82 +249,3 @@ def _wrapped(text: str, lead: str) -> list[str]:
     return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)) or [
         ""
     ]
-
-
-def as_dict(d: Diagnosis) -> dict[str, Any]:
-    """All of it as JSON-able data: numbers that are not finite become None."""
-    fit = d.search.final
-    errors = dict(zip(fit.free, fit.standard_errors.tolist(), strict=True))
-    causes = []
-    for cause in d.causes:
-        entry = asdict(cause)
-        entry["latex"] = to_latex(cause.equation)
-        entry["experiment"] = experiment(cause)
-        causes.append(entry)
-    force = unnamed(d)
-    data: dict[str, Any] = {
-        "model": d.model.name,
-        "verdict": d.verdict.value,
-        "sentence": d.verdict.sentence,
-        "p_value": d.p_value,
-        "causes": causes,
-        "unnamed": None if force is None else {"target": force.target, "sentence": force.sentence},
-        "base_theta": d.base_theta.asdict(),
-        "extension": {
-            "model": _reference(d),
-            "equations_before": list(d.model.equations),
-            "equations": list(d.extended.equations),
-            "theta": d.theta.asdict(),
-            "standard_errors": errors,
-            "units": {p.name: p.unit for p in d.extended.parameters},
-        },
-        "symptoms": d.symptoms.to_dict(),
-        "gain": None if d.gain is None else d.gain.to_dict(),
-        "detectable": [asdict(item) for item in d.detectable],
-        "rounds": [_round_dict(found) for found in d.rounds],
-        "notes": list(d.notes),
-        "seconds": d.seconds,
-        "page": page(d),
-    }
-    cleaned: dict[str, Any] = plain(data)
-    return cleaned
-
-
-def _reference(d: Diagnosis) -> dict[str, Any]:
-    """The extended model by name, with what its effects were told of the data."""
-    setting = setting_for(d.model, d.symptoms.series, d.base_theta)
-    return {
-        "name": d.model.name,
-        "with": [cause.effect for cause in d.causes],
-        "setting": {"scale": dict(setting.scale), "span": setting.span, "dt": setting.dt},
-    }
-
-
-def _round_dict(found: Any) -> dict[str, Any]:
-    return {
-        "p_value": found.screen.p_value,
-        "screened": [
-            {"effect": s.effect.name, "statistic": s.statistic, "p_value": s.p_value}
-            for s in found.screen.scores[:SHOWN]
-        ],
-        "refitted": [
-            {"effect": r.effect.name, "gain": r.gain, "score": r.score, "size": r.size}
-            for r in found.refits
-        ],
-        "unnamed": None
-        if found.generic is None
-        else {"effect": found.generic.effect.name, "score": found.generic.score},
-    }
-
-
-def plain(value: Any) -> Any:
-    """Only what JSON knows: NaN and infinities as None, tuples as lists, NumPy numbers as Python's."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

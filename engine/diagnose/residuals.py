@@ -43,18 +43,29 @@ def whiteness(z: Array, names: tuple[str, ...]) -> tuple[Whiteness, ...]:
         n = int(seen.sum())
         if n < 10:
             continue
-        e = np.where(seen, column - column[seen].mean(), 0.0)
         lags = int(min(20, n // 5))
-        variance = float(e @ e) / n
-        Q = 0.0
-        for k in range(1, lags + 1):
-            pairs = int((seen[k:] & seen[:-k]).sum())
-            if pairs > 1 and variance > 0.0:
-                r = float(e[k:] @ e[:-k]) / pairs / variance
-                Q += r * r * pairs * (n + 2.0) / n
+        r, pairs = autocorrelation(column, lags)
+        Q = float(np.sum(r**2 * pairs)) * (n + 2.0) / n
         mean_square = float(np.mean(column[seen] ** 2))
         out.append(Whiteness(name, Q, lags, float(chi2.sf(Q, lags)), mean_square))
     return tuple(out)
+
+
+def autocorrelation(z: Array, lags: int) -> tuple[Array, Array]:
+    """Correlations r (lags,) of z (T,) with itself at lags 1, 2, ..., and the pairs each is made of.
+
+    Missing values are left out; r is zero where fewer than two pairs are left.
+    """
+    seen = np.isfinite(z)
+    n = int(seen.sum())
+    e = np.where(seen, z - z[seen].mean(), 0.0) if n else np.zeros(len(z))
+    variance = float(e @ e) / max(n, 1)
+    r, pairs = np.zeros(lags), np.zeros(lags)
+    for k in range(1, lags + 1):
+        pairs[k - 1] = int((seen[k:] & seen[:-k]).sum())
+        if pairs[k - 1] > 1 and variance > 0.0:
+            r[k - 1] = float(e[k:] @ e[:-k]) / pairs[k - 1] / variance
+    return np.where(pairs > 1, r, 0.0), np.where(pairs > 1, pairs, 0.0)
 
 
 def pit(z: Array) -> Array:

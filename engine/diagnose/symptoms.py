@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.curves import bands_of, compared, residuals_of
 from engine.diagnose.data_checks import check_data
+from engine.diagnose.plain import plain
 from engine.diagnose.regions import (
     NOTABLE,
     NOTABLE_RUN,
@@ -28,6 +30,7 @@ from engine.series import Series
 __all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
 
 DRAWS = 200
+ROOM, FEWEST_DRAWS = 4_000_000, 40  # simulated samples in all: longer series get fewer draws
 LEVEL = 0.95
 TRANSIENT = (
     3.0  # times the median: a prediction less certain than that is one of a state not yet known
@@ -79,6 +82,7 @@ class Symptoms:
     """
 
     sentences: tuple[str, ...]
+    model: MixedModel
     series: Series
     free_run: Comparison | None
     one_step: Comparison
@@ -91,23 +95,37 @@ class Symptoms:
     predicted: Array
 
     def to_dict(self) -> dict[str, Any]:
-        """Sentences, fits, notable regions and whiteness; no arrays over time."""
-        return {
+        """As data: sentences, fits, notable regions, whiteness, and what pictures need.
+
+        Both comparisons hold ``curves`` over time by output and ``bands``: errors in each single band of
+        each signal, of time and of frequency. ``residuals`` are those of
+        :func:`engine.diagnose.curves.residuals_of`. What is not finite is None.
+        """
+        states = [*self.model.nonlinear, *self.model.linear]
+        document = {
             "sentences": list(self.sentences),
-            "free_run": _comparison_dict(self.free_run, NOTABLE_RUN),
-            "one_step": _comparison_dict(self.one_step, NOTABLE),
+            "free_run": self._comparison(self.free_run, NOTABLE_RUN),
+            "one_step": self._comparison(self.one_step, NOTABLE),
+            "residuals": residuals_of(
+                self.series.t, self.z, self.of_outputs, self.of_states, self.model.outputs, states
+            ),
             "whiteness": [asdict(w) for w in self.whiteness],
         }
+        cleaned: dict[str, Any] = plain(document)
+        return cleaned
 
-
-def _comparison_dict(comparison: Comparison | None, notable: float) -> dict[str, Any] | None:
-    if comparison is None:
-        return None
-    regions = most_telling(list(comparison.regions), 4 * SHOWN, notable)
-    return {
-        "fits": [asdict(f) for f in comparison.fits],
-        "regions": [asdict(r) for r in regions],
-    }
+    def _comparison(self, comparison: Comparison | None, notable: float) -> dict[str, Any] | None:
+        if comparison is None:
+            return None
+        regions = most_telling(list(comparison.regions), 4 * SHOWN, notable)
+        series, c = self.series, comparison
+        names = list(self.model.outputs)
+        return {
+            "fits": [asdict(f) for f in c.fits],
+            "regions": [asdict(r) for r in regions],
+            "bands": bands_of(c.regions),
+            "curves": compared(series.t, series.y, c.y, c.lower, c.upper, names),
+        }
 
 
 def find_symptoms(
@@ -122,8 +140,8 @@ def find_symptoms(
 
     The free run starts at the first state as estimated from the first tenth of the rows and sees no
     measurement after that; its 95 % band holds the uncertainty of the first state, of theta, of the
-    process and of the measurement (200 simulations). Errors are measured minus simulated or
-    predicted. Raises ModelError where the filter is lost.
+    process and of the measurement (200 simulations, fewer of more than 20,000 samples). Errors are
+    measured minus simulated or predicted. Raises ModelError where the filter is lost.
     """
     vector = np.asarray(model.theta(theta))
     path = moment_path(model, vector, series)
@@ -136,7 +154,8 @@ def find_symptoms(
         y, states = noise_free(model, vector, series, mean)
         if np.isfinite(y).all():
             x = states
-            drawn = draws(model, vector, series, mean, P, covariance, DRAWS, rng)
+            n = int(np.clip(ROOM // len(series), FEWEST_DRAWS, DRAWS))
+            drawn = draws(model, vector, series, mean, P, covariance, n, rng)
             free = _free_run(model, series, y, states, drawn, n_bands)
         else:
             row = int(np.argmin(np.isfinite(y).all(axis=1)))
@@ -159,7 +178,18 @@ def find_symptoms(
     ]
     of_y, of_x = auxiliary(path, series)
     return Symptoms(
-        tuple(sentences), series, free, one_step, white, z, pit(z), of_y, of_x, x, path.predicted
+        tuple(sentences),
+        model,
+        series,
+        free,
+        one_step,
+        white,
+        z,
+        pit(z),
+        of_y,
+        of_x,
+        x,
+        path.predicted,
     )
 
 

@@ -18,7 +18,7 @@ from engine.diagnose.gain import (
     measure_gain_interleaved,
 )
 from engine.diagnose.latex import to_latex
-from engine.diagnose.report import plain
+from engine.diagnose.plain import plain
 from engine.diagnose.setting import setting_for
 from engine.diagnose.simulation_gain import bootstrap_means
 from engine.models.linear_2 import MODEL as LINEAR

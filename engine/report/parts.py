@@ -1,0 +1,105 @@
+"""What reports are made of: sections of HTML, and who draws their charts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from engine.report.chart import Chart
+from engine.report.html import Html, join, tag
+from engine.report.svg import svg_element
+from engine.words import number, tidy, with_unit
+
+Document = Mapping[str, Any]
+
+
+class Drawer(Protocol):
+    """Makes the element of a chart."""
+
+    def __call__(self, chart: Chart) -> Html:
+        """The element."""
+
+
+def on_paper(chart: Chart) -> Html:
+    """For a file: SVG."""
+    return svg_element(chart)
+
+
+@dataclass
+class OnPage:
+    """For a page with scripts: charts over a long axis become places for them, with data in ``charts``."""
+
+    charts: list[dict[str, Any]] = field(default_factory=list)
+
+    def __call__(self, chart: Chart) -> Html:
+        """A place with its number, or SVG where there is nothing to zoom into."""
+        if not chart.live:
+            return svg_element(chart)
+        self.charts.append(chart.thinned().spec())
+        size = "figure live wide" if chart.wide else "figure live"
+        return tag("div", class_=size, data_chart=len(self.charts) - 1)
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of a report: a heading with something below it."""
+
+    id: str
+    title: str
+    body: Html
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report: its title, what is understood at a glance, then the sections."""
+
+    title: str
+    summary: Html
+    sections: tuple[Section, ...]
+
+
+def section(id_: str, title: str, *parts: object) -> list[Section]:
+    """A section, or none where all its parts are empty."""
+    body = join(part for part in parts if part)
+    return [Section(id_, title, body)] if body else []
+
+
+def grid(figures: Iterable[Html]) -> Html:
+    """Figures side by side where there is room."""
+    shown = [figure for figure in figures if figure]
+    return tag("div", *shown, class_="figures") if shown else Html("")
+
+
+def label(name: str, unit: str) -> str:
+    """``level [V]``."""
+    return f"{name} [{tidy(unit)}]" if tidy(unit) else name
+
+
+def plus_minus(value: float | None, error: float | None, unit: str = "") -> str:
+    """``0.52 ± 0.03 N``."""
+    if error is None:
+        return with_unit(value, unit, 4)
+    return f"{number(value, 4)} ± {with_unit(error, unit, 2)}"
+
+
+def facts(items: Iterable[tuple[str, object]]) -> Html:
+    """Names with values, side by side."""
+    shown = [tag("div", tag("dt", name), tag("dd", value)) for name, value in items if value != ""]
+    return tag("dl", *shown, class_="facts") if shown else Html("")
+
+
+def cards(items: Iterable[tuple[str, str, object]]) -> Html:
+    """The answers at a glance: (id of its section, question, answer)."""
+    made = [
+        tag("a", tag("h3", question), tag("div", answer), href=f"#{id_}", class_="answer")
+        for id_, question, answer in items
+    ]
+    return tag("div", *made, class_="answers")
+
+
+def equations(lines: Iterable[str], added: Iterable[str] = ()) -> Html:
+    """Equations line by line; those that were added are marked."""
+    old = [tag("code", line) for line in lines]
+    new = [tag("code", line, class_="added") for line in added]
+    return tag("div", *old, *new, class_="equations") if old or new else Html("")
