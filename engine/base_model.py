@@ -11,6 +11,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from engine import display
 from engine.errors import OptionError
 
 Array: TypeAlias = NDArray[np.float64]
@@ -47,6 +48,9 @@ class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):
             return float(np.asarray(self)[self.names.index(key)])
         value = np.asarray(self)[key]
         return value if isinstance(value, np.ndarray) else float(value)
+
+    def __reduce__(self) -> tuple[Any, ...]:  # NumPy's own would lose the names
+        return type(self), (self.tolist(), self.names)
 
     def asdict(self) -> dict[str, float]:
         """{name: value}."""
@@ -89,6 +93,10 @@ class BaseModel:
     @cached_property
     def _record(self) -> Any:
         return namedtuple("theta", self.parameter_names)  # noqa: PYI024 - fields are dynamic
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: all but the record's type, which is made anew where it is needed."""
+        return {name: value for name, value in vars(self).items() if name != "_record"}
 
     def record(self, theta: Sequence[Any] | Array) -> Any:
         """Theta as the record handed to the model's functions."""
@@ -137,3 +145,28 @@ class BaseModel:
         if free is None:
             return np.arange(len(self.parameters))
         return np.array(sorted({self.index(name) for name in free}), dtype=np.intp)
+
+    def _repr_html_(self) -> str:
+        kinds = (
+            ("nonlinear state", "nonlinear"),
+            ("linear state", "linear"),
+            ("state", "states"),
+            ("input", "inputs"),
+            ("output", "outputs"),
+        )
+        channels = [
+            (kind, name, unit)
+            for kind, field in kinds
+            for name, unit in getattr(self, field, {}).items()
+        ]
+        parameters = [
+            (p.name, float(p.default), p.unit, *map(float, p.bounds), p.description)
+            for p in self.parameters
+        ]
+        return display.show(
+            self.name,
+            display.line(getattr(self, "description", "")),
+            display.lines(getattr(self, "equations", ())),
+            display.table(("channel", "name", "unit"), channels),
+            display.table(("parameter", "default", "unit", "from", "to", "meaning"), parameters),
+        )

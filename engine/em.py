@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from engine import display, plots
 from engine.base_model import BaseModel
 from engine.convergence import WINDOW, has_settled
 from engine.e_steps import LOST_SHARE, EStep, Expect, rbps_step, rts_step
@@ -80,6 +81,36 @@ class EmResult:
     def checkpoint(self) -> Checkpoint:
         """What ``resume=`` takes to go on from here."""
         return Checkpoint(self.trace, self.log_likelihood, self.ess, self.seconds, self.collapsed)
+
+    def plot(self, intervals: Array | None = None) -> plots.Figures:
+        """``convergence``: every free parameter by iteration, log-likelihood, effective sample size.
+
+        ``intervals`` (n_theta, 2) are drawn as bands: ``standard_errors(...).interval()``. Needs the
+        extra ``plot``.
+        """
+        at = self.model.free_indices(self.free)
+        figure = plots.convergence(
+            {self.model.parameters[i].name: self.model.parameters[i].unit for i in at},
+            self.trace[:, at],
+            np.asarray(self.theta)[at],
+            self.log_likelihood,
+            self.ess,
+            None if intervals is None else intervals[at],
+        )
+        return plots.Figures(convergence=figure)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (p.name, value, p.unit, start, "" if p.name in self.free else "fixed")
+            for p, value, start in zip(
+                self.model.parameters, self.theta.tolist(), self.trace[0].tolist(), strict=True
+            )
+        ]
+        return display.show(
+            f"{self.model.name}: {len(self.log_likelihood)} iterations of EM",
+            display.line(self.message),
+            display.table(("parameter", "estimate", "unit", "start", ""), rows),
+        )
 
 
 Callback: TypeAlias = Callable[[Iteration], Any]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from engine import display, plots
 from engine.errors import OptionError, SeriesError
 from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.series import Series
@@ -67,6 +68,24 @@ class FreeRun:
         n = self.series.observed.sum(axis=0)
         means = np.nansum(squares, axis=0) / np.where(n, n, np.nan)
         return dict(zip(self.model.outputs, np.sqrt(means).tolist(), strict=True))
+
+    def plot(self) -> plots.Figures:
+        """``outputs`` against the data with the bands there are, and ``states``; extra ``plot``."""
+        t, units = self.series.t, {**self.model.nonlinear, **self.model.linear}
+        outputs = plots.against_data(
+            t, self.model.outputs, self.series.y, self.y, "free run", self.lower, self.upper
+        )
+        x = np.concatenate([self.a, self.z], axis=1)
+        return plots.Figures(outputs=outputs, states=plots.states(t, units, x))
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, value, self.model.outputs[name]) for name, value in self.rmse_by_output.items()
+        ]
+        return display.show(
+            f"{self.model.name}: free run over {len(self.series)} samples",
+            display.table(("output", "rms error", "unit"), rows),
+        )
 
 
 def free_run(

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from engine import plots
 from engine.errors import ModelError
 from engine.model import Array, Gaussian, MixedModel, Theta, ThetaLike
 from engine.series import Series
@@ -44,6 +45,12 @@ class KalmanSmoothed:
     def z(self) -> Array:
         """Smoothed mean of z (T, nz)."""
         return self.x[:, self.model.na :]
+
+    def plot(self, series: Series) -> plots.Figures:
+        """``states`` with 95 % bands over the times of the series smoothed; extra ``plot``."""
+        units = {**self.model.nonlinear, **self.model.linear}
+        sd = np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0))
+        return plots.Figures(states=plots.states(series.t, units, self.x, sd))
 
 
 @dataclass(frozen=True)

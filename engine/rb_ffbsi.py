@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from engine import display, plots
 from engine.errors import OptionError
 from engine.kernels.backward import backward_simulation
 from engine.kernels.resampling import stratified
 from engine.model import Array
+from engine.points import Points
 from engine.rbpf import Filtered
 
 
@@ -52,6 +54,46 @@ class Smoothed:
         """Smoothed standard deviation of x = (a, z), (T, nx)."""
         variance = self.z.var(axis=1) + np.diagonal(self.cov, axis1=2, axis2=3).mean(axis=1)
         return np.concatenate([self.a.std(axis=1), np.sqrt(np.maximum(variance, 0.0))], axis=1)
+
+    def outputs(self) -> Array:
+        """Smoothed mean (T, ny) of h(a) + C(a) z: what the outputs were but for e."""
+        model, theta = self.filtered.model, self.filtered.theta
+        points = Points(model, self.filtered.series, self.a, theta)
+        h, C, _ = points.observation(model.record(theta))
+        return np.asarray((h + (C @ self.z[..., None])[..., 0]).mean(axis=1))
+
+    def plot(self) -> plots.Figures:
+        """``states`` with 95 % bands, ``residuals``: measured against smoothed outputs.
+
+        Needs the extra ``plot``.
+        """
+        model, series = self.filtered.model, self.filtered.series
+        units = {**model.nonlinear, **model.linear}
+        return plots.Figures(
+            states=plots.states(series.t, units, self.mean(), self.std()),
+            residuals=plots.against_data(
+                series.t, model.outputs, series.y, self.outputs(), "smoothed"
+            ),
+        )
+
+    def _repr_html_(self) -> str:
+        model = self.filtered.model
+        units = {**model.nonlinear, **model.linear}
+        numbers = zip(
+            *(
+                f(x, axis=0).tolist()
+                for x, f in ((self.mean(), np.min), (self.mean(), np.max), (self.std(), np.mean))
+            ),
+            strict=True,
+        )
+        rows = [
+            (name, *row, unit) for (name, unit), row in zip(units.items(), numbers, strict=True)
+        ]
+        return display.show(
+            f"{model.name}: {len(self.a)} samples smoothed by {self.a.shape[1]} trajectories",
+            display.line(f"Log-likelihood of the filter {self.filtered.log_likelihood:.2f}"),
+            display.table(("state", "least", "most", "mean sd", "unit"), rows),
+        )
 
 
 def rb_ffbsi(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from engine import display
 from engine.base_model import Array, BaseModel
 from engine.errors import SeriesError
 
@@ -114,6 +115,21 @@ class Series:
         if not self.observed.any():
             raise SeriesError("every value of y is missing; at least one measurement is needed")
         return self
+
+    def _repr_html_(self) -> str:
+        every = f"every {self.dt:g} s" if self.dt is not None else "irregularly"
+        rows = []
+        for kind, names, values in (("y", self.y_names, self.y), ("u", self.u_names, self.u)):
+            for name, column in zip(names, values.T, strict=True):
+                there = column[~np.isnan(column)]
+                least, mean, most = (
+                    float(f(there)) if there.size else "" for f in (np.min, np.mean, np.max)
+                )
+                rows.append((kind, name, len(column) - there.size, least, mean, most))
+        return display.show(
+            f"{len(self)} samples, {every}, t = {self.t[0]:g} ... {self.t[-1]:g} s",
+            display.table(("", "channel", "missing", "least", "mean", "most"), rows),
+        )
 
     @staticmethod
     def read(

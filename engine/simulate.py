@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from engine import plots
 from engine.errors import ModelError, OptionError
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.model import Array, MixedModel, ThetaLike
@@ -23,6 +24,19 @@ class Simulation:
     a: Array
     z: Array
     series: Series
+    model: MixedModel
+
+    def plot(self) -> plots.Figures:
+        """``outputs`` and ``states``. Needs the extra ``plot``."""
+        units = {**self.model.nonlinear, **self.model.linear}
+        x = np.concatenate([self.a, self.z], axis=1)
+        return plots.Figures(
+            outputs=plots.states(self.series.t, self.model.outputs, self.y),
+            states=plots.states(self.series.t, units, x),
+        )
+
+    def _repr_html_(self) -> str:
+        return self.series._repr_html_()
 
 
 def simulate(
@@ -59,7 +73,7 @@ def simulate(
     series = Series(
         y, frame.u, t=frame.t, y_names=tuple(model.outputs), u_names=tuple(model.inputs)
     )
-    return Simulation(y, a, z, series)
+    return Simulation(y, a, z, series, model)
 
 
 def propagate(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
+from engine import display, plots
 from engine.errors import ModelError
 from engine.free_run import FreeRun, first_state, free_run, output_scale, run_rows, takes_rows
 from engine.model import Array, MixedModel, Theta, ThetaLike
@@ -63,6 +64,29 @@ class SimulationFit:
         """Of the estimated parameters; see ``covariance``."""
         errors = np.sqrt(np.diag(self.covariance))
         return {name: float(errors[self.model.index(name)]) for name in self.estimated}
+
+    def plot(self) -> plots.Figures:
+        """Each series' free run against its data, ``outputs`` and ``states``; extra ``plot``."""
+        several = len(self.runs) > 1
+        return plots.Figures(
+            {
+                f"{name}-{i + 1}" if several else name: figure
+                for i, run in enumerate(self.runs)
+                for name, figure in run.plot().items()
+            }
+        )
+
+    def _repr_html_(self) -> str:
+        errors = self.standard_errors
+        rows = [
+            (p.name, value, errors.get(p.name, "held"), p.unit)
+            for p, value in zip(self.model.parameters, self.theta.tolist(), strict=True)
+        ]
+        return display.show(
+            f"{self.model.name}: simulation-error fit, rms error {self.rmse:.4g}",
+            display.line(self.message),
+            display.table(("parameter", "estimate", "standard error", "unit"), rows),
+        )
 
 
 def fit_simulation(

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from engine import display
 from engine.e_steps import rbps_step, rts_step
 from engine.errors import ModelError
 from engine.model import Array, MixedModel, Theta, ThetaLike
@@ -60,6 +61,19 @@ class StandardErrors:
 
         half = float(norm.ppf(0.5 + level / 2.0)) * self.values
         return np.stack([np.asarray(self.theta) - half, np.asarray(self.theta) + half], axis=1)
+
+    def _repr_html_(self) -> str:
+        numbers = zip(
+            self.theta.tolist(), self.values.tolist(), self.interval().tolist(), strict=True
+        )
+        rows = [
+            (p.name, value, error, low, high, p.unit)
+            if np.isfinite(error)
+            else (p.name, value, "held", "", "", p.unit)
+            for p, (value, error, (low, high)) in zip(self.model.parameters, numbers, strict=True)
+        ]
+        head = ("parameter", "estimate", "standard error", "95 % from", "to", "unit")
+        return display.show(f"{self.model.name}: standard errors", display.table(head, rows))
 
 
 def standard_errors(
