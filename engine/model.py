@@ -225,13 +225,9 @@ def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
     """A nested list whose entries are numbers or (M,)."""
     if rows * columns == 0:
         return np.zeros((rows, columns))
-    try:
-        numbers = np.array(value, dtype=float)
-    except (ValueError, TypeError):  # entries of different shapes
-        pass
-    else:
-        if numbers.shape == (rows, columns):
-            return numbers
+    numbers = _numbers(value)
+    if numbers is not None and numbers.shape == (rows, columns):
+        return numbers
     if _is_number(value):  # a 1 x 1 matrix may be written as a number
         value = [[value]]
     if len(value) != rows or any(_is_number(row) or len(row) != columns for row in value):
@@ -241,6 +237,16 @@ def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
         for j, entry in enumerate(row):
             out[:, i, j] = entry
     return out
+
+
+def _numbers(value: Any) -> Array | None:
+    """A nested list of numbers as an array, None where entries are arrays."""
+    try:
+        if any(entry.__class__ is np.ndarray and entry.ndim for row in value for entry in row):
+            return None  # sooner than NumPy would say so
+        return np.array(value, dtype=float)
+    except (ValueError, TypeError):  # entries of different shapes, or no list of lists
+        return None
 
 
 def _is_number(value: Any) -> bool:

@@ -75,15 +75,18 @@ class Thetas:
         self.varies = (self.thetas != self.thetas[0]).any(axis=0)
         self.records = [model.record(row) for row in self.thetas] if self.K > 1 else []
         self.batched: bool | None = None if self.varies.any() else True
+        self.repeated: dict[int, Any] = {}
 
     def record(self, copies: int) -> Any:
         """The record with each varying field repeated for ``copies`` rows per parameter vector."""
-        return self.model.record(
-            [
-                np.repeat(column, copies) if varies else float(column[0])
-                for column, varies in zip(self.thetas.T, self.varies, strict=True)
-            ]
-        )
+        if copies not in self.repeated:  # the same at every time step
+            self.repeated[copies] = self.model.record(
+                [
+                    np.repeat(column, copies) if varies else float(column[0])
+                    for column, varies in zip(self.thetas.T, self.varies, strict=True)
+                ]
+            )
+        return self.repeated[copies]
 
     def evaluate(self, call: Any, a: Array) -> tuple[Array, Array, Array]:
         """``call(a, record)`` for all rows a (K S, na), each S rows with their own theta."""

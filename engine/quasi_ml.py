@@ -26,7 +26,9 @@ from engine.series import Series, as_series_list
 
 DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths tried at once
+GOOD = 0.25  # of the expected gain; expected is twice what a quadratic function gains
 ENOUGH = 1e-3  # an expected gain in log-likelihood below this ends the search
+PATIENCE = 3  # iterations before a search may be given up as hopeless
 DAMPING = 1e-8
 
 
@@ -59,9 +61,13 @@ def quasi_ml(
     theta0: ThetaLike = None,
     free: Sequence[str] | None = None,
     max_iterations: int = 40,
+    tolerance: float = ENOUGH,
+    target: float = -np.inf,
 ) -> QuasiFit:
     """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
 
+    The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
+    where even twice what is expected would not reach ``target``; then ``converged`` is False.
     Raises ModelError where the likelihood is not finite at the start.
     """
     listed = as_series_list(series, model)
@@ -80,30 +86,58 @@ def quasi_ml(
         x = theta[indices]
         direction = _direction(x, g, H, lower, upper, damping)
         expected = float(g @ direction)
-        if not expected > ENOUGH:
+        if not expected > tolerance:
             converged = True
             break
-        trials = np.clip(x + TRIES[:, None] * direction, lower, upper)
-        values = log_likelihoods(model, listed, free_thetas(theta, indices, trials))
-        best = int(np.argmax(values))
-        if not values[best] > value:
+        if iterations > PATIENCE and value + expected < target:
+            break
+        moved, there = _step(model, listed, theta, indices, direction, value, expected)
+        if moved is None:
             if damping > 1.0:
                 break
             damping = max(damping * 1e3, 1e-4)
             continue
         damping = max(damping / 10.0, DAMPING)
-        moved = free_thetas(theta, indices, trials[best : best + 1])[0]
-        there = derivatives(model, listed, moved, indices)
         if not np.isfinite(there[0]):
             break
-        gained, theta = values[best] - value, moved
+        gained, theta = there[0] - value, moved
         value, g, H = there
-        if gained < 0.1 * ENOUGH:
+        if gained < 0.1 * tolerance:
             converged = True
             break
     return QuasiFit(
         model, Theta(theta, model.parameter_names), float(value), names, H, iterations, converged
     )
+
+
+def _step(
+    model: MixedModel,
+    listed: Sequence[Series],
+    theta: Array,
+    indices: NDArray[np.intp],
+    direction: Array,
+    value: float,
+    expected: float,
+) -> tuple[Array | None, tuple[float, Array, Array]]:
+    """The new theta with its derivatives; None where no step along the direction is better.
+
+    The whole step is tried with its derivatives at once, as most steps are good; where it gains
+    less than a part of what was expected, step lengths are compared first.
+    """
+    lower, upper = model.lower[indices], model.upper[indices]
+    trials = np.clip(theta[indices] + TRIES[:, None] * direction, lower, upper)
+    moved = free_thetas(theta, indices, trials[:1])[0]
+    there = derivatives(model, listed, moved, indices)
+    if there[0] > value + GOOD * expected:
+        return moved, there
+    values = log_likelihoods(model, listed, free_thetas(theta, indices, trials[1:]))
+    best = 1 + int(np.argmax(values))
+    if there[0] > value and not values[best - 1] > there[0]:
+        return moved, there
+    if not values[best - 1] > value:
+        return None, there
+    moved = free_thetas(theta, indices, trials[best : best + 1])[0]
+    return moved, derivatives(model, listed, moved, indices)
 
 
 def log_likelihoods(model: MixedModel, listed: Sequence[Series], thetas: Array) -> Array:

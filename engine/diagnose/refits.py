@@ -21,6 +21,12 @@ from engine.moment_filter import moment_filter
 from engine.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.series import Series
 
+TOLERANCE = 0.02  # of a log-likelihood: refits are compared, the best one is then finished
+
+
+HOPELESS = 10.0  # of the score behind the best refit, from which another one is given up
+
+
 TIME_COST = 4.0  # for a time or frequency found on a grid
 
 
@@ -104,8 +110,11 @@ def cost(effect: Effect) -> float:
     return 2.0 * further + (TIME_COST if is_timed(effect) else 0.0)
 
 
-def refit(fit: QuasiFit, series: Series, score: Score) -> Refit:
-    """Maximum likelihood of the extended model, started at the score's one-step estimate."""
+def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) -> Refit:
+    """Maximum likelihood of the extended model, started at the score's one-step estimate.
+
+    Given up early where its score will stay far below ``best``, the score of another refit.
+    """
     effect = score.effect
     extended = effect.apply(fit.model)
     n = len(fit.theta)
@@ -120,10 +129,11 @@ def refit(fit: QuasiFit, series: Series, score: Score) -> Refit:
     fixed = {*sought, *effect.held}
     free = [*fit.free, *(name for name in own if name not in fixed)]
     start = _best_start(extended, series, start, n)
-    found = quasi_ml(extended, series, start, free)
-    if sought:
-        found = _refine_time(extended, series, found, free, sought[0], effect)
     zero = float(log_likelihoods(extended, [series], null[None])[0])
+    target = zero + 0.5 * (best - HOPELESS + cost(effect))
+    found = quasi_ml(extended, series, start, free, tolerance=TOLERANCE, target=target)
+    if sought and found.log_likelihood > target:
+        found = _refine_time(extended, series, found, free, sought[0], effect)
     gain = 2.0 * (found.log_likelihood - zero)
     return Refit(effect, found, gain, gain - cost(effect))
 
@@ -182,7 +192,7 @@ def _refine_time(
     best = int(np.argmax(values))
     if rows[best] == here or not values[best] > found.log_likelihood:
         return found
-    return quasi_ml(extended, series, thetas[best], free)
+    return quasi_ml(extended, series, thetas[best], free, tolerance=TOLERANCE)
 
 
 def held_out_terms(fit: QuasiFit, series: Series) -> Array:
