@@ -89,6 +89,42 @@ class ModelList(BaseModel):
     links: list[Link]
 
 
+class TimeOut(BaseModel):
+    """The column of time stamps of a file; ``step`` is the median."""
+
+    column: str
+    problem: str | None = Field(description="why it cannot be used")
+    first: float | None
+    last: float | None
+    step: float | None
+    regular: bool
+
+
+class ColumnOut(BaseModel):
+    """A column of a file: ``value`` at some of its rows, extremes kept; rows count from 0."""
+
+    name: str
+    rows: int
+    missing: int
+    minimum: float | None
+    maximum: float | None
+    problem: str | None = Field(description="why it cannot be used")
+    row: list[int]
+    value: list[float | None]
+    gaps: list[tuple[int, int]] = Field(description="first and last row of missing values")
+
+
+class PreviewOut(BaseModel):
+    """What a data file holds."""
+
+    file: str
+    rows: int
+    dt: float | None = Field(description="time step stored in the file, s")
+    time: TimeOut | None
+    columns: list[ColumnOut]
+    ignored: list[str]
+
+
 class ProblemOut(BaseModel):
     """RFC 9457."""
 

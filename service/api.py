@@ -12,14 +12,17 @@ from sqlalchemy.exc import SQLAlchemyError
 
 import engine
 from engine.diagnose.extended import get_model
+from engine.diagnose.setting import Setting
 from engine.errors import OptionError
 from service import documents, metrics, stages
 from service.answers import (
     JobList,
     JobStatus,
+    Kind,
     Link,
     ModelList,
     ModelOut,
+    PreviewOut,
     ProblemOut,
     Results,
     Status,
@@ -27,9 +30,10 @@ from service.answers import (
 )
 from service.auth import Keys
 from service.examples import EXAMPLES
-from service.prepare import Request, check_limits, dump, prepare
+from service.prepare import Request, check_limits, dump, find_model, prepare
+from service.preview import preview
 from service.problems import MEDIA_TYPE, Problem
-from service.schemas import JobRequest
+from service.schemas import JobRequest, ModelReference
 from service.settings import Settings
 from service.store import ENDED, KeyReused, Store
 from service.strict_json import dumps
@@ -113,6 +117,14 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         except OptionError as error:
             raise Problem(404, "no-such-model", str(error)) from None
 
+    @api.post(
+        "/models/extend",
+        summary="A model with effects added to it",
+        responses=problem_answers(400, 408, 413, 415),
+    )
+    def extended(caller: Caller, reference: ModelReference) -> ModelOut:
+        return documents.model(find_model(reference, Setting), reference)
+
     posted: dict[str, Any] = {
         "status_code": 201,
         "response_model": JobStatus,
@@ -137,19 +149,38 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         files = {one.filename or f"file{i}": one.file.read() for i, one in enumerate(file)}
         return put(with_files(request, files), caller, idempotency_key)
 
+    @api.post(
+        "/preview",
+        summary="What a data file holds",
+        responses=problem_answers(400, 408, 413, 415),
+    )
+    def look(
+        caller: Caller,
+        file: Annotated[UploadFile, File(description="CSV, .mat or .npz")],
+        t: Annotated[
+            str | None, Form(max_length=200, description="column of time stamps; else one named so")
+        ] = None,
+    ) -> PreviewOut:
+        return preview(file.file.read(), file.filename or "", t, settings.max_samples)
+
     @api.get("/jobs", summary="Jobs, newest first")
     def jobs(
         caller: Caller,
         status: Annotated[list[Status] | None, Query()] = None,
-        model: Annotated[str | None, Query(max_length=200)] = None,
+        model: Annotated[
+            str | None, Query(max_length=200, description="with its extensions")
+        ] = None,
+        kind: Annotated[list[Kind] | None, Query()] = None,
         limit: Annotated[int, Query(ge=1, le=1000)] = 50,
         cursor: Annotated[int | None, Query(ge=1, le=2**31 - 1)] = None,
     ) -> JobList:
-        rows = store.jobs(limit + 1, cursor, status or (), model, caller if keys.needed else None)
+        owner = caller if keys.needed else None
+        rows = store.jobs(limit + 1, cursor, status or (), model, owner, kind or ())
         links = [Link(href="/jobs", rel="self")]
         if len(rows) > limit:
             query: list[tuple[str, Any]] = [("limit", limit), ("cursor", rows[limit - 1].seq)]
             query += [("status", s) for s in status or ()] + ([("model", model)] if model else [])
+            query += [("kind", k) for k in kind or ()]
             links.append(Link(href=f"/jobs?{urlencode(query)}", rel="next"))
         return JobList(jobs=[documents.job_status(row) for row in rows[:limit]], links=links)
 
@@ -185,6 +216,18 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             kept = keep(rows[:, : len(names) + 1], points)
             ks, rows = [ks[i] for i in kept], rows[kept]
         return tagged(http, documents.trace(names, ks, rows).model_dump_json().encode())
+
+    @api.get(
+        "/jobs/{job_id}/request",
+        summary="What was asked, with its data; it can be posted again",
+        response_model=dict[str, Any],
+        responses=problem_answers(404),
+    )
+    def asked(caller: Caller, http: HttpRequest, job_id: JobId) -> Response:
+        body = store.document(find(job_id, caller).seq, "request")
+        if body is None:
+            raise Problem(404, "dismissed", f"job '{job_id}' was dismissed; its data are gone")
+        return tagged(http, body)
 
     @api.get(
         "/jobs/{job_id}/results",

@@ -12,6 +12,7 @@ import numpy as np
 import engine
 from engine.model import Array, MixedModel
 from service.answers import JobStatus, Link, ModelOut, ParameterOut, Trace
+from service.schemas import ModelReference
 
 
 def job_status(row: Any) -> JobStatus:
@@ -70,8 +71,10 @@ def _numbers(column: Array) -> list[float | None]:
     return [x if np.isfinite(x) else None for x in column.tolist()]
 
 
-def model(model: MixedModel) -> ModelOut:
-    """The document of a registered model."""
+def model(model: MixedModel, reference: ModelReference | None = None) -> ModelOut:
+    """The document of a registered model, or of the one that ``reference`` makes of it."""
+    name = reference.name if reference else model.name
+    with_effects = {"model": reference.model_dump()} if reference else {}
     return ModelOut(
         name=model.name,
         description=model.description,
@@ -90,8 +93,8 @@ def model(model: MixedModel) -> ModelOut:
             )
             for p in model.parameters
         ],
-        example=_example(model.name),
-        links=[Link(href=f"/models/{model.name}", rel="self")],
+        example=_example(name) | with_effects,
+        links=[Link(href=f"/models/{name}", rel="self" if reference is None else "base")],
     )
 
 

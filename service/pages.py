@@ -15,13 +15,16 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, Response
 from starlette.routing import BaseRoute, Match, Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+import engine.data
+
 HERE = Path(__file__).parent
 STATIC = HERE / "static"
+NILE = Path(engine.data.__file__).parent / "nile.csv"  # for a first try without data of one's own
 
 # Nothing from other addresses, no script or style within the page, no page within another's.
 POLICY = (
@@ -49,9 +52,13 @@ def routes(keys_needed: bool) -> list[BaseRoute]:
     def jobs(request: Request) -> Response:
         return render("jobs.html", keys_needed)
 
+    def nile(request: Request) -> Response:
+        return FileResponse(NILE, media_type="text/csv")
+
     return [
         Page("/", start),
         Page("/jobs", jobs),
+        Route("/examples/nile.csv", nile),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
 

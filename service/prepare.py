@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -48,7 +48,7 @@ class Prepared:
 
 def prepare(request: Request) -> Prepared:
     """Check a request against its model. Raises Problem 422."""
-    model = _model(request)
+    model = find_model(request.model, lambda model: _times(request, model))
     if isinstance(request, EstimateRequest | DiagnoseRequest):
         values, where = request.parameters.start, "parameters.start"
     else:
@@ -113,9 +113,10 @@ def _limit(field: str, what: str, value: int, most: int) -> None:
         raise invalid(field, f"{value} {what}; this service allows {most}")
 
 
-def _model(request: Request) -> MixedModel:
-    """The registered model with the effects asked for, made for the request's first series."""
-    reference = request.model
+def find_model(
+    reference: ModelReference, known: Callable[[MixedModel], Setting | None]
+) -> MixedModel:
+    """The registered model with the effects asked for; ``known`` is what data tell where it does not."""
     try:
         model = get_model(reference.name)
     except OptionError as error:
@@ -123,16 +124,20 @@ def _model(request: Request) -> MixedModel:
     if not reference.effects:
         return model
     try:
-        return extend(model, reference.effects, _setting(reference, request, model))
+        return extend(model, reference.effects, _given(reference, model) or known(model))
     except EngineError as error:
         raise invalid("model.with", str(error)) from None
 
 
-def _setting(reference: ModelReference, request: Request, model: MixedModel) -> Setting | None:
-    """What effects need to know of data: as a diagnosis gave it, or the first series' times."""
-    if reference.setting is not None:
-        given = reference.setting
-        return Setting(model, given.scale, (given.span[0], given.span[1]), given.dt)
+def _given(reference: ModelReference, model: MixedModel) -> Setting | None:
+    """What effects need to know of data, as a diagnosis gave it."""
+    if (given := reference.setting) is None:
+        return None
+    return Setting(model, given.scale, (given.span[0], given.span[1]), given.dt)
+
+
+def _times(request: Request, model: MixedModel) -> Setting | None:
+    """The same from the first series' times."""
     one: SeriesIn | InputIn = request.series[0] if request.series else InputIn()
     n = max((len(x) for x in (one.y, one.u, one.t) if x is not None), default=0)
     if n < 2:

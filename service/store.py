@@ -23,7 +23,7 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, and_, delete, func, insert, select, update
+from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 
 from engine.model import Array
@@ -124,15 +124,19 @@ class Store:
         status: Iterable[str] = (),
         model: str | None = None,
         owner: str | None = None,
+        kind: Iterable[str] = (),
     ) -> Sequence[Row[Any]]:
-        """Newest first; ``before`` continues after the job of that seq."""
+        """Newest first; ``before`` continues after the job of that seq. A model's extensions are its."""
         query = select(jobs).order_by(jobs.c.seq.desc()).limit(limit)
         if before is not None:
             query = query.where(jobs.c.seq < before)
         if status := list(status):
             query = query.where(jobs.c.status.in_(status))
+        if kind := list(kind):
+            query = query.where(jobs.c.kind.in_(kind))
         if model is not None:
-            query = query.where(jobs.c.model == model)
+            extended = jobs.c.model.startswith(f"{model}+", autoescape=True)
+            query = query.where(or_(jobs.c.model == model, extended))
         if owner is not None:
             query = query.where(jobs.c.owner == owner)
         with self._read.begin() as sql:

@@ -34,13 +34,17 @@ class _FileSeries(BaseModel):
 
 
 def with_files(text: str, files: Mapping[str, bytes]) -> Request:
-    """A request whose series name uploaded files; without ``series``, each file is one."""
+    """A request whose series, or test, name uploaded files; without ``series``, each file is one."""
     try:
         body = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise Problem(400, "not-json", f"request is not JSON: {error}") from None
     if not isinstance(body, dict):
         raise invalid("request", "is not a JSON object")
+    test = body.get("test")
+    if isinstance(test, dict) and "file" in test:
+        body["test"] = _read(test, files, "test", body)
+        files = {name: data for name, data in files.items() if name != test["file"]}
     entries = body.get("series")
     if entries is None:
         entries = [{"file": name} for name in files]
@@ -73,7 +77,7 @@ def _read(
         there = ", ".join(files) or "none"
         raise invalid(f"{where}.file", f"no file '{wanted.file}' was uploaded; there are {there}")
     data = files[wanted.file]
-    _check_unpacked(data, f"{where}.file")
+    check_unpacked(data, f"{where}.file")
     y, u = (
         _in_order(columns, channels, f"{where}.{name}")
         for name, columns, channels in zip(
@@ -110,7 +114,7 @@ def _in_order(
     return [columns[channel] for channel in channels]
 
 
-def _check_unpacked(data: bytes, where: str) -> None:
+def check_unpacked(data: bytes, where: str) -> None:
     """Refuse files that would unpack to far more than they are."""
     most = max(16 << 20, UNPACKED * len(data))
     if data[:2] == b"PK":

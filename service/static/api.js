@@ -10,7 +10,7 @@
 //   poll(step)                 calls async step() again and again; step returns the pause in ms, or
 //                              null to end. Waits while the page is hidden. Returns a function that stops it
 //   element(tag, attributes, ...children)       makes DOM; text is never read as HTML
-//   number(x), when(iso), duration(seconds)     values as text
+//   number(x), unit(text), when(iso), duration(seconds)     values as text
 //
 // With keys configured the first call asks for one; it lives in sessionStorage and goes along as a header.
 
@@ -205,6 +205,12 @@ export function number(x, digits = 5) {
     return x.toExponential(Math.max(0, digits - 2)).replace(/\.?0+e/, "e").replace("e+", "e");
   }
   return String(Number(x.toPrecision(digits)));
+}
+
+// "1e8 m^3" as "10⁸ m³"
+export function unit(text) {
+  const raised = (digits) => digits.replace(/[-0-9.]/g, (c) => "⁻·_⁰¹²³⁴⁵⁶⁷⁸⁹"["-._0123456789".indexOf(c)]);
+  return text.replace(/\b1e(-?\d+)/g, (_, power) => `10${raised(power)}`).replace(/\^(-?[\d.]+)/g, (_, power) => raised(power));
 }
 
 export function when(iso) {

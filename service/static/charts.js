@@ -182,7 +182,9 @@ class Chart {
     this.frame.setAttribute("aria-label", this.options.summary ?? summary(this.options));
     this.frame.setAttribute("aria-roledescription", "chart; arrow keys move the cursor, plus and minus zoom");
     this.legend.replaceChildren();
+    const alone = series.length === 1 && !marks?.length; // then the labels of the axes say what it is
     this.values = series.map((one, i) => {
+      if (alone) return add(this.legend, "span", "chart-value");
       const button = add(this.legend, "button", "chart-key");
       button.type = "button";
       button.title = `Show or hide ${one.label}`;
@@ -199,7 +201,6 @@ class Chart {
       item.append(marksLabel);
     }
     this.at = add(this.legend, "span", "chart-at");
-    this.legend.hidden = series.length < 2 && !marks?.length && !series.some((one) => one.label);
   }
 
   toggle(one, button) {

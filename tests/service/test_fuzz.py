@@ -9,8 +9,9 @@ from service.auth import digest_of
 from service.settings import Settings
 
 CALLS = [
-    "GET /", "GET /models", "GET /models/{name}", "POST /jobs", "POST /jobs/upload", "GET /jobs",
-    "GET /jobs/{job_id}", "GET /jobs/{job_id}/trace", "GET /jobs/{job_id}/results",
+    "GET /", "GET /models", "GET /models/{name}", "POST /models/extend", "POST /preview",
+    "POST /jobs", "POST /jobs/upload", "GET /jobs", "GET /jobs/{job_id}", "GET /jobs/{job_id}/request",
+    "GET /jobs/{job_id}/trace", "GET /jobs/{job_id}/results",
     "DELETE /jobs/{job_id}", "GET /livez", "GET /readyz", "GET /metrics",
 ]  # fmt: skip
 PLAIN = ("GET /", "GET /livez", "GET /readyz")  # nothing in them can be wrong

@@ -1,0 +1,300 @@
+// Step 2: the data, and which of its columns is which channel of the model.
+
+import { element, number, post, Problem } from "/static/api.js";
+import { chart } from "/static/charts.js";
+import { guess } from "/static/start/guess.js";
+import { withUnit } from "/static/start/model.js";
+
+const by = (id) => document.getElementById(id);
+
+export class DataCard {
+  constructor(onChange) {
+    this.onChange = onChange;
+    this.files = []; // [{file, name, preview}]
+    this.job = null; // {id, series}: the data of an earlier job instead of files
+    this.channels = []; // [{member: "y" | "u", name, unit}]
+    this.mapping = new Map(); // "y.flow" -> column
+    this.charts = [];
+    by("file").addEventListener("change", () => this.take([...by("file").files]));
+    by("time").addEventListener("change", () => this.look());
+    by("dt").addEventListener("input", () => this.draw());
+    this.watchDrop(by("drop"));
+  }
+
+  watchDrop(place) {
+    for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.preventDefault());
+    place.addEventListener("dragover", () => place.classList.add("over"));
+    for (const name of ["dragleave", "drop"]) place.addEventListener(name, () => place.classList.remove("over"));
+    place.addEventListener("drop", (event) => this.take([...event.dataTransfer.files]));
+  }
+
+  get ready() {
+    return this.files.length > 0 || this.job !== null;
+  }
+
+  // ---- what there is ----------------------------------------------------------------------------
+
+  async take(files) {
+    if (!files.length) return;
+    this.complain("");
+    try {
+      // Names are made different, since the request tells files apart by them.
+      const found = [];
+      for (const file of files) {
+        const name = found.some((one) => one.name === file.name) ? `${found.length + 1}-${file.name}` : file.name;
+        found.push({ file, name, preview: await preview(file, name) });
+      }
+      [this.files, this.job] = [found, null];
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+      this.complain(error.errors[0]?.message ?? error.message);
+      return;
+    }
+    this.mapping.clear();
+    this.offerTimes();
+    this.showChannels();
+  }
+
+  // The data of an earlier job; they are sent again as they are.
+  takeJob(id, series) {
+    [this.files, this.job] = [[], { id, series }];
+    this.mapping.clear();
+    this.showChannels();
+  }
+
+  // Look at the first file again, with the chosen column as time.
+  async look() {
+    const [first] = this.files;
+    this.complainAt('[data-field~="t"]', "");
+    try {
+      if (by("time").value) first.preview = await preview(first.file, first.name, by("time").value);
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+      this.complainAt('[data-field~="t"]', error.message);
+    }
+    this.showChannels();
+  }
+
+  offerTimes() {
+    const { time, dt, columns } = this.files[0].preview;
+    const names = columns.filter((one) => !one.problem).map((one) => element("option", { value: one.name }, `column ${one.name}`));
+    by("time").replaceChildren(element("option", { value: "" }, "samples at a fixed step"), ...names);
+    by("time").value = time && !time.problem ? time.column : "";
+    if (dt !== null) by("dt").value = String(dt);
+  }
+
+  setModel(model) {
+    const list = (member, channels) => Object.entries(channels).map(([name, unit]) => ({ member, name, unit }));
+    this.channels = model ? [...list("y", model.outputs), ...list("u", model.inputs)] : [];
+    this.mapping.clear();
+    this.showChannels();
+  }
+
+  // ---- mapping ----------------------------------------------------------------------------------
+
+  showChannels() {
+    by("data-card").hidden = !this.ready;
+    by("example-row").hidden = this.ready;
+    by("drop").classList.toggle("small", this.ready);
+    by("clock").hidden = this.job !== null;
+    by("dt-field").hidden = by("time").value !== "";
+    for (const one of this.charts.splice(0)) one.destroy();
+    if (!this.ready) return;
+    this.showFacts();
+    const columns = this.columns();
+    const usable = columns.filter((one) => !one.problem).map((one) => one.name);
+    const guessed = this.job ? new Map() : guess(this.channels, usable.filter((name) => name !== by("time").value));
+    this.selects = new Map();
+    const rows = this.channels.map((channel, i) => {
+      const key = `${channel.member}.${channel.name}`;
+      if (this.job) this.mapping.set(key, columns[i]?.name ?? "");
+      else if (!usable.includes(this.mapping.get(key))) this.mapping.set(key, guessed.get(key) ?? "");
+      return this.row(channel, key, columns);
+    });
+    by("channels").replaceChildren(...rows);
+    if (!this.channels.length) by("channels").replaceChildren(element("p", { class: "muted" }, "Choose a model to see which channels it needs."));
+    this.draw();
+  }
+
+  row(channel, key, columns) {
+    const id = `column-${key}`;
+    const options = columns.map((one) => element("option", { value: one.name, disabled: one.problem !== null },
+      one.problem ? `${one.name} (not numbers)` : one.name));
+    const select = element("select", { id }, element("option", { value: "" }, "choose a column ..."), ...options);
+    select.value = this.mapping.get(key);
+    select.addEventListener("change", () => {
+      this.mapping.set(key, select.value);
+      this.draw();
+    });
+    this.selects.set(key, select);
+    const what = channel.member === "y" ? "measured" : "input";
+    return element("div", { class: "mapping", "data-field": `series[0].${key}` },
+      element("div", {},
+        element("label", { for: id }, withUnit(channel.name, channel.unit), element("span", { class: "badge" }, what)),
+        this.job ? element("p", { class: "muted" }, "as in that job") : select,
+        element("p", { class: "hint", "data-facts": key }),
+      ),
+      element("div", { "data-plot": key }),
+    );
+  }
+
+  showFacts() {
+    const names = this.job ? ["Data of job ", element("a", { href: `/jobs/${this.job.id}` }, this.job.id.slice(0, 8))]
+      : [element("strong", {}, this.files.map((one) => one.name).join(", "))];
+    const rows = this.job ? this.job.series.map((one) => length(one)) : this.files.map((one) => one.preview.rows);
+    const ignored = this.files.flatMap((one) => one.preview.ignored);
+    by("data-facts").replaceChildren(
+      element("span", {}, ...names),
+      element("span", { class: "muted" }, `${rows.map((n) => n.toLocaleString("en")).join(" + ")} samples`),
+      ...(ignored.length ? [element("span", { class: "muted" }, `not read: ${ignored.join(", ")}`)] : []),
+    );
+    const time = this.files[0]?.preview.time;
+    by("time-facts").className = time?.problem && by("time").value ? "field-error" : "hint";
+    by("time-facts").textContent = !time ? "The file names no column of times: give the step, or choose a column." : time.problem ? `column '${time.column}' ${time.problem}`
+      : by("time").value && `${number(time.first)} to ${number(time.last)} s, step ${number(time.step)} s${time.regular ? "" : " (median; not regular)"}`;
+  }
+
+  // Columns of the first experiment: {name, rows, missing, minimum, maximum, problem, row, value, gaps}.
+  columns() {
+    return this.job ? jobColumns(this.job.series[0], this.channels) : this.files[0].preview.columns;
+  }
+
+  draw() {
+    for (const one of this.charts.splice(0)) one.destroy();
+    if (!this.ready) return this.onChange();
+    const columns = new Map(this.columns().map((one) => [one.name, one]));
+    const clock = this.clock(columns);
+    for (const channel of this.channels) {
+      const key = `${channel.member}.${channel.name}`;
+      const column = columns.get(this.mapping.get(key));
+      const facts = document.querySelector(`[data-facts="${CSS.escape(key)}"]`);
+      facts.textContent = column ? describe(column, channel) : "";
+      facts.className = column?.missing && channel.member === "u" ? "field-error" : "hint";
+      if (!column || !column.rows) continue;
+      const x = column.row.map(clock);
+      this.charts.push(chart(document.querySelector(`[data-plot="${CSS.escape(key)}"]`), {
+        x,
+        xLabel: "time [s]",
+        yLabel: withUnit(column.name, channel.unit),
+        series: [{ label: column.name, y: column.value, colour: channel.member === "y" ? "data" : "c2", kind: channel.member === "u" ? "steps" : "line" }],
+        marks: column.gaps.map(([first, last]) => [clock(first - 0.5), clock(last + 0.5)]),
+        marksLabel: "missing",
+        sync: "data",
+        height: 150,
+      }));
+    }
+    this.onChange();
+  }
+
+  // Row number -> time, for drawing. Between the rows that the preview has, time is interpolated.
+  clock(columns) {
+    if (this.job) {
+      const { t, dt } = this.job.series[0];
+      return (row) => (t ? t[Math.min(Math.max(Math.round(row), 0), t.length - 1)] : row * (dt ?? 1));
+    }
+    const time = columns.get(by("time").value);
+    const step = Number(by("dt").value) || 1;
+    if (!time) return (row) => row * step;
+    const { row: rows, value } = time;
+    return (at) => {
+      let i = 0;
+      for (let high = rows.length - 2, low = 0; low <= high;) {
+        i = (low + high) >> 1;
+        if (rows[i + 1] < at) low = i + 1;
+        else if (rows[i] > at) high = i - 1;
+        else break;
+      }
+      const share = (at - rows[i]) / (rows[i + 1] - rows[i] || 1);
+      return value[i] + share * ((value[i + 1] ?? value[i]) - value[i]);
+    };
+  }
+
+  // ---- the request --------------------------------------------------------------------------------
+
+  // First and last time and the step of the first experiment, or null: what effects are told of the data.
+  span() {
+    if (!this.ready) return null;
+    if (this.job) {
+      const [{ t, dt }] = this.job.series;
+      const n = length(this.job.series[0]);
+      return n < 2 ? null : t ? { span: [t[0], t[n - 1]], dt: (t[n - 1] - t[0]) / (n - 1) } : { span: [0, (n - 1) * (dt ?? 1)], dt: dt ?? 1 };
+    }
+    const { time, rows } = this.files[0].preview;
+    if (by("time").value) return time.problem ? null : { span: [time.first, time.last], dt: time.step };
+    const step = Number(by("dt").value);
+    return step > 0 && rows > 1 ? { span: [0, (rows - 1) * step], dt: step } : null;
+  }
+
+  // {series, files: [[name, File]]}; what is wrong goes into errors.
+  request(errors, testFile) {
+    if (this.job) return { series: this.job.series, files: [] };
+    if (!this.files.length) {
+      errors.push({ field: "file", message: "data are needed: choose a file" });
+      return { series: [], files: [] };
+    }
+    const columns = { y: {}, u: {} };
+    for (const { member, name } of this.channels) {
+      columns[member][name] = this.mapping.get(`${member}.${name}`);
+      if (!columns[member][name]) errors.push({ field: `series[0].${member}.${name}`, message: "no column is chosen for this channel" });
+    }
+    const how = { ...columns };
+    if (by("time").value) how.t = by("time").value;
+    else {
+      how.dt = Number(by("dt").value);
+      if (!(how.dt > 0)) errors.push({ field: "series[0].dt", message: "a positive number of seconds is needed" });
+    }
+    const files = this.files.map(({ name, file }) => [name, file]);
+    const request = { series: files.map(([name]) => ({ file: name, ...how })), files };
+    if (testFile) {
+      request.test = { file: `held-out-${testFile.name}`, ...how };
+      request.files = [...files, [request.test.file, testFile]];
+    }
+    return request;
+  }
+
+  complain(text) {
+    this.complainAt('[data-field~="file"]', text);
+  }
+
+  complainAt(where, text) {
+    const place = document.querySelector(where);
+    place.querySelector(".field-error")?.remove();
+    if (text) place.append(element("p", { class: "field-error", role: "alert" }, text));
+  }
+}
+
+function preview(file, name, time) {
+  const form = new FormData();
+  form.append("file", file, name);
+  if (time) form.append("t", time);
+  return post("/preview", form);
+}
+
+function length(series) {
+  return (series.y ?? series.u ?? series.t).length;
+}
+
+// The columns of a job's series, as a preview has them.
+function jobColumns(series, channels) {
+  const index = { y: 0, u: 0 };
+  return channels.map(({ member, name }) => {
+    const at = index[member]++;
+    const value = (series[member] ?? []).map((row) => row[at] ?? null);
+    const there = value.filter((v) => v !== null);
+    const gaps = [];
+    value.forEach((v, i) => {
+      if (v !== null) return;
+      if (gaps.at(-1)?.[1] === i - 1) gaps.at(-1)[1] = i;
+      else gaps.push([i, i]);
+    });
+    const [minimum, maximum] = there.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
+    return { name, rows: value.length, missing: value.length - there.length, minimum, maximum, problem: null, row: value.map((_, i) => i), value, gaps };
+  });
+}
+
+function describe(column, channel) {
+  const values = `${(column.rows - column.missing).toLocaleString("en")} values, ${number(column.minimum)} to ${number(column.maximum)}`;
+  if (!column.missing) return values;
+  const missing = `${column.missing.toLocaleString("en")} missing`;
+  return channel.member === "u" ? `${missing}; an input must be known at every sample` : `${values}; ${missing}`;
+}
