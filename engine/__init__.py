@@ -11,6 +11,7 @@ from engine.diagnose.extended import get_model
 from engine.discretize import discretize
 from engine.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
 from engine.errors import EngineError, ModelError, OptionError, SeriesError
+from engine.examine import Examination, examine
 from engine.free_run import free_run
 from engine.heavy_tails import with_mixture, with_student_t
 from engine.kalman import kalman_smoother
@@ -24,6 +25,7 @@ from engine.ps_em import ps_em
 from engine.rb_ffbsi import Smoothed, rb_ffbsi
 from engine.rbpf import Filtered, rbpf
 from engine.registry import model_names, plugin_errors, register
+from engine.report import write_report
 from engine.series import Series
 from engine.simulate import Simulation, simulate
 from engine.simulation_fit import fit_simulation
@@ -35,6 +37,7 @@ __all__ = [
     "Diagnosis",
     "EmResult",
     "EngineError",
+    "Examination",
     "Filtered",
     "Gaussian",
     "GaussianMixture",
@@ -59,6 +62,7 @@ __all__ = [
     "condition_on_trajectories",
     "diagnose",
     "discretize",
+    "examine",
     "ffbsi",
     "filter_general",
     "fit_simulation",
@@ -84,4 +88,5 @@ __all__ = [
     "standard_errors",
     "with_mixture",
     "with_student_t",
+    "write_report",
 ]

@@ -140,6 +140,9 @@ class Estimated(BaseModel):
 
     value: float
     standard_error: float | None
+    interval: tuple[float, float] | None = Field(
+        default=None, description="95 %; from the bootstrap where there was one"
+    )
     unit: str
     fixed: bool = Field(default=False, description="true for a parameter that was not free")
 
@@ -172,6 +175,9 @@ class Simulated(BaseModel):
     t: list[float]
     y: dict[str, list[float]]
     states: dict[str, list[float]]
+    measured: dict[str, list[float | None]] | None = Field(
+        default=None, description="what y is compared with, where something was measured"
+    )
     rmse: float | None = Field(
         default=None, description="against the measured y, where there is one"
     )
@@ -184,9 +190,22 @@ class SimulationOut(BaseModel):
     series: list[Simulated]
 
 
+class ExaminationOut(BaseModel):
+    """An estimate looked at, series by series.
+
+    Each holds ``sentences``, ``free_run`` (null where it runs away) and ``one_step`` with ``fits``,
+    ``regions``, ``bands`` and ``curves``, ``residuals`` and ``whiteness``, or a ``problem``.
+    """
+
+    series: list[dict[str, Any]]
+
+
 class Results(BaseModel):
     """What a job found; which members there are depends on its kind."""
 
+    model: dict[str, Any] | None = Field(
+        default=None, description="name, equations, states, inputs and outputs with units"
+    )
     estimate: dict[str, Estimated] | None = None
     parameters: dict[str, float] | None = None
     outcome: str | None = None
@@ -197,6 +216,9 @@ class Results(BaseModel):
     simulation: SimulationOut | None = None
     diagnosis: dict[str, Any] | None = Field(
         default=None, description="verdict, causes, symptoms, extension, gain, detectable, page"
+    )
+    examination: ExaminationOut | None = Field(
+        default=None, description="free run and predictions against the data, residuals"
     )
     starts: list[dict[str, Any]] | None = Field(default=None, description="each start's outcome")
     bootstrap: dict[str, Any] | None = Field(default=None, description="estimates, quantiles")

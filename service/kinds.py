@@ -8,8 +8,16 @@ import numpy as np
 
 import engine
 from engine.errors import ModelError
+from engine.examine import (
+    covariance_of,
+    estimate_document,
+    examination,
+    model_document,
+    states_document,
+)
 from engine.model import Array, MixedModel, Theta
 from engine.series import Series
+from engine.standard_errors import StandardErrors
 from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
@@ -83,21 +91,25 @@ def describe(
     progress.step(done, "smoothing the states at the estimate")
     states = _states(job, theta, n, options.trajectories or n, rng, options.method)
     message = found["message"]
-    errors: list[float | None] = [None] * len(model.parameters)
+    errors: StandardErrors | None = None
     if options.standard_errors and not options.bootstrap:
         progress.step(done, "standard errors")
         try:
-            errors = _standard_errors(job, options, theta)
+            errors = engine.standard_errors(
+                model, theta, job.series, job.free, seed=options.seed,
+                exact=options.method == "rts-em",
+            )  # fmt: skip
         except ModelError as error:
             message += f" No standard errors: {error}"
-    numbers = zip(model.parameters, found["theta"], errors, strict=True)
+    progress.step(done, "comparing simulation and prediction with the data")
+    examined = examination(
+        model, theta, job.series, covariance_of(model, errors), seed=options.seed
+    )
+    values = None if errors is None else errors.values
     trace = np.array(found["trace"])
     return {
-        "estimate": {
-            p.name: {"value": value, "standard_error": error, "unit": p.unit}
-            | ({} if p.name in found["free"] else {"fixed": True})
-            for p, value, error in numbers
-        },
+        "model": model_document(model),
+        "estimate": estimate_document(model, theta, found["free"], values),
         "outcome": found["outcome"],
         "message": message,
         "log_likelihood": log_likelihood(job, theta, n, rng, options.method),
@@ -110,16 +122,8 @@ def describe(
             "seconds": [None, *found["seconds"]],
         },
         "states": states,
+        "examination": examined,
     }
-
-
-def _standard_errors(job: Prepared, options: EstimateOptions, theta: Theta) -> list[float | None]:
-    """Of every parameter; None for those that are fixed or at a bound."""
-    exact = options.method == "rts-em"
-    found = engine.standard_errors(
-        job.model, theta, job.series, job.free, seed=options.seed, exact=exact
-    )
-    return [value if np.isfinite(value) else None for value in found.values.tolist()]
 
 
 def log_likelihood(
@@ -152,6 +156,7 @@ def smooth(job: Prepared, request: SmoothRequest, progress: Progress) -> dict[st
     states = _states(job, job.theta, n, N, rng, progress=progress)
     return {
         "parameters": job.theta.asdict(),
+        "model": model_document(job.model),
         "log_likelihood": log_likelihood(job, job.theta, n, rng, ""),
         "states": states,
     }
@@ -181,16 +186,10 @@ def _states(
             row = int(np.argmin(np.isfinite(mean).all(axis=1)))
             detail = f"the model's states are not finite at row {row} (t = {series.t[row]:g} s)"
             raise Problem(422, "not-finite", detail)
-        out.append(
-            {
-                "t": series.t.tolist(),
-                "mean": _columns(mean, _state_names(model)),
-                "standard_deviation": _columns(std, _state_names(model)),
-            }
-        )
+        out.append((mean, std))
         if progress is not None:
             progress.step(i + 1)
-    return {"units": {**model.nonlinear, **model.linear}, "series": out}
+    return states_document(model, job.series, out)
 
 
 # ---- simulate -------------------------------------------------------------------------------
@@ -208,11 +207,16 @@ def simulate(job: Prepared, request: SimulateRequest, progress: Progress) -> dic
             "states": _columns(np.concatenate([run.a, run.z], axis=1), _state_names(model)),
         }
         if series.observed.any():
+            document["measured"] = _columns(series.y, tuple(model.outputs))
             document["rmse"] = float(np.sqrt(np.nanmean((series.y - run.y) ** 2)))
         out.append(document)
         progress.step(i + 1)
     units = {**model.outputs, **model.nonlinear, **model.linear}
-    return {"parameters": job.theta.asdict(), "simulation": {"units": units, "series": out}}
+    return {
+        "model": model_document(model),
+        "parameters": job.theta.asdict(),
+        "simulation": {"units": units, "series": out},
+    }
 
 
 def _simulate(

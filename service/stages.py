@@ -176,6 +176,7 @@ def _summarize(
         result["estimate"][name]["standard_error"] = float(values.std(ddof=1))
         result["bootstrap"]["estimates"][name] = values.tolist()
         quantiles = np.quantile(values, [0.025, 0.5, 0.975]).tolist()
+        result["estimate"][name]["interval"] = [quantiles[0], quantiles[2]]
         result["bootstrap"]["quantiles"][name] = dict(
             zip(("0.025", "0.5", "0.975"), quantiles, strict=True)
         )

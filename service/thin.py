@@ -1,51 +1,68 @@
-"""Fewer points of long curves, with their extremes."""
+"""Fewer points of long curves, with their extremes, in a result document."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from engine.model import Array
+from engine.report.thin import keep
 
+__all__ = ["keep", "thin_results"]
 
-def keep(curves: Array, points: int) -> NDArray[np.intp]:
-    """Rows of curves (n, c) to draw: the first, the last, and each bucket's extremes; sorted."""
-    n, c = curves.shape
-    if n <= points:
-        return np.arange(n)
-    buckets = max(1, (points - 2) // (2 * max(c, 1)))
-    rows = {0, n - 1}
-    for part in np.array_split(np.arange(n), buckets):
-        values = curves[part]
-        rows.update(part[np.where(np.isnan(values), np.inf, values).argmin(axis=0)].tolist())
-        rows.update(part[np.where(np.isnan(values), -np.inf, values).argmax(axis=0)].tolist())
-    return np.array(sorted(rows))
+# Parts beside the curves that have axes of their own, and curves that need not keep their extremes.
+_OTHERS = ("autocorrelation", "quantiles", "histogram")
+_FOLLOW = ("t", "iteration", "lower", "upper", "of_outputs", "of_states")
 
 
 def thin_results(document: dict[str, Any], points: int) -> dict[str, Any]:
-    """A result document with at most about ``points`` rows in its trace and in each series."""
-    if "trace" in document:
-        trace = document["trace"]
-        _thin(trace, [trace["theta"]], points)
-    for name, curves in (
-        ("states", ("mean", "standard_deviation")),
-        ("simulation", ("y", "states")),
-    ):
-        for series in document.get(name, {}).get("series", []):
-            _thin(series, [series[curve] for curve in curves], points)
+    """A result document with at most about ``points`` rows in each of its curves."""
+    for holder in _holders(document):
+        _thin(holder, points)
     return document
 
 
-def _thin(holder: dict[str, Any], curves: list[dict[str, list[Any]]], points: int) -> None:
-    """Thin all lists of a document, chosen by the extremes of some of its curves."""
-    columns = [values for group in curves for values in group.values()]
-    if not columns:
+def _holders(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The parts of a document that hold curves over a common axis."""
+    if trace := document.get("trace"):
+        yield trace
+    for name in ("states", "simulation"):
+        yield from (document.get(name) or {}).get("series", [])
+    symptoms = list((document.get("examination") or {}).get("series", []))
+    if diagnosis := document.get("diagnosis"):
+        symptoms.append(diagnosis["symptoms"])
+        for part in (diagnosis["unnamed"], diagnosis["gain"]):
+            if part and part.get("curves"):
+                yield part["curves"]
+    for one in symptoms:
+        for part in (one.get("free_run"), one.get("one_step")):
+            if part and part.get("curves"):
+                yield part["curves"]
+        if one.get("residuals"):
+            yield one["residuals"]
+
+
+def _thin(holder: dict[str, Any], points: int) -> None:
+    """Thin all curves of a holder, in rows chosen by the extremes of those that matter."""
+    n = len(holder.get("t") or holder.get("iteration") or ())
+    if n <= points:
         return
-    rows = keep(np.array(columns, dtype=float).T, points).tolist()
-    for key, value in holder.items():
-        if isinstance(value, list):
-            holder[key] = [value[i] for i in rows]
-        elif isinstance(value, dict):
-            holder[key] = {name: [values[i] for i in rows] for name, values in value.items()}
+    curves = {key: value for key, value in holder.items() if key not in _OTHERS}
+    chosen = [value for key, value in curves.items() if key not in _FOLLOW]
+    columns = np.array([c for value in chosen for c in _lists(value)], dtype=float)
+    rows = keep(columns.T, points).tolist()
+
+    def few(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: few(part) for name, part in value.items()}
+        return [value[i] for i in rows] if isinstance(value, list) else value
+
+    holder.update({key: few(value) for key, value in curves.items()})
+
+
+def _lists(value: Any) -> list[list[Any]]:
+    """The curves of a part: itself, or those by name."""
+    if isinstance(value, dict):
+        return [curve for part in value.values() for curve in _lists(part)]
+    return [value] if isinstance(value, list) else []

@@ -9,8 +9,8 @@ from typing import Any
 
 from engine.report.chart import Chart, Trace
 from engine.report.html import Html, bullets, table
-from engine.report.parts import Document, Drawer, grid, label
-from engine.words import number, percent, probability, tidy, with_unit
+from engine.report.parts import Document, Drawer, grid, label, measured, pretty
+from engine.words import number, percent, probability
 
 TIME = "time [s]"
 WHAT = {"free_run": "Free-run simulation", "one_step": "One-step prediction"}
@@ -78,8 +78,8 @@ def fits(symptoms: Document) -> Html:
             rows.append(
                 (
                     f"{name} of {f['output']}",
-                    with_unit(f["rmse"], f["unit"]),
-                    with_unit(f["expected_rmse"], f["unit"]) if f["expected_rmse"] else "",
+                    measured(f["rmse"], f["unit"]),
+                    measured(f["expected_rmse"], f["unit"]) if f["expected_rmse"] else "",
                     f"{number(f['fit'])} %",
                     percent(f["inside"]) if f["inside"] is not None else "",
                 )
@@ -102,7 +102,7 @@ def where_it_is(symptoms: Document, units: Document, draw: Drawer) -> Html:
                 figures.append(draw(_spectrum(WHAT[what], output, bands)))
             else:
                 figures.append(draw(_by_bands(WHAT[what], output, units[output], signal, bands)))
-    return grid(figures)
+    return grid(figures, small=True)
 
 
 def _by_signal(
@@ -119,7 +119,7 @@ def _by_bands(what: str, output: str, unit: str, signal: str, bands: list[dict[s
     return Chart(
         f"{what}: mean error of {output} by {signal}",
         label(signal, bands[0]["unit"]),
-        f"error [{tidy(unit) or '1'}]",
+        f"error [{pretty(unit) or '1'}]",
         middle,
         (
             Trace(

@@ -25,11 +25,13 @@ from engine.report.parts import (
     facts,
     grid,
     label,
+    measured,
     plus_minus,
+    pretty,
     section,
 )
 from engine.report.svg import hbars
-from engine.words import listed, number, percent, probability, tidy, with_unit
+from engine.words import listed, number, percent, probability
 
 TONE = {"nothing": "good", "named": "accent", "set": "warn", "unknown": "warn"}
 SHOWN = 12  # candidates in a picture
@@ -127,9 +129,9 @@ def _wrong_at_a_glance(symptoms: Document) -> Html:
         return Html("The free-running simulation runs away.")
     parts = []
     for f in run["fits"]:
-        big = tag("b", with_unit(f["rmse"], f["unit"]))
+        big = tag("b", measured(f["rmse"], f["unit"]))
         expected = f["expected_rmse"]
-        more = f", where {with_unit(expected, f['unit'])} is expected" if expected else ""
+        more = f", where {measured(expected, f['unit'])} is expected" if expected else ""
         parts.append(tag("p", f"Simulated {f['output']} is ", big, f" rms off the data{more}."))
     if run["regions"]:
         parts.append(tag("p", f"Most telling: {_place(run['regions'][0])}.", class_="hint"))
@@ -137,7 +139,7 @@ def _wrong_at_a_glance(symptoms: Document) -> Html:
 
 
 def _place(region: Document) -> str:
-    low, high = (with_unit(region[k], region["unit"]) for k in ("low", "high"))
+    low, high = (measured(region[k], region["unit"]) for k in ("low", "high"))
     name = region["signal"]
     if region["lowest"]:
         where = f"{name} below {high}"
@@ -174,8 +176,8 @@ def _gain_at_a_glance(gain: Document | None) -> Html:
         return tag("p", "Nothing was added, so nothing is gained or lost.")
     parts = []
     for o in gain["outputs"]:
-        before, after = (with_unit(o[k], o["unit"]) for k in ("rmse_before", "rmse_after"))
-        big = tag("b", f"{before} → {after}")
+        after = measured(o["rmse_after"], o["unit"])
+        big = tag("b", f"{number(o['rmse_before'])} → {after}")
         parts.append(tag("p", f"Error of simulated {o['output']} on held-out data: ", big))
     if not parts:
         parts.append(tag("p", f"Log-density on held-out data: {_signed(gain['log_density'])}"))
@@ -342,7 +344,7 @@ def _parameters(d: Document) -> Html:
         row.append(plus_minus(before[name], d["base_standard_errors"].get(name)) if known else "")
         if d["causes"]:
             row.append(plus_minus(value, extension["standard_errors"].get(name)))
-        rows.append([*row, tidy(extension["units"][name])])
+        rows.append([*row, pretty(extension["units"][name])])
     head = (
         ["parameter", "before", "after", "unit"]
         if d["causes"]
@@ -378,8 +380,8 @@ def _gain(d: Document, units: Document, draw: Drawer) -> list[object]:
         rows.append(
             (
                 f"free run of {o['output']}",
-                with_unit(o["rmse_before"], o["unit"]),
-                with_unit(o["rmse_after"], o["unit"]),
+                measured(o["rmse_before"], o["unit"]),
+                measured(o["rmse_after"], o["unit"]),
                 f"{number(o['difference'])} ({low} to {high})",
                 f"{number(o['fit_before'])} % → {number(o['fit_after'])} %",
             )
@@ -482,7 +484,7 @@ def _testable(d: Document) -> list[object]:
         (
             tag("code", x["effect"]),
             x["title"],
-            with_unit(x["smallest"], x["unit"]),
+            measured(x["smallest"], x["unit"]),
             percent(x["rho"]),
         )
         for x in d["detectable"]

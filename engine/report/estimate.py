@@ -24,9 +24,10 @@ from engine.report.parts import (
     facts,
     grid,
     label,
+    pretty,
     section,
 )
-from engine.words import number, tidy
+from engine.words import number
 
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
 
@@ -127,7 +128,7 @@ def estimates(document: Document) -> Html:
                 number(found["value"], 5),
                 "held" if fixed else (number(error, 2) if error is not None else "not known"),
                 "" if low is None else f"{number(low, 4)} to {number(high, 4)}",
-                tidy(found["unit"]),
+                pretty(found["unit"]),
                 number(start.get(name), 4) if name in start else "",
             )
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -9,7 +10,7 @@ from typing import Any, Protocol
 from engine.report.chart import Chart
 from engine.report.html import Html, join, tag
 from engine.report.svg import svg_element
-from engine.words import number, tidy, with_unit
+from engine.words import number, tidy
 
 Document = Mapping[str, Any]
 
@@ -65,22 +66,46 @@ def section(id_: str, title: str, *parts: object) -> list[Section]:
     return [Section(id_, title, body)] if body else []
 
 
-def grid(figures: Iterable[Html]) -> Html:
-    """Figures side by side where there is room."""
+def grid(figures: Iterable[Html], small: bool = False) -> Html:
+    """Figures side by side where there is room; small ones three in a row."""
     shown = [figure for figure in figures if figure]
-    return tag("div", *shown, class_="figures") if shown else Html("")
+    class_ = "figures small" if small else "figures"
+    return tag("div", *shown, class_=class_) if shown else Html("")
+
+
+SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+def pretty(unit: str) -> str:
+    """A unit as it is printed: ``1e8 m^3`` becomes ``10⁸ m³``, ``N*s/m`` becomes ``N s/m``."""
+    text = re.sub(r"\b1e(-?\d+)", lambda m: "10" + m[1].translate(SUPERSCRIPT), tidy(unit))
+    text = re.sub(r"\^\(?(-?\d+)\)?", lambda m: m[1].translate(SUPERSCRIPT), text)
+    return text.replace("*", " ")
 
 
 def label(name: str, unit: str) -> str:
     """``level [V]``."""
-    return f"{name} [{tidy(unit)}]" if tidy(unit) else name
+    return f"{name} [{pretty(unit)}]" if tidy(unit) else name
+
+
+def measured(value: float | None, unit: str, digits: int = 3) -> str:
+    """``256 × 10⁸ m³``."""
+    return f"{number(value, digits)} {_times(unit)}{pretty(unit)}".strip()
 
 
 def plus_minus(value: float | None, error: float | None, unit: str = "") -> str:
-    """``0.52 ± 0.03 N``."""
+    """``0.52 ± 0.03 N``, ``(256 ± 12) × 10⁸ m³``."""
     if error is None:
-        return with_unit(value, unit, 4)
-    return f"{number(value, 4)} ± {with_unit(error, unit, 2)}"
+        return measured(value, unit, 4)
+    both = f"{number(value, 4)} ± {number(error, 2)}"
+    if _times(unit):
+        both = f"({both})"
+    return f"{both} {_times(unit)}{pretty(unit)}".strip()
+
+
+def _times(unit: str) -> str:
+    """What stands between a number and a unit that begins with a number itself."""
+    return "× " if re.match(r"\d", tidy(unit)) else ""
 
 
 def facts(items: Iterable[tuple[str, object]]) -> Html:

@@ -59,6 +59,8 @@ table.numbers td:last-child { padding-right: 0; }
 details { margin: .5rem 0; } summary { cursor: pointer; color: var(--accent); }
 .figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 440px), 1fr));
   gap: 1rem 1.6rem; margin: .8rem 0; }
+.figures.small { grid-template-columns: repeat(auto-fit, minmax(min(100%, 300px), 1fr)); }
+.figures.small figcaption { font-size: .87rem; } .figures.small text { font-size: 16px; }
 .figure { margin: 0; min-width: 0; break-inside: avoid; }
 .figure.wide { grid-column: 1 / -1; }
 .figure figcaption { font-weight: 600; font-size: .95rem; margin-bottom: .15rem; }
@@ -83,8 +85,12 @@ details { margin: .5rem 0; } summary { cursor: pointer; color: var(--accent); }
 .r-data { color: var(--chart-data); } .r-model { color: var(--chart-model); }
 .r-before { color: var(--chart-before); } .r-after { color: var(--chart-after); }
 .r-bad { color: var(--chart-bad); } .r-c4 { color: var(--chart-c4); }
+table.numbers td { white-space: nowrap; }
 .for-narrow { display: none; }
-@media (max-width: 700px) { .for-wide { display: none; } .for-narrow { display: block; } }
+@media (max-width: 700px) {
+  .for-wide { display: none; } .for-narrow { display: block; }
+  .chart-svg text { font-size: 16px; }
+}
 @media print { .answer, .figure, table { break-inside: avoid; } details > * { display: block; } }
 """
 

@@ -12,7 +12,7 @@ from engine.words import number
 
 NARROW, WIDE = 520, 1080  # widths drawn for: half a page or a phone, and a page
 HEIGHT, TALL = 250, 300
-LEFT, RIGHT, TOP, BOTTOM = 62, 12, 10, 46
+LEFT, RIGHT, TOP, BOTTOM = 62, 18, 10, 46
 PIXELS = 1.5  # curves are thinned to so many buckets per unit of width
 
 
@@ -39,9 +39,15 @@ class Axis:
             first, last = math.ceil(math.log10(self.low)), math.floor(math.log10(self.high))
             every = max(1, math.ceil((last - first + 1) / wanted))
             powers = [10.0**k for k in range(first, last + 1, every)]
-            if len(powers) >= 2:
-                return powers
-            return [self.low, self.high]
+            between = [m * 10.0**k for k in range(first - 1, last + 1) for m in (1.0, 2.0, 5.0)]
+            inside = [v for v in between if self.low <= v <= self.high]
+            return (
+                powers
+                if len(powers) >= 3
+                else inside
+                if len(inside) >= 2
+                else [self.low, self.high]
+            )
         raw = (self.high - self.low) / max(wanted, 1)
         unit = 10.0 ** math.floor(math.log10(raw))
         step = unit * next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * unit >= raw * 0.999)
