@@ -1,6 +1,6 @@
 """The models that come with the engine, one per file."""
 
-from engine.models import linear_2, local_level, mixed_4, oscillator, servo, tanks
+from engine.models import linear_2, local_level, mixed_4, oscillator, servo, structure, tanks
 
 SHIPPED = (
     linear_2.MODEL,
@@ -8,5 +8,6 @@ SHIPPED = (
     local_level.MODEL,
     oscillator.MODEL,
     servo.MODEL,
+    structure.MODEL,
     tanks.MODEL,
 )

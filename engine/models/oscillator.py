@@ -8,63 +8,38 @@ whatever dt is (van Loan), so Q_az != 0. ``gain`` is the position per input at r
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from engine.discretize import discretize
 from engine.model import Array, Gaussian, MixedModel, Parameter
+from engine.models.linear_core import LinearCore
 
 C = np.zeros((1, 1))
 Z1 = np.zeros(1)
 
 
-def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-    """One step of the exact discretisation."""
-    omega, zeta, gain, sigma, _ = theta
-    A, B, Q = linear_core(omega, zeta, sigma, dt)
-    x, push = a[:, 0], gain * u[0]
-    f = [A[..., 0, 0] * x + B[..., 0, 0] * push, A[..., 1, 0] * x + B[..., 1, 0] * push]
-    return f, A[..., 1:], Q
-
-
-def linear_core(omega: Any, zeta: Any, sigma: Any, dt: Any) -> tuple[Array, ...]:
-    """A (2, 2), B (2, 1), Q (2, 2) of position and velocity, or (K, ., .) for K values."""
-    values = (omega, zeta, sigma, dt)
-    if all(np.ndim(value) == 0 for value in values):
-        return _core(*(float(f"{value:.12g}") for value in values))
-    rows = np.stack(np.broadcast_arrays(*values), axis=1).astype(float)
-    return _cores(rows.tobytes())
-
-
-@lru_cache(maxsize=4096)
-def _core(*values: float) -> tuple[Array, ...]:
-    return _discretized(np.array(values))
-
-
-@lru_cache(maxsize=16)
-def _cores(data: bytes) -> tuple[Array, ...]:
-    """The same for rows (K, 4), each distinct one once."""
-    rows = np.frombuffer(data).reshape(-1, 4)
-    distinct, which = np.unique(rows, axis=0, return_inverse=True)
-    matrices = _discretized(distinct)
-    which = which.ravel()
-    return tuple(matrix[0] if len(distinct) == 1 else matrix[which] for matrix in matrices)
-
-
-def _discretized(values: Array) -> tuple[Array, ...]:
-    """A, B, Q for values (..., 4)."""
-    omega, zeta, sigma, dt = np.moveaxis(values, -1, 0)
-    F, G, Qc = (np.zeros((*dt.shape, 2, n)) for n in (2, 1, 2))
+def _build(values: Array) -> tuple[Array, Array, Array]:
+    """The continuous core in (x, x'); its input is a position at rest."""
+    omega, zeta, sigma, _ = np.moveaxis(values, -1, 0)
+    F, G, Qc = (np.zeros((*omega.shape, 2, n)) for n in (2, 1, 2))
     F[..., 0, 1] = 1.0
     F[..., 1, 0], F[..., 1, 1] = -(omega**2), -2.0 * zeta * omega
     G[..., 1, 0] = omega**2
     Qc[..., 1, 1] = sigma**2
-    matrices = discretize(F, G, Qc, dt=dt)
-    for matrix in matrices:
-        matrix.setflags(write=False)  # they are shared between calls
-    return matrices
+    return F, G, Qc
+
+
+CORE = LinearCore(_build)
+
+
+def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+    """One step of the exact discretisation."""
+    omega, zeta, gain, sigma, _ = theta
+    A, B, Q = CORE(omega, zeta, sigma, dt)
+    x, push = a[:, 0], gain * u[0]
+    f = [A[..., 0, 0] * x + B[..., 0, 0] * push, A[..., 1, 0] * x + B[..., 1, 0] * push]
+    return f, A[..., 1:], Q
 
 
 def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:

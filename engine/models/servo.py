@@ -14,13 +14,12 @@ since x must stay linear in the load force d: against d a standing drive creeps 
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from engine.discretize import discretize
 from engine.model import Array, Gaussian, MixedModel, Parameter
+from engine.models.linear_core import LinearCore
 
 C = np.array([[1.0, 0.0]])
 START = Gaussian([0.0], [[0.01**2]])  # m/s: records begin near rest
@@ -28,10 +27,23 @@ Z1 = np.zeros(2)  # the load force departs from the offset, so it starts at zero
 P1 = np.diag([1.0, 0.0])  # m^2, N^2
 
 
+def _build(values: Array) -> tuple[Array, Array, Array]:
+    """The continuous core in (v, q, d), driven by a force."""
+    M, Fv, sigma_v, sigma_load, _ = np.moveaxis(values, -1, 0)
+    F, G, Qc = (np.zeros((*M.shape, 3, n)) for n in (3, 1, 3))
+    F[..., 0, 0], F[..., 0, 2], F[..., 1, 0] = -Fv / M, -1.0 / M, 1.0
+    G[..., 0, 0] = 1.0 / M
+    Qc[..., 0, 0], Qc[..., 2, 2] = sigma_v**2, sigma_load**2
+    return F, G, Qc
+
+
+CORE = LinearCore(_build)
+
+
 def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
     """Over one step: g = phi v + psi F / M, F = gtau u - offset, then friction, then d."""
     M, Fv, Fc, offset, gtau, sigma_v, sigma_load, _ = theta
-    core, drive, Q = linear_core(M, Fv, sigma_v, sigma_load, dt)
+    core, drive, Q = CORE(M, Fv, sigma_v, sigma_load, dt)
     phi, psi = core[..., 0, 0], core[..., 1, 0]
     push, shift = drive[..., 0, 0], drive[..., 1, 0]
     v = a[:, 0]
@@ -39,43 +51,6 @@ def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, A
     friction = np.clip((phi * v + push * force) / push, -Fc, Fc)
     f = [phi * v + push * (force - friction), psi * v + shift * (force - friction), 0.0]
     return f, core[..., 1:], Q
-
-
-def linear_core(M: Any, Fv: Any, sigma_v: Any, sigma_load: Any, dt: Any) -> tuple[Array, ...]:
-    """A (3, 3), B (3, 1), Q (3, 3) of (v, q, d) driven by a force, or (K, ., .) for K values."""
-    values = (M, Fv, sigma_v, sigma_load, dt)
-    if all(np.ndim(value) == 0 for value in values):
-        return _core(*(float(f"{value:.12g}") for value in values))
-    rows = np.stack(np.broadcast_arrays(*values), axis=1).astype(float)
-    return _cores(rows.tobytes())
-
-
-@lru_cache(maxsize=4096)
-def _core(*values: float) -> tuple[Array, ...]:
-    return _discretized(np.array(values))
-
-
-@lru_cache(maxsize=16)
-def _cores(data: bytes) -> tuple[Array, ...]:
-    """The same for rows (K, 5) of (M, Fv, sigma_v, sigma_load, dt), each distinct one once."""
-    rows = np.frombuffer(data).reshape(-1, 5)
-    distinct: dict[tuple[float, ...], int] = {}
-    which = [distinct.setdefault(tuple(row), len(distinct)) for row in rows.tolist()]
-    matrices = _discretized(np.array(list(distinct)))
-    return tuple(matrix[0] if len(distinct) == 1 else matrix[which] for matrix in matrices)
-
-
-def _discretized(values: Array) -> tuple[Array, ...]:
-    """A, B, Q for values (..., 5)."""
-    M, Fv, sigma_v, sigma_load, dt = np.moveaxis(values, -1, 0)
-    F, G, Qc = np.zeros((*dt.shape, 3, 3)), np.zeros((*dt.shape, 3, 1)), np.zeros((*dt.shape, 3, 3))
-    F[..., 0, 0], F[..., 0, 2], F[..., 1, 0] = -Fv / M, -1.0 / M, 1.0
-    G[..., 0, 0] = 1.0 / M
-    Qc[..., 0, 0], Qc[..., 2, 2] = sigma_v**2, sigma_load**2
-    matrices = discretize(F, G, Qc, dt=dt)
-    for matrix in matrices:
-        matrix.setflags(write=False)  # they are shared between calls
-    return matrices
 
 
 def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
