@@ -22,7 +22,8 @@ class Series:
 
     ``Series(y, u, dt=0.01)`` is regularly sampled; ``Series(y, u, t=times)`` has a time stamp
     per row. NaN in y is a missing value: a whole row or a single channel. A one-dimensional y
-    or u is one channel. Raises SeriesError naming the row and the channel.
+    or u is one channel. ``extra`` (T, n) are channels that were recorded but that the model does not
+    use; a diagnosis asks whether they matter. Raises SeriesError naming the row and the channel.
     """
 
     y: Array
@@ -30,6 +31,8 @@ class Series:
     t: Array
     y_names: tuple[str, ...]
     u_names: tuple[str, ...]
+    extra: Array
+    extra_names: tuple[str, ...]
 
     def __init__(
         self,
@@ -39,31 +42,43 @@ class Series:
         t: ArrayLike | None = None,
         y_names: Sequence[str] | None = None,
         u_names: Sequence[str] | None = None,
+        extra: ArrayLike | None = None,
+        extra_names: Sequence[str] | None = None,
     ) -> None:
         y_ = _columns(y, "y")
         T = y_.shape[0]
         u_ = np.zeros((T, 0)) if u is None else _columns(u, "u")
+        extra_ = np.zeros((T, 0)) if extra is None else _columns(extra, "extra")
         if T < 2:
             raise SeriesError(f"y has {T} samples; at least 2 are needed")
-        if u_.shape[0] != T:
-            raise SeriesError(f"u has {u_.shape[0]} rows and y has {T}; they must be equal")
+        for name, values in (("u", u_), ("extra", extra_)):
+            if values.shape[0] != T:
+                raise SeriesError(
+                    f"{name} has {values.shape[0]} rows and y has {T}; they must be equal"
+                )
         set_ = object.__setattr__
         set_(self, "y_names", _names(y_names, y_.shape[1], "y"))
         set_(self, "u_names", _names(u_names, u_.shape[1], "u"))
+        set_(self, "extra_names", _names(extra_names, extra_.shape[1], "extra"))
         for row, column in np.argwhere(np.isinf(y_))[:1]:
             raise SeriesError(
                 f"y is infinite at row {row}, channel '{self.y_names[column]}'; "
                 "use NaN for a missing value"
             )
-        for row, column in np.argwhere(~np.isfinite(u_))[:1]:
-            raise SeriesError(
-                f"u is not finite at row {row}, channel '{self.u_names[column]}'; "
-                "an input must be known at every sample"
-            )
+        for name, values, names in (
+            ("u", u_, self.u_names),
+            ("extra", extra_, self.extra_names),
+        ):
+            for row, column in np.argwhere(~np.isfinite(values))[:1]:
+                raise SeriesError(
+                    f"{name} is not finite at row {row}, channel '{names[column]}'; "
+                    "an input must be known at every sample"
+                )
         set_(self, "y", y_)
         set_(self, "u", u_)
+        set_(self, "extra", extra_)
         set_(self, "t", _times(t, dt, T))
-        for array in (self.y, self.u, self.t):
+        for array in (self.y, self.u, self.extra, self.t):
             array.setflags(write=False)
 
     def __len__(self) -> int:
@@ -93,13 +108,37 @@ class Series:
             t=self.t[start:stop],
             y_names=self.y_names,
             u_names=self.u_names,
+            extra=self.extra[start:stop],
+            extra_names=self.extra_names,
         )
 
     def masked(self, rows: ArrayLike) -> Series:
         """The same series with the measurements of ``rows`` (mask or indices) missing."""
         y = self.y.copy()
         y[rows] = np.nan  # type: ignore[index]
-        return Series(y, self.u, t=self.t, y_names=self.y_names, u_names=self.u_names)
+        return Series(
+            y,
+            self.u,
+            t=self.t,
+            y_names=self.y_names,
+            u_names=self.u_names,
+            extra=self.extra,
+            extra_names=self.extra_names,
+        )
+
+    def with_extra_inputs(self) -> Series:
+        """The same series with its extra channels as further inputs too, behind its own."""
+        if not self.extra_names:
+            return self
+        return Series(
+            self.y,
+            np.hstack([self.u, self.extra]),
+            t=self.t,
+            y_names=self.y_names,
+            u_names=(*self.u_names, *self.extra_names),
+            extra=self.extra,
+            extra_names=self.extra_names,
+        )
 
     def check(self, model: BaseModel) -> Series:
         """Return self if its widths fit the model, else raise SeriesError."""

@@ -176,7 +176,7 @@ def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:
             t=one.t,
             y_names=tuple(model.outputs),
             u_names=tuple(model.inputs),
-            **({} if one.dt is None else {"dt": one.dt}),
+            dt=1.0 if one.dt is None else one.dt,
         ).check(model)
 
 

@@ -90,18 +90,19 @@ def effect_columns(
     one with such states needs filters of its own.
     """
     extended = effect.apply(model)
-    static = extended.nx == model.nx
-    out = []
-    for probe in effect.probes:
-        at = np.concatenate([theta, [0.0], probe])
-        column: Column | None
-        if static:
-            column = static_column(effect, extended, at, len(theta), model, series, path)
-        else:
-            column = _dynamic_column(effect, extended, at, len(theta), series)
-        if column is not None and np.isfinite(column.s).all() and np.isfinite(column.v).all():
-            out.append((probe, column))
-    return out
+    at = np.array([np.concatenate([theta, [0.0], probe]) for probe in effect.probes])
+    columns: Sequence[Column | None]
+    if extended.nx == model.nx:
+        columns = [
+            static_column(effect, extended, row, len(theta), model, series, path) for row in at
+        ]
+    else:
+        columns = _dynamic_columns(effect, extended, at, len(theta), series)
+    return [
+        (probe, column)
+        for probe, column in zip(effect.probes, columns, strict=True)
+        if column is not None and np.isfinite(column.s).all() and np.isfinite(column.v).all()
+    ]
 
 
 def static_column(
@@ -180,38 +181,55 @@ def _rows(matrix: Array, n: int, S: int) -> Array:
     return np.ascontiguousarray(np.broadcast_to(matrix, (n, S, *shape))).reshape(n * S, *shape)
 
 
-def _dynamic_column(
+def _dynamic_columns(
     effect: Effect, extended: MixedModel, at: Array, k: int, series: Series
-) -> Column | None:
-    step = _step(extended, at, k, series)
-    if step is None:
-        return None
-    thetas = np.repeat(at[None], 3, axis=0)
-    thetas[1, k] = 0.0 if effect.one_sided else -step
-    thetas[2, k] = step
+) -> list[Column | None]:
+    """One column for each row of ``at`` (n, n_theta), from one pass of the filter for all of them."""
+    steps = _steps(extended, at, k, series)
+    use = np.flatnonzero(np.isfinite(steps))
+    columns: list[Column | None] = [None] * len(at)
+    if not use.size:
+        return columns
+    thetas = np.repeat(at[use], 3, axis=0)
+    thetas[1::3, k] = 0.0 if effect.one_sided else -steps[use]
+    thetas[2::3, k] = steps[use]
     filtered = moment_filter(extended, thetas, series)
-    pair = (1, 2, step if effect.one_sided else 2.0 * step)
-    return innovation_columns(filtered, series.observed, [pair])[0]
+    reach = 1.0 if effect.one_sided else 2.0
+    for n, i in enumerate(use):
+        own = MomentFiltered(*(x[:, 3 * n : 3 * n + 3] for x in _arrays(filtered)))
+        columns[i] = innovation_columns(own, series.observed, [(1, 2, reach * float(steps[i]))])[0]
+    return columns
 
 
-def _step(extended: MixedModel, at: Array, k: int, series: Series) -> float | None:
-    """A size of about REACH standard errors, found on the first part of the series."""
+def _arrays(filtered: MomentFiltered) -> tuple[Array, Array, Array]:
+    return filtered.innovations, filtered.S, filtered.log_terms
+
+
+def _steps(extended: MixedModel, at: Array, k: int, series: Series) -> Array:
+    """Sizes (n,) of about REACH standard errors, found on the first part of the series; NaN for none."""
     part = series if len(series) <= 100 else series.part(0, 100)
-    step = 1e-3 * max(min(float(extended.upper[k]), 1.0), 1e-300)
+    longer = np.sqrt(len(series) / len(part))
+    steps = np.full(len(at), 1e-3 * max(min(float(extended.upper[k]), 1.0), 1e-300))
+    open_, found = np.ones(len(at), dtype=bool), np.full(len(at), np.nan)
     for _ in range(12):
-        thetas = np.repeat(at[None], 2, axis=0)
-        thetas[1, k] = step
-        filtered = moment_filter(extended, thetas, part)
-        column = innovation_columns(filtered, part.observed, [(0, 1, 1.0)])[0]
-        reach = float(np.linalg.norm(column.v)) * np.sqrt(len(series) / len(part))
-        if not np.isfinite(reach):
-            step *= 1e-2
-        elif reach == 0.0:
-            step *= 1e2
-        elif 0.3 * REACH <= reach <= 3.0 * REACH:
-            return step
-        else:
-            step *= min(max(REACH / reach, 1e-4), 1e4)
-        if not 1e-250 < step < 1e250:
+        rows = np.flatnonzero(open_)
+        if not rows.size:
             break
-    return None
+        thetas = np.repeat(at[rows], 2, axis=0)
+        thetas[1::2, k] = steps[rows]
+        filtered = moment_filter(extended, thetas, part)
+        for n, i in enumerate(rows):
+            own = MomentFiltered(*(x[:, 2 * n : 2 * n + 2] for x in _arrays(filtered)))
+            column = innovation_columns(own, part.observed, [(0, 1, 1.0)])[0]
+            reach = float(np.linalg.norm(column.v)) * longer
+            if not np.isfinite(reach):
+                steps[i] *= 1e-2
+            elif reach == 0.0:
+                steps[i] *= 1e2
+            elif 0.3 * REACH <= reach <= 3.0 * REACH:
+                found[i], open_[i] = steps[i], False
+            else:
+                steps[i] *= min(max(REACH / reach, 1e-4), 1e4)
+            if not 1e-250 < steps[i] < 1e250:
+                open_[i] = False
+    return found

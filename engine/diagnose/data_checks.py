@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.diagnose.lattice import VISIBLE, lattice_step, sample_noise
 from engine.model import Array, MixedModel
 from engine.series import Series
 from engine.words import listed, number, percent, with_unit
@@ -124,21 +125,10 @@ def _stuck(name: str, unit: str, y: Array) -> list[str]:
 
 def _lattice(name: str, unit: str, values: Array) -> list[str]:
     """Readings on a lattice whose step is not small beside the noise."""
+    step, noise = lattice_step(values), sample_noise(values)
+    if step is None or step < VISIBLE * noise:
+        return []
     levels = np.unique(values)
-    if len(levels) > 0.5 * len(values) or len(levels) < 3:
-        return []
-    gaps = np.diff(levels)
-    step = float(gaps.min())
-    span = float(levels[-1] - levels[0])
-    if step <= 1e-9 * span:
-        return []
-    step = float(np.median(gaps / np.round(gaps / step)))
-    multiples = gaps / step
-    if np.abs(multiples - np.round(multiples)).max() > 0.02 * max(1.0, float(multiples.max())):
-        return []
-    noise = float(np.std(np.diff(values, 2)) / np.sqrt(6.0))
-    if step < 0.5 * noise:
-        return []
     rounding = step / np.sqrt(12.0)
     return [
         f"Readings of {name} come in steps of {with_unit(step, unit)} ({len(levels)} levels): rounding adds "

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effect import Effect, Split, change_inputs, identifier
+from engine.diagnose.effect import (
+    Effect,
+    Split,
+    add_to_state,
+    change_inputs,
+    identifier,
+    on_base,
+)
+from engine.diagnose.measurement import sensor_delay
 from engine.diagnose.more_states import add_memory
-from engine.diagnose.setting import Kind, Setting, each_input
+from engine.diagnose.setting import Kind, Setting, each_input, each_output
+from engine.diagnose.spare_inputs import UNIT, with_inputs
 from engine.model import Array, MixedModel, Parameter
 
 
@@ -78,9 +88,12 @@ def _input_saturation(setting: Setting, channel: str) -> Effect | None:
 
 
 def _delay(setting: Setting, channel: str) -> Effect | None:
-    """A share of the input arrives one sample late; the last input is a state without noise."""
+    """A share of the input arrives one sample late; the last input is a state without noise.
+
+    At an output it is the sensor's delay.
+    """
     if channel not in setting.model.inputs:
-        return None
+        return sensor_delay(setting, channel)
     name = identifier("delay", channel)
 
     def extend(model: MixedModel) -> MixedModel:
@@ -114,13 +127,104 @@ def _delay(setting: Setting, channel: str) -> Effect | None:
         f"{channel} -> (1 - {name}) {channel}_t + {name} {channel}_(t-1)",
         (Parameter(name, 0.0, "1", (-1.0, 2.0), "delay in samples"),),
         extend,
-        look_alikes={"lag": "delays the reading, not the input"},
+        look_alikes={
+            "lag": "delays the reading, not the input",
+            "hold": "looks half a sample ahead, not back",
+        },
     )
+
+
+def _hold(setting: Setting, channel: str) -> Effect | None:
+    """The input goes on between its samples: the step is driven by u_t + size (u_(t+1) - u_t) / 2.
+
+    With g the gain of an input held over the step, x_(t+1) = F(x_t, u_t) + size g (u_(t+1) - u_t) / 2. The
+    states of the extended model are x_t - size g u_t / 2, which needs no input of the next sample.
+    The input must add to the state equation; g may depend on a slowly.
+    """
+    if channel not in setting.model.inputs:
+        return None
+    name, scale = identifier("hold", channel), setting.size(channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        index, na = list(model.inputs).index(channel), model.na
+
+        def ahead(a: Array, u: Any, t: Any, record: Any, own: Any) -> Array:
+            """size g u_t / 2, (M, nx)."""
+            more = list(u)
+            more[index] = u[index] + scale
+            held = model.transition(a, u, t, own[1], record)[0]
+            g = (model.transition(a, more, t, own[1], record)[0] - held) / scale
+            return g * np.reshape(0.5 * own[0] * u[index], (-1, 1))
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            record, own = split(theta)
+            shift = ahead(a, u, t, record, own)
+            f, A, Q = model.transition(a + shift[:, :na], u, t, dt, record)
+            return f + np.einsum("...ij,...j->...i", A, shift[:, na:]) - shift, A, Q
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            record, own = split(theta)
+            shift = ahead(a, u, t, record, own)
+            h, C, R = model.observation(a + shift[:, :na], u, t, record)
+            return h + np.einsum("...ij,...j->...i", C, shift[:, na:]), C, R
+
+        return on_base(model, split, dynamics=dynamics, measurement=measurement)
+
+    return Effect(
+        "hold",
+        channel,
+        "input",
+        f"input {channel} that changes between its samples",
+        f"{channel}_t -> {channel}_t + {name} ({channel}_(t+1) - {channel}_t) / 2",
+        (
+            Parameter(name, 0.0, "1", (-1.0, 2.0), "0: held, 1: linear between samples"),
+            Parameter(f"{name}_step", setting.dt, "s", (1e-300, np.inf), "time between samples"),
+        ),
+        extend,
+        probes=((setting.dt,),),
+        look_alikes={"delay": "looks back, not ahead"},
+        held=(f"{name}_step",),
+    )
+
+
+def _extra_input(setting: Setting, channel: str) -> Effect | None:
+    """``channel->state``: a recorded channel that the model does not use drives a state."""
+    source, _, target = channel.partition("->")
+    taken = {**setting.states, **setting.model.outputs}
+    if target not in setting.states or not source or source in taken:
+        return None
+    name = identifier("extra_input", source, target)
+
+    def extend(model: MixedModel) -> MixedModel:
+        if source not in model.inputs:
+            model = with_inputs(model, [source])
+        return add_to_state(model, target, lambda v, own: own[0] * v[source])
+
+    unit = setting.model.inputs.get(source, UNIT)
+    return Effect(
+        "extra-input",
+        channel,
+        "input",
+        f"the channel {source}, which the model leaves out, drives {target}",
+        f"{target}' = ... + dt * {name} * {source}",
+        (Parameter(name, 0.0, setting.rate(target, unit), description="rate per unit"),),
+        extend,
+        look_alikes={"force": "is constant", "latent": "does not follow the channel"},
+    )
+
+
+def _each_extra(setting: Setting) -> Iterator[str]:
+    for source in setting.extra:
+        for target in setting.states:
+            yield f"{source}->{target}"
 
 
 KINDS: list[Kind] = [
     ("input-offset", input_offset, each_input),
     ("input-deadzone", _input_dead_zone, each_input),
     ("input-saturation", _input_saturation, each_input),
-    ("delay", _delay, each_input),
+    ("delay", _delay, lambda s: iter([*each_input(s), *each_output(s)])),
+    ("hold", _hold, each_input),
+    ("extra-input", _extra_input, _each_extra),
 ]

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effect import Effect, Split, add_to_output, identifier, on_base, per_point
-from engine.diagnose.more_states import add_linear_state
+from engine.diagnose.more_states import add_linear_states, beside
 from engine.diagnose.setting import Kind, Maker, Setting, each_output
 from engine.model import Array, MixedModel, Parameter
 from engine.promote import promote
+
+LONGEST_DELAY = 4  # samples
 
 
 def _observers(model: MixedModel, output: str) -> list[str]:
@@ -163,46 +165,6 @@ def _lag(setting: Setting, channel: str) -> Effect | None:
     if channel not in setting.model.outputs:
         return None
     name = identifier("lag", channel)
-
-    def extend(model: MixedModel) -> MixedModel:
-        split = Split(model)
-        row, nx = list(model.outputs).index(channel), model.nx
-
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, _ = split(theta)
-            f, A, Q = model.transition(a, u, t, dt, own_base)
-            h, C, _ = model.observation(a, u, t, own_base)
-            if A.ndim != C.ndim:
-                A = A if A.ndim == 3 else np.repeat(A[None], len(a), axis=0)
-                C = C if C.ndim == 3 else np.repeat(C[None], len(a), axis=0)
-            f = np.concatenate([f, h[:, row : row + 1]], axis=1)
-            A = np.concatenate([A, C[..., row : row + 1, :]], axis=-2)
-            A = np.concatenate([A, np.zeros((*A.shape[:-1], 1))], axis=-1)
-            Q_all = np.zeros((*Q.shape[:-2], nx + 1, nx + 1))
-            Q_all[..., :nx, :nx] = Q
-            return f, A, Q_all
-
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            h, C, R = model.observation(a, u, t, own_base)
-            h = h.copy()
-            C = np.concatenate([C, np.zeros((*C.shape[:-1], 1))], axis=-1)
-            C = per_point(C, len(a), own[0])
-            share = own[0]
-            h[:, row] *= 1.0 - share
-            C[..., row, :] *= 1.0 - np.reshape(share, (-1, 1)) if np.ndim(share) else 1.0 - share
-            C[..., row, -1] = share
-            return h, C, R
-
-        return add_linear_state(
-            model,
-            split,
-            f"last_{channel}",
-            setting.unit(channel),
-            dynamics,
-            measurement=measurement,
-        )
-
     return Effect(
         "lag",
         channel,
@@ -210,9 +172,82 @@ def _lag(setting: Setting, channel: str) -> Effect | None:
         f"lag of the sensor {channel}",
         f"{channel} = (1 - {name}) y_t + {name} y_(t-1)",
         (Parameter(name, 0.0, "1", (-1.0, 1.0), "share that comes one sample late"),),
-        extend,
-        look_alikes={"delay": "delays the input, not the reading", "colored": "is not driven by y"},
+        lambda model: _late(model, setting, channel, 1, lambda own: [own[0]]),
+        look_alikes={
+            "delay": "delays the input, or the reading by several samples",
+            "colored": "is not driven by y",
+        },
     )
+
+
+def sensor_delay(setting: Setting, channel: str) -> Effect | None:
+    """A share of the reading comes several samples late; all of it where the size is one."""
+    if channel not in setting.model.outputs:
+        return None
+    name = identifier("delay", channel)
+
+    def weights(own: Any) -> list[Any]:
+        # held at a whole number, where one weight is the size; linear in between
+        return [
+            own[0] * np.maximum(1.0 - np.abs(own[1] - k), 0.0) for k in range(1, LONGEST_DELAY + 1)
+        ]
+
+    return Effect(
+        "delay",
+        channel,
+        "measurement",
+        f"delay of the sensor {channel}",
+        f"{channel} = (1 - {name}) y_t + {name} y_(t-d),  d = {name}_samples",
+        (
+            Parameter(name, 0.0, "1", (-1.0, 1.5), "share that comes late"),
+            Parameter(f"{name}_samples", 2.0, "samples", (1.0, float(LONGEST_DELAY)), "how late"),
+        ),
+        lambda model: _late(model, setting, channel, LONGEST_DELAY, weights),
+        probes=tuple((float(d),) for d in range(2, LONGEST_DELAY + 1)),
+        look_alikes={"lag": "is over after one sample", "pole": "changes the motion itself"},
+        held=(f"{name}_samples",),
+    )
+
+
+def _late(
+    model: MixedModel,
+    setting: Setting,
+    channel: str,
+    depth: int,
+    weights: Callable[[Any], list[Any]],
+) -> MixedModel:
+    """The reading (1 - sum w_k) y_t + sum w_k y_(t-k); the last ``depth`` values of y are states."""
+    split = Split(model)
+    row, nx, nz = list(model.outputs).index(channel), model.nx, model.nz
+    shift = np.eye(depth, k=-1)
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, _ = split(theta)
+        h, C, _ = model.observation(a, u, t, own_base)
+        f, A, Q = beside(model.transition(a, u, t, dt, own_base), len(a), shift.tolist(), 0.0)
+        f[:, nx] = h[:, row]
+        if C.ndim == 3 and A.ndim == 2:
+            A = np.repeat(A[None], len(a), axis=0)
+        A[..., nx, :nz] = C[..., row, :]
+        return f, A, Q
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        h, C, R = model.observation(a, u, t, own_base)
+        late = weights(own)
+        now = 1.0 - sum(late)
+        h = h.copy()
+        C = np.concatenate([C, np.zeros((*C.shape[:-1], depth))], axis=-1)
+        C = per_point(C, len(a), *late)
+        h[:, row] *= now
+        C[..., row, :] *= np.reshape(now, (-1, 1)) if np.ndim(now) else now
+        for k, weight in enumerate(late):
+            C[..., row, nz + k] = weight
+        return h, C, R
+
+    names = [f"last_{channel}", *(f"last_{channel}_{k}" for k in range(2, depth + 1))]
+    states = dict.fromkeys(names, setting.unit(channel))
+    return add_linear_states(model, split, states, dynamics, measurement=measurement)
 
 
 KINDS: list[Kind] = [

@@ -1,4 +1,4 @@
-"""Effects in the state equation that remember: a missing pole, hysteresis."""
+"""Effects in the state equation that remember: a missing pole or mode, hysteresis."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from engine.diagnose.effect import (
     Split,
     identifier,
 )
-from engine.diagnose.more_states import add_linear_state, add_memory
+from engine.diagnose.more_states import add_linear_states, add_memory, beside
 from engine.diagnose.setting import Kind, Setting, each_state, pair
 from engine.model import Array, MixedModel, Parameter
 from engine.promote import promote
@@ -38,20 +38,15 @@ def _pole(setting: Setting, channel: str) -> Effect | None:
             f, A, Q = base.transition(a, u, t, dt, own_base)
             M = len(a)
             keep = np.broadcast_to(np.exp(-dt / own[1]), (M,))
-            f_all = np.concatenate([f, np.zeros((M, 1))], axis=1)
-            A_all = np.zeros((M, nx + 1, base.nz + 1))
-            A_all[:, :nx, :-1] = A
-            A_all[:, nx, -1] = keep
-            A_all[:, row, -1] += dt * own[0]
+            f, A, Q = beside((f, A, Q), M, [[keep]], 0.0)
+            A[:, row, -1] += dt * own[0]
             if column < na:
-                f_all[:, nx] += (1.0 - keep) * a[:, column]
+                f[:, nx] += (1.0 - keep) * a[:, column]
             else:
-                A_all[:, nx, column - na] += 1.0 - keep
-            Q_all = np.zeros((*Q.shape[:-2], nx + 1, nx + 1))
-            Q_all[..., :nx, :nx] = Q
-            return f_all, A_all, Q_all
+                A[:, nx, column - na] += 1.0 - keep
+            return f, A, Q
 
-        return add_linear_state(base, split, f"lag_{source}", setting.unit(source), dynamics)
+        return add_linear_states(base, split, {f"lag_{source}": setting.unit(source)}, dynamics)
 
     return Effect(
         "pole",
@@ -71,6 +66,67 @@ def _pole(setting: Setting, channel: str) -> Effect | None:
         extend,
         probes=((5.0 * setting.dt,), (30.0 * setting.dt,)),
         look_alikes={"coupling": "acts without delay", "latent": "is not driven by the states"},
+    )
+
+
+def _mode(setting: Setting, channel: str) -> Effect | None:
+    """A resonance that a state excites and that acts back: q'' = w^2 (x - q) - 2 zeta w q'.
+
+    Discretised exactly for x held over the step; its second state is q' / w, in the unit of x.
+    """
+    found = pair(setting, channel)
+    if found is None:
+        return None
+    source, target = found
+    name, unit = identifier("mode", channel), setting.unit(source)
+    length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        na, nx = model.na, model.nx
+        states = [*model.nonlinear, *model.linear]
+        row, column = states.index(target), states.index(source)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            M = len(a)
+            omega, zeta = 2.0 * np.pi * own[1], own[2]
+            damped = np.sqrt(1.0 - zeta * zeta)
+            angle, fades = damped * omega * dt, np.exp(-zeta * omega * dt)
+            c, s = fades * np.cos(angle), fades * np.sin(angle) / damped
+            block = [[np.broadcast_to(c + zeta * s, (M,)), s], [-s, c - zeta * s]]
+            f, A, Q = beside(model.transition(a, u, t, dt, own_base), M, block, 0.0)
+            A[:, row, -2] += dt * own[0]
+            for i, drive in enumerate((1.0 - block[0][0], s)):
+                if column < na:
+                    f[:, nx + i] += drive * a[:, column]
+                else:
+                    A[:, nx + i, column - na] += drive
+            return f, A, Q
+
+        own_states = {f"mode_{source}": unit, f"mode_rate_{source}": unit}
+        return add_linear_states(model, split, own_states, dynamics)
+
+    return Effect(
+        "mode",
+        channel,
+        "state",
+        f"missing mode: a resonance driven by {source} acting on {target}",
+        f"q'' = w^2 ({source} - q) - 2 {name}_damping w q',  w = 2 pi {name}_frequency,  "
+        f"{target}' = ... + dt * {name} * q",
+        (
+            Parameter(name, 0.0, setting.rate(target, unit)),
+            Parameter(
+                f"{name}_frequency",
+                0.1 / setting.dt,
+                "Hz",
+                setting.limits(0.5 / length, 0.48 / setting.dt, 1e-12),
+            ),
+            Parameter(f"{name}_damping", 0.1, "1", (1e-3, 0.99)),
+        ),
+        extend,
+        probes=tuple((f / setting.dt, 0.2) for f in (0.02, 0.06, 0.12, 0.25)),
+        look_alikes={"pole": "does not ring", "harmonic": "does not depend on the states"},
     )
 
 
@@ -129,5 +185,6 @@ def _hysteresis(setting: Setting, channel: str) -> Effect | None:
 
 KINDS: list[Kind] = [
     ("pole", _pole, each_state),
+    ("mode", _mode, each_state),
     ("hysteresis", _hysteresis, each_state),
 ]

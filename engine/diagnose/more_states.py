@@ -1,28 +1,30 @@
-"""Extensions of a model by a state of the effect's own."""
+"""Extensions of a model by states of the effect's own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effect import Split, on_base
+from engine.diagnose.effect import Split, on_base, per_point
 from engine.model import Array, Gaussian, MixedModel
 
 
-def add_linear_state(
+def add_linear_states(
     model: MixedModel,
     split: Split,
-    name: str,
-    unit: str,
+    states: Mapping[str, str],
     dynamics: Any,
     variance: Callable[[Any], float] = lambda own: 0.0,
     **functions: Any,
 ) -> MixedModel:
-    """The model with one more linear state, zero at first up to ``variance(own parameters)``."""
-    na = model.na
+    """The model with more linear states, name -> unit, behind its own.
+
+    They are zero at first, up to ``variance(own parameters)`` each.
+    """
+    na, k = model.na, len(states)
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
@@ -30,28 +32,54 @@ def add_linear_state(
 
         def z1(a: Array) -> Array:
             z, _ = start.linear(a[:, :na])
-            return np.concatenate([z, np.zeros((len(a), 1))], axis=1)
+            return np.concatenate([z, np.zeros((len(a), k))], axis=1)
 
         _, P = start.linear(np.zeros((1, na)))
         if P.ndim == 3:
             P = P[0]
-        P_all = np.zeros((model.nz + 1, model.nz + 1))
-        P_all[:-1, :-1] = P
-        P_all[-1, -1] = variance(own)
+        P_all = np.zeros((model.nz + k, model.nz + k))
+        P_all[:-k, :-k] = P
+        P_all[-k:, -k:] = variance(own) * np.eye(k)
         return start.density, z1, P_all
 
     if "measurement" not in functions:
 
         def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
             h, C, R = model.observation(a, u, t, split(theta)[0])
-            return h, np.concatenate([C, np.zeros((*C.shape[:-1], 1))], axis=-1), R
+            return h, np.concatenate([C, np.zeros((*C.shape[:-1], k))], axis=-1), R
 
         functions["measurement"] = measurement
-    free_name = name
-    while free_name in {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}:
-        free_name += "_"
+    taken = {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}
+    for name, unit in states.items():
+        while name in taken:
+            name += "_"
+        taken[name] = unit
+    added = list(taken.items())[-k:]
     extended = on_base(model, split, dynamics=dynamics, initial=initial, **functions)
-    return replace(extended, linear={**model.linear, free_name: unit})
+    return replace(extended, linear={**model.linear, **dict(added)})
+
+
+def beside(
+    step: tuple[Array, Array, Array], M: int, block: Sequence[Sequence[Any]], noise: Any
+) -> tuple[Array, Array, Array]:
+    """One step of a model with k more linear states of their own dynamics behind its own.
+
+    ``block`` (k, k) of numbers or (M,) is their transition matrix, ``noise`` the variance of each one's
+    noise. Nothing passes between them and the model's states yet.
+    """
+    f, A, Q = step
+    nx, k = f.shape[1], len(block)
+    A_all = np.zeros((*A.shape[:-2], nx + k, A.shape[-1] + k))
+    A_all[..., :nx, :-k] = A
+    A_all = per_point(A_all, M, *(entry for row in block for entry in row))
+    Q_all = np.zeros((*Q.shape[:-2], nx + k, nx + k))
+    Q_all[..., :nx, :nx] = Q
+    Q_all = per_point(Q_all, M, noise)
+    for i, row in enumerate(block):
+        Q_all[..., nx + i, nx + i] = noise
+        for j, entry in enumerate(row):
+            A_all[..., nx + i, A.shape[-1] + j] = entry
+    return np.concatenate([f, np.zeros((M, k))], axis=1), A_all, Q_all
 
 
 def add_memory(

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from engine.diagnose.effect import Effect, Split, identifier, on_base, per_point
-from engine.diagnose.more_states import add_linear_state
+from engine.diagnose.more_states import add_linear_states, beside
 from engine.diagnose.setting import Kind, Setting, each_output, each_state
 from engine.model import Array, MixedModel, Parameter
+from engine.words import with_unit
+
+OSCILLATING = "oscillating"  # the second manner of an unnamed force
 
 
 def _scaled(S: Array, index: int, factor: Any, M: int) -> Array:
@@ -57,6 +61,50 @@ def _level(setting: Setting, channel: str) -> Effect | None:
         extend,
         look_alikes={"variance": "changes with a signal or with time"},
     )
+
+
+def _quantisation(setting: Setting, channel: str) -> Effect | None:
+    """Readings rounded to steps of q: white noise of variance q^2 / 12 on top, where q is not large.
+
+    By its effect on predictions it is a noise level and nothing else, so it is a candidate only where
+    the readings themselves lie on a lattice, and its variance is bounded by twice what that explains.
+    """
+    model = setting.model
+    if channel not in model.outputs:
+        return None
+    name, unit = identifier("quantisation", channel), setting.unit(channel)
+    step = setting.resolution.get(channel)
+    most = np.inf if step is None else step**2 / 6.0
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        row = list(model.outputs).index(channel)
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            h, C, R = model.observation(a, u, t, own_base)
+            R = per_point(R, len(a), own[0])
+            R[..., row, row] += own[0]
+            return h, C, R
+
+        return on_base(model, split, measurement=measurement)
+
+    return Effect(
+        "quantisation",
+        channel,
+        "measurement",
+        f"rounding of the readings of {channel}"
+        + ("" if step is None else f" to steps of {with_unit(step, unit)}"),
+        f"variance of the noise of {channel} + {name},  step^2 / 12",
+        (Parameter(name, 0.0, f"({unit})^2", (0.0, most), "variance of the rounding error"),),
+        extend,
+        look_alikes={"level": "is not seen in the readings: they take any value"},
+        one_sided=True,
+    )
+
+
+def _each_lattice(setting: Setting) -> Iterator[str]:
+    yield from setting.resolution
 
 
 def _variance(setting: Setting, channel: str) -> Effect | None:
@@ -172,9 +220,15 @@ def _each_correlation(setting: Setting) -> Iterator[str]:
 
 
 def _colored(setting: Setting, channel: str) -> Effect | None:
-    """A part of the measurement noise is first-order autoregressive."""
+    """A part of the noise is first-order autoregressive.
+
+    In a state's equation that is what the unnamed slow force is, so there it goes by name only.
+    """
     if channel not in setting.model.outputs:
-        return None
+        force = _latent(setting, channel)
+        if force is None:
+            return None
+        return replace(force, kind="colored", title=f"coloured process noise of {channel}")
     name, unit = identifier("colored", channel), setting.unit(channel)
     scale = setting.size(channel)
 
@@ -184,7 +238,7 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
 
         def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
             own_base, own = split(theta)
-            return _with_ou(model.transition(a, u, t, dt, own_base), len(a), dt, own, None)
+            return _ou(model.transition(a, u, t, dt, own_base), len(a), dt, own)
 
         def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
             h, C, R = model.observation(a, u, t, split(theta)[0])
@@ -192,11 +246,10 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
             C[..., row, -1] = 1.0
             return h, C, R
 
-        return add_linear_state(
+        return add_linear_states(
             model,
             split,
-            f"noise_{channel}",
-            unit,
+            {f"noise_{channel}": unit},
             dynamics,
             lambda own: float(np.ravel(own[0])[0]),
             measurement=measurement,
@@ -226,39 +279,65 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
 
 
 def _latent(setting: Setting, channel: str) -> Effect | None:
-    """A force nobody named: an Ornstein-Uhlenbeck process in one equation; detects "something"."""
-    if channel not in setting.states:
+    """A force nobody named: a random process in one equation; detects "something".
+
+    First-order and slow (Ornstein-Uhlenbeck), or, as ``state,oscillating``, of second order: a noise
+    that swings about a frequency and forgets its phase.
+    """
+    target, _, manner = channel.partition(",")
+    if target not in setting.states or manner not in ("", OSCILLATING):
         return None
-    name, unit = identifier("latent", channel), f"{setting.unit(channel)}/s"
-    scale = setting.size(channel) / setting.dt
+    name, unit = identifier("latent", channel), f"{setting.unit(target)}/s"
+    scale = setting.size(target) / setting.dt
+    swings = manner == OSCILLATING
+    states = {f"force_{target}": unit}
+    if swings:
+        states = {f"swing_{target}": unit, **states}
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
-        row = [*model.nonlinear, *model.linear].index(channel)
+        row = [*model.nonlinear, *model.linear].index(target)
 
         def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
             own_base, own = split(theta)
-            return _with_ou(model.transition(a, u, t, dt, own_base), len(a), dt, own, row)
+            step = model.transition(a, u, t, dt, own_base)
+            f, A, Q = (_swing if swings else _ou)(step, len(a), dt, own)
+            A[..., row, -1] += dt
+            return f, A, Q
 
-        return add_linear_state(
-            model, split, f"force_{channel}", unit, dynamics, lambda own: float(np.ravel(own[0])[0])
+        return add_linear_states(
+            model, split, states, dynamics, lambda own: float(np.ravel(own[0])[0])
         )
 
+    parameters = [
+        Parameter(name, 0.0, f"({unit})^2", (0.0, 100.0 * scale**2), "variance"),
+        _time_parameter(name, setting),
+    ]
+    probes: tuple[tuple[float, ...], ...] = ((3.0 * setting.dt,), (20.0 * setting.dt,))
+    if swings:
+        length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
+        bounds = setting.limits(0.5 / length, 0.48 / setting.dt, 1e-12)
+        parameters.append(Parameter(f"{name}_frequency", 0.1 / setting.dt, "Hz", bounds))
+        probes = tuple((15.0 * setting.dt, f / setting.dt) for f in (0.02, 0.06, 0.12, 0.25))
     return Effect(
         "latent",
         channel,
         "noise",
-        f"unnamed slow force on {channel}",
-        f"{channel}' = ... + dt * d,  d an Ornstein-Uhlenbeck process of variance {name}",
-        (
-            Parameter(name, 0.0, f"({unit})^2", (0.0, 100.0 * scale**2), "variance"),
-            _time_parameter(name, setting),
-        ),
+        f"unnamed {'oscillating' if swings else 'slow'} force on {target}",
+        f"{target}' = ... + dt * d,  d {'a noisy oscillation' if swings else 'an Ornstein-Uhlenbeck process'} "
+        f"of variance {name}",
+        tuple(parameters),
         extend,
-        probes=((3.0 * setting.dt,), (20.0 * setting.dt,)),
+        probes=probes,
         look_alikes={"colored": "does not move the state"},
         one_sided=True,
     )
+
+
+def _each_latent(setting: Setting) -> Iterator[str]:
+    for state in setting.states:
+        yield state
+        yield f"{state},{OSCILLATING}"
 
 
 def _time_parameter(name: str, setting: Setting) -> Parameter:
@@ -272,31 +351,27 @@ def _time_parameter(name: str, setting: Setting) -> Parameter:
     )
 
 
-def _with_ou(
-    step: tuple[Array, Array, Array], M: int, dt: Any, own: Any, row: int | None
-) -> tuple[Array, Array, Array]:
-    """One more linear state d' = exp(-dt/tau) d + w of stationary variance own[0]; into ``row``."""
-    f, A, Q = step
-    nx = f.shape[1]
+def _ou(step: tuple[Array, Array, Array], M: int, dt: Any, own: Any) -> tuple[Array, Array, Array]:
+    """One more linear state d' = exp(-dt/tau) d + w of stationary variance own[0]."""
     keep = np.exp(-dt / own[1])
-    A_all = np.zeros((*A.shape[:-2], nx + 1, A.shape[-1] + 1))
-    A_all[..., :nx, :-1] = A
-    A_all = per_point(A_all, M, keep)
-    A_all[..., nx, -1] = keep
-    if row is not None:
-        A_all[..., row, -1] += dt
-    Q_all = np.zeros((*Q.shape[:-2], nx + 1, nx + 1))
-    Q_all[..., :nx, :nx] = Q
-    variance = own[0] * (1.0 - keep * keep)
-    Q_all = per_point(Q_all, M, variance)
-    Q_all[..., nx, nx] = variance
-    return np.concatenate([f, np.zeros((M, 1))], axis=1), A_all, Q_all
+    return beside(step, M, [[keep]], own[0] * (1.0 - keep * keep))
+
+
+def _swing(
+    step: tuple[Array, Array, Array], M: int, dt: Any, own: Any
+) -> tuple[Array, Array, Array]:
+    """Two more linear states that rotate at own[2] Hz and fade with own[1], of variance own[0] each."""
+    keep = np.exp(-dt / own[1])
+    angle = 2.0 * np.pi * own[2] * dt
+    c, s = keep * np.cos(angle), keep * np.sin(angle)
+    return beside(step, M, [[c, s], [-s, c]], own[0] * (1.0 - keep * keep))
 
 
 KINDS: list[Kind] = [
     ("level", _level, lambda s: iter([*each_output(s), *each_state(s)])),
+    ("quantisation", _quantisation, _each_lattice),
     ("variance", _variance, _each_variance),
     ("correlation", _correlation, _each_correlation),
     ("colored", _colored, each_output),
-    ("latent", _latent, each_state),
+    ("latent", _latent, _each_latent),
 ]

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from engine.diagnose.effect import Effect
+from engine.diagnose.lattice import VISIBLE, lattice_step, sample_noise
 from engine.model import Array, MixedModel
 from engine.moment_filter import moment_path
 from engine.series import Series
@@ -19,13 +20,17 @@ class Setting:
     """The model for which effects are made, with what its data tell about sizes.
 
     ``scale`` maps a channel to its typical size (standard deviation) in its unit, 1 where unknown;
-    ``span`` is the first and last time in seconds; ``dt`` the median time step.
+    ``span`` is the first and last time in seconds; ``dt`` the median time step. ``extra`` are those
+    inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
+    step its readings come in, where they show one.
     """
 
     model: MixedModel
     scale: Mapping[str, float] = field(default_factory=dict)
     span: tuple[float, float] = (0.0, 100.0)
     dt: float = 1.0
+    extra: tuple[str, ...] = ()
+    resolution: Mapping[str, float] = field(default_factory=dict)
 
     def limits(self, low: float, high: float, least: float = 0.0) -> tuple[float, float]:
         """Bounds (low, high) taken from the data, (least, inf) where nothing is known of them."""
@@ -75,8 +80,8 @@ def each_output(setting: Setting) -> Iterator[str]:
 
 
 def each_input(setting: Setting) -> Iterator[str]:
-    """Every input."""
-    yield from setting.model.inputs
+    """Every input that the model uses."""
+    yield from (name for name in setting.model.inputs if name not in setting.extra)
 
 
 def each_parameter(setting: Setting) -> Iterator[str]:
@@ -133,8 +138,18 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         scale[name] = float(np.sqrt(np.mean(path.filtered[:, i] ** 2)))
     for i, name in enumerate(model.inputs):
         scale[name] = float(np.sqrt(np.mean(series.u[:, i] ** 2)))
+    resolution: dict[str, float] = {}
     for i, name in enumerate(model.outputs):
-        scale[name] = float(np.sqrt(np.nanmean(series.y[:, i] ** 2)))
+        seen = series.y[series.observed[:, i], i]
+        scale[name] = float(np.sqrt(np.mean(seen**2))) if len(seen) else 1.0
+        step = lattice_step(seen)
+        if step is not None and step >= VISIBLE * sample_noise(seen):
+            resolution[name] = step
     return Setting(
-        model, scale, (float(series.t[0]), float(series.t[-1])), float(np.median(series.steps))
+        model,
+        scale,
+        (float(series.t[0]), float(series.t[-1])),
+        float(np.median(series.steps)),
+        tuple(name for name in series.extra_names if name in model.inputs),
+        resolution,
     )

@@ -126,6 +126,33 @@ def _force(setting: Setting, channel: str) -> Effect | None:
     )
 
 
+def _linear(setting: Setting, channel: str) -> Effect | None:
+    """A state's own rate of decay or growth; one that the model estimates is not testable beside it."""
+    if channel not in setting.states:
+        return None
+    name = identifier("linear", channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        if channel in model.linear:
+            return add_linear_coupling(model, channel, channel)
+        return add_to_state(model, channel, lambda v, own: own[0] * v[channel])
+
+    return Effect(
+        "linear",
+        channel,
+        "state",
+        f"linear damping or growth of {channel}",
+        f"{channel}' = ... + dt * {name} * {channel}",
+        (Parameter(name, 0.0, "1/s", description="rate"),),
+        extend,
+        look_alikes={
+            "drag": "grows faster than the state",
+            "saturation": "acts on large values only",
+            "deadzone": "acts on small values only",
+        },
+    )
+
+
 def _coupling(setting: Setting, channel: str) -> Effect | None:
     found = pair(setting, channel)
     if found is None or found[0] == found[1]:
@@ -236,5 +263,6 @@ KINDS: list[Kind] = [
         ),
         each_pair,
     ),
+    ("linear", _linear, each_state),
     ("coupling", _coupling, _each_coupling),
 ]

@@ -50,7 +50,7 @@ def unnamed_force(refit: Refit, series: Series) -> UnnamedForce:
     means, covariances = smoothed(moment_path(model, np.asarray(refit.fit.theta), series))
     name, unit = list(model.linear.items())[-1]
     return UnnamedForce(
-        refit.effect.channel or name,
+        refit.effect.channel.partition(",")[0] or name,
         unit,
         np.asarray(series.t),
         means[:, -1],
