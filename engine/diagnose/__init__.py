@@ -13,9 +13,7 @@ refits the best ones, and repeats on the extended model until nothing is left to
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,22 +24,20 @@ from engine.diagnose.catalogue import (
     make_effect,
     register_effect,
 )
-from engine.diagnose.decide import cause_of, detectable_of, verdict_of
+from engine.diagnose.causes import Callback, Clock, find_causes
+from engine.diagnose.decide import cause_of, detectable_of
 from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
 from engine.diagnose.effect import Effect
 from engine.diagnose.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.runs import covariance_of
-from engine.diagnose.search import Search, search
-from engine.diagnose.setting import setting_for
+from engine.diagnose.search import Search
 from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.tails import KIND as TAILS
 from engine.errors import OptionError, SeriesError
 from engine.model import MixedModel, ThetaLike
-from engine.moment_filter import moment_path
-from engine.quasi_ml import QuasiFit, quasi_ml, whitening
+from engine.quasi_ml import QuasiFit
 from engine.rbpf import rbpf
 from engine.series import Series
-from engine.warm_start import moment_maximum
 
 __all__ = [
     "Cause",
@@ -64,9 +60,6 @@ HELD_OUT = 0.2  # share of the series kept back where no test series is given
 LEAST = 30  # measured rows without which nothing can be said
 PARTICLES = 500  # for the particle filter's word on the final model
 REPEATS = 4
-MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
-
-Callback = Callable[[str, float], Any]
 
 
 def diagnose(
@@ -92,38 +85,21 @@ def diagnose(
     series.check(model)
     _check_options(series, alpha, max_effects, effects)
     notes = list(check_data(model, series))
-    clock = _Clock(callback)
+    clock = Clock(callback)
     train, held_out = _split(series, test)
 
-    clock.start("fit")
-    base = fit_base(model, train, theta, free)
-    if not base.converged:
-        notes.append(
-            "The estimation of the base model did not settle; its parameters may be far off. "
-            "Give start values (theta=)."
-        )
-    setting = setting_for(model, train, base.theta)
-
-    clock.start("search")
-    found = search(
+    causes = find_causes(
         model,
         train,
-        base,
-        setting,
+        theta,
+        free=free,
         alpha=alpha,
         max_effects=max_effects,
-        kinds=effects,
+        effects=effects,
         seed=seed,
-        progress=clock.progress,
+        clock=clock,
     )
-    verdict = verdict_of(found)
-    level = misfit(found.final, train)
-    if level > MISFIT:
-        notes.append(
-            f"One-step errors are {np.sqrt(level):.1f} times what the model's noise allows, after "
-            "everything that was found: the model is far from these data, or badly started (theta=)."
-        )
-        verdict = Verdict.UNKNOWN
+    base, found, notes = causes.base, causes.search, [*notes, *causes.notes]
 
     clock.start("symptoms")
     symptoms = find_symptoms(model, base.theta, train, covariance_of(base), seed=seed)
@@ -141,7 +117,7 @@ def diagnose(
     clock.stop()
     return Diagnosis(
         model=model,
-        verdict=verdict,
+        verdict=causes.verdict,
         causes=tuple(cause_of(r) for r in named),
         p_value=found.rounds[0].screen.p_value,
         base_theta=base.theta,
@@ -155,25 +131,6 @@ def diagnose(
         seconds=clock.seconds,
         series=series,
     )
-
-
-def fit_base(
-    model: MixedModel, series: Series, theta: ThetaLike, free: Sequence[str] | None
-) -> QuasiFit:
-    """The model's own parameters: from the given start, or searched for where none is given."""
-    start = model.theta(theta)
-    if theta is None:
-        found = moment_maximum(model, [series], model.free_indices(free), start)
-        start = start if found is None else found
-    return quasi_ml(model, series, start, free)
-
-
-def misfit(fit: QuasiFit, series: Series) -> float:
-    """Mean squared standardised innovation: about 1 where the model's noise explains the data."""
-    path = moment_path(fit.model, np.asarray(fit.theta), series)
-    root = whitening(path.S, series.observed)
-    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
-    return float((z**2).sum() / series.observed.sum())
 
 
 def _split(series: Series, test: Series | None) -> tuple[Series, Series]:
@@ -227,27 +184,3 @@ def _particle_check(base: QuasiFit, found: Search, series: Series, seed: int) ->
     if abs(gain - moment) > 3.0 + 2.0 * error and gain < 0.5 * moment:
         text += " They disagree: the filter's density is far from Gaussian here; trust the second."
     return [text]
-
-
-class _Clock:
-    """Seconds per stage, and progress for the caller."""
-
-    def __init__(self, callback: Callback | None) -> None:
-        self.callback = callback
-        self.seconds: dict[str, float] = {}
-        self.stage, self.since = "", 0.0
-
-    def start(self, stage: str) -> None:
-        self.stop()
-        self.stage, self.since = stage, time.perf_counter()
-        self.progress(stage, 0.0)
-
-    def stop(self) -> None:
-        if self.stage:
-            spent = time.perf_counter() - self.since
-            self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + spent
-            self.stage = ""
-
-    def progress(self, stage: str, fraction: float) -> None:
-        if self.callback is not None:
-            self.callback(stage, fraction)

@@ -1,0 +1,128 @@
+"""The naming part of a diagnosis: fit the model, search for effects, come to a verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.decide import verdict_of
+from engine.diagnose.diagnosis import Verdict
+from engine.diagnose.search import Search, search
+from engine.diagnose.setting import Setting, setting_for
+from engine.model import MixedModel, ThetaLike
+from engine.moment_filter import moment_path
+from engine.quasi_ml import QuasiFit, quasi_ml, whitening
+from engine.series import Series
+from engine.warm_start import moment_maximum
+
+MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
+
+Callback = Callable[[str, float], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Causes:
+    """The fitted base model, what was searched and found beyond it, and the verdict."""
+
+    base: QuasiFit
+    setting: Setting
+    search: Search
+    verdict: Verdict
+    notes: tuple[str, ...]
+
+
+def find_causes(
+    model: MixedModel,
+    series: Series,
+    theta: ThetaLike = None,
+    *,
+    free: Sequence[str] | None = None,
+    alpha: float = 0.05,
+    max_effects: int = 3,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    clock: Clock | None = None,
+) -> Causes:
+    """Name what ``series`` shows beyond ``model``; arguments as in :func:`engine.diagnose.diagnose`."""
+    clock = clock or Clock()
+    notes = []
+    clock.start("fit")
+    base = fit_base(model, series, theta, free)
+    if not base.converged:
+        notes.append(
+            "The estimation of the base model did not settle; its parameters may be far off. "
+            "Give start values (theta=)."
+        )
+    setting = setting_for(model, series, base.theta)
+    clock.start("search")
+    found = search(
+        model,
+        series,
+        base,
+        setting,
+        alpha=alpha,
+        max_effects=max_effects,
+        kinds=effects,
+        seed=seed,
+        progress=clock.progress,
+    )
+    verdict = verdict_of(found)
+    level = misfit(found.final, series)
+    if level > MISFIT:
+        notes.append(
+            f"One-step errors are {np.sqrt(level):.1f} times what the model's noise allows, after "
+            "everything that was found: the model is far from these data, or badly started (theta=)."
+        )
+        verdict = Verdict.UNKNOWN
+    clock.stop()
+    return Causes(base, setting, found, verdict, tuple(notes))
+
+
+def fit_base(
+    model: MixedModel, series: Series, theta: ThetaLike, free: Sequence[str] | None
+) -> QuasiFit:
+    """The model's own parameters: from the given start, or searched for where none is given."""
+    start = model.theta(theta)
+    if theta is None:
+        found = moment_maximum(model, [series], model.free_indices(free), start)
+        start = start if found is None else found
+    return quasi_ml(model, series, start, free)
+
+
+def misfit(fit: QuasiFit, series: Series) -> float:
+    """Mean squared standardised innovation: about 1 where the model's noise explains the data."""
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    root = whitening(path.S, series.observed)
+    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
+    return float((z**2).sum() / series.observed.sum())
+
+
+class Clock:
+    """Seconds per stage, and progress for the caller."""
+
+    def __init__(self, callback: Callback | None = None) -> None:
+        self.callback = callback
+        self.seconds: dict[str, float] = {}
+        self.stage, self.since = "", 0.0
+
+    def start(self, stage: str) -> None:
+        """End the last stage and begin another."""
+        self.stop()
+        self.stage, self.since = stage, time.perf_counter()
+        self.progress(stage, 0.0)
+
+    def stop(self) -> None:
+        """End the last stage."""
+        if self.stage:
+            spent = time.perf_counter() - self.since
+            self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + spent
+            self.stage = ""
+
+    def progress(self, stage: str, fraction: float) -> None:
+        """Tell the caller, who may stop the run by raising StopIteration."""
+        if self.callback is not None:
+            self.callback(stage, fraction)
