@@ -42,7 +42,7 @@ warm: setup
 
 # The service under 200 jobs and 50 polling clients; and killed at 50 random moments.
 load: setup
-	$(BIN)/python tests/benchmarks/load.py
+	$(BIN)/python -m tests.benchmarks.load
 
 chaos: setup
-	$(BIN)/python tests/benchmarks/chaos.py
+	$(BIN)/python -m tests.benchmarks.chaos

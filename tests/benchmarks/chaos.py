@@ -1,6 +1,6 @@
 """``make chaos``: kill -9 at 50 random moments under load; every job ends as it would have, bit by bit.
 
-    python -m tests.benchmarks.chaos [--kills 50] [--jobs 60] [--seed 0] [--results ...] [--keep ...]
+    python -m tests.benchmarks.chaos [--kills 50] [--jobs 80] [--seed 0] [--results ...] [--keep ...]
 
 Eight clients each keep one job in the service, of every kind, with several starts and a bootstrap,
 some that must fail and some that are cancelled. Meanwhile SIGKILL hits, in an order drawn from the
@@ -23,6 +23,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,8 @@ from tests.benchmarks.machine import Watch, processes
 from tests.benchmarks.service_process import ENDED, ServiceProcess, request
 
 CLIENTS, WORKERS, LEASE = 8, 2, 2.0
-PAUSE = (0.05, 1.5)  # s between kills, uniform
+PAUSE = (0.05, 3.0)  # s, uniform
+AFTER_JOB = 0.75  # chance that the pause begins when one more job has ended
 PATIENCE = 600.0  # s; a job that has not ended by then hangs
 SHARES = {"worker": 0.4, "forkserver": 0.2, "supervisor": 0.2, "whole service": 0.2}
 RESULTS = Path(__file__).parent / "results"
@@ -146,13 +148,28 @@ def undisturbed(state: Path) -> dict[str, Any]:
     return {one["name"]: one for one in client.found}
 
 
-def order(kills: int, rng: np.random.Generator) -> list[str]:
-    """What to kill, one after the other."""
+@dataclass(frozen=True)
+class Kill:
+    """What to kill, so many seconds after the next job has ended, or after the last kill."""
+
+    what: str
+    pause: float
+    after_job: bool
+    which: float  # of several workers, in [0, 1)
+
+
+def plan(kills: int, seed: int) -> list[Kill]:
+    """All kills, drawn from the seed."""
+    rng = np.random.default_rng(seed)
     bounds = np.rint(kills * np.cumsum([0.0, *SHARES.values()])).astype(int)
-    return [str(x) for x in rng.permutation(np.repeat(list(SHARES), np.diff(bounds)))]
+    order = rng.permutation(np.repeat(list(SHARES), np.diff(bounds)))
+    return [
+        Kill(str(what), rng.uniform(*PAUSE), bool(rng.random() < AFTER_JOB), rng.random())
+        for what in order
+    ]
 
 
-def targets(service: ServiceProcess, what: str, rng: np.random.Generator) -> list[int]:
+def targets(service: ServiceProcess, what: str, which: float) -> list[int]:
     """Process ids; waits until there is such a process."""
     end = time.monotonic() + PATIENCE
     while what in ("worker", "forkserver"):
@@ -162,7 +179,7 @@ def targets(service: ServiceProcess, what: str, rng: np.random.Generator) -> lis
         }
         workers = sorted(pid for pid, (parent, _, _) in all_.items() if parent in servers)
         if what == "worker" and workers:
-            return [int(rng.choice(workers))]
+            return [workers[int(which * len(workers))]]
         if what == "forkserver" and servers:
             return sorted(servers)
         if time.monotonic() > end:
@@ -179,16 +196,21 @@ def command(pid: int) -> str:
         return ""
 
 
-def kill(service: ServiceProcess, what: str, rng: np.random.Generator) -> int:
+def strike(service: ServiceProcess, kill: Kill, clients: list[Client]) -> int:
     """SIGKILL; the number of processes that were hit. A killed service is started again."""
-    hit = 0
-    for pid in targets(service, what, rng):
+    hit, ended = 0, sum(len(client.found) for client in clients)
+    while kill.after_job and sum(len(client.found) for client in clients) == ended:
+        if not any(client.is_alive() for client in clients):
+            raise RuntimeError("all clients have given up")
+        time.sleep(0.01)
+    time.sleep(kill.pause)
+    for pid in targets(service, kill.what, kill.which):
         try:
             os.kill(pid, signal.SIGKILL)
             hit += 1
         except ProcessLookupError:
             pass
-    if what in ("supervisor", "whole service"):
+    if kill.what in ("supervisor", "whole service"):
         service.process.wait()
         service.start()  # not waited for: the next kill may hit it before it answers
     return hit
@@ -196,7 +218,6 @@ def kill(service: ServiceProcess, what: str, rng: np.random.Generator) -> int:
 
 def disturbed(state: Path, kills: int, n: int, seed: int) -> dict[str, Any]:
     """The run itself: kills, jobs, and what the log says about each attempt."""
-    rng = np.random.default_rng(seed)
     service = ServiceProcess(state, workers=WORKERS, lease_seconds=LEASE, losses_allowed=kills)
     numbers, done = Numbers(), threading.Event()
     clients = [Client(service.url, numbers, n, done) for _ in range(CLIENTS)]
@@ -204,12 +225,10 @@ def disturbed(state: Path, kills: int, n: int, seed: int) -> dict[str, Any]:
     for client in clients:
         client.start()
     try:
-        for what in order(kills, rng):
-            time.sleep(rng.uniform(*PAUSE))
-            hit = kill(service, what, rng)
-            killed.append(
-                {"seconds": round(time.monotonic() - begin, 2), "killed": what, "processes": hit}
-            )
+        for kill in plan(kills, seed):
+            hit = strike(service, kill, clients)
+            now = round(time.monotonic() - begin, 2)
+            killed.append({"seconds": now, "killed": kill.what, "processes": hit})
     finally:
         done.set()
         for client in clients:
@@ -293,7 +312,7 @@ def main() -> None:
     """Run, print, write the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--jobs", type=int, default=60, help="at least so many")
+    parser.add_argument("--jobs", type=int, default=80, help="at least so many")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--keep", type=Path, help="a new folder where stores and logs remain")
