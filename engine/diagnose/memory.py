@@ -12,7 +12,7 @@ from engine.diagnose.effect import (
     identifier,
 )
 from engine.diagnose.more_states import add_linear_states, add_memory, beside
-from engine.diagnose.setting import Kind, Setting, each_state, pair
+from engine.diagnose.setting import Kind, Setting, each_moved, each_state, pair
 from engine.model import Array, MixedModel, Parameter
 from engine.promote import promote
 
@@ -185,6 +185,6 @@ def _hysteresis(setting: Setting, channel: str) -> Effect | None:
 
 KINDS: list[Kind] = [
     ("pole", _pole, each_state),
-    ("mode", _mode, each_state),
+    ("mode", _mode, each_moved),
     ("hysteresis", _hysteresis, each_state),
 ]

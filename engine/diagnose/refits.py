@@ -35,8 +35,10 @@ PLAIN = ("bias", "step", "force", "input-offset", "coulomb", "cubic")  # plainer
 
 NESTS = {  # a kind with a width of its own, and plainer ones it becomes at the end of its range
     "stribeck": ("coulomb",),
-    "deadzone": ("coulomb", "coupling"),
-    "saturation": ("coulomb", "coupling"),
+    "deadzone": ("coulomb", "coupling", "linear"),
+    "saturation": ("coulomb", "coupling", "linear"),
+    "pole": ("linear", "coupling"),
+    "mode": ("linear", "coupling", "pole"),
     "variance": ("level",),
 }
 

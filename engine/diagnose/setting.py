@@ -89,6 +89,16 @@ def each_parameter(setting: Setting) -> Iterator[str]:
     yield from setting.model.parameter_names
 
 
+def each_moved(setting: Setting) -> Iterator[str]:
+    """Every state that an input or another state moves: not a disturbance of its own."""
+    model = setting.model
+    F = _structure(model)
+    by_inputs = _moved_by_inputs(model)
+    for i, name in enumerate(setting.states):
+        if by_inputs[i] or np.delete(F[i], i).any():
+            yield name
+
+
 def each_pair(setting: Setting) -> Iterator[str]:
     """A state in its own equation, and ``source->target`` where one already feeds the other."""
     states = list(setting.states)
@@ -128,6 +138,22 @@ def _structure(model: MixedModel) -> np.ndarray[tuple[int, int], np.dtype[np.flo
                 change = change + np.abs(B - A).max(axis=(0, 2))
             F[:, i] = np.where(change > 1e-9, change, 0.0)
     return np.nan_to_num(F)
+
+
+def _moved_by_inputs(model: MixedModel) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which states (nx,) a change of some input changes at once."""
+    record = model.record(model.theta())
+    a = np.zeros((1, model.na))
+    u = np.full(model.nu, 0.5)
+    moved = np.zeros(model.nx, dtype=bool)
+    with np.errstate(all="ignore"):
+        f, A, _ = model.transition(a, u, 0.0, 1.0, record)
+        for k in range(model.nu):
+            more = u.copy()
+            more[k] += 1.0
+            g, B, _ = model.transition(a, more, 0.0, 1.0, record)
+            moved |= (g != f).any(axis=0) | (B != A).any(axis=-1).reshape(-1, model.nx).any(axis=0)
+    return moved
 
 
 def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
