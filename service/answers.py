@@ -56,6 +56,46 @@ class Trace(BaseModel):
     seconds: list[float | None]
 
 
+class TaskOut(BaseModel):
+    """One computation of a job: a start, a run of the bootstrap, ... and how far it is."""
+
+    task: int
+    role: str = Field(description="computation, start, choice, estimate, bootstrap or summary")
+    state: str = Field(description="waiting, queued, running, done or stopped")
+    iteration: int = 0
+    restarts: int = Field(default=0, description="how often its worker was lost")
+    estimate: dict[str, float | None] | None = Field(
+        default=None, description="its latest estimate"
+    )
+    log_likelihood: float | None = None
+
+
+class Tasks(BaseModel):
+    """All computations of a job, in the order in which they begin."""
+
+    tasks: list[TaskOut]
+
+
+class ReportSection(BaseModel):
+    """A part of a report, as HTML."""
+
+    id: str
+    title: str
+    html: str
+
+
+class ReportOut(BaseModel):
+    """A job's report in parts, as its page shows them.
+
+    Where the HTML has an element with `data-chart="k"`, `charts[k]` is drawn.
+    """
+
+    title: str
+    summary: str
+    sections: list[ReportSection]
+    charts: list[dict[str, Any]]
+
+
 class ParameterOut(BaseModel):
     """A parameter of a model; a bound that is null is infinite."""
 
@@ -132,6 +172,7 @@ class ProblemOut(BaseModel):
     title: str
     status: int
     detail: str
+    advice: str | None = Field(default=None, description="what can be done about a failed job")
     errors: list[dict[str, Any]] | None = None
 
 

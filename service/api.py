@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from functools import partial
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
@@ -30,6 +31,7 @@ from service.answers import (
 )
 from service.auth import Keys
 from service.examples import EXAMPLES
+from service.found import find_job, find_result
 from service.prepare import Request, check_limits, dump, find_model, prepare
 from service.preview import preview
 from service.problems import MEDIA_TYPE, Problem
@@ -62,12 +64,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     api = APIRouter(responses=problem_answers(401, 422))
     Caller = Annotated[str, Depends(keys)]
 
-    def find(job_id: str, caller: str) -> Any:
-        """The caller's job; another's is as unknown as one that does not exist."""
-        row = store.job(job_id)
-        if row is None or (keys.needed and row.owner != caller):
-            raise Problem(404, "no-such-job", f"there is no job '{job_id}'")
-        return row
+    find = partial(find_job, store, keys)
 
     def put(request: Request, caller: str, key: str | None) -> Response:
         check_limits(request, settings)
@@ -211,7 +208,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     ) -> Response:
         row = find(job_id, caller)
         ks, rows = store.rows(row.seq, task, after)
-        names = list(json.loads(row.estimate)) if row.estimate else _names(row.model)
+        names = list(json.loads(row.estimate)) if row.estimate else parameter_names(row.model)
         if points is not None and len(ks) > points:
             kept = keep(rows[:, : len(names) + 1], points)
             ks, rows = [ks[i] for i in kept], rows[kept]
@@ -238,16 +235,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     def results(
         caller: Caller, http: HttpRequest, job_id: JobId, points: Points = None
     ) -> Response:
-        row = find(job_id, caller)
-        if row.status == "failed":
-            problem = json.loads(row.problem)
-            return JSONResponse(problem, problem["status"], media_type=MEDIA_TYPE)
-        if row.status == "dismissed":
-            raise Problem(404, "dismissed", f"job '{job_id}' was dismissed; it has no results")
-        body = store.document(row.seq, "result")
-        if body is None:
-            detail = f"job '{job_id}' is {row.status}; its results come when it is successful"
-            raise Problem(404, "result-not-ready", detail, retry_after=1)
+        body = find_result(store, find(job_id, caller))
         if points is not None:
             body = dumps(thin_results(json.loads(body), points)).encode()
         return tagged(http, body)
@@ -291,7 +279,7 @@ def tagged(http: HttpRequest, body: bytes, headers: dict[str, str] | None = None
     return Response(body, headers=headers, media_type="application/json")
 
 
-def _names(model: str) -> list[str]:
+def parameter_names(model: str) -> list[str]:
     """Parameter names of ``base+effect+...``."""
     base, *effects = model.split("+")
     try:

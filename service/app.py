@@ -8,7 +8,7 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from service import pages, problems
+from service import job_pages, pages, problems
 from service.api import router
 from service.auth import Keys, check_exposure
 from service.limits import BodyLimit
@@ -45,7 +45,9 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(BodyLimit, max_body=settings.max_body, seconds=settings.body_seconds)
     app.add_middleware(pages.PageHeaders)
     app.router.routes.extend(pages.routes(keys.needed))  # before the JSON calls
+    app.router.routes.extend(job_pages.page_routes(keys.needed))
     app.include_router(router(store, supervisor, settings, keys))
+    app.include_router(job_pages.router(store, keys))
     problems.install(app)
     app.state.supervisor = supervisor
     return app

@@ -21,6 +21,7 @@ def job_status(row: Any) -> JobStatus:
     links = [Link(href=here, rel="self"), Link(href=f"{here}/trace", rel="trace")]
     if row.status == "successful":
         links.append(Link(href=f"{here}/results", rel="results"))
+        links.append(Link(href=f"{here}/report", rel="report"))
     progress = 100 if row.status == "successful" else 100 * row.iteration // max(row.iterations, 1)
     return JobStatus(
         jobID=row.id,

@@ -21,6 +21,19 @@ MEDIA_TYPE = "application/problem+json"
 _OGC = "http://www.opengis.net/def/exceptions/ogcapi-processes-1/1.0/"
 _TYPES = {kind: _OGC + kind for kind in ("no-such-job", "result-not-ready")}
 
+# What the owner of a failed job can do; DIVERGED and COLLAPSED say so themselves.
+ADVICE = {
+    "computation-failed": "Check the start values, the units of the data and the time step; if they are "
+    "right, start elsewhere or hold some parameters fixed.",
+    "no-start-succeeded": "Give ranges (parameters.ranges) around values that are physically plausible, or "
+    "use more particles.",
+    "not-finite": "Check the parameter values, the scale of the inputs and the time step.",
+    "out-of-memory": "Use fewer particles or trajectories, or split the data into shorter series.",
+    "run-time-exceeded": "Use fewer iterations, particles or starts, or allow more time (run_seconds).",
+    "worker-lost": "Send the job again; if it is lost again, it probably needs more memory than the machine "
+    "has: use fewer particles.",
+}
+
 
 class Problem(Exception):  # noqa: N818 - the RFC's own word
     """An error the client is told about.
@@ -43,6 +56,12 @@ class Problem(Exception):  # noqa: N818 - the RFC's own word
         if retry_after is not None:
             self.headers["Retry-After"] = str(max(1, round(retry_after)))
 
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Problem:
+        """The problem of a stored document."""
+        kind = str(document["type"]).rpartition(":")[2]
+        return cls(document["status"], kind, document["detail"], document.get("errors", ()))
+
     def document(self) -> dict[str, Any]:
         """The JSON body."""
         body: dict[str, Any] = {
@@ -51,6 +70,8 @@ class Problem(Exception):  # noqa: N818 - the RFC's own word
             "status": self.status,
             "detail": self.detail,
         }
+        if self.kind in ADVICE:
+            body["advice"] = ADVICE[self.kind]
         return body | ({"errors": self.errors} if self.errors else {})
 
     def response(self) -> JSONResponse:

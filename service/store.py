@@ -196,6 +196,23 @@ class Store:
             found = sql.execute(query).all()
         return [k for k, _ in found], np.array([np.frombuffer(row) for _, row in found])
 
+    def tasks(self, seq: int) -> list[tuple[Row[Any], Array | None]]:
+        """The tasks there are so far, each with its latest iteration's row, see ``rows``."""
+        here = and_(
+            iterations.c.job == tasks.c.job,
+            iterations.c.task == tasks.c.task,
+            iterations.c.k == tasks.c.iteration,
+        )
+        query = (
+            select(tasks, iterations.c.row)
+            .join_from(tasks, iterations, here, isouter=True)
+            .where(tasks.c.job == seq)
+            .order_by(tasks.c.task)
+        )
+        with self._read.begin() as sql:
+            found = sql.execute(query).all()
+        return [(one, None if one.row is None else np.frombuffer(one.row)) for one in found]
+
     def dismiss(self, job_id: str) -> Row[Any] | None:
         """Stop a job, or remove what an ended one left; None if there is no such job."""
         now = time.time()

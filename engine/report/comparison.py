@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 from engine.report.chart import Chart, Trace
-from engine.report.html import Html, bullets, table
+from engine.report.html import Html, bullets, join, table, tag
 from engine.report.parts import Document, Drawer, grid, label, measured, pretty
 from engine.words import number, percent, probability
 
@@ -90,19 +90,24 @@ def fits(symptoms: Document) -> Html:
 
 def where_it_is(symptoms: Document, units: Document, draw: Drawer) -> Html:
     """Mean errors by bands of every signal and of time, and the errors' spectrum."""
-    figures = []
-    for what in WHAT:
+    parts = []
+    for what, title in WHAT.items():
         comparison = symptoms[what]
         if comparison is None:
             continue
-        for (output, kind, signal), bands in _by_signal(comparison.get("bands", ())):
-            if output not in units:
-                continue
-            if kind == "frequency":
-                figures.append(draw(_spectrum(WHAT[what], output, bands)))
-            else:
-                figures.append(draw(_by_bands(WHAT[what], output, units[output], signal, bands)))
-    return grid(figures, small=True)
+        role = "model" if what == "free_run" else "data"
+        figures = [
+            draw(
+                _spectrum(output, bands, role)
+                if kind == "frequency"
+                else _by_bands(output, units[output], signal, bands, role)
+            )
+            for (output, kind, signal), bands in _by_signal(comparison["bands"])
+        ]
+        if figures:
+            note = "mean error ± 2 standard errors in bands of every signal"
+            parts += [tag("h4", f"{title}: {note}"), grid(figures, small=True)]
+    return join(parts)
 
 
 def _by_signal(
@@ -114,10 +119,10 @@ def _by_signal(
         yield key, [b for b in bands if (b["output"], b["kind"], b["signal"]) == key]
 
 
-def _by_bands(what: str, output: str, unit: str, signal: str, bands: list[dict[str, Any]]) -> Chart:
+def _by_bands(output: str, unit: str, signal: str, bands: list[dict[str, Any]], role: str) -> Chart:
     middle = [0.5 * (b["low"] + b["high"]) for b in bands]
     return Chart(
-        f"{what}: mean error of {output} by {signal}",
+        f"Error of {output} by {signal}",
         label(signal, bands[0]["unit"]),
         f"error [{pretty(unit) or '1'}]",
         middle,
@@ -126,7 +131,7 @@ def _by_bands(what: str, output: str, unit: str, signal: str, bands: list[dict[s
                 "mean error ± 2 standard errors",
                 [b["mean"] for b in bands],
                 "points",
-                "model" if what == WHAT["free_run"] else "data",
+                role,
                 reach=[2.0 * b["standard_error"] for b in bands],
                 width=[0.5 * (b["high"] - b["low"]) for b in bands],
             ),
@@ -136,13 +141,12 @@ def _by_bands(what: str, output: str, unit: str, signal: str, bands: list[dict[s
     )
 
 
-def _spectrum(what: str, output: str, bands: list[dict[str, Any]]) -> Chart:
+def _spectrum(output: str, bands: list[dict[str, Any]], role: str) -> Chart:
     edges = [b["low"] for b in bands] + [bands[-1]["high"]]
     error = [b["rms"] for b in bands]
     expected = [b["expected_rms"] for b in bands]
-    role = "model" if what == WHAT["free_run"] else "data"
     return Chart(
-        f"{what}: error of {output} by frequency",
+        f"Error of {output} by frequency",
         "frequency [Hz]",
         "rms in the band",
         edges,

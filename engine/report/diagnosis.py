@@ -77,7 +77,7 @@ def diagnosis_report(d: Document, draw: Drawer) -> Report:
 
 def _verdict(d: Document) -> Html:
     word = tag("span", d["verdict"], class_=f"verdict {TONE[d['verdict']]}")
-    said = tag("p", word, " ", d["sentence"], class_="lead")
+    said = tag("p", word, " ", d["sentence"], class_="said")
     names = [tag("p", _headline(cause), class_="cause") for cause in d["causes"]]
     if not names:
         tested, seen = len(d["detectable"]), sum(x["testable"] for x in d["detectable"])

@@ -84,14 +84,14 @@ def simulation_report(document: Document, draw: Drawer) -> Report:
 
 
 def _outcome(document: Document) -> Html:
-    outcome = document.get("outcome") or ""
-    good = outcome == "converged"
-    word = tag("span", outcome.replace("-", " ") or "done", class_=f"verdict {_tone(good)}")
-    return tag("p", word, " ", document.get("message") or "", class_="lead")
-
-
-def _tone(good: bool) -> str:
-    return "good" if good else "warn"
+    outcome = (document.get("outcome") or "").replace("-", " ")
+    tone = "good" if outcome == "converged" else "warn"
+    message = document.get("message") or ""
+    first, _, rest = message.partition(": ")
+    if first.lower() == outcome:  # the badge says it already
+        message = rest[:1].upper() + rest[1:]
+    word = tag("span", outcome or "done", class_=f"verdict {tone}")
+    return tag("p", word, " ", message, class_="said")
 
 
 def _facts(document: Document) -> Html:

@@ -79,7 +79,7 @@ SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 def pretty(unit: str) -> str:
     """A unit as it is printed: ``1e8 m^3`` becomes ``10⁸ m³``, ``N*s/m`` becomes ``N s/m``."""
     text = re.sub(r"\b1e(-?\d+)", lambda m: "10" + m[1].translate(SUPERSCRIPT), tidy(unit))
-    text = re.sub(r"\^\(?(-?\d+)\)?", lambda m: m[1].translate(SUPERSCRIPT), text)
+    text = re.sub(r"\^\(?(-?\d+)(?![\d.])\)?", lambda m: m[1].translate(SUPERSCRIPT), text)
     return text.replace("*", " ")
 
 

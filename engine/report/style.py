@@ -20,7 +20,7 @@ _DARK = """
 
 # Charts, tables of numbers, cards of answers: what a report's parts need wherever they are shown.
 RULES = """
-.lead { font-size: 1.15rem; margin: .2rem 0 .6rem; }
+.said { font-size: 1.15rem; margin: .2rem 0 .6rem; }
 .cause { font-size: 1.3rem; margin: .2rem 0; }
 .verdict { display: inline-block; padding: .05rem .7rem; margin-right: .3rem; border-radius: 99px;
   font-weight: 700; text-transform: uppercase; font-size: .92rem; letter-spacing: .04em; }
@@ -51,7 +51,9 @@ RULES = """
 .equations code.added { border-left-color: var(--good); background: var(--good-pale); }
 code.added { color: var(--good); }
 table.numbers td { text-align: right; } table.numbers th:not(:first-child) { text-align: right; }
-table.numbers td:last-child { padding-right: 0; }
+table.numbers tr > :last-child { padding-right: 0; }
+th[scope="row"] { color: var(--ink); font-weight: 500; font-size: .92rem; }
+th[scope="row"] code { font-size: 1em; }
 .swatch.bars { display: inline-block; background: currentColor; width: .8rem; height: .8rem;
   border: 0; margin-right: .3rem; vertical-align: -.1rem; }
 .budget { width: 100%; min-width: 200px; height: 1.3rem; display: block; border-radius: 3px; }

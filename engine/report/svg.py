@@ -12,7 +12,8 @@ from engine.words import number
 
 NARROW, WIDE = 520, 1080  # widths drawn for: half a page or a phone, and a page
 HEIGHT, TALL = 250, 300
-LEFT, RIGHT, TOP, BOTTOM = 62, 18, 10, 46
+LEFT, RIGHT, TOP, BOTTOM = 62, 18, 10, 46  # around the axes, for the words
+MARGIN, LETTER = 28, 9.5  # left of the numbers at the y axis, and for each of their letters
 PIXELS = 1.5  # curves are thinned to so many buckets per unit of width
 
 
@@ -80,8 +81,10 @@ def legend(chart: Chart) -> Html:
 def svg(chart: Chart, width: int, height: int, class_: str = "chart-svg") -> Html:
     """The chart alone, ``width`` by ``height`` units."""
     chart = chart.thinned(int(PIXELS * width * _columns(chart)))
-    x = _axis(_xs(chart), LEFT, width - RIGHT, "x" in chart.log, 0.0)
     y = _axis(_ys(chart), height - BOTTOM, TOP, "y" in chart.log, 0.06)
+    longest = max(len(number(tick, 4)) for tick in y.ticks(_rows(height)))
+    left = max(LEFT, MARGIN + LETTER * longest)
+    x = _axis(_xs(chart), left, width - RIGHT, "x" in chart.log, 0.0)
     parts = [*_grid(chart, x, y, width, height)]
     for level in chart.level:
         if y.low <= level <= y.high:
@@ -139,6 +142,11 @@ def hbars(
 
 
 # ---- parts --------------------------------------------------------------------------------------
+
+
+def _rows(height: int) -> int:
+    """Lines of the grid."""
+    return 4 if height < TALL else 5
 
 
 def _columns(chart: Chart) -> int:
@@ -199,7 +207,7 @@ def _axis(values: list[float], start: float, end: float, log: bool, room: float)
 
 
 def _grid(chart: Chart, x: Axis, y: Axis, width: int, height: int) -> Iterable[Html]:
-    for tick in y.ticks(4 if height < TALL else 5):
+    for tick in y.ticks(_rows(height)):
         yield _line(x.start, y(tick), x.end, y(tick), "grid")
         yield _words(x.start - 6, y(tick) + 4, number(tick, 4), "end")
     for tick in x.ticks(5 if width < WIDE else 10):

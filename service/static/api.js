@@ -23,6 +23,7 @@ export class Problem extends Error {
     this.title = body.title ?? "";
     this.type = body.type ?? "";
     this.detail = this.message;
+    this.advice = body.advice ?? "";
     this.errors = body.errors ?? [];
   }
 }

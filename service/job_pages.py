@@ -1,0 +1,111 @@
+"""A job for people: its page, its report, and how far each of its computations is."""
+
+import json
+from datetime import UTC, datetime
+from functools import partial
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Response
+from fastapi import Request as HttpRequest
+from starlette.requests import Request
+from starlette.routing import BaseRoute, Route
+
+from engine.errors import OptionError
+from engine.report import RULES, OnPage, make_report, report_html
+from service.answers import ReportOut, ReportSection, TaskOut, Tasks
+from service.api import JobId, parameter_names, problem_answers, tagged
+from service.auth import Keys
+from service.found import find_job, find_result, roles
+from service.pages import Page, prefers_html, render
+from service.problems import Problem
+from service.store import Store
+from service.strict_json import finite
+from service.thin import thin_results
+
+POINTS = 3000  # of a curve in a report
+# A report has no script, loads nothing, and brings its own style.
+FILE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
+
+
+def page_routes(keys_needed: bool) -> list[BaseRoute]:
+    """The page of a job and the rules its results are drawn by. Goes before the JSON calls."""
+
+    def job(request: Request) -> Response:
+        return render("job.html", keys_needed)
+
+    def style(request: Request) -> Response:
+        return Response(RULES, media_type="text/css", headers={"Cache-Control": "no-cache"})
+
+    return [Page("/jobs/{job_id}", job), Route("/report.css", style)]
+
+
+def router(store: Store, keys: Keys) -> APIRouter:
+    """The JSON calls behind the page."""
+    api = APIRouter(responses=problem_answers(401, 422))
+    Caller = Annotated[str, Depends(keys)]
+    find = partial(find_job, store, keys)
+
+    @api.get("/jobs/{job_id}/tasks", summary="Its computations", responses=problem_answers(404))
+    def tasks(caller: Caller, job_id: JobId) -> Tasks:
+        row = find(job_id, caller)
+        names = list(json.loads(row.estimate)) if row.estimate else parameter_names(row.model)
+        return Tasks(tasks=_tasks(row, names, store))
+
+    @api.get(
+        "/jobs/{job_id}/report",
+        summary="Its report: one HTML file, or its parts as JSON",
+        response_model=ReportOut,
+        responses=problem_answers(404, 500)
+        | {200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
+    )
+    def report(caller: Caller, http: HttpRequest, job_id: JobId) -> Response:
+        row = find(job_id, caller)
+        document = thin_results(json.loads(find_result(store, row)), POINTS)
+        try:
+            if prefers_html(http.headers.get("Accept", "")):
+                return _file(row, document)
+            draw = OnPage()
+            made = make_report(document, draw)
+        except OptionError as error:
+            raise Problem(404, "no-report", str(error)) from None
+        sections = [ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections]
+        parts = ReportOut(
+            title=made.title, summary=made.summary, sections=sections, charts=draw.charts
+        )
+        return tagged(http, parts.model_dump_json().encode())
+
+    return api
+
+
+def _tasks(row: Any, names: list[str], store: Store) -> list[TaskOut]:
+    out, known = [], {task.task: (task, values) for task, values in store.tasks(row.seq)}
+    for i, role in enumerate(roles(json.loads(row.stages))):
+        if i not in known:  # of a stage that has not begun
+            out.append(TaskOut(task=i, role=role, state="waiting"))
+            continue
+        task, values = known[i]
+        one = TaskOut(
+            task=i, role=role, state=task.state, iteration=task.iteration, restarts=task.losses
+        )
+        if values is not None and len(values) == len(names) + 4:
+            numbers = [finite(v) for v in values.tolist()]
+            one.estimate = dict(zip(names, numbers, strict=False))
+            one.log_likelihood = numbers[len(names)]
+        out.append(one)
+    return out
+
+
+def _file(row: Any, document: dict[str, Any]) -> Response:
+    """The report as a file to keep."""
+    about = {"job": row.id, "kind": row.kind, "model": row.model, "finished": _time(row.finished)}
+    headers = {
+        "Content-Security-Policy": FILE_POLICY,
+        "Content-Disposition": f'inline; filename="{row.kind}-{row.id[:8]}.html"',
+    }
+    return Response(report_html(document, about), headers=headers, media_type="text/html")
+
+
+def _time(seconds: float | None) -> str:
+    if seconds is None:
+        return ""
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M UTC")

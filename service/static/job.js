@@ -1,0 +1,168 @@
+// One job: live while it runs, then its report.
+
+import { announce, duration, element, get, number, poll, Problem, remove, when } from "/static/api.js";
+import { Convergence } from "/static/job/convergence.js";
+import { showReport } from "/static/job/results.js";
+import { download } from "/static/job/download.js";
+
+const ENDED = ["successful", "failed", "dismissed"];
+const KINDS = { estimate: "Estimate", smooth: "Smoothed states", simulate: "Simulation", diagnose: "Diagnosis" };
+const ATTEMPTS = 200; // rows of the table of computations
+
+const id = location.pathname.split("/")[2];
+const here = `/jobs/${id}`;
+const by = (name) => document.getElementById(name);
+const convergence = new Convergence(here, by("traces"));
+let said = "";
+
+poll(async () => {
+  try {
+    return await look();
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    by("problem").hidden = false;
+    by("problem").textContent = error.message;
+    return error.status === 0 || error.status === 503 ? 3000 : null; // it may come back
+  }
+});
+
+async function look() {
+  const job = await get(here);
+  by("problem").hidden = true;
+  show(job);
+  const iterates = job.kind === "estimate";
+  if (ENDED.includes(job.status)) {
+    await end(job, iterates);
+    return null;
+  }
+  if (iterates && job.status === "running") {
+    const { tasks } = await get(`${here}/tasks`);
+    showAttempts(tasks);
+    await convergence.update(tasks);
+    by("live").hidden = convergence.empty;
+    by("facts").replaceChildren(...facts(job));
+  }
+  return job.status === "accepted" ? 500 : 1000;
+}
+
+function show(job) {
+  const title = `${KINDS[job.kind] ?? job.kind}: ${job.model}`;
+  document.title = `${title} - rbps`;
+  by("title").textContent = title;
+  by("status").textContent = job.status;
+  by("status").className = `badge ${job.status}`;
+  by("when").textContent = [`Job ${id.slice(0, 8)}`, `sent ${when(job.created)}`,
+    job.finished && `ended ${when(job.finished)}`].filter(Boolean).join(", ");
+  const going = !ENDED.includes(job.status);
+  by("stop").hidden = !going;
+  by("repeat").hidden = job.status === "dismissed";
+  by("repeat").href = `/?job=${id}`;
+  by("progress").hidden = !going;
+  if (going) {
+    if (job.status === "accepted") by("bar").removeAttribute("value");
+    else by("bar").value = job.progress;
+    by("message").textContent = job.message || (job.status === "accepted" ? "Waiting for a worker." : "Computing.");
+    by("facts").replaceChildren(...facts(job));
+  }
+  if (said && said !== job.status) announce(`The job is ${job.status}.`);
+  said = job.status;
+}
+
+function facts(job) {
+  const items = [["progress", `${job.progress} %`]];
+  if (job.kind === "estimate") items.push(["iteration", `${job.iteration} of ${job.iterations} at most`]);
+  if (job.started) {
+    const spent = (new Date(job.updated) - new Date(job.started)) / 1000;
+    items.push(["running for", duration(spent)]);
+    if (job.kind === "estimate" && job.iteration && spent > 0) items.push(["rate", rate(job.iteration / spent)]);
+  }
+  if (job.estimated_end) items.push(["at most left", duration(Math.max(0, (new Date(job.estimated_end) - Date.now()) / 1000))]);
+  if (job.log_likelihood !== null) items.push(["log-likelihood", number(job.log_likelihood, 6)]);
+  if (convergence.ess !== null) items.push(["effective sample size", number(convergence.ess, 3)]);
+  return items.map(([name, value]) => element("div", {}, element("dt", {}, name), element("dd", {}, value)));
+}
+
+function rate(perSecond) {
+  return perSecond >= 1 ? `${number(perSecond, 3)} iterations/s` : `${number(1 / perSecond, 3)} s per iteration`;
+}
+
+// ---- computations -----------------------------------------------------------------------------
+
+function showAttempts(tasks) {
+  by("attempts").hidden = tasks.length < 2;
+  if (tasks.length < 2) return;
+  const names = Object.keys(tasks.find((task) => task.estimate)?.estimate ?? {});
+  const counts = {};
+  const rows = tasks.slice(0, ATTEMPTS).map((task) => {
+    counts[task.role] = (counts[task.role] ?? 0) + 1;
+    const several = tasks.filter((other) => other.role === task.role).length > 1;
+    const state = task.state + (task.restarts ? `, restarted ${task.restarts} times` : "");
+    return element("tr", {},
+      element("th", { scope: "row" }, several ? `${task.role} ${counts[task.role]}` : task.role),
+      element("td", {}, element("span", { class: `badge ${BADGES[task.state] ?? ""}` }, state)),
+      element("td", {}, task.estimate ? String(task.iteration) : ""),
+      element("td", {}, task.log_likelihood === null ? "" : number(task.log_likelihood, 6)),
+      names.map((name) => element("td", {}, task.estimate ? number(task.estimate[name], 5) : "")));
+  });
+  const head = ["", "state", "iteration", "log-likelihood", ...names];
+  by("attempts-head").replaceChildren(element("tr", {}, head.map((name) => element("th", { scope: "col" }, name))));
+  by("attempts-rows").replaceChildren(...rows);
+}
+
+const BADGES = { running: "running", done: "successful", stopped: "failed" };
+
+// ---- the end ----------------------------------------------------------------------------------
+
+async function end(job, iterates) {
+  if (job.status === "failed") return failed();
+  if (job.status === "dismissed") {
+    by("problem").hidden = false;
+    by("problem").textContent = "This job was stopped; what it had computed is gone.";
+    return undefined;
+  }
+  const report = await get(`${here}/report`);
+  for (const name of ["attempts", "live"]) by(name).hidden = true;
+  convergence.destroy();
+  showReport(by("results"), report);
+  by("report").hidden = by("json").hidden = false;
+  download(by("report"), `${here}/report`, `${job.kind}-${id.slice(0, 8)}.html`, "text/html");
+  download(by("json"), `${here}/results`, `${job.kind}-${id.slice(0, 8)}.json`, "application/json");
+  if (job.kind === "diagnose") {
+    const found = (await get(`${here}/results?points=2`)).diagnosis;
+    by("extended").hidden = !found.causes.length;
+    by("extended").href = `/?job=${id}&extension`;
+    by("extended").classList.toggle("primary", found.gain?.adopt ?? false);
+  }
+  return undefined;
+}
+
+async function failed() {
+  by("failure").hidden = false;
+  try {
+    await get(`${here}/results`);
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    by("cause").textContent = error.detail;
+    by("advice").hidden = !error.advice;
+    by("advice").textContent = error.advice;
+  }
+  const { tasks } = await get(`${here}/tasks`);
+  showAttempts(tasks);
+  await convergence.update(tasks);
+  by("live").hidden = convergence.empty;
+  by("live-title").textContent = "How far it came";
+}
+
+by("stop").addEventListener("click", async () => {
+  if (!confirm("Stop this job? What it has computed so far will be gone.")) return;
+  by("stop").disabled = true;
+  try {
+    show(await remove(here));
+    by("problem").hidden = false;
+    by("problem").textContent = "This job was stopped; what it had computed is gone.";
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    by("problem").hidden = false;
+    by("problem").textContent = error.message;
+  }
+});
