@@ -17,6 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from engine.diagnose.bootstrap import STAGE, first_round_p
 from engine.diagnose.catalogue import (
     all_effects,
     effect_kinds,
@@ -31,6 +32,7 @@ from engine.diagnose.effect import Effect
 from engine.diagnose.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.runs import covariance_of
 from engine.diagnose.search import Search
+from engine.diagnose.spare_inputs import with_inputs
 from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.tails import KIND as TAILS
 from engine.errors import OptionError, SeriesError
@@ -73,17 +75,25 @@ def diagnose(
     max_effects: int = 3,
     free: Sequence[str] | None = None,
     callback: Callback | None = None,
+    bootstrap: int = 0,
 ) -> Diagnosis:
     """Diagnose a model on measured data.
 
     ``theta`` start values (default: the model's defaults); ``test`` held-out data (default: the last
     fifth of ``series``); ``alpha`` family-wise error; ``effects`` kinds or names to consider (default: the
     whole catalogue); ``max_effects`` found in turn at most; ``free`` parameters that are estimated
-    (default: all); ``callback(stage, fraction)`` may stop the run by raising StopIteration.
-    Raises SeriesError, ModelError, OptionError.
+    (default: all); ``callback(stage, fraction)`` may stop the run by raising StopIteration;
+    ``bootstrap`` simulated series for a second p-value of the first round, 99 or more, each of which
+    takes as long as a fit and a screen. Extra channels of the series become inputs of the model that
+    nothing depends on, until one is found to matter. Raises SeriesError, ModelError, OptionError.
     """
     series.check(model)
     _check_options(series, alpha, max_effects, effects)
+    if bootstrap < 0:
+        raise OptionError(f"bootstrap = {bootstrap}; 0 or more is needed", "bootstrap")
+    model, series = with_inputs(model, series.extra_names), series.with_extra_inputs()
+    if test is not None:
+        test = test.with_extra_inputs().check(model)
     notes = list(check_data(model, series))
     clock = Clock(callback)
     train, held_out = _split(series, test)
@@ -100,6 +110,21 @@ def diagnose(
         clock=clock,
     )
     base, found, notes = causes.base, causes.search, [*notes, *causes.notes]
+
+    p_bootstrap = None
+    if bootstrap:
+        clock.start(STAGE)
+        p_bootstrap = first_round_p(
+            base,
+            train,
+            causes.setting,
+            found,
+            bootstrap,
+            seed,
+            alpha=alpha,
+            kinds=effects,
+            progress=clock.progress,
+        )
 
     clock.start("symptoms")
     symptoms = find_symptoms(model, base.theta, train, covariance_of(base), seed=seed)
@@ -130,6 +155,7 @@ def diagnose(
         notes=tuple(notes),
         seconds=clock.seconds,
         series=series,
+        p_bootstrap=p_bootstrap,
     )
 
 

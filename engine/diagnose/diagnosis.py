@@ -107,6 +107,7 @@ class Diagnosis:
     notes: tuple[str, ...]
     seconds: dict[str, float]
     series: Series  # what was given, the held-out part included
+    p_bootstrap: float | None = None  # of the first round, where it was asked for
 
     @property
     def rounds(self) -> tuple[Round, ...]:

@@ -45,6 +45,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "verdict": d.verdict.value,
         "sentence": d.verdict.sentence,
         "p_value": d.p_value,
+        "p_bootstrap": d.p_bootstrap,
         "causes": causes,
         "unnamed": None if force is None else _force(force),
         "base_theta": d.base_theta.asdict(),

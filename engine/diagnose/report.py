@@ -46,6 +46,11 @@ def _head(d: Diagnosis) -> Iterator[str]:
             yield from _wrapped(f"not told apart from {others}", "      ")
     if not d.causes:
         yield from _wrapped(_no_cause(d), "  ")
+    if d.p_bootstrap is not None:
+        yield from _wrapped(
+            f"By parametric bootstrap (simulated, refitted, screened again): {probability(d.p_bootstrap)}.",
+            "  ",
+        )
     if d.gain is not None:
         yield from _wrapped(gain_line(d.gain), "  ")
 
