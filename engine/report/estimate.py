@@ -64,20 +64,27 @@ def states_report(document: Document, draw: Drawer) -> Report:
 
 
 def simulation_report(document: Document, draw: Drawer) -> Report:
-    """Simulated outputs and states."""
+    """Simulated outputs and states, outputs beside what was measured."""
     simulation = document["simulation"]
-    units, parts = simulation["units"], []
+    parts = []
     for i, series in enumerate(simulation["series"]):
         rmse = series.get("rmse")
         said = "" if rmse is None else tag("p", f"Wrong by {number(rmse)} rms against the data.")
-        figures = [
-            draw(Chart(name, TIME, label(name, units[name]), series["t"], (Trace(name, values),)))
-            for group in ("y", "states")
-            for name, values in series[group].items()
-        ]
+        figures = _simulated(series, simulation["units"], draw)
         parts += section(f"series-{i}", _nth("Simulation", i, simulation), said, grid(figures))
     values = document.get("parameters") or {}
     return Report("Simulation", facts((k, number(v, 6)) for k, v in values.items()), tuple(parts))
+
+
+def _simulated(series: Document, units: Document, draw: Drawer) -> Iterator[Html]:
+    measured = series.get("measured") or {}
+    for group in ("y", "states"):
+        for name, values in series[group].items():
+            traces = [Trace("simulated", values)]
+            if group == "y" and name in measured:
+                traces.append(Trace("measured", measured[name], "points", "data"))
+            unit = units.get(name, "")
+            yield draw(Chart(name, TIME, label(name, unit), series["t"], tuple(traces)))
 
 
 # ---- summary ----------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ NARROW, WIDE = 520, 1080  # widths drawn for: half a page or a phone, and a page
 HEIGHT, TALL = 250, 300
 LEFT, RIGHT, TOP, BOTTOM = 62, 18, 10, 46  # around the axes, for the words
 MARGIN, LETTER = 28, 9.5  # left of the numbers at the y axis, and for each of their letters
+DECADES = 1e-12  # of the largest value: what a logarithmic axis shows at most
 PIXELS = 1.5  # curves are thinned to so many buckets per unit of width
 
 
@@ -195,6 +196,7 @@ def _axis(values: list[float], start: float, end: float, log: bool, room: float)
         values = [v for v in values if v > 0.0]
     low, high = (min(values), max(values)) if values else (1.0 if log else 0.0, 1.0)
     if log:
+        low = max(low, high * DECADES)
         if not high > low:
             low, high = 0.5 * low, 2.0 * high
         factor = (high / low) ** room
@@ -223,7 +225,9 @@ def _grid(chart: Chart, x: Axis, y: Axis, width: int, height: int) -> Iterable[H
 def _trace(xs: Numbers, t: Trace, x: Axis, y: Axis) -> list[Html]:
     inside = _clipped(y)
     points = [
-        None if a is None or b is None or not _drawable(b, y) else (x(a), inside(y(b)))
+        None
+        if a is None or b is None or not (_drawable(a, x) and _drawable(b, y))
+        else (x(a), inside(y(b)))
         for a, b in zip(xs, t.y, strict=True)
     ]
     parts = []
@@ -292,8 +296,8 @@ def _band(xs: Numbers, band: tuple[Numbers, Numbers], x: Axis, y: Axis, role: st
     return tag("path", d="".join(pieces) or "M0 0", class_=f"band r-{role}")
 
 
-def _drawable(value: float, y: Axis) -> bool:
-    return math.isfinite(value) and (value > 0.0 or not y.log)
+def _drawable(value: float, axis: Axis) -> bool:
+    return math.isfinite(value) and (value > 0.0 or not axis.log)
 
 
 def _clipped(y: Axis) -> Callable[[float], float]:

@@ -1,0 +1,283 @@
+"""Reports as files: whole, alone, escaped, and drawing what the document says."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data import nile
+from engine.diagnose import diagnose
+from engine.errors import OptionError
+from engine.models.linear_2 import MODEL as LINEAR
+from engine.models.local_level import MODEL as LEVEL
+from engine.report import OnPage, make_report, report_html, write_report
+from engine.report.chart import Chart, Trace
+from engine.report.html import tag
+from engine.report.parts import measured, plus_minus, pretty
+from engine.report.svg import Axis, hbars, svg, svg_element
+from engine.series import Series
+from engine.simulate import simulate
+
+EVIL = '<script>alert("1")</script>'
+VOID = {"meta"}
+
+
+class Outline(HTMLParser):
+    """Elements with their attributes; fails where one is not closed in its place."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.elements, self.words = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, name, attributes):
+        self.elements.append((name, dict(attributes)))
+        if name not in VOID:
+            self.open.append(name)
+
+    def handle_endtag(self, name):
+        assert self.open.pop() == name
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+    def all(self, name):
+        return [attributes for element, attributes in self.elements if element == name]
+
+
+def check_alone(text):
+    """Nothing from anywhere else, nothing that runs."""
+    assert not re.search(r"https?://|@import|url\(", text)
+    page = Outline(text)
+    assert not page.all("script") + page.all("link") + page.all("img") + page.all("iframe")
+    for _, attributes in page.elements:
+        assert not any(name.startswith("on") for name in attributes)
+        assert attributes.get("href", "#").startswith("#")
+    ids = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert all(link["href"][1:] in ids for link in page.all("a"))
+    return page
+
+
+@pytest.fixture(scope="module")
+def diagnosis():
+    return diagnose(LEVEL, nile(), effects=["step", "pulse", "ramp", "latent"], seed=1).to_dict()
+
+
+@pytest.fixture(scope="module")
+def estimate():
+    series = simulate(LINEAR, None, 120, np.random.default_rng(2)).series
+    y = series.y.copy()
+    y[30:35] = np.nan
+    found = engine.rts_em(LINEAR, Series(y), {"theta": 0.3}, n_iterations=30)
+    errors = engine.standard_errors(LINEAR, found.theta, Series(y), exact=True)
+    return engine.examine(found, Series(y), errors, n_particles=20)
+
+
+# ---- whole reports ----------------------------------------------------------------------------
+
+
+def test_diagnosis_in_one_file(diagnosis, tmp_path):
+    file = write_report(diagnosis, tmp_path / "out.html", {"data": "nile.csv"})
+    page = check_alone(file.read_text("utf-8"))
+    assert [s["id"] for s in page.all("section")] == [
+        "wrong", "cause", "extension", "gain", "testable", "notes",
+    ]  # fmt: skip
+    text = page.text
+    first = text[: text.index("1. What is wrong")]
+    assert "named" in first
+    assert "Step of the reading flow (-258.2 ±" in first  # the verdict is understood from the top
+    assert "1899" in first
+    assert "Adopted." in first
+    o = diagnosis["gain"]["outputs"][0]
+    assert f"{o['rmse_before']:.3g} → {o['rmse_after']:.3g} × 10⁸ m³" in first
+    for said in ("Look-alikes", "ruled out", "Error budget", "Before", "After", "nile.csv"):
+        assert said in text, said
+    for figure in ("Free-run simulation of flow", "Held-out data", "Autocorrelation", "by time"):
+        assert any(figure in svg["aria-label"] for svg in page.all("svg")), figure
+
+
+def test_estimate_in_one_file(estimate, tmp_path):
+    page = check_alone(estimate.report(tmp_path / "out.html").read_text("utf-8"))
+    ids = [s["id"] for s in page.all("section")]
+    assert ids == ["convergence", "states-0", "simulation-0", "residuals-0", "where-0", "model"]
+    found = estimate.document["estimate"]["theta"]
+    low, high = found["interval"]
+    assert f"{found['value']:.5g}" in page.text
+    assert f"{low:.4g} to {high:.4g}" in page.text
+    labels = [svg["aria-label"] for svg in page.all("svg")]
+    for figure in ("theta:", "a: smoothed", "z: smoothed", "Free-run", "One-step", "Quantiles"):
+        assert any(figure in label for label in labels), figure
+
+
+def test_library_and_service_documents_give_the_same_report(diagnosis, estimate):
+    assert report_html({"diagnosis": diagnosis, "message": ""}) == report_html(diagnosis)
+    stored = json.loads(json.dumps(estimate.to_dict()))
+    assert report_html(stored) == report_html(estimate.to_dict())
+
+
+def test_nothing_found_is_said_plainly():
+    series = simulate(LINEAR, None, 200, np.random.default_rng(8)).series
+    found = diagnose(LINEAR, series, effects=["bias", "force"], seed=1)
+    text = check_alone(report_html(found.to_dict())).text
+    assert "nothing" in text
+    assert "the model stays as it is" in text
+    assert "nothing is gained or lost" in text
+
+
+def test_states_and_simulations():
+    axis = {"t": [0.0, 1.0, 2.0]}
+    states = {
+        "states": {
+            "units": {"a": "V"},
+            "series": [
+                axis | {"mean": {"a": [1, 2, 3]}, "standard_deviation": {"a": [1, 1, None]}}
+            ],
+        }
+    }
+    page = check_alone(report_html(states))
+    assert page.all("svg")[0]["aria-label"].startswith("a: smoothed mean")
+    simulated = {
+        "simulation": {
+            "units": {"y": "V", "a": ""},
+            "series": [
+                axis | {"y": {"y": [1, 2, 3]}, "states": {"a": [0, 1, 0]}, "rmse": 0.25,
+                        "measured": {"y": [1.0, None, 2.5]}},
+            ],
+        }
+    }  # fmt: skip
+    page = check_alone(report_html(simulated))
+    assert "Wrong by 0.25" in page.text
+    assert "measured" in page.all("svg")[0]["aria-label"]
+    with pytest.raises(OptionError, match="no estimate"):
+        report_html({"message": "none"})
+
+
+# ---- what others wrote ------------------------------------------------------------------------
+
+
+def test_names_are_escaped(diagnosis):
+    evil = replace(LEVEL, outputs={EVIL: EVIL}, linear={EVIL: "<b>"}, description=EVIL)
+    found = diagnose(
+        evil, nile(), effects=["bias", "step", "ramp"], seed=1, theta={"q": 1500.0, "r": 15000.0}
+    ).to_dict()
+    found["notes"].append(EVIL)
+    page = check_alone(report_html(found, {EVIL: EVIL}))
+    assert EVIL in page.text
+    draw = OnPage()
+    parts = make_report(found, draw)
+    for html in (parts.summary, *(s.body for s in parts.sections)):
+        assert "<script" not in html
+        Outline(html)
+    assert (
+        draw.charts[0]["title"].count(EVIL) == 1
+    )  # as data, which the page's script shows as text
+
+
+def test_messages_are_escaped(estimate):
+    document = copy.deepcopy(estimate.to_dict())
+    document["message"] = document["model"]["name"] = EVIL
+    document["starts"] = [{"start": {EVIL: 1.0}, "outcome": EVIL, "message": EVIL}]
+    document["examination"]["series"].append({"problem": EVIL})
+    check_alone(report_html(document))
+
+
+def test_attributes_are_escaped():
+    assert tag("i", "<", title='"><b>', class_=None) == '<i title="&quot;&gt;&lt;b&gt;">&lt;</i>'
+
+
+# ---- charts -----------------------------------------------------------------------------------
+
+
+def numbers(path):
+    return [float(x) for x in re.findall(r"-?[\d.]+", path)]
+
+
+def paths(chart, width=520, height=250):
+    page = Outline(svg(chart, width, height))
+    return {p["class"]: p["d"] for p in page.all("path")}
+
+
+def test_a_curve_is_where_its_values_are():
+    chart = Chart("c", "x", "y", [0, 1, 2, 3, 4], (Trace("one", [0.0, 1.0, None, 0.5, 1.0]),))
+    d = paths(chart)["curve r-model"]
+    pieces = [p for p in d.split("M") if p]
+    assert len(pieces) == 2  # the gap is a gap
+    x = [numbers(p)[::2] for p in pieces]
+    y = [numbers(p)[1::2] for p in pieces]
+    assert x[1][1] - x[1][0] == pytest.approx(x[0][1] - x[0][0], abs=0.2)
+    assert y[0][0] > y[1][0] > y[1][1] == y[0][1]  # downwards on the screen
+    assert y[1][0] == pytest.approx(0.5 * (y[0][0] + y[0][1]), abs=0.2)
+
+
+def test_extremes_of_long_curves_are_drawn():
+    values = np.zeros(100_000)
+    values[40_123], values[70_321] = 5.0, -3.0
+    chart = Chart("c", "x", "y", list(range(100_000)), (Trace("one", values.tolist()),))
+    d = paths(chart)["curve r-model"]
+    assert len(d) < 30_000
+    y = numbers(d)[1::2]
+    level = y[0]
+    assert (level - min(y)) / (max(y) - level) == pytest.approx(5.0 / 3.0, rel=0.02)
+    assert 1000 < len(chart.thinned().x) <= 2400
+
+
+def test_bands_and_bars():
+    band = Trace("b", [1.0, 1.0], band=([0.0, 0.0], [2.0, 2.0]))
+    d = numbers(paths(Chart("c", "x", "y", [0, 1], (band,)))["band r-model"])
+    assert max(d[1::2]) > min(d[1::2])
+    bars = Chart("c", "x", "y", [1, 2], (Trace("b", [0.5, -0.25], "bars", width=[0.3, 0.3]),))
+    rects = Outline(svg(bars, 520, 250)).all("rect")
+    heights = [float(r["height"]) for r in rects]
+    assert heights[0] == pytest.approx(2.0 * heights[1], rel=0.02)
+    assert float(rects[1]["y"]) == pytest.approx(float(rects[0]["y"]) + heights[0], abs=0.2)
+    ranked = Outline(hbars("t", "score", [("one", 10.0, "after"), ("two", -2.0, "data")], 4.0))
+    widths = [float(r["width"]) for r in ranked.all("rect")]
+    assert widths[0] == pytest.approx(5.0 * widths[1], rel=0.02)
+    assert hbars("t", "score", []) == ""
+
+
+@pytest.mark.parametrize(
+    "values", [[], [None, None], [1.0, 1.0], [float("nan"), 2.0], [1e-300, 1e300], [0.0, 1e-9]]
+)
+@pytest.mark.parametrize("log", ["", "xy"])
+def test_any_values_make_a_chart(values, log):
+    chart = Chart("c", "x", "y", list(range(1, len(values) + 1)), (Trace("t", values),), log=log)
+    text = svg_element(chart)
+    Outline(text)
+    assert "nan" not in text
+    assert "inf" not in text
+
+
+def test_ticks_are_round_and_inside():
+    assert Axis(0.0, 10.0, 0.0, 100.0).ticks(5) == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
+    assert Axis(0.012, 0.19, 0.0, 1.0, log=True).ticks(5) == [0.02, 0.05, 0.1]
+    assert Axis(0.5, 2e4, 0.0, 1.0, log=True).ticks(5) == pytest.approx([1, 10, 100, 1e3, 1e4])
+    for low, high in ((-3.7e-9, 8.1e-9), (1e6, 1e6 + 3), (-5e8, 7e8)):
+        ticks = Axis(low, high, 0.0, 1.0).ticks(5)
+        assert 2 <= len(ticks) <= 8
+        assert all(low <= tick <= high for tick in ticks)
+
+
+def test_units_as_they_are_printed():
+    assert pretty("1e8 m^3") == "10⁸ m³"
+    assert pretty("V^0.5/s") == "V^0.5/s"
+    assert pretty("N*s/m") == "N s/m"
+    assert measured(256.4, "1e8 m^3") == "256 × 10⁸ m³"
+    assert plus_minus(0.5234, 0.0312, "N") == "0.5234 ± 0.031 N"
+    assert plus_minus(256.4, 12.0, "1e8 m^3") == "(256.4 ± 12) × 10⁸ m³"
+    assert plus_minus(2.0, None, "1") == "2"
