@@ -101,10 +101,11 @@ def free_run(
 
     A first state that is not given is the mean of the model's initial density; with
     ``initial_rows`` > 0, what the initial density leaves uncertain of it is instead estimated by
-    least squares on the first ``initial_rows`` samples. Raises ModelError naming the time where
-    the run stops being finite, OptionError for a first state of the wrong size.
+    least squares on the first ``initial_rows`` samples; otherwise y may be missing throughout.
+    Raises ModelError naming the time where the run stops being finite, OptionError for a first
+    state of the wrong size.
     """
-    series.check(model)
+    series.check(model, measured=initial_rows > 0)
     vector = model.theta(theta)
     record = model.record(vector)
     x1, spread = first_state(model, vector)

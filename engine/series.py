@@ -140,8 +140,11 @@ class Series:
             extra_names=self.extra_names,
         )
 
-    def check(self, model: BaseModel) -> Series:
-        """Return self if its widths fit the model, else raise SeriesError."""
+    def check(self, model: BaseModel, measured: bool = True) -> Series:
+        """Return self if its widths fit the model and, unless not ``measured``, y has a value.
+
+        Raises SeriesError.
+        """
         for got, names, what in (
             (self.y.shape[1], model.outputs, "y"),
             (self.u.shape[1], model.inputs, "u"),
@@ -151,7 +154,7 @@ class Series:
                     f"{what} has {got} channels; model '{model.name}' needs {len(names)}"
                     f" ({', '.join(names) or 'none'})"
                 )
-        if not self.observed.any():
+        if measured and not self.observed.any():
             raise SeriesError("every value of y is missing; at least one measurement is needed")
         return self
 

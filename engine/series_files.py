@@ -112,15 +112,16 @@ def write_series(series: Series, path: str | Path) -> None:
             arrays["u_names"] = np.array(series.u_names, dtype=object)
         savemat(path, arrays)
     elif suffix == ".csv":
-        path.write_text(_csv_text(series), encoding="utf-8")
+        path.write_text(csv_text(series), encoding="utf-8")
     else:
         raise SeriesError(f"{path.name}: the ending must be .csv, .mat or .npz, not '{suffix}'")
 
 
-def _csv_text(series: Series) -> str:
+def csv_text(series: Series) -> str:
+    """What :func:`write_series` writes into a .csv."""
     header = ["t"]
     for prefix, names in (("y", series.y_names), ("u", series.u_names)):
-        header += [name if _is_channel(name, prefix) else f"{prefix}_{name}" for name in names]
+        header += [name if is_channel(name, prefix) else f"{prefix}_{name}" for name in names]
     table = np.column_stack((series.t, series.y, series.u))
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -130,7 +131,8 @@ def _csv_text(series: Series) -> str:
     return out.getvalue()
 
 
-def _is_channel(name: str, prefix: str) -> bool:
+def is_channel(name: str, prefix: str) -> bool:
+    """Whether a column is read as one of y or u without being named."""
     return name[:1].lower() == prefix and not name[1:2].isalpha()
 
 
@@ -145,7 +147,7 @@ def _channels(
         for name in (prefix, prefix.upper()):  # the array itself, where there is one
             columns = columns or list(table.groups.get(name, []))
         if not columns or columns == [prefix] or columns == [prefix.upper()]:
-            columns = [name for name in table.columns if _is_channel(name, prefix)]
+            columns = [name for name in table.columns if is_channel(name, prefix)]
         if not columns and prefix == "y":
             raise SeriesError(
                 f"{table.file}: no column is named y...; name the measured ones with y=[...]. "

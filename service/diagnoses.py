@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import engine
+from engine.diagnose import Diagnosis
 from service.kinds import Progress
 from service.prepare import Prepared
 from service.schemas import DiagnoseRequest
@@ -37,11 +39,23 @@ def diagnose(job: Prepared, request: DiagnoseRequest, progress: Progress) -> dic
         free=job.free,
         callback=Percent(progress),
     )
-    document = found.to_dict()
-    reference = document["extension"]["model"]
-    reference["name"] = request.model.name
-    reference["with"] = [*request.model.effects, *reference["with"]]
-    return {"diagnosis": document, "message": found.verdict.sentence}
+    return document(found, request.model.name, request.model.effects)
+
+
+def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, Any]:
+    """The result document; ``name`` with ``effects`` is the model that was diagnosed."""
+    told = found.to_dict()
+    reference = told["extension"]["model"]
+    reference["name"] = name
+    reference["with"] = [*effects, *reference["with"]]
+    return {"diagnosis": told, "message": found.verdict.sentence}
+
+
+class Steps(Protocol):
+    """What is told of the progress."""
+
+    def step(self, k: int, message: str = "") -> None:
+        """So many of STEPS are done."""
 
 
 class Percent:
@@ -51,7 +65,7 @@ class Percent:
     is left, six tenths of it for the screen.
     """
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: Steps) -> None:
         self.progress, self.done, self.said = progress, -1, ""
         self.round = -1
 

@@ -7,12 +7,14 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from engine import display, plots
 from engine.diagnose.gain import Gain
 from engine.diagnose.search import Round, Search
 from engine.diagnose.symptoms import Symptoms
 from engine.model import MixedModel, Theta
 from engine.report import write_report
 from engine.series import Series
+from engine.words import probability, tidy
 
 
 class Verdict(Enum):
@@ -134,3 +136,24 @@ class Diagnosis:
         from engine.diagnose.figures import figures
 
         return figures(self)
+
+    def plot(self) -> plots.Figures:
+        """The same as one object: ``diagnosis.plot().save("figures")``."""
+        return plots.Figures(self.figures())
+
+    def _repr_html_(self) -> str:
+        from engine.diagnose.report import gain_line
+
+        causes = [
+            (c.effect, c.title, c.size, c.standard_error, tidy(c.unit), probability(c.p_value))
+            for c in self.causes
+        ]
+        head = ("effect", "cause", "size", "standard error", "unit", "")
+        return display.show(
+            f"{self.model.name}: {self.verdict.value}",
+            display.line(self.verdict.sentence),
+            display.table(head, causes),
+            display.lines(self.extended.equations if causes else ()),
+            display.line("" if self.gain is None else gain_line(self.gain)),
+            display.line("print() shows all of it, .plot() the pictures."),
+        )

@@ -8,8 +8,8 @@ import numpy as np
 
 from engine.diagnose.regions import Region, single_bands
 from engine.diagnose.report import unnamed
-from engine.errors import OptionError
 from engine.model import Array
+from engine.plots import axes, label
 from engine.words import tidy
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def figures(diagnosis: Diagnosis) -> dict[str, Any]:
     }
     force = unnamed(diagnosis)
     if force is not None:
-        figure, (panel,) = _axes(1, 1, (9.0, 3.2))
+        figure, (panel,) = axes(1, 1, (9.0, 3.2))
         _band(panel, force.t, force.mean - 2.0 * force.sd, force.mean + 2.0 * force.sd, RUN)
         panel.plot(force.t, force.mean, color=RUN)
         panel.axhline(0.0, color=DATA, linewidth=0.6)
@@ -43,28 +43,13 @@ def figures(diagnosis: Diagnosis) -> dict[str, Any]:
     return {name: figure for name, figure in out.items() if figure is not None}
 
 
-def _axes(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, list[Any]]:
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise OptionError("figures need matplotlib: pip install 'rbps[plot]'", "figures") from error
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
-
-
 def _band(panel: Any, t: Array, low: Array, high: Array, color: str) -> None:
     panel.fill_between(t, low, high, color=color, alpha=0.18, linewidth=0.0)
 
 
-def _label(name: str, unit: str) -> str:
-    return f"{name} [{tidy(unit)}]" if tidy(unit) else name
-
-
 def _wrong(symptoms: Symptoms, outputs: dict[str, str]) -> Any:
     """Measured and free run with its band; below, the errors of the free run and of predictions."""
-    figure, panels = _axes(2 * len(outputs), 1, (9.0, 5.0 * len(outputs)))
+    figure, panels = axes(2 * len(outputs), 1, (9.0, 5.0 * len(outputs)))
     t, y = symptoms.series.t, symptoms.series.y
     for i, (name, unit) in enumerate(outputs.items()):
         top, bottom = panels[2 * i], panels[2 * i + 1]
@@ -78,8 +63,8 @@ def _wrong(symptoms: Symptoms, outputs: dict[str, str]) -> Any:
             t, y[:, i] - predicted.y[:, i], color=DATA, linewidth=0.6, label="one-step prediction"
         )
         bottom.axhline(0.0, color="#888888", linewidth=0.5)
-        top.set(ylabel=_label(name, unit))
-        bottom.set(ylabel=f"error of {_label(name, unit)}", xlabel="t [s]")
+        top.set(ylabel=label(name, unit))
+        bottom.set(ylabel=f"error of {label(name, unit)}", xlabel="t [s]")
         top.legend(loc="best", fontsize=8)
         bottom.legend(loc="best", fontsize=8)
     return figure
@@ -99,7 +84,7 @@ def _where(symptoms: Symptoms, outputs: dict[str, str]) -> Any:
         return None
     columns = min(3, len(parts))
     rows = -(-len(parts) // columns)
-    figure, panels = _axes(rows, columns, (3.6 * columns, 2.6 * rows))
+    figure, panels = axes(rows, columns, (3.6 * columns, 2.6 * rows))
     for panel, (title, regions) in zip(panels, parts, strict=False):
         _by_bands(panel, title, regions, outputs)
     for panel in panels[len(parts) :]:
@@ -113,7 +98,7 @@ def _by_bands(panel: Any, title: str, regions: list[Region], outputs: dict[str, 
     first = regions[0]
     low, high = np.array([[r.low, r.high] for r in regions]).T
     panel.set_title(f"{title} of {first.output}", fontsize=9)
-    panel.set_xlabel(_label(first.signal, first.unit), fontsize=8)
+    panel.set_xlabel(label(first.signal, first.unit), fontsize=8)
     panel.tick_params(labelsize=7)
     if first.kind == "frequency":
         panel.step(low, [r.rms for r in regions], where="post", color=RUN, label="error")
@@ -136,7 +121,7 @@ def _by_bands(panel: Any, title: str, regions: list[Region], outputs: dict[str, 
 def _residuals(symptoms: Symptoms, diagnosis: Diagnosis) -> Any:
     """Standardised innovations, their autocorrelation, PIT, and auxiliary residuals."""
     ny = symptoms.z.shape[1]
-    figure, panels = _axes(2 + ny, 2, (9.0, 2.6 * (2 + ny)))
+    figure, panels = axes(2 + ny, 2, (9.0, 2.6 * (2 + ny)))
     t = symptoms.series.t
     for i, name in enumerate(diagnosis.model.outputs):
         z = symptoms.z[:, i]
@@ -179,7 +164,7 @@ def _candidates(diagnosis: Diagnosis) -> Any:
     rounds = [r for r in diagnosis.rounds if r.refits]
     if not rounds:
         return _screened(diagnosis)
-    figure, panels = _axes(len(rounds), 1, (8.0, 0.8 + 0.28 * SHOWN * len(rounds)))
+    figure, panels = axes(len(rounds), 1, (8.0, 0.8 + 0.28 * SHOWN * len(rounds)))
     for k, (panel, found) in enumerate(zip(panels, rounds, strict=True)):
         bars = [(r.effect.name, r.score, r in found.equivalent) for r in found.refits]
         if found.generic is not None:
@@ -205,7 +190,7 @@ def _screened(diagnosis: Diagnosis) -> Any:
     scores = [s for s in diagnosis.rounds[0].screen.scores if s.statistic > 0.0][:SHOWN]
     if not scores:
         return None
-    figure, (panel,) = _axes(1, 1, (8.0, 0.8 + 0.28 * SHOWN))
+    figure, (panel,) = axes(1, 1, (8.0, 0.8 + 0.28 * SHOWN))
     panel.barh([s.effect.name for s in scores], [s.statistic for s in scores], color="#9a9a9a")
     panel.axvline(
         diagnosis.rounds[0].screen.threshold, color=RUN, label="a single test's threshold"
@@ -222,14 +207,14 @@ def _gain(diagnosis: Diagnosis) -> Any:
     if gain is None or not len(gain.t):
         return None
     outputs = dict(diagnosis.model.outputs)
-    figure, panels = _axes(len(outputs) + 1, 1, (9.0, 2.8 * (len(outputs) + 1)))
+    figure, panels = axes(len(outputs) + 1, 1, (9.0, 2.8 * (len(outputs) + 1)))
     for i, (name, unit) in enumerate(outputs.items()):
         panel = panels[i]
         panel.plot(gain.t, gain.y[:, i], ".", color=DATA, markersize=2.5, label="held-out readings")
-        for run, color, label in ((gain.before, RUN, "before"), (gain.after, AFTER, "after")):
+        for run, color, when in ((gain.before, RUN, "before"), (gain.after, AFTER, "after")):
             if run is not None:
-                panel.plot(gain.t, run[:, i], color=color, linewidth=1.0, label=f"free run {label}")
-        panel.set(ylabel=_label(name, unit))
+                panel.plot(gain.t, run[:, i], color=color, linewidth=1.0, label=f"free run {when}")
+        panel.set(ylabel=label(name, unit))
         panel.legend(fontsize=8)
     panels[-1].plot(gain.t, np.nancumsum(gain.d), color=AFTER)
     panels[-1].axhline(0.0, color="#888888", linewidth=0.5)

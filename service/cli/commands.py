@@ -1,0 +1,420 @@
+"""What there is to type. The engine takes a second to import: each command imports its own module."""
+
+from __future__ import annotations
+
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.cli.ending import CODES, guarded, wrong
+
+DATA = (
+    "Data files: .csv with a line of column names, .mat or .npz. Several are several experiments."
+)
+
+app = typer.Typer(
+    help=(
+        "Estimate the parameters of a state-space model from measured data, and find out what "
+        "the model leaves out."
+    ),
+    epilog=CODES,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+Model = Annotated[
+    str,
+    typer.Option(
+        "--model", "-m", metavar="MODEL",
+        help="A registered model (see 'rbps models'), or path/to/file.py:name for your own.",
+    ),
+]  # fmt: skip
+Effects = Annotated[
+    list[str],
+    typer.Option("--with", metavar="EFFECT", help="Add an effect, such as coulomb:velocity."),
+]
+Values = Annotated[
+    list[str], typer.Option("--set", metavar="NAME=VALUE", help="Start value of a parameter.")
+]
+Fixed = Annotated[
+    list[str], typer.Option("--fix", metavar="NAME=VALUE", help="Hold a parameter at a value.")
+]
+Free = Annotated[
+    list[str],
+    typer.Option("--free", metavar="NAME,...", help="Estimate these parameters only.  [all]"),
+]
+Columns = Annotated[
+    list[str],
+    typer.Option(
+        "--map", metavar="CHANNEL=COLUMN",
+        help="Column of an output or input.  [the column of the channel's name]",
+    ),
+]  # fmt: skip
+TimeColumn = Annotated[
+    str | None,
+    typer.Option("--time", metavar="COLUMN", help="Column of times in seconds.  [t or time]"),
+]
+Step = Annotated[
+    float | None,
+    typer.Option("--dt", metavar="SECONDS", help="Time step, where no column has the times.  [1]"),
+]
+Seed = Annotated[
+    int, typer.Option(metavar="N", min=0, help="The same seed gives the same numbers.")
+]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", metavar="FILE.json", help="Write the result as JSON."),
+]
+Report = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.html", help="Write a report, one file that opens anywhere."),
+]
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="FOLDER", help="Write figures as SVG and PNG (needs rbps[plot])."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"rbps {version_of('rbps')}")
+        raise typer.Exit()
+
+
+@app.callback()
+def rbps(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Nothing but the options of ``rbps`` itself."""
+
+
+@app.command(epilog=CODES, short_help="List the models, or show one.")
+def models(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[MODEL]", help="The model to show.  [list all]")
+    ] = None,
+    effects: Effects = [],  # noqa: B006 - typer copies
+    list_effects: Annotated[
+        bool, typer.Option("--effects", help="List the effects that can be added to the model.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """List the models, or show one: equations, channels, parameters with units and bounds."""
+    with guarded(as_json):
+        from service.cli.models import show_all, show_one
+
+        if name is None:
+            if effects or list_effects:
+                raise wrong("--with and --effects need the name of a model")
+            show_all(as_json)
+        else:
+            show_one(name, effects, list_effects, as_json)
+
+
+@app.command(epilog=CODES, short_help="Estimate a model's parameters by maximum likelihood.")
+def fit(
+    ctx: typer.Context,
+    data: Annotated[
+        list[Path] | None, typer.Argument(metavar="DATA", help=DATA, exists=True, dir_okay=False)
+    ] = None,
+    model: Model = "",
+    effects: Effects = [],  # noqa: B006
+    values: Values = [],  # noqa: B006
+    fixed: Fixed = [],  # noqa: B006
+    free: Free = [],  # noqa: B006
+    columns: Columns = [],  # noqa: B006
+    time: TimeColumn = None,
+    dt: Step = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="METHOD",
+            help="rbps-em; ps-em, without Rao-Blackwellization; rts-em, exact for linear models.",
+        ),
+    ] = "rbps-em",
+    iterations: Annotated[
+        int, typer.Option("--iterations", "-n", metavar="N", min=1, help="At most.")
+    ] = 100,
+    particles: Annotated[
+        int, typer.Option(metavar="N", min=2, help="Particles of the filter.")
+    ] = 50,
+    trajectories: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=2, help="Smoothed trajectories.  [as many as particles]"),
+    ] = None,
+    seed: Seed = 0,
+    standard_errors: Annotated[
+        bool, typer.Option("--standard-errors/--no-standard-errors", help="They take a while.")
+    ] = True,
+    out: Out = None,
+    report: Report = None,
+    plot: Plot = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.state",
+            help="Keep the iterations here.  [beside --out, until the estimation has ended]",
+        ),
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.state",
+            help="Go on with an interrupted estimation, as if it had never stopped. Only "
+            "--iterations and the options of output may be given with it.",
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate a model's parameters by maximum likelihood.
+
+    Ctrl-C stops it and keeps what is done; 'rbps fit --resume FILE.state' goes on and gives the same
+    numbers as a run that was never stopped.
+    """
+    with guarded(as_json):
+        from service.cli import fit as work
+        from service.cli.state import Asked
+        from service.cli.values import names, numbers, one_of, pairs
+
+        to = {"out": out, "report": report, "plot": plot}
+        paths = {key: str(path.absolute()) for key, path in to.items() if path is not None}
+        if resume is not None:
+            _only_output(ctx)
+            changes: dict[str, Any] = {**paths}
+            if _given(ctx, "iterations"):
+                changes["iterations"] = iterations
+            work.resume(resume, changes, as_json, quiet)
+            return
+        if not data:
+            raise wrong("DATA is missing: name one or more data files")
+        from service.cli.references import absolute
+
+        one_of("--method", method, ("rbps-em", "ps-em", "rts-em"))
+        asked = Asked(
+            data=[str(path.absolute()) for path in data],
+            model=absolute(_model(model)),
+            effects=effects,
+            start=numbers("--set", values),
+            fixed=numbers("--fix", fixed),
+            free=names(free),
+            columns=pairs("--map", columns),
+            time=time,
+            dt=dt,
+            method=method,
+            particles=particles,
+            trajectories=trajectories,
+            iterations=iterations,
+            seed=seed,
+            standard_errors=standard_errors,
+            out=paths.get("out"),
+            report=paths.get("report"),
+            plot=paths.get("plot"),
+        )
+        work.fit(asked, state, as_json, quiet)
+
+
+@app.command(epilog=CODES, short_help="Find out what a model leaves out, and why.")
+def diagnose(
+    data: Annotated[Path, typer.Argument(metavar="DATA", help=DATA, exists=True, dir_okay=False)],
+    model: Model = "",
+    effects: Effects = [],  # noqa: B006
+    values: Values = [],  # noqa: B006
+    fixed: Fixed = [],  # noqa: B006
+    free: Free = [],  # noqa: B006
+    columns: Columns = [],  # noqa: B006
+    time: TimeColumn = None,
+    dt: Step = None,
+    extra: Annotated[
+        list[str],
+        typer.Option(
+            metavar="COLUMN,...",
+            help="Columns that the model does not use; asks whether it should.",
+        ),
+    ] = [],  # noqa: B006
+    test: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            exists=True,
+            dir_okay=False,
+            help="Held-out data to measure the gain on.  [the last fifth of DATA]",
+        ),
+    ] = None,
+    alpha: Annotated[
+        float, typer.Option(metavar="P", help="Chance of an alarm where nothing is wrong.")
+    ] = 0.05,
+    consider: Annotated[
+        list[str],
+        typer.Option("--effects", metavar="EFFECT,...", help="Look for these only.  [all]"),
+    ] = [],  # noqa: B006
+    max_effects: Annotated[
+        int, typer.Option(metavar="N", min=1, max=10, help="Found in turn at most.")
+    ] = 3,
+    seed: Seed = 0,
+    out: Out = None,
+    report: Report = None,
+    plot: Plot = None,
+    exit_code: Annotated[
+        bool, typer.Option("--exit-code", help="Exit with 3 where the model leaves something out.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find out what a model leaves out: what is wrong, the cause, the extension, the gain.
+
+    The exit code is 0 whatever is found, unless --exit-code is given. The same seed gives the same
+    answer; an interrupted diagnosis is begun anew.
+    """
+    with guarded(as_json):
+        from service.cli.diagnose import Wanted, run
+        from service.cli.files import Columns
+        from service.cli.values import names, numbers, pairs
+
+        wanted = Wanted(
+            data=data,
+            model=_model(model),
+            effects=effects,
+            start=numbers("--set", values),
+            fixed=numbers("--fix", fixed),
+            free=names(free),
+            columns=Columns(pairs("--map", columns), time, dt, names(extra)),
+            test=test,
+            alpha=alpha,
+            consider=names(consider),
+            max_effects=max_effects,
+            seed=seed,
+            out=out,
+            report=report,
+            plot=plot,
+            exit_code=exit_code,
+        )
+        run(wanted, as_json, quiet)
+
+
+@app.command(epilog=CODES, short_help="Simulate a model, with an effect hidden in it if you like.")
+def simulate(
+    model: Model = "",
+    effects: Annotated[
+        list[str],
+        typer.Option(
+            "--with", metavar="EFFECT=SIZE", help="Hide an effect, such as coulomb:velocity=0.5."
+        ),
+    ] = [],  # noqa: B006
+    values: Annotated[
+        list[str], typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")
+    ] = [],  # noqa: B006
+    samples: Annotated[
+        int | None,
+        typer.Option("--samples", "-n", metavar="N", min=2, help="Length.  [the inputs' length]"),
+    ] = None,
+    dt: Step = None,
+    inputs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", exists=True, dir_okay=False, help="Data file with the inputs."
+        ),
+    ] = None,
+    columns: Columns = [],  # noqa: B006
+    time: TimeColumn = None,
+    excite: Annotated[
+        list[str],
+        typer.Option(
+            metavar="INPUT=KIND:SIZE:SECONDS",
+            help="Make an input: 'steps' to random levels within +-SIZE every SECONDS, 'square' "
+            "or 'sine' of that amplitude and period.",
+        ),
+    ] = [],  # noqa: B006
+    noise: Annotated[
+        bool, typer.Option("--noise/--no-noise", help="Draw the model's noise, or none.")
+    ] = True,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="Write t, outputs and inputs to a .csv, .mat or .npz.  [CSV on stdout]",
+        ),
+    ] = None,
+    plot: Plot = None,
+    as_json: Json = False,
+) -> None:
+    """Simulate a model, with an effect hidden in it if you like."""
+    with guarded(as_json):
+        from service.cli.files import Columns
+        from service.cli.simulate import Wanted, run
+        from service.cli.values import numbers, pairs
+
+        run(
+            Wanted(
+                model=_model(model),
+                effects=numbers("--with", effects),
+                values=numbers("--set", values),
+                samples=samples,
+                inputs=inputs,
+                columns=Columns(pairs("--map", columns), time, dt),
+                excite=pairs("--excite", excite),
+                noise=noise,
+                seed=seed,
+                out=out,
+                plot=plot,
+            ),
+            as_json,
+        )
+
+
+@app.command(epilog=CODES, short_help="Serve the HTTP interface and its pages.")
+def serve(
+    host: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Address to listen on.  [RBPS_HOST or 127.0.0.1]"),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, max=65535, help="Port to listen on.  [RBPS_PORT or 8000]"),
+    ] = None,
+) -> None:
+    """Serve the HTTP interface and its pages, as 'python -m service' does."""
+    with guarded(False):
+        from service.cli.serve import run
+
+        run(host, port)
+
+
+def _model(reference: str) -> str:
+    if not reference:
+        raise wrong("--model is missing: 'rbps models' lists the models there are")
+    return reference
+
+
+def _given(ctx: typer.Context, name: str) -> bool:
+    source = ctx.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+MAY_CHANGE = frozenset({"iterations", "out", "report", "plot", "resume", "as_json", "quiet"})
+
+
+def _only_output(ctx: typer.Context) -> None:
+    """Refuse what would make a resumed estimation another one."""
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
+        if name not in MAY_CHANGE and _given(ctx, name):
+            called = "DATA" if name == "data" else parameter.opts[0]
+            raise wrong(f"--resume goes on with what was asked; {called} cannot be given with it")
+
+
+def main() -> None:
+    """Entry point of ``rbps``."""
+    app(prog_name="rbps")

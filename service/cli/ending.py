@@ -1,0 +1,84 @@
+"""How a command ends: exit codes, and messages instead of tracebacks."""
+
+from __future__ import annotations
+
+import json
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import typer
+
+
+class Code(IntEnum):
+    """Exit codes; ``--help`` lists them."""
+
+    DONE = 0
+    FAILED = 1  # the estimation diverged or the computation is impossible
+    WRONG = 2  # usage or data
+    FOUND = 3  # diagnose --exit-code, and the model leaves something out
+    INTERRUPTED = 130  # as a shell reports SIGINT
+
+
+CODES = (
+    "Exit codes: 0 done; 1 the estimation diverged, was lost, or cannot be computed; 2 wrong usage "
+    "or data; 3 only with 'diagnose --exit-code': the model leaves something out; 130 interrupted."
+)
+
+
+class Ending(Exception):  # noqa: N818 - an end need not be an error
+    """The end of a command with a message for people; ``more`` joins it in the JSON."""
+
+    def __init__(self, code: Code, message: str, **more: Any) -> None:
+        super().__init__(message)
+        self.code, self.more = code, more
+
+
+def wrong(message: str) -> Ending:
+    """Usage or data that cannot be used; the message names the option or column and what to do."""
+    return Ending(Code.WRONG, message)
+
+
+@contextmanager
+def guarded(as_json: bool) -> Iterator[None]:
+    """Turn every exception into a message on stderr (and JSON on stdout) and an exit code."""
+    try:
+        yield
+    except Ending as end:
+        _leave(end, as_json)
+    except KeyboardInterrupt:
+        _leave(Ending(Code.INTERRUPTED, "interrupted"), as_json)
+    except BrokenPipeError:
+        raise  # typer's to handle: whoever read our output has left
+    except OSError as error:
+        what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        _leave(wrong(what), as_json)
+    except MemoryError:
+        _leave(Ending(Code.FAILED, "the computation needs more memory than there is"), as_json)
+    except Exception as error:  # noqa: BLE001 - a user's model may raise anything
+        _leave(_told(error), as_json)
+
+
+def _leave(end: Ending, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({"error": {"code": end.code, "message": str(end)} | end.more}))
+    print(f"rbps: {end}", file=sys.stderr)
+    raise typer.Exit(end.code)
+
+
+def _told(error: Exception) -> Ending:
+    """What an exception means for the person at the terminal."""
+    from engine.errors import EngineError, ModelError
+    from service.problems import Problem
+
+    if isinstance(error, Problem):
+        return Ending(Code.FAILED, str(error), outcome=error.kind)
+    if isinstance(error, EngineError):
+        return Ending(Code.FAILED if isinstance(error, ModelError) else Code.WRONG, str(error))
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{Path(frame.filename).name}, line {frame.lineno}, in {frame.name}"
+    return Ending(Code.FAILED, f"{type(error).__name__}: {error} ({where})")

@@ -1,0 +1,231 @@
+"""``rbps fit``: estimate, tell, and leave what a resumed run needs."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from engine import plots, words
+from engine.errors import ModelError
+from engine.free_run import free_run
+from engine.model import MixedModel
+from engine.report import write_report
+from engine.series import Series
+from service import kinds, strict_json
+from service.cli import references
+from service.cli.ending import Code, Ending, wrong
+from service.cli.files import Columns, series_of
+from service.cli.meter import Meter, meter
+from service.cli.state import Asked, Recorder, keep_old, read
+from service.cli.values import free_of, output_path, theta_of
+from service.prepare import Prepared
+from service.problems import Problem
+from service.schemas import EstimateOptions, EstimateRequest, ModelReference
+
+
+def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
+    """A new estimation; its state goes to ``state`` or beside the output."""
+    path = state or _beside(asked)
+    asked.keep = state is not None
+    _check_outputs(asked)
+    output_path("--state", path)
+    in_file = references.in_file(asked.model)
+    with meter(quiet or as_json) as shown:
+        job = _prepare(asked, shown)
+        asked.seal([Path(name) for name in asked.data] + ([in_file[0]] if in_file else []))
+        aside = keep_old(path)
+        if aside is not None:
+            shown.note(f"an earlier {path.name} is kept as {aside.name}")
+        document = _run(job, asked, Recorder(path, asked, shown), shown)
+    _tell(job, asked, document, path, as_json)
+
+
+def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
+    """Go on with an estimation; ``changes`` are members of Asked that may differ."""
+    asked, rows = read(path)
+    for name, value in changes.items():
+        setattr(asked, name, value)
+    asked.check()
+    _check_outputs(asked)
+    with meter(quiet or as_json) as shown:
+        job = _prepare(asked, shown)
+        recorder = Recorder(path, asked, shown, rows)
+        if rows.shape[1] != len(job.model.parameters) + 4:
+            raise wrong(f"--resume {path}: its parameters are not those of model '{asked.model}'")
+        if asked.iterations < recorder.k:
+            raise wrong(f"--iterations {asked.iterations}: {recorder.k} are done already")
+        shown.note(f"going on after iteration {recorder.k}")
+        document = _run(job, asked, recorder, shown)
+    _tell(job, asked, document, path, as_json)
+
+
+def _beside(asked: Asked) -> Path:
+    """The state file's name where none is given: beside the output, or in this folder."""
+    if asked.out:
+        return Path(asked.out).with_suffix(".state")
+    return Path(f"{Path(asked.data[0]).stem}.state")
+
+
+def _check_outputs(asked: Asked) -> None:
+    """Refuse what cannot be written before any time is spent."""
+    for option, file, suffixes in (
+        ("--out", asked.out, (".json",)),
+        ("--report", asked.report, (".html", ".htm")),
+    ):
+        output_path(option, Path(file) if file else None, suffixes)
+    if asked.plot:
+        plots.axes(1, 1, (1.0, 1.0))  # tells now that matplotlib is missing, not hours later
+
+
+def _prepare(asked: Asked, shown: Meter) -> Prepared:
+    """All that can be wrong is found here."""
+    base = references.model_of(asked.model)
+    columns = Columns(asked.columns, asked.time, asked.dt)
+    both = [series_of(Path(name), base, columns) for name in asked.data]
+    series = [one for one, _ in both]
+    model = references.with_effects(base, asked.effects, series[0])
+    theta = theta_of(model, asked.start, asked.fixed)
+    free = free_of(model, asked.free, list(asked.fixed))
+    for _, line in both:
+        shown.note(line)
+    request = EstimateRequest.model_construct(
+        kind="estimate", model=ModelReference(name=base.name), options=options_of(asked)
+    )
+    return Prepared(request, model, series, theta, free)
+
+
+def options_of(asked: Asked) -> EstimateOptions:
+    """The service's options."""
+    return EstimateOptions.model_validate(
+        {
+            name: getattr(asked, name)
+            for name in EstimateOptions.model_fields
+            if hasattr(asked, name)
+        }
+    )
+
+
+def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[str, Any]:
+    """Iterate, then smooth and assess; what is done is saved when that is interrupted."""
+    options = options_of(asked)
+    shown.begin(asked.iterations, recorder.k)
+    try:
+        found = kinds.fit(job, options, job.theta, options.seed, recorder)
+        recorder.save()
+        return kinds.describe(job, options, found, recorder)
+    except Problem:  # diverged or lost: from here nothing leads on
+        _tidy(asked, recorder.path)
+        raise
+    except KeyboardInterrupt:
+        recorder.save()
+        raise Ending(
+            Code.INTERRUPTED,
+            f"interrupted after {recorder.k} of {asked.iterations} iterations. Go on with\n"
+            f"  {again(recorder.path)}",
+            state=str(recorder.path),
+            iteration=recorder.k,
+        ) from None
+
+
+# ---- telling ----------------------------------------------------------------------------------
+
+
+def _tell(
+    job: Prepared, asked: Asked, document: dict[str, Any], state: Path, as_json: bool
+) -> None:
+    """Write the files and print the estimate."""
+    more = document["outcome"] == "iterations-used-up"
+    if not more:
+        _tidy(asked, state)
+    written = []
+    if asked.out:
+        Path(asked.out).write_text(strict_json.dumps(document) + "\n", encoding="utf-8")
+        written.append(asked.out)
+    if asked.report:
+        about = {"data": ", ".join(Path(name).name for name in asked.data), "seed": asked.seed}
+        written.append(
+            str(write_report(json.loads(strict_json.dumps(document)), asked.report, about))
+        )
+    if asked.plot:
+        figures(job, document).save(asked.plot)
+        written.append(asked.plot)
+    if as_json:
+        print(strict_json.dumps(document))
+        return
+    print("\n".join(table(job.model, job.series, document)))
+    if more:
+        print(f"More iterations: {again(state)} --iterations {2 * asked.iterations}")
+    for name in written:
+        print(f"Written: {os.path.relpath(name)}")
+
+
+def again(state: Path) -> str:
+    """What to type to go on."""
+    return f"rbps fit --resume {shlex.quote(os.path.relpath(state))}"
+
+
+def _tidy(asked: Asked, state: Path) -> None:
+    """Remove a state that nobody can go on with, unless it was asked for by name."""
+    if not asked.keep:
+        state.unlink(missing_ok=True)
+
+
+def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any]) -> list[str]:
+    """The estimate for people."""
+    done = document["trace"]["iteration"][-1]
+    samples = sum(map(len, series))
+    likelihood = document["log_likelihood"]
+    lines = [f"{model.name}: {samples} samples, {done} iterations. {document['message']}"]
+    lines.append(f"{'':<16}{'estimate':>12}{'std. error':>12}  unit")
+    for name, one in document["estimate"].items():
+        error = one["standard_error"]
+        shown = "fixed" if one.get("fixed") else "-" if error is None else words.number(error, 3)
+        value = words.number(one["value"], 5)
+        lines.append(f"{name:<16}{value:>12}{shown:>12}  {words.tidy(one['unit'])}".rstrip())
+    error = likelihood["standard_error"]
+    lines.append(
+        f"log-likelihood {likelihood['value']:.2f}" + (f" +- {error:.2f}" if error else "")
+    )
+    return lines
+
+
+def figures(job: Prepared, document: dict[str, Any]) -> plots.Figures:
+    """Convergence, smoothed states with bands, free runs against the data."""
+    model = job.model
+    estimate = document["estimate"]
+    free = [p for p in model.parameters if not estimate[p.name].get("fixed")]
+    trace = document["trace"]
+    value = np.array([estimate[p.name]["value"] for p in free])
+    error = np.array([estimate[p.name]["standard_error"] for p in free], dtype=float)
+    half = plots.TWO_SIDED * error
+    out = plots.Figures(
+        convergence=plots.convergence(
+            {p.name: p.unit for p in free},
+            np.array([trace["theta"][p.name] for p in free]).T,
+            value,
+            np.array(trace["log_likelihood"][1:], dtype=float),
+            np.array(trace["ess"][1:], dtype=float),
+            np.stack([value - half, value + half], axis=1),
+        )
+    )
+    theta = model.theta({name: one["value"] for name, one in estimate.items()})
+    smoothed = document["states"]
+    for i, (series, one) in enumerate(zip(job.series, smoothed["series"], strict=True)):
+        suffix = f"-{i + 1}" if len(job.series) > 1 else ""
+        mean, sd = (
+            np.array(list(one[key].values()), dtype=float).T
+            for key in ("mean", "standard_deviation")
+        )
+        out[f"states{suffix}"] = plots.states(series.t, smoothed["units"], mean, sd)
+        try:
+            run = free_run(model, theta, series, initial_rows=20)
+        except ModelError:
+            continue  # without measurements the model runs away: nothing to draw
+        out[f"free-run{suffix}"] = run.plot()["outputs"]
+    return out

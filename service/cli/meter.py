@@ -1,0 +1,157 @@
+"""Progress on stderr: a bar with the remaining time on a terminal, plain lines in a log."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from types import TracebackType
+from typing import Protocol, Self
+
+STEPS = 10  # lines of a whole run, about ...
+PAUSE = 30.0  # ... and one after so many seconds without
+
+
+class Meter(Protocol):
+    """Where a computation tells how far it is; a context manager."""
+
+    def begin(self, total: int, done: int = 0) -> None:
+        """There are ``total`` steps, ``done`` of them from before."""
+
+    def at(self, done: int, text: str = "") -> None:
+        """So many are done."""
+
+    def say(self, text: str) -> None:
+        """What is going on now, where that is not a step."""
+
+    def note(self, text: str) -> None:
+        """A line that stays."""
+
+    def __enter__(self) -> Self:
+        """Start showing."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave the terminal clean."""
+
+
+def meter(quiet: bool) -> Meter:
+    """The meter that fits stderr."""
+    if quiet:
+        return Silent()
+    if sys.stderr.isatty() and os.environ.get("TERM", "") not in ("", "dumb"):
+        return Bar()
+    return Lines()
+
+
+class Silent:
+    """Shows nothing."""
+
+    def begin(self, total: int, done: int = 0) -> None:
+        """Nothing."""
+
+    def at(self, done: int, text: str = "") -> None:
+        """Nothing."""
+
+    def say(self, text: str) -> None:
+        """Nothing."""
+
+    def note(self, text: str) -> None:
+        """Nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        pass
+
+
+class Lines(Silent):
+    """A line for every tenth of the run, with the time that is left by the pace so far."""
+
+    def begin(self, total: int, done: int = 0) -> None:
+        """Remember when and where it began."""
+        self.total, self.first, self.since = max(total, 1), done, time.monotonic()
+        self.shown, self.said = done, self.since
+
+    def at(self, done: int, text: str = "") -> None:
+        """Write a line where a tenth is done, or nothing was said for long."""
+        now = time.monotonic()
+        tenth = done * STEPS // self.total > self.shown * STEPS // self.total
+        if not tenth and now - self.said < PAUSE:
+            return
+        self.shown, self.said = done, now
+        pace = (now - self.since) / max(done - self.first, 1)
+        left = f", {duration(pace * (self.total - done))} left" if done < self.total else ""
+        self.say(f"{done} of {self.total}{', ' if text else ''}{text}{left}")
+
+    def say(self, text: str) -> None:
+        """One line."""
+        print(f"rbps: {text}", file=sys.stderr, flush=True)
+
+    def note(self, text: str) -> None:
+        """The same."""
+        self.say(text)
+
+
+class Bar(Silent):
+    """A bar that is written over, with per cent, remaining time and the latest words."""
+
+    def begin(self, total: int, done: int = 0) -> None:
+        """Show the bar."""
+        self.progress.update(self.task, total=max(total, 1), completed=done, visible=True)
+
+    def at(self, done: int, text: str = "") -> None:
+        """Move the bar."""
+        self.progress.update(self.task, completed=done)
+        if text:
+            self.say(text)
+
+    def say(self, text: str) -> None:
+        """Words beside the bar."""
+        self.progress.update(self.task, words=text)
+
+    def note(self, text: str) -> None:
+        """A line above the bar."""
+        self.progress.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def __enter__(self) -> Self:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import TimeRemainingColumn as Left
+
+        self.progress = Progress(
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            Left(compact=True, elapsed_when_finished=True),
+            TextColumn("{task.fields[words]}", markup=False),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self.task = self.progress.add_task("", total=None, words="", visible=False)
+        self.progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.progress.stop()
+
+
+def duration(seconds: float) -> str:
+    """``40 s``, ``5 min``, ``2.5 h``."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

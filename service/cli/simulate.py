@@ -1,0 +1,166 @@
+"""``rbps simulate``: data with a known truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from engine import plots
+from engine.diagnose.catalogue import make_effect
+from engine.diagnose.setting import Setting
+from engine.model import Array, MixedModel
+from engine.series import Series
+from engine.series_files import csv_text, write_series
+from service import kinds, strict_json
+from service.cli import references
+from service.cli.ending import wrong
+from service.cli.files import Columns, inputs_of
+from service.cli.values import about, output_path
+from service.prepare import Prepared
+from service.schemas import ModelReference, SimulateOptions, SimulateRequest
+
+SHAPES = ("steps", "square", "sine")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The command's arguments."""
+
+    model: str
+    effects: dict[str, float]
+    values: dict[str, float]
+    samples: int | None
+    inputs: Path | None
+    columns: Columns
+    excite: dict[str, str]
+    noise: bool
+    seed: int
+    out: Path | None
+    plot: Path | None
+
+
+class Steps:
+    """The part of ``kinds.Progress`` that a simulation uses; it takes no time to speak of."""
+
+    def step(self, k: int, message: str = "") -> None:
+        """Nothing to show."""
+
+
+def run(wanted: Wanted, as_json: bool) -> None:
+    """Simulate and write."""
+    output_path("--out", wanted.out, (".csv", ".mat", ".npz"))
+    if wanted.plot:
+        plots.axes(1, 1, (1.0, 1.0))  # tells now that matplotlib is missing
+    base = references.model_of(wanted.model)
+    frame = _frame(base, wanted)
+    model = references.with_effects(base, list(wanted.effects), frame)
+    sizes = _sizes(base, wanted.effects, frame)
+    with about("--set"):
+        theta = model.theta(sizes | wanted.values)
+    request = SimulateRequest.model_construct(
+        kind="simulate",
+        model=ModelReference(name=base.name),
+        options=SimulateOptions(
+            mode="stochastic" if wanted.noise else "free-run", seed=wanted.seed
+        ),
+    )
+    job = Prepared(request, model, [frame], theta)
+    document = kinds.simulate(job, request, Steps())  # type: ignore[arg-type]  # told steps only
+    one = document["simulation"]["series"][0]
+    drawn = Series(
+        np.array([one["y"][name] for name in model.outputs]).T,
+        frame.u if model.nu else None,
+        t=frame.t,
+        y_names=tuple(model.outputs),
+        u_names=tuple(model.inputs),
+    )
+    if wanted.out:
+        write_series(drawn, wanted.out)
+    if wanted.plot:
+        figures(model, drawn, one["states"]).save(wanted.plot)
+    if as_json:
+        print(strict_json.dumps(document))
+    elif wanted.out:
+        print(f"Written: {wanted.out}, {len(drawn)} samples of {', '.join(drawn.y_names)}")
+    else:
+        print(csv_text(drawn), end="")
+
+
+def _frame(model: MixedModel, wanted: Wanted) -> Series:
+    """Times and inputs; y is missing throughout."""
+    names = list(model.inputs)
+    for name in wanted.excite:
+        if name not in names:
+            there = ", ".join(names) or "none"
+            raise wrong(f"--excite {name}: model '{model.name}' has no such input; it has {there}")
+    if wanted.inputs is not None:
+        if wanted.excite:
+            raise wrong("--excite and --inputs are both given; choose one")
+        given = inputs_of(wanted.inputs, model, wanted.columns)
+        if wanted.samples not in (None, len(given)):
+            raise wrong(f"--samples {wanted.samples}: {wanted.inputs.name} has {len(given)} rows")
+        return given
+    if wanted.samples is None:
+        raise wrong("--samples is missing: how many samples, or a file of --inputs")
+    dt = 1.0 if wanted.columns.dt is None else wanted.columns.dt
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise wrong(f"--dt {dt:g}: a positive time step is needed")
+    t = dt * np.arange(wanted.samples, dtype=np.float64)
+    missing = [name for name in names if name not in wanted.excite]
+    if missing:
+        raise wrong(
+            f"model '{model.name}' has the input '{missing[0]}': give a file with --inputs, or make "
+            f"one with --excite {missing[0]}=steps:SIZE:SECONDS"
+        )
+    u = [
+        shape(name, wanted.excite[name], t, np.random.default_rng([wanted.seed, i]))
+        for i, name in enumerate(names)
+    ]
+    blank = np.full((len(t), model.ny), np.nan)
+    return Series(blank, np.array(u).T if u else None, t=t)
+
+
+def shape(name: str, text: str, t: Array, rng: np.random.Generator) -> Array:
+    """An input (T,) from ``kind:size:seconds``."""
+    kind, *rest = text.split(":")
+    try:
+        size, seconds = map(float, rest)
+    except ValueError:
+        size = seconds = np.nan
+    if kind not in SHAPES or not (np.isfinite(size) and np.isfinite(seconds) and seconds > 0.0):
+        raise wrong(
+            f"--excite {name}={text}: KIND:SIZE:SECONDS is needed, with KIND one of "
+            f"{', '.join(SHAPES)}, as in {name}=steps:2:0.5"
+        )
+    phase = (t - t[0]) / seconds
+    if kind == "sine":
+        return np.asarray(size * np.sin(2.0 * np.pi * phase))
+    if kind == "square":
+        return np.where(phase % 1.0 < 0.5, size, -size)
+    held = np.floor(phase + 1e-9).astype(int)
+    return np.asarray(rng.uniform(-size, size, held[-1] + 1)[held])
+
+
+def _sizes(model: MixedModel, effects: Mapping[str, float], frame: Series) -> dict[str, float]:
+    """{parameter: value} of the effects' sizes."""
+    out, span = {}, (float(frame.t[0]), float(frame.t[-1]))
+    for name, size in effects.items():
+        setting = Setting(model, {}, span, float(frame.steps[0]))
+        effect = make_effect(name, setting)
+        out[effect.size.name] = size
+        model = effect.apply(model)
+    return out
+
+
+def figures(model: MixedModel, drawn: Series, states: dict[str, Any]) -> plots.Figures:
+    """Outputs and states over time."""
+    units = {**model.nonlinear, **model.linear}
+    x = np.array([states[name] for name in units]).T
+    return plots.Figures(
+        outputs=plots.states(drawn.t, model.outputs, drawn.y),
+        states=plots.states(drawn.t, units, x),
+    )

@@ -1,0 +1,95 @@
+"""Commands in this process, and on a pseudo-terminal in their own."""
+
+import contextlib
+import fcntl
+import json
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import termios
+import time
+
+import pytest
+from typer.testing import CliRunner
+
+from service.cli.commands import app
+
+RBPS = [sys.executable, "-c", "from service.cli.commands import main; main()"]
+
+
+@pytest.fixture
+def rbps(tmp_path, monkeypatch):
+    """rbps("fit", ...) -> result with exit_code, stdout, stderr; runs in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*args):
+        result = CliRunner().invoke(app, [str(arg) for arg in args])
+        result.json = lambda: json.loads(result.stdout)
+        return result
+
+    return run
+
+
+@pytest.fixture
+def terminal(tmp_path):
+    """terminal("fit", ...) -> a running command whose stderr is a pseudo-terminal."""
+    with contextlib.ExitStack() as stack:
+        yield lambda *args: stack.enter_context(Terminal(args, tmp_path))
+
+
+class Terminal:
+    """A command with a controlling terminal of its own, so that Ctrl-C is typed and not signalled."""
+
+    def __init__(self, args, folder):
+        self.master, slave = pty.openpty()
+        self.screen = b""
+        self.process = subprocess.Popen(
+            [*RBPS, *map(str, args)], cwd=folder, stdin=slave, stdout=subprocess.PIPE, stderr=slave,
+            env=os.environ | {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"},
+            preexec_fn=lambda: (os.setsid(), fcntl.ioctl(0, termios.TIOCSCTTY, 0)),
+        )  # fmt: skip
+        os.close(slave)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+        os.close(self.master)
+
+    def read(self, seconds=0.1):
+        if select.select([self.master], [], [], seconds)[0]:
+            with contextlib.suppress(OSError):  # the other side has left
+                self.screen += os.read(self.master, 65536)
+
+    @property
+    def shown(self):
+        """All that was on the screen, without colours and movements."""
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.screen.decode())
+
+    def until(self, pattern, seconds=120.0):
+        """Read until the pattern was shown."""
+        end = time.monotonic() + seconds
+        while not (found := re.search(pattern, self.shown)):
+            assert time.monotonic() < end, self.shown[-2000:]
+            assert self.process.poll() is None, self.shown[-2000:]
+            self.read()
+        return found
+
+    def type(self, keys):
+        os.write(self.master, keys)
+
+    def end(self, seconds=120.0):
+        """Wait for the end: exit code, stdout."""
+        limit = time.monotonic() + seconds
+        while self.process.poll() is None:
+            assert time.monotonic() < limit, self.shown[-2000:]
+            self.read()
+        for _ in range(5):
+            self.read(0.02)
+        return self.process.returncode, self.process.stdout.read().decode()

@@ -1,0 +1,362 @@
+"""What each command does, in this process."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data import nile
+from engine.series_files import read_series, write_series
+from service.examples import EXAMPLES
+from service.kinds import simulate as simulated_by_the_service
+from service.prepare import load
+from tests.cli.conftest import RBPS
+
+QUICK = ("-n", "3", "--no-standard-errors")
+
+MINE = """
+import numpy as np
+import engine
+
+def dynamics(a, u, t, dt, theta):
+    return [theta.c * a[:, 0] + u[0]], np.zeros((1, 0)), [[0.01]]
+
+def measurement(a, u, t, theta):
+    return [a[:, 0]], np.zeros((1, 0)), [[0.01]]
+
+def initial(theta):
+    return engine.Gaussian([0.0], [[0.1]]), [], np.zeros((0, 0))
+
+mine = engine.MixedModel(
+    name="mine", dynamics=dynamics, measurement=measurement, initial=initial,
+    nonlinear={"x": ""}, inputs={"push": "N"}, outputs={"reading": "m"},
+    parameters=[engine.Parameter("c", 0.5, "", (-1, 1))])
+"""
+
+
+@pytest.fixture
+def flows(tmp_path):
+    path = tmp_path / "flows.csv"
+    path.write_text("year,flow\n" + "".join(
+        f"{1871 + i},{value:g}\n" for i, value in enumerate(nile().y[:, 0])))  # fmt: skip
+    return path
+
+
+@pytest.fixture
+def mine(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(MINE)
+    return path
+
+
+# ---- help -------------------------------------------------------------------------------------
+
+
+def test_help_names_commands_and_exit_codes(rbps):
+    shown = rbps("--help")
+    assert shown.exit_code == 0
+    for word in ("models", "fit", "diagnose", "simulate", "serve", "130 interrupted"):
+        assert word in shown.stdout
+    for command in ("models", "fit", "diagnose", "simulate", "serve"):
+        assert "Exit codes: 0 done; 1" in " ".join(rbps(command, "--help").stdout.split())
+
+
+def test_help_does_not_wait_for_the_engine():
+    code = (
+        "import sys; sys.argv = ['rbps', 'fit', '--help']\n"
+        "from service.cli.commands import main\n"
+        "try: main()\n"
+        "finally: print('numba' in sys.modules, 'engine' in sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "False False"
+
+
+def test_version(rbps):
+    assert rbps("--version").stdout.startswith("rbps 0.")
+
+
+# ---- models -----------------------------------------------------------------------------------
+
+
+def test_models_are_listed(rbps):
+    listed = rbps("models")
+    assert listed.exit_code == 0
+    assert "local-level" in listed.stdout
+    assert {model["name"] for model in rbps("models", "--json").json()} == set(engine.model_names())
+
+
+def test_one_model(rbps):
+    shown = rbps("models", "servo").stdout
+    for word in ("M v' = gtau u", "velocity", "drive", "[0, 1e+06]", "N s/m", "viscous friction"):
+        assert word in shown
+    document = rbps("models", "servo", "--json").json()
+    assert document["parameters"][1] == {
+        "name": "Fv", "unit": "N s/m", "default": 203.0, "bounds": [0.0, 1e6],
+        "description": "viscous friction",
+    }  # fmt: skip
+    extended = rbps("models", "servo", "--with", "coulomb:velocity", "--json").json()
+    assert extended["parameters"][-1]["name"] == "coulomb_velocity"
+    effects = rbps("models", "servo", "--effects").stdout
+    assert "coulomb:velocity" in effects
+    listed = rbps("models", "servo", "--effects", "--json").json()
+    assert {"coulomb:velocity", "bias:y"} <= {one["name"] for one in listed}
+
+
+def test_a_model_of_a_users_file(rbps, mine):
+    for reference in ("mine.py:mine", "mine.py"):
+        assert rbps("models", reference, "--json").json()["inputs"] == {"push": "N"}
+
+
+def test_a_model_of_a_users_package(tmp_path):
+    (tmp_path / "shop.py").write_text(MINE)
+    info = tmp_path / "shop-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: shop\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[engine.models]\nmine = shop:mine\nbad = shop:none\n")
+    run = subprocess.run([*RBPS, "models"], env=os.environ | {"PYTHONPATH": str(tmp_path)},
+                         capture_output=True, text=True, check=True)  # fmt: skip
+    assert any(line.split() == ["mine"] for line in run.stdout.splitlines())
+    assert "the plug-in 'bad' could not be loaded" in run.stderr
+
+
+# ---- fit --------------------------------------------------------------------------------------
+
+
+def test_fit_gives_the_engines_numbers(rbps, flows):
+    result = rbps("fit", flows, "-m", "local-level", "--set", "q=5000", "--free", "q,r", "--seed", 3,
+                  "--fix", "level=1100", *QUICK, "--json")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    assert result.stderr == ""
+    document = result.json()
+    model = engine.get_model("local-level")
+    found = engine.rbps_em(model, nile(), {"q": 5000.0, "level": 1100.0}, free=["q", "r"],
+                           n_iterations=3, seed=3)  # fmt: skip
+    for name in ("q", "r"):
+        assert document["estimate"][name]["value"] == found.theta[name]
+        assert document["trace"]["theta"][name] == found.trace[:, model.index(name)].tolist()
+    assert document["estimate"]["level"]["fixed"]
+    assert document["outcome"] == "iterations-used-up"
+
+
+def test_fit_writes_what_is_asked_for(rbps, flows, tmp_path):
+    result = rbps("fit", flows, "-m", "local-level", "--method", "rts-em", "-n", "300",
+                  "--out", "out.json", "--report", "out.html", "--plot", "figures")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    assert "Converged" in result.stdout
+    assert "Written: out.json" in result.stdout
+    document = json.loads((tmp_path / "out.json").read_text())
+    assert document["estimate"]["q"]["standard_error"] > 0
+    page = (tmp_path / "out.html").read_text()
+    assert page.startswith("<!doctype html>")
+    assert "local-level" in page
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {
+        f"{name}.{ending}"
+        for name in ("convergence", "states", "free-run")
+        for ending in ("svg", "png")
+    }
+    assert not list(tmp_path.glob("*.state"))  # converged: nothing to go on with
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_more_iterations_after_they_were_used_up(rbps, flows, tmp_path):
+    options = (flows, "-m", "local-level", "--method", "rts-em", "--no-standard-errors", "--json")
+    whole = rbps("fit", *options, "-n", "7").json()
+    (tmp_path / "flows.state").unlink()
+    assert rbps("fit", *options, "-n", "3", "-o", "three.json").exit_code == 0
+    more = rbps("fit", "--resume", "three.state", "-n", "7", "--json").json()
+    assert more["trace"]["theta"] == whole["trace"]["theta"]
+    assert more["log_likelihood"] == whole["log_likelihood"]
+    assert (
+        json.loads((tmp_path / "three.json").read_text())["trace"]["theta"]
+        == (whole["trace"]["theta"])
+    )
+    less = rbps("fit", "--resume", "three.state", "-n", "2")
+    assert less.exit_code == 2
+    assert "--iterations 2: 7 are done already" in less.stderr
+
+
+def test_an_earlier_state_is_kept(rbps, flows, tmp_path):
+    for seed in (1, 2):
+        assert rbps("fit", flows, "-m", "local-level", "--seed", seed, *QUICK).exit_code == 0
+    assert (tmp_path / "flows.state").exists()
+    assert (tmp_path / "flows.state~").exists()
+
+
+def test_several_files_and_columns_by_name(rbps, mine, tmp_path):
+    rng = np.random.default_rng(0)
+    model_series = []
+    for i in range(2):
+        table = rng.standard_normal((20, 2))
+        with (tmp_path / f"run{i}.csv").open("w", newline="") as stream:
+            csv.writer(stream).writerows([["Time", "force", "gauge"],
+                                          *([k, *row] for k, row in enumerate(table))])  # fmt: skip
+        model_series.append(engine.Series(table[:, 1], table[:, 0]))
+    result = rbps("fit", "run0.csv", "run1.csv", "-m", "mine.py:mine", "--map", "reading=gauge",
+                  "--map", "push=force", *QUICK, "--json")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    from service.cli.references import model_of
+
+    found = engine.rbps_em(model_of("mine.py:mine"), model_series, n_iterations=3)
+    assert result.json()["estimate"]["c"]["value"] == found.theta["c"]
+    assert len(result.json()["states"]["series"]) == 2
+
+
+def test_fit_with_an_effect(rbps, flows):
+    result = rbps("fit", flows, "-m", "local-level", "--with", "step:flow", "--free", "step_flow",
+                  "--set", "step_flow_time=50", *QUICK, "--json")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    assert result.json()["estimate"]["step_flow"]["value"] != 0.0
+
+
+def test_plain_lines_tell_what_was_read(rbps, flows):
+    lines = rbps("fit", flows, "-m", "local-level", *QUICK).stderr.splitlines()
+    assert lines[0].startswith("rbps: flows.csv: 100 samples every 1 s; flow (no column of times")
+
+
+# ---- diagnose ---------------------------------------------------------------------------------
+
+FEW = ("--effects", "step,pulse", "--seed", "1")
+
+
+def test_diagnose(rbps, flows, tmp_path):
+    result = rbps("diagnose", flows, "-m", "local-level", *FEW, "--report", "out.html",
+                  "-o", "out.json", "--plot", "figures")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    assert "NAMED" in result.stdout
+    assert "step:flow" in result.stdout
+    assert "step:flow" in (tmp_path / "out.html").read_text()
+    assert (tmp_path / "figures" / "wrong.svg").exists()
+    document = json.loads((tmp_path / "out.json").read_text())["diagnosis"]
+    assert document["extension"]["model"]["with"] == ["step:flow"]
+    assert document["extension"]["model"]["name"] == "local-level"
+
+
+def test_diagnose_for_machines(rbps, flows):
+    result = rbps("diagnose", flows, "-m", "local-level", *FEW, "--json", "--exit-code")
+    assert result.exit_code == 3
+    assert result.stderr == ""
+    assert result.json()["diagnosis"]["verdict"] == "named"
+    # the step is in the model now, and nothing else is left
+    again = rbps("diagnose", flows, "-m", "local-level", "--with", "step:flow", "--set",
+                 "step_flow_time=28", "--set", "step_flow=-250", *FEW, "--exit-code")  # fmt: skip
+    assert again.exit_code == 0, again.stderr
+    assert "NOTHING" in again.stdout
+
+
+def test_diagnose_asks_about_extra_columns(rbps, tmp_path):
+    rng = np.random.default_rng(0)
+    level, rain = rng.standard_normal((2, 80))
+    with (tmp_path / "run.csv").open("w", newline="") as stream:
+        table = zip(100 * level + 300 * rain + 1100, rain, strict=True)
+        csv.writer(stream).writerows([["flow", "rain"], *table])
+    result = rbps("diagnose", "run.csv", "-m", "local-level", "--extra", "rain", "--effects",
+                  "extra-input,bias", "--json")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    (cause,) = result.json()["diagnosis"]["causes"]
+    assert "rain" in cause["effect"]
+
+
+def test_diagnose_holds_what_is_fixed(rbps, flows):
+    result = rbps("diagnose", flows, "-m", "local-level", "--fix", "q=0", *FEW, "--json")
+    assert result.json()["diagnosis"]["base_theta"]["q"] == 0.0
+
+
+# ---- simulate ---------------------------------------------------------------------------------
+
+
+def test_simulate_is_the_services_simulation(rbps):
+    request = EXAMPLES["simulate"]["value"]
+    result = rbps("simulate", "-m", request["model"], "--set", "theta=0.2", "-n",
+                  request["options"]["samples"], "--seed", request["options"]["seed"], "--json")  # fmt: skip
+
+    class Quiet:
+        def step(self, k, message=""):
+            pass
+
+    job = load(request)
+    assert result.json() == simulated_by_the_service(job, job.request, Quiet())
+
+
+def test_simulate_hides_an_effect(rbps, tmp_path):
+    result = rbps("simulate", "-m", "servo", "--with", "coulomb:velocity=0.2", "--set", "Fc=0",
+                  "--excite", "drive=steps:2:0.5", "-n", "100", "--dt", "0.01", "--seed", "4",
+                  "-o", "run.csv")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    written = read_series(tmp_path / "run.csv")
+    model = engine.get_model("servo", ["coulomb:velocity"])
+    expected = engine.simulate(model, {"Fc": 0.0, "coulomb_velocity": 0.2}, 100,
+                               np.random.default_rng(4), u=written.u, dt=0.01)  # fmt: skip
+    assert np.array_equal(written.y, expected.y)
+    levels = written.u[:, 0].reshape(2, 50)
+    assert (levels == levels[:, :1]).all()  # held for half a second each
+    assert np.abs(levels).max() <= 2.0
+    assert levels[0, 0] != levels[1, 0]
+
+
+def test_simulate_inputs_of_a_file_and_csv_on_stdout(rbps, tmp_path):
+    u = np.sin(np.arange(30.0))
+    write_series(engine.Series(np.zeros(30), u, dt=0.1, u_names=["drive"]), tmp_path / "in.csv")
+    result = rbps("simulate", "-m", "servo", "--inputs", "in.csv", "--no-noise")
+    rows = list(csv.DictReader(result.stdout.splitlines()))
+    model = engine.get_model("servo")
+    run = engine.free_run(model, None, engine.Series(np.full(30, np.nan), u, dt=0.1))
+    assert np.allclose([float(row["y"]) for row in rows], run.y[:, 0])
+    assert [float(row["u_drive"]) for row in rows] == u.tolist()
+
+
+@pytest.mark.parametrize(("kind", "value"), [("sine", 2.0 * np.sin(0.4 * np.pi)), ("square", 2.0)])
+def test_simulate_periodic_inputs(rbps, kind, value):
+    result = rbps("simulate", "-m", "servo", "--excite", f"drive={kind}:2:5", "-n", "4")
+    rows = list(csv.DictReader(result.stdout.splitlines()))
+    assert float(rows[1]["u_drive"]) == pytest.approx(value)
+
+
+def test_what_is_simulated_can_be_fitted(rbps):
+    assert rbps("simulate", "-m", "local-level", "-n", "60", "-o", "run.npz").exit_code == 0
+    result = rbps("fit", "run.npz", "-m", "local-level", *QUICK)
+    assert result.exit_code == 0, result.stderr
+
+
+# ---- serve ------------------------------------------------------------------------------------
+
+
+def test_serve(tmp_path):
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    run = subprocess.Popen(
+        [*RBPS, "serve", "--port", str(port)], stderr=subprocess.PIPE, text=True,
+        env=os.environ | {"RBPS_STATE_DIR": str(tmp_path)},
+    )  # fmt: skip
+    try:
+        for _ in range(400):
+            try:
+                with urlopen(f"http://127.0.0.1:{port}/livez", timeout=5) as answer:
+                    assert answer.status == 200
+                break
+            except OSError:
+                assert run.poll() is None, run.stderr.read()
+                time.sleep(0.05)
+        else:
+            pytest.fail("the service did not answer")
+    finally:
+        run.send_signal(signal.SIGINT)
+        run.communicate(timeout=120)
+
+
+def test_serve_with_a_wrong_setting(rbps, monkeypatch):
+    monkeypatch.setenv("RBPS_WORKERS", "many")
+    result = rbps("serve", "--port", "9999")
+    assert result.exit_code == 2
+    assert "RBPS_WORKERS='many' is not of type int" in result.stderr

@@ -1,0 +1,136 @@
+"""On a pseudo-terminal: the progress bar, Ctrl-C, and the same numbers after going on."""
+
+import json
+import re
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+import engine
+from engine.series_files import write_series
+from service.cli import state
+from tests.cli.conftest import RBPS
+
+FIT = (
+    *("data.csv", "-m", "mixed-4", "--set", "theta_2=0.9", "--free", "theta_2,theta_5"),
+    *("-n", "30", "--particles", "30", "--seed", "5", "--no-standard-errors"),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "data.csv"
+    model = engine.get_model("mixed-4")
+    write_series(engine.simulate(model, None, 80, np.random.default_rng(1)).series, path)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path, data):
+    (tmp_path / "data.csv").write_bytes(data.read_bytes())
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(data):
+    run = subprocess.run(
+        [*RBPS, "fit", *FIT, "--json"], cwd=data.parent, capture_output=True, check=True
+    )
+    return json.loads(run.stdout)
+
+
+def same_numbers(one, other):
+    """Bit for bit, but for the seconds that each iteration took."""
+    texts = [json.dumps(d | {"trace": d["trace"] | {"seconds": None}}) for d in (one, other)]
+    return texts[0] == texts[1]
+
+
+def test_a_bar_with_the_time_that_is_left(folder, terminal):
+    run = terminal("fit", *FIT, "--quiet")
+    code, quiet = run.end()
+    assert code == 0
+    assert run.shown == ""
+    run = terminal("fit", *FIT)
+    run.until(r"━+.* \d+/30 +\d+:\d\d +log-likelihood -?\d+\.\d\d")
+    code, shouted = run.end()
+    assert code == 0
+    assert "data.csv: 80 samples every 1 s; y1, y2\r\n" in run.shown
+    assert shouted == quiet
+    assert "theta_2" in shouted
+
+
+def test_ctrl_c_and_going_on_give_the_same_numbers(folder, terminal, uninterrupted):
+    run = terminal("fit", *FIT, "--out", "result.json")
+    run.until(r" [5-9]/30")
+    run.type(b"\x03")
+    code, printed = run.end()
+    assert code == 130
+    assert printed == ""
+    k = int(re.search(r"interrupted after (\d+) of 30 iterations. Go on with", run.shown)[1])
+    assert 5 <= k < 30
+    assert "rbps fit --resume result.state" in run.shown
+    assert "Traceback" not in run.shown
+    assert not (folder / "result.json").exists()
+
+    run = terminal("fit", "--resume", "result.state")
+    run.until(rf"going on after iteration {k}\b")
+    assert run.end()[0] == 0
+    assert same_numbers(json.loads((folder / "result.json").read_text()), uninterrupted)
+
+
+def test_ctrl_c_after_the_iterations_loses_none(folder, terminal, uninterrupted):
+    run = terminal("fit", *FIT, "--state", "kept.state")
+    run.until("smoothing|comparing")
+    run.type(b"\x03")
+    if run.end()[0] == 130:
+        assert "interrupted after 30 of 30 iterations" in run.shown
+    asked, rows = state.read(folder / "kept.state")
+    assert rows.shape == (31, 9)
+    assert asked.data == [str(folder / "data.csv")]
+    again = subprocess.run(
+        [*RBPS, "fit", "--resume", "kept.state", "--json"],
+        cwd=folder,
+        capture_output=True,
+        check=True,
+    )
+    assert same_numbers(json.loads(again.stdout), uninterrupted)
+
+
+def test_a_killed_run_leaves_its_iterations(folder, uninterrupted):
+    run = subprocess.Popen([*RBPS, "fit", *FIT, "-n", "100000", "-q"], cwd=folder)
+    path, end = folder / "data.state", time.monotonic() + 60
+    while not path.exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    run.kill()
+    run.wait()
+    asked, rows = state.read(path)
+    assert asked.iterations == 100000
+    assert len(rows) > 1
+    theta = uninterrupted["trace"]["theta"]
+    for i, name in enumerate(engine.get_model("mixed-4").parameter_names):
+        assert rows[:31, i].tolist() == theta[name][: len(rows)]
+
+
+def test_ctrl_c_while_diagnosing(folder, terminal):
+    run = terminal("diagnose", "data.csv", "-m", "mixed-4")
+    run.until("estimating the model|screening")
+    run.type(b"\x03")
+    code, printed = run.end()
+    assert (code, printed) == (130, "")
+    assert "interrupted; a diagnosis keeps nothing to go on from" in " ".join(run.shown.split())
+    assert "Traceback" not in run.shown
+
+
+def test_plain_lines_where_the_terminal_is_dumb_or_none(folder):
+    run = subprocess.run(
+        [*RBPS, "fit", *FIT], cwd=folder, capture_output=True, text=True, check=True
+    )
+    lines = run.stderr.splitlines()
+    assert all(line.startswith("rbps: ") for line in lines)
+    assert "\x1b" not in run.stderr + run.stdout
+    tenths = [line for line in lines if " of 30, log-likelihood " in line]
+    assert [int(line.split()[1]) for line in tenths] == list(range(3, 31, 3))
+    assert tenths[0].endswith(" left")
+    assert not tenths[-1].endswith(" left")

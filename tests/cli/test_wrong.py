@@ -1,0 +1,135 @@
+"""Wrong input: a message that names the option or column, the right exit code, never a traceback."""
+
+# ruff: noqa: E501 - a table
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.cli.test_commands import MINE, QUICK
+
+LEVEL = ("-m", "local-level")
+SERVO = ("simulate", "-m", "servo", "-n", "10")
+
+WRONG = {
+    "no data": (("fit", *LEVEL), "DATA is missing"),
+    "no such file": (("fit", "none.csv", *LEVEL), "none.csv"),
+    "a folder": (("fit", ".", *LEVEL), "'.'"),
+    "no model": (("fit", "flows.csv"), "--model is missing: 'rbps models'"),
+    "no such model": (("fit", "flows.csv", "-m", "nile"), "Registered are linear-2, local-level"),
+    "no such file of a model": (("fit", "flows.csv", "-m", "his.py:x"), "his.py:x: there is no such"),
+    "no such model in a file": (("models", "mine.py:his"), "no 'his'; its models are mine"),
+    "not a model": (("models", "mine.py:np"), "'np' is a module; a MixedModel is needed"),
+    "a broken file of a model": (("models", "broken.py"), "NameError: name 'oops' is not defined (line 2)"),
+    "no option": (("fit", "flows.csv", "--speed", "9"), "--speed"),
+    "no value": (("fit", "flows.csv", *LEVEL, "--set", "q"), "--set q: NAME=VALUE is needed"),
+    "no number": (("fit", "flows.csv", *LEVEL, "--set", "q=many"), "--set q=many: 'many' is not a number"),
+    "no such parameter": (("fit", "flows.csv", *LEVEL, "--set", "x=1"), "--set: model 'local-level' has no parameter 'x'; it has q, r, level"),
+    "out of bounds": (("fit", "flows.csv", *LEVEL, "--fix", "r=-1"), "--fix: parameter 'r' = -1 is not within"),
+    "free and fixed": (("fit", "flows.csv", *LEVEL, "--free", "q", "--fix", "q=1"), "--free q: it is also given with --fix"),
+    "nothing free": (("fit", "flows.csv", *LEVEL, "--fix", "q=1", "--fix", "r=1", "--fix", "level=1"), "--fix: no parameter is left"),
+    "unknown free": (("fit", "flows.csv", *LEVEL, "--free", "z"), "--free: model 'local-level' has no parameter 'z'"),
+    "unknown method": (("fit", "flows.csv", *LEVEL, "--method", "newton"), "--method newton: choose one of rbps-em, ps-em, rts-em"),
+    "too few particles": (("fit", "flows.csv", *LEVEL, "--particles", "1"), "Invalid value for '--particles'"),
+    "unknown channel": (("fit", "flows.csv", *LEVEL, "--map", "rain=flow"), "--map rain=flow: model 'local-level' has no output or input 'rain'; it has flow"),
+    "unknown column": (("fit", "flows.csv", *LEVEL, "--map", "flow=rain"), "--map flow=rain: flows.csv has no column 'rain'; there are year, flow"),
+    "no column": (("fit", "flows.csv", "-m", "mine.py"), "flows.csv: no column for the output 'reading'; say which it is with --map reading=COLUMN. There are year, flow"),
+    "no column of times": (("fit", "flows.csv", *LEVEL, "--time", "t"), "no column 't'"),
+    "text in a column": (("fit", "text.csv", *LEVEL), "text.csv, line 3, column 'flow': 'wet' is not a number"),
+    "no text": (("fit", "noise.csv", *LEVEL), "noise.csv, line 1: not UTF-8 text"),
+    "an ending": (("fit", "flows.xlsx", *LEVEL), "flows.xlsx: the ending must be .csv, .mat or .npz"),
+    "a negative step": (("fit", "flows.csv", *LEVEL, "--dt", "-1"), "dt = -1.0 s; a positive time step"),
+    "unknown effect": (("fit", "flows.csv", *LEVEL, "--with", "ghost:flow"), "--with: effect 'ghost:flow' is not known"),
+    "an effect elsewhere": (("fit", "flows.csv", *LEVEL, "--with", "bias:rain"), "--with: effect 'bias' cannot enter model 'local-level' at 'rain'; channels are flow"),
+    "no folder": (("fit", "flows.csv", *LEVEL, "-o", "no/where.json"), "--out no/where.json: there is no folder"),
+    "no html": (("fit", "flows.csv", *LEVEL, "--report", "out.pdf"), "the ending must be .html"),
+    "not a state": (("fit", "--resume", "flows.csv"), "--resume flows.csv: this is not a state file"),
+    "no state": (("fit", "--resume", "none.state"), "--resume none.state: there is no such file"),
+    "a pickle": (("fit", "--resume", "evil.state"), "--resume evil.state: this is not a state file"),
+    "resume with another seed": (("fit", "--resume", "any.state", "--seed", "2"), "--seed cannot be given with it"),
+    "resume with data": (("fit", "flows.csv", "--resume", "any.state"), "DATA cannot be given with it"),
+    "no extra column": (("diagnose", "flows.csv", *LEVEL, "--extra", "rain"), "--extra rain: flows.csv has no column 'rain'"),
+    "alpha": (("diagnose", "flows.csv", *LEVEL, "--alpha", "5"), "--alpha 5: a probability"),
+    "effects to look for": (("diagnose", "flows.csv", *LEVEL, "--effects", "ghost"), "--effects ghost: there is no such effect"),
+    "a short series": (("diagnose", "short.csv", *LEVEL), "only 3 rows hold a measurement"),
+    "no length": (("simulate", *LEVEL), "--samples is missing"),
+    "no input": (SERVO, "model 'servo' has the input 'drive'"),
+    "an odd input": ((*SERVO, "--excite", "drive=noise:1:1"), "KIND:SIZE:SECONDS is needed"),
+    "an unknown input": ((*SERVO, "--excite", "wind=sine:1:1"), "--excite wind: model 'servo' has no such input; it has drive"),
+    "no size": (("simulate", *LEVEL, "-n", "9", "--with", "bias:flow"), "--with bias:flow: NAME=VALUE is needed"),
+    "effects of no model": (("models", "--effects"), "need the name of a model"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "flows.csv").write_text(
+        "year,flow\n" + "".join(f"{k},{k % 7}\n" for k in range(40))
+    )
+    (tmp_path / "short.csv").write_text("flow\n1\n2\n3\n")
+    (tmp_path / "text.csv").write_text("flow\n1\nwet\n")
+    (tmp_path / "noise.csv").write_bytes(bytes(range(128, 256)))
+    (tmp_path / "flows.xlsx").write_bytes(b"PK")
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "broken.py").write_text("import engine\noops\n")
+    with (tmp_path / "evil.state").open("wb") as stream:
+        np.savez(stream, asked=np.array([{}], dtype=object), rows=np.zeros((1, 7)))
+    return tmp_path
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_usage_and_data(case, rbps, folder):
+    arguments, message = WRONG[case]
+    result = rbps(*arguments)
+    assert result.exit_code == 2, result.output
+    assert message in " ".join(result.stderr.split()), result.stderr
+    assert "Traceback" not in result.output
+    assert result.stdout == ""
+
+
+def test_errors_for_machines(rbps, folder):
+    result = rbps("fit", "flows.csv", "-m", "nile", "--json")
+    assert result.exit_code == 2
+    assert result.json()["error"]["code"] == 2
+    assert "there is no such model" in result.json()["error"]["message"]
+
+
+def test_a_model_that_fails(rbps, folder):
+    text = MINE.replace("return [theta.c", "1 / (len(a) == 3)\n    return [theta.c")
+    (folder / "mine.py").write_text(text)
+    (folder / "data.csv").write_text("reading,push\n" + "1,2\n" * 10)
+    result = rbps("fit", "data.csv", "-m", "mine.py", *QUICK)
+    assert result.exit_code == 1
+    assert "ZeroDivisionError: division by zero (mine.py, line 6, in dynamics)" in result.stderr
+
+
+def test_an_estimation_that_diverges(rbps, folder):
+    text = MINE.replace("theta.c * a[:, 0] + u[0]", "1e200 * (theta.c + 2) * (1 + a[:, 0] ** 2)")
+    (folder / "mine.py").write_text(text)
+    (folder / "data.csv").write_text("reading,push\n" + "1,2\n" * 10)
+    result = rbps("fit", "data.csv", "-m", "mine.py", *QUICK, "--json")
+    assert result.exit_code == 1
+    error = json.loads(result.stdout)["error"]
+    assert error["code"] == 1
+    assert error["message"]
+    assert not (folder / "data.state").exists()
+
+
+def test_data_that_changed_since(rbps, folder):
+    assert rbps("fit", "flows.csv", *LEVEL, *QUICK).exit_code == 0
+    with (folder / "flows.csv").open("a") as stream:
+        stream.write("40,5\n")
+    result = rbps("fit", "--resume", "flows.state", "-n", "5")
+    assert result.exit_code == 2
+    assert "flows.csv has changed since the estimation began" in result.stderr
+    (folder / "flows.csv").unlink()
+    assert "flows.csv is gone" in rbps("fit", "--resume", "flows.state").stderr
+
+
+def test_figures_without_matplotlib_are_refused_before_the_work(rbps, folder, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
+    for command in (("fit", "flows.csv"), ("diagnose", "flows.csv"), ("simulate", "-n", "9")):
+        result = rbps(*command, *LEVEL, "--plot", "figures")
+        assert result.exit_code == 2
+        assert "pip install 'rbps[plot]'" in result.stderr
