@@ -32,13 +32,13 @@ async function look() {
   show(job);
   const iterates = job.kind === "estimate";
   if (ENDED.includes(job.status)) {
-    await end(job, iterates);
+    await end(job);
     return null;
   }
   if (iterates && job.status === "running") {
     const { tasks } = await get(`${here}/tasks`);
     showAttempts(tasks);
-    await convergence.update(tasks);
+    await convergence.update(tasks, job.model);
     by("live").hidden = convergence.empty;
     by("facts").replaceChildren(...facts(job));
   }
@@ -113,8 +113,8 @@ const BADGES = { running: "running", done: "successful", stopped: "failed" };
 
 // ---- the end ----------------------------------------------------------------------------------
 
-async function end(job, iterates) {
-  if (job.status === "failed") return failed();
+async function end(job) {
+  if (job.status === "failed") return failed(job);
   if (job.status === "dismissed") {
     by("problem").hidden = false;
     by("problem").textContent = "This job was stopped; what it had computed is gone.";
@@ -136,7 +136,7 @@ async function end(job, iterates) {
   return undefined;
 }
 
-async function failed() {
+async function failed(job) {
   by("failure").hidden = false;
   try {
     await get(`${here}/results`);
@@ -148,7 +148,7 @@ async function failed() {
   }
   const { tasks } = await get(`${here}/tasks`);
   showAttempts(tasks);
-  await convergence.update(tasks);
+  await convergence.update(tasks, job.model);
   by("live").hidden = convergence.empty;
   by("live-title").textContent = "How far it came";
 }

@@ -9,6 +9,7 @@ const POINTS = 2000; // of what was computed before the page was opened
 export class Convergence {
   constructor(job, place) {
     this.job = job;
+    this.units = null; // of the model's parameters, by name
     this.place = place;
     this.traces = new Map(); // task -> {iteration, theta: {name: []}, log_likelihood, ess}
     this.charts = new Map();
@@ -20,7 +21,8 @@ export class Convergence {
   }
 
   // Ask for what is new of every task that iterates, and draw.
-  async update(tasks) {
+  async update(tasks, model) {
+    this.units ??= await units(model);
     const iterating = tasks.filter((task) => ["computation", "estimate", "start"].includes(task.role) && task.state !== "waiting");
     for (const { task } of iterating) await this.fetch(task);
     if ([...this.traces.values()].some((trace) => trace.iteration.length > 1)) this.draw();
@@ -42,15 +44,18 @@ export class Convergence {
 
   draw() {
     const names = Object.keys(this.traces.values().next().value.theta);
-    for (const name of names) this.one(name, name, (trace) => trace.theta[name]);
+    for (const name of names) {
+      const unit = this.units[name];
+      this.one(name, unit && unit !== "1" ? `${name} [${unit}]` : name, (trace) => trace.theta[name], true);
+    }
     this.one("log-likelihood", "log-likelihood", (trace) => trace.log_likelihood);
     this.one("effective sample size", "particles", (trace) => trace.ess);
   }
 
-  one(title, yLabel, pick) {
+  one(title, yLabel, pick, held = false) {
     const { x, columns } = aligned([...this.traces.values()].filter((trace) => trace.iteration.length), pick);
     if (!columns.some((column) => column.some((value) => value !== null))) return;
-    if (title !== "log-likelihood" && yLabel === title && constant(columns)) return; // held fixed
+    if (held && constant(columns)) return; // not free
     const options = { title, xLabel: "iteration", yLabel, x, series: series(columns), sync: "iteration", height: 190 };
     const known = this.charts.get(title);
     if (known) known.update(options);
@@ -67,6 +72,12 @@ export class Convergence {
     this.charts.clear();
     this.place.replaceChildren();
   }
+}
+
+// What an extension adds to a registered model has no unit here; the report will know it.
+async function units(model) {
+  const found = await get(`/models/${encodeURIComponent(model.split("+")[0])}`);
+  return Object.fromEntries(found.parameters.map((one) => [one.name, one.unit]));
 }
 
 // All traces over one axis: every iteration that some trace has.
