@@ -171,8 +171,9 @@ def _lag(setting: Setting, channel: str) -> Effect | None:
         "measurement",
         f"lag of the sensor {channel}",
         f"{channel} = (1 - {name}) y_t + {name} y_(t-1)",
-        (Parameter(name, 0.0, "1", (-1.0, 1.0), "share that comes one sample late"),),
+        (Parameter(name, 0.0, "1", (0.0, 1.0), "share that comes one sample late"),),
         lambda model: _late(model, setting, channel, 1, lambda own: [own[0]]),
+        one_sided=True,
         look_alikes={
             "delay": "delays the input, or the reading by several samples",
             "colored": "is not driven by y",
@@ -199,13 +200,14 @@ def sensor_delay(setting: Setting, channel: str) -> Effect | None:
         f"delay of the sensor {channel}",
         f"{channel} = (1 - {name}) y_t + {name} y_(t-d),  d = {name}_samples",
         (
-            Parameter(name, 0.0, "1", (-1.0, 1.5), "share that comes late"),
+            Parameter(name, 0.0, "1", (0.0, 1.5), "share that comes late"),
             Parameter(f"{name}_samples", 2.0, "samples", (1.0, float(LONGEST_DELAY)), "how late"),
         ),
         lambda model: _late(model, setting, channel, LONGEST_DELAY, weights),
         probes=tuple((float(d),) for d in range(2, LONGEST_DELAY + 1)),
         look_alikes={"lag": "is over after one sample", "pole": "changes the motion itself"},
         held=(f"{name}_samples",),
+        one_sided=True,
     )
 
 

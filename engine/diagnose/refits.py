@@ -131,11 +131,16 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
     fixed = {*sought, *effect.held}
     free = [*fit.free, *(name for name in own if name not in fixed)]
     start = _best_start(extended, series, start, n)
+    if sought:
+        start = _best_row(extended, series, start, sought[0], effect)
     zero = float(log_likelihoods(extended, [series], null[None])[0])
     target = zero + 0.5 * (best - HOPELESS + cost(effect))
     found = quasi_ml(extended, series, start, free, tolerance=TOLERANCE, target=target)
     if sought and found.log_likelihood > target:
-        found = _refine_time(extended, series, found, free, sought[0], effect)
+        moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect)
+        if not np.array_equal(moved, found.theta):
+            again = quasi_ml(extended, series, moved, free, tolerance=TOLERANCE)
+            found = max(found, again, key=lambda one: one.log_likelihood)
     gain = 2.0 * (found.log_likelihood - zero)
     return Refit(effect, found, gain, gain - cost(effect))
 
@@ -170,31 +175,20 @@ def _best_start(extended: MixedModel, series: Series, start: Array, n: int) -> A
     return np.asarray(starts[int(np.argmax(values))])
 
 
-def _refine_time(
-    extended: MixedModel,
-    series: Series,
-    found: QuasiFit,
-    free: Sequence[str],
-    name: str,
-    effect: Effect,
-) -> QuasiFit:
-    """Move a time to the row where the likelihood is largest, then fit once more."""
+def _best_row(
+    extended: MixedModel, series: Series, theta: Array, name: str, effect: Effect
+) -> Array:
+    """Theta with the effect's time moved to the row near it where the likelihood is largest."""
     k = extended.index(name)
-    theta = np.asarray(found.theta)
     here = int(np.argmin(np.abs(series.t - theta[k])))
-    reach = (
-        2
-        if effect.kind == "pulse"
-        else int(np.ceil(len(series) / max(len(grid(effect, series)), 1)))
-    )
+    reach = 2
+    if effect.kind != "pulse":  # its grid leaves rows out
+        reach = int(np.ceil(len(series) / max(len(grid(effect, series)), 1)))
     rows = np.arange(max(here - reach, 1), min(here + reach + 1, len(series) - 1))
-    thetas = np.repeat(theta[None], len(rows), axis=0)
-    thetas[:, k] = series.t[rows]
+    thetas = np.repeat(theta[None], len(rows) + 1, axis=0)
+    thetas[1:, k] = series.t[rows]
     values = log_likelihoods(extended, [series], thetas)
-    best = int(np.argmax(values))
-    if rows[best] == here or not values[best] > found.log_likelihood:
-        return found
-    return quasi_ml(extended, series, thetas[best], free, tolerance=TOLERANCE)
+    return np.asarray(thetas[int(np.argmax(values))])
 
 
 def held_out_terms(fit: QuasiFit, series: Series) -> Array:
