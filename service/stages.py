@@ -127,6 +127,12 @@ def _choose(job: Prepared, request: EstimateRequest, progress: Progress) -> dict
             {
                 "estimate": dict(zip(names, one["theta"], strict=True)),
                 "log_likelihood": one["reached"],
+                "trace": {
+                    "iteration": list(range(len(one["trace"]))),
+                    "theta": dict(
+                        zip(names, map(list, zip(*one["trace"], strict=True)), strict=True)
+                    ),
+                },
             }
             if one["success"]
             else {}

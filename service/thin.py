@@ -27,6 +27,7 @@ def _holders(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """The parts of a document that hold curves over a common axis."""
     if trace := document.get("trace"):
         yield trace
+    yield from (start["trace"] for start in document.get("starts") or () if "trace" in start)
     for name in ("states", "simulation"):
         yield from (document.get(name) or {}).get("series", [])
     symptoms = list((document.get("examination") or {}).get("series", []))

@@ -20,7 +20,7 @@ class Trace:
 
     ``kind``: line, points, steps (y holds from its x to the next) or bars. ``role`` is its colour: data,
     model, before, after, bad, c1 ... c6. ``band`` = (low, high) is filled. ``reach`` is half the width of an
-    error bar up and down, ``width`` half that of a bar to each side.
+    error bar up and down, ``width`` half that of a bar to each side; ``dash`` makes the line a dashed one.
     """
 
     label: str
@@ -30,6 +30,7 @@ class Trace:
     band: tuple[Numbers, Numbers] | None = None
     reach: Numbers | None = None
     width: Numbers | None = None
+    dash: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class Chart:
                 None if t.band is None else (few(t.band[0]) or (), few(t.band[1]) or ()),
                 few(t.reach),
                 few(t.width),
+                t.dash,
             )
             for t in self.traces
         )
@@ -91,6 +93,7 @@ class Chart:
                     "y": list(t.y),
                     "kind": t.kind,
                     "colour": t.role,
+                    "dash": t.dash,
                     "band": None if t.band is None else [list(t.band[0]), list(t.band[1])],
                 }
                 for t in self.traces

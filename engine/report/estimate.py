@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from engine.report.chart import Chart, Trace
+import numpy as np
+
+from engine.report.chart import Chart, Numbers, Trace
 from engine.report.comparison import (
     TIME,
     against_data,
@@ -30,6 +32,7 @@ from engine.report.parts import (
 from engine.words import number
 
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
+FEW = 7  # starts beside the one taken whose curves are drawn each
 
 
 def estimate_report(document: Document, draw: Drawer) -> Report:
@@ -147,31 +150,66 @@ def estimates(document: Document) -> Html:
 
 
 def _convergence(document: Document, draw: Drawer) -> Iterator[Html]:
+    """Each free parameter over the iterations, with its interval and the other starts."""
     trace = document.get("trace")
     if not trace:
         return
-    ks, n = trace["iteration"], len(trace["iteration"])
+    ks = trace["iteration"]
     for name, values in trace["theta"].items():
         found = document["estimate"].get(name, {})
         if found.get("fixed"):
             continue
-        traces = [Trace("iterate", values, "line", "model")]
-        low, high = found.get("interval") or (None, None)
-        if low is not None:
-            flat = Trace(
-                "estimate, 95 % interval",
-                [found["value"]] * n,
-                "line",
-                "after",
-                band=([low] * n, [high] * n),
-            )
-            traces.insert(0, flat)
-        unit = found.get("unit", "")
-        yield draw(Chart(name, "iteration", label(name, unit), ks, tuple(traces), sync="iteration"))
+        others = _other_starts(document, name)
+        axis = sorted({*ks, *(k for _, its, _ in others for k in its)})
+        traces = [_interval(found, len(axis))] if found.get("interval") else []
+        traces += _beside(axis, others)
+        traces.append(Trace("iterate", _on(axis, ks, values), "line", "model"))
+        title, y_label = name, label(name, found.get("unit", ""))
+        yield draw(Chart(title, "iteration", y_label, axis, tuple(traces), sync="iteration"))
     for key, title in (("log_likelihood", "Log-likelihood"), ("ess", "Effective sample size")):
         if any(v is not None for v in trace[key]):
             one = Trace(title.lower(), trace[key], "line", "c4")
             yield draw(Chart(title, "iteration", title.lower(), ks, (one,), sync="iteration"))
+
+
+def _interval(found: Document, n: int) -> Trace:
+    (low, high), value = found["interval"], found["value"]
+    band = ([low] * n, [high] * n)
+    return Trace("estimate, 95 % interval", [value] * n, "line", "after", band=band)
+
+
+def _other_starts(document: Document, name: str) -> list[tuple[int, Numbers, Numbers]]:
+    """(number, iterations, values) of a parameter from the starts that were not taken."""
+    taken = document["trace"]["theta"][name][0]
+    traces = [
+        (i + 1, s["trace"]) for i, s in enumerate(document.get("starts") or ()) if "trace" in s
+    ]
+    found = [(i, t["iteration"], t["theta"][name]) for i, t in traces]
+    return [one for one in found if one[2][0] != taken]
+
+
+def _beside(axis: list[int], others: list[tuple[int, Numbers, Numbers]]) -> list[Trace]:
+    """A few starts each by itself, many by their middle and range."""
+    curves = [(i, _on(axis, ks, values)) for i, ks, values in others]
+    if len(curves) <= FEW:
+        return [
+            Trace(f"start {i}", curve, "line", f"c{2 + k % 5}", dash=True)
+            for k, (i, curve) in enumerate(curves)
+        ]
+    rows = [
+        sorted(v for v in row if v is not None)
+        for row in zip(*(curve for _, curve in curves), strict=True)
+    ]
+    band = ([r[0] if r else None for r in rows], [r[-1] if r else None for r in rows])
+    middle = [r[len(r) // 2] if r else None for r in rows]
+    return [Trace("middle and range of the other starts", middle, "line", "data", band, dash=True)]
+
+
+def _on(axis: list[int], ks: Numbers, values: Numbers) -> list[float | None]:
+    """Values at iterations ks over an axis that may hold more of them and go on after them."""
+    x, y = np.array(ks, dtype=float), np.array(values, dtype=float)
+    inside = np.interp(axis, x, y, right=np.nan).tolist()
+    return [None if v != v else v for v in inside]
 
 
 # ---- states, simulation, residuals --------------------------------------------------------------

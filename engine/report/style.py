@@ -8,14 +8,16 @@ _LIGHT = """
   --accent: #0b6486; --accent-pale: #e2f1f7; --good: #1b7a43; --good-pale: #e2f4e9; --warn: #8a5a00;
   --warn-pale: #fdf1d8; --bad: #b3261e; --bad-pale: #fdeceb;
   --chart-data: #55606b; --chart-model: #0b6fa4; --chart-before: #c2571a; --chart-after: #1f8a4c;
-  --chart-bad: #b3261e; --chart-c4: #7a4fb5;
+  --chart-bad: #b3261e; --chart-c1: #0b6fa4; --chart-c2: #c2571a; --chart-c3: #1f8a4c;
+  --chart-c4: #7a4fb5; --chart-c5: #b0307a; --chart-c6: #7d6608;
 """
 _DARK = """
   --page: #10161c; --card: #18212a; --ink: #e4eaf0; --muted: #9dabb8; --line: #33404d; --grid: #26313c;
   --accent: #58bde0; --accent-pale: #15323f; --good: #6fd197; --good-pale: #163324; --warn: #f0bd5c;
   --warn-pale: #382a10; --bad: #ff9a90; --bad-pale: #431d1a;
   --chart-data: #a9b6c2; --chart-model: #58bde0; --chart-before: #f0985c; --chart-after: #6fd197;
-  --chart-bad: #ff9a90; --chart-c4: #b99cf0;
+  --chart-bad: #ff9a90; --chart-c1: #58bde0; --chart-c2: #f0985c; --chart-c3: #6fd197;
+  --chart-c4: #b99cf0; --chart-c5: #f08cc4; --chart-c6: #d8c25a;
 """
 
 # Charts, tables of numbers, cards of answers: what a report's parts need wherever they are shown.
@@ -74,11 +76,13 @@ details { margin: .5rem 0; } summary { cursor: pointer; color: var(--accent); }
 .key i.bars { width: .75rem; height: .75rem; }
 .key i.band { height: .75rem; opacity: .55; border-radius: 2px; }
 .chart-svg { display: block; width: 100%; height: auto; }
+.figure:not(.wide) > .chart-svg { max-width: 620px; }
 .chart-svg text { fill: var(--muted); font-size: 12.5px; font-family: inherit; }
 .chart-svg text.name { fill: var(--ink); }
 .chart-svg .grid { stroke: var(--grid); stroke-width: 1; }
 .chart-svg .level { stroke: var(--muted); stroke-width: 1; stroke-dasharray: 5 4; }
 .chart-svg .curve { fill: none; stroke: currentColor; stroke-width: 1.6; stroke-linejoin: round; }
+.chart-svg .dash { stroke-dasharray: 6 4; }
 .chart-svg .error { stroke: currentColor; stroke-width: 1.2; opacity: .75; }
 .chart-svg .dots { fill: none; stroke: currentColor; stroke-width: 3; stroke-linecap: round; }
 .chart-svg .dots.large { stroke-width: 5; }
@@ -86,7 +90,9 @@ details { margin: .5rem 0; } summary { cursor: pointer; color: var(--accent); }
 .bar { fill: currentColor; }
 .r-data { color: var(--chart-data); } .r-model { color: var(--chart-model); }
 .r-before { color: var(--chart-before); } .r-after { color: var(--chart-after); }
-.r-bad { color: var(--chart-bad); } .r-c4 { color: var(--chart-c4); }
+.r-bad { color: var(--chart-bad); } .r-c1 { color: var(--chart-c1); }
+.r-c2 { color: var(--chart-c2); } .r-c3 { color: var(--chart-c3); } .r-c4 { color: var(--chart-c4); }
+.r-c5 { color: var(--chart-c5); } .r-c6 { color: var(--chart-c6); }
 table.numbers td { white-space: nowrap; }
 .for-narrow { display: none; }
 @media (max-width: 700px) {

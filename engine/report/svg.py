@@ -258,7 +258,12 @@ def _trace(xs: Numbers, t: Trace, x: Axis, y: Axis) -> list[Html]:
         d = "".join(f"M{_n(p[0])} {_n(p[1])}h0" for p in points if p is not None)
         dots = f"dots r-{t.role}" if len(points) > 120 else f"dots large r-{t.role}"
         return [*parts, tag("path", d=d, class_=dots)]
-    return [*parts, tag("path", d=_path(points, t.kind == "steps"), class_=f"curve r-{t.role}")]
+    return [
+        *parts,
+        tag(
+            "path", d=_path(points, t.kind == "steps"), class_=f"curve{' dash' * t.dash} r-{t.role}"
+        ),
+    ]
 
 
 def _path(points: Iterable[tuple[float, float] | None], steps: bool) -> str:

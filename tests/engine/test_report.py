@@ -281,3 +281,28 @@ def test_units_as_they_are_printed():
     assert plus_minus(0.5234, 0.0312, "N") == "0.5234 ± 0.031 N"
     assert plus_minus(256.4, 12.0, "1e8 m^3") == "(256.4 ± 12) × 10⁸ m³"
     assert plus_minus(2.0, None, "1") == "2"
+
+
+def test_other_starts_are_drawn_beside_the_one_taken(estimate):
+    document = copy.deepcopy(estimate.to_dict())
+    own = document["trace"]["theta"]["theta"]
+
+    def start(first, n):
+        trace = {"iteration": list(range(n)), "theta": {"theta": [first + k for k in range(n)]}}
+        return {"start": {"theta": first}, "outcome": "converged", "message": "", "trace": trace}
+
+    document["starts"] = [start(own[0], len(own)), start(5.0, 3), start(6.0, 40)]
+    draw = OnPage()
+    make_report(document, draw)
+    theta = draw.charts[0]
+    assert theta["x"] == list(range(40))
+    shown = {one["label"]: one["y"] for one in theta["series"]}
+    assert shown["start 2"][:4] == [5.0, 6.0, 7.0, None]
+    assert shown["iterate"][: len(own)] == own
+    assert shown["iterate"][len(own) :] == [None] * (40 - len(own))
+    document["starts"] = [start(float(k), 30) for k in range(1, 12)]
+    draw = OnPage()
+    make_report(document, draw)
+    (many,) = (one for one in draw.charts[0]["series"] if "range" in one["label"])
+    assert many["y"][0] == 6.0
+    assert (many["band"][0][29], many["band"][1][29]) == (30.0, 40.0)
