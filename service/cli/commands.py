@@ -260,6 +260,14 @@ def diagnose(
     max_effects: Annotated[
         int, typer.Option(metavar="N", min=1, max=10, help="Found in turn at most.")
     ] = 3,
+    bootstrap: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="Simulated series for a second p-value of the first alarm, 99 or more; takes long.",
+        ),
+    ] = 0,
     seed: Seed = 0,
     out: Out = None,
     report: Report = None,
@@ -292,6 +300,7 @@ def diagnose(
             alpha=alpha,
             consider=names(consider),
             max_effects=max_effects,
+            bootstrap=bootstrap,
             seed=seed,
             out=out,
             report=report,

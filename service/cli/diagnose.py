@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import engine
-from engine import plots
 from engine.diagnose import Verdict, all_effects, effect_kinds
 from engine.diagnose.setting import Setting
 from engine.diagnose.spare_inputs import with_inputs
@@ -19,7 +18,7 @@ from service.cli import references
 from service.cli.ending import Code, Ending, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
-from service.cli.values import free_of, output_path, theta_of
+from service.cli.values import figure_folder, free_of, output_path, theta_of
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,7 @@ class Wanted:
     alpha: float
     consider: list[str]
     max_effects: int
+    bootstrap: int
     seed: int
     out: Path | None
     report: Path | None
@@ -59,8 +59,7 @@ def run(wanted: Wanted, as_json: bool, quiet: bool) -> None:
     """Diagnose, write the files, print the page."""
     output_path("--out", wanted.out, (".json",))
     output_path("--report", wanted.report, (".html", ".htm"))
-    if wanted.plot:
-        plots.axes(1, 1, (1.0, 1.0))  # tells now that matplotlib is missing
+    figure_folder("--plot", wanted.plot)
     if not 0.0 < wanted.alpha < 1.0:
         raise wrong(f"--alpha {wanted.alpha:g}: a probability between 0 and 1 is needed")
     with meter(quiet or as_json) as shown:
@@ -101,6 +100,7 @@ def _diagnosis(wanted: Wanted, shown: Meter) -> tuple[engine.Diagnosis, dict[str
             effects=wanted.consider or None,
             max_effects=wanted.max_effects,
             free=free,
+            bootstrap=wanted.bootstrap,
             callback=diagnoses.Percent(Steps(shown)),
         )
     except KeyboardInterrupt:

@@ -23,7 +23,7 @@ from service.cli.ending import Code, Ending, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
 from service.cli.state import Asked, Recorder, keep_old, read
-from service.cli.values import free_of, output_path, theta_of
+from service.cli.values import figure_folder, free_of, output_path, theta_of
 from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import EstimateOptions, EstimateRequest, ModelReference
@@ -79,8 +79,7 @@ def _check_outputs(asked: Asked) -> None:
         ("--report", asked.report, (".html", ".htm")),
     ):
         output_path(option, Path(file) if file else None, suffixes)
-    if asked.plot:
-        plots.axes(1, 1, (1.0, 1.0))  # tells now that matplotlib is missing, not hours later
+    figure_folder("--plot", Path(asked.plot) if asked.plot else None)
 
 
 def _prepare(asked: Asked, shown: Meter) -> Prepared:

@@ -19,7 +19,7 @@ from service import kinds, strict_json
 from service.cli import references
 from service.cli.ending import wrong
 from service.cli.files import Columns, inputs_of
-from service.cli.values import about, output_path
+from service.cli.values import about, figure_folder, output_path
 from service.prepare import Prepared
 from service.schemas import ModelReference, SimulateOptions, SimulateRequest
 
@@ -53,8 +53,7 @@ class Steps:
 def run(wanted: Wanted, as_json: bool) -> None:
     """Simulate and write."""
     output_path("--out", wanted.out, (".csv", ".mat", ".npz"))
-    if wanted.plot:
-        plots.axes(1, 1, (1.0, 1.0))  # tells now that matplotlib is missing
+    figure_folder("--plot", wanted.plot)
     base = references.model_of(wanted.model)
     frame = _frame(base, wanted)
     model = references.with_effects(base, list(wanted.effects), frame)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from engine.errors import EngineError
 from engine.model import MixedModel, Theta
+from engine.plots import axes
 from service.cli.ending import wrong
 
 
@@ -82,6 +83,16 @@ def output_path(option: str, path: Path | None, suffixes: Sequence[str] = ()) ->
         raise wrong(f"{option} {shown}: there is no folder {path.absolute().parent}")
     if path.is_dir():
         raise wrong(f"{option} {shown}: this is a folder; a file is needed")
+
+
+def figure_folder(option: str, path: Path | None) -> None:
+    """Refuse a folder for figures that cannot be, or figures without matplotlib."""
+    if path is None:
+        return
+    if path.exists() and not path.is_dir():
+        raise wrong(f"{option} {os.path.relpath(path)}: this is a file; a folder is needed")
+    with about(option):
+        axes(1, 1, (1.0, 1.0))
 
 
 def one_of(option: str, value: str, choices: Sequence[str]) -> str:

@@ -137,6 +137,16 @@ def test_displays_are_tables(cell):
             assert word in page.text, (type(shown), word)
 
 
+def test_a_diagnosis_shows_its_verdict(cell):
+    page = Checker(cell["diagnosis"]._repr_html_())
+    assert page.text[0] == f"mine: {cell['diagnosis'].verdict.value}"
+    found = engine.diagnose(engine.get_model("local-level"), nile(), effects=["step"], seed=1)
+    page = Checker(found._repr_html_())
+    assert "step:flow" in page.text
+    assert any("flow = ... + step_flow" in text for text in page.text)
+    assert set(found.plot()) == set(found.figures())
+
+
 def test_text_of_users_is_escaped(cell):
     from dataclasses import replace
 

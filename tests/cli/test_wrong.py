@@ -44,6 +44,7 @@ WRONG = {
     "an effect elsewhere": (("fit", "flows.csv", *LEVEL, "--with", "bias:rain"), "--with: effect 'bias' cannot enter model 'local-level' at 'rain'; channels are flow"),
     "no folder": (("fit", "flows.csv", *LEVEL, "-o", "no/where.json"), "--out no/where.json: there is no folder"),
     "no html": (("fit", "flows.csv", *LEVEL, "--report", "out.pdf"), "the ending must be .html"),
+    "figures in a file": (("fit", "flows.csv", *LEVEL, "--plot", "flows.csv"), "--plot flows.csv: this is a file; a folder is needed"),
     "not a state": (("fit", "--resume", "flows.csv"), "--resume flows.csv: this is not a state file"),
     "no state": (("fit", "--resume", "none.state"), "--resume none.state: there is no such file"),
     "a pickle": (("fit", "--resume", "evil.state"), "--resume evil.state: this is not a state file"),
@@ -125,6 +126,15 @@ def test_data_that_changed_since(rbps, folder):
     assert "flows.csv has changed since the estimation began" in result.stderr
     (folder / "flows.csv").unlink()
     assert "flows.csv is gone" in rbps("fit", "--resume", "flows.state").stderr
+
+
+def test_a_model_that_changed_since(rbps, folder):
+    (folder / "data.csv").write_text("reading,push\n" + "1,2\n" * 10)
+    assert rbps("fit", "data.csv", "-m", "mine.py", *QUICK).exit_code == 0
+    (folder / "mine.py").write_text(MINE.replace("0.5", "0.6"))
+    result = rbps("fit", "--resume", "data.state")
+    assert result.exit_code == 2
+    assert "mine.py has changed since the estimation began" in result.stderr
 
 
 def test_figures_without_matplotlib_are_refused_before_the_work(rbps, folder, monkeypatch):
