@@ -16,7 +16,8 @@ from engine.moment_filter import MomentPath
 from engine.quasi_ml import whitening
 from engine.series import Series
 
-GRID = 400  # times or frequencies tried at most: a step one sample off leaves another footprint
+GRID = 400  # times or frequencies tried at most
+STEP_GRID = 1000  # for a step, as one sample off it leaves another footprint
 CHUNK = 50  # columns held in memory at once; even, as a harmonic has two
 EDGE = 0.04  # share of the record at each end in which no step can be told from the start
 TIMED = ("step", "parameter-step", "harmonic", "pulse")
@@ -97,7 +98,8 @@ def grid(effect: Effect, series: Series) -> Array:
         length, step = float(t[-1] - t[0]), float(np.median(series.steps))
         return np.asarray(np.linspace(1.5 / length, 0.48 / step, min(GRID, T // 3)))
     first, last = int(EDGE * T) + 2, T - int(EDGE * T) - 3
-    n = max(2, min(GRID, last - first + 1))
+    most = STEP_GRID if effect.kind == "step" else GRID
+    n = max(2, min(most, last - first + 1))
     rows = np.unique(np.linspace(first, max(last, first + 1), n).astype(int))
     return np.asarray(t[rows])
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from engine.studies.catalogue import ALIASES, STUDIES
+from engine.studies.catalogue import ALIASES, DOCUMENTS, STUDIES
 from engine.studies.runner import make_study
 from engine.studies.study import StudyError
 
@@ -20,7 +20,7 @@ def main(arguments: list[str] | None = None) -> int:
         prog="python -m engine.studies",
         description="Make tables and figures of the source documents. Finished runs are kept, and "
         "an interrupted study goes on where it stopped.",
-        epilog=f"studies:\n{names}\n  all                every one of them",
+        epilog=f"studies:\n{names}\n  all                every table and figure of the source documents",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="+", metavar="NAME", help="a study, see below")
@@ -29,12 +29,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
     parser.add_argument("--out", type=Path, default=RESULTS, help=f"directory (default: {RESULTS})")
     parser.add_argument("--fresh", action="store_true", help="make every run again")
+    parser.add_argument(
+        "--report", action="store_true", help="only write table and plot of the runs there are"
+    )
     options = parser.parse_args(arguments)
     for field in ("runs", "workers"):
         value = getattr(options, field)
         if value is not None and value < 1:
             parser.error(f"--{field} {value}: at least 1 is needed")
-    names_asked = list(STUDIES) if options.names == ["all"] else options.names
+    names_asked = list(DOCUMENTS) if options.names == ["all"] else options.names
     wanted = list(dict.fromkeys(ALIASES.get(name, name) for name in names_asked))
     unknown = [name for name in wanted if name not in STUDIES]
     if unknown:
@@ -44,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
             text = make_study(
                 STUDIES[name],
                 options.out,
-                options.runs,
+                0 if options.report else options.runs,
                 options.seed,
                 options.workers,
                 options.fresh,

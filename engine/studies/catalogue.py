@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from engine.studies import diagnose_measured, estimates, lost, poster, states, uncertainty
+from engine.studies.blind.report import BLIND
 from engine.studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -19,8 +20,10 @@ STUDIES: dict[str, Study] = {
         poster.POSTER_NONLINEAR,
         uncertainty.STANDARD_ERRORS,
         diagnose_measured.MEASURED,
+        BLIND,
     )
 }
+DOCUMENTS = tuple(name for name in STUDIES if name not in ("diagnose-measured", "blind"))
 ALIASES = {
     "table-1": "table-1-2",
     "table-2": "table-1-2",

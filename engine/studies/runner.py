@@ -83,10 +83,12 @@ def make_study(
 ) -> str:
     """Make a study's runs, write its Markdown and its plot; return the Markdown.
 
-    ``runs`` shortens every arm to that many runs.
+    ``runs`` shortens every arm to that many runs; with 0 only what is on disk is reported.
     """
     tables = {
-        arm.name: make_runs(arm, min(n, runs or n), directory, seed, workers, fresh)
+        arm.name: make_runs(
+            arm, n if runs is None else min(n, runs), directory, seed, workers, fresh
+        )
         for arm, n in study.arms.items()
     }
     text = f"# {study.title}\n\n{study.report(tables).strip()}\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import beta, norm
 
 from engine.model import Array
 
@@ -95,3 +95,14 @@ def rate_interval(events: int, runs: int, level: float = 0.95) -> tuple[float, f
     side = 0.5 + level / 2.0
     lower = 0.0 if events == 0 else float(beta.ppf(1.0 - side, events, runs - events + 1))
     return lower, rate_bound(events, runs, side)
+
+
+def wilson(events: int, runs: int, level: float = 0.95) -> tuple[float, float]:
+    """Wilson's two-sided interval of a rate, (0, 1) of no runs."""
+    if runs < 1:
+        return 0.0, 1.0
+    z = float(norm.ppf(0.5 + level / 2.0))
+    share, scale = events / runs, 1.0 + z**2 / runs
+    middle = (share + z**2 / (2.0 * runs)) / scale
+    half = z / scale * np.sqrt(share * (1.0 - share) / runs + z**2 / (4.0 * runs**2))
+    return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))

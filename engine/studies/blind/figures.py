@@ -1,0 +1,135 @@
+"""From rows to figures: names, sets, alarms, gains, with their intervals."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.studies.statistics import wilson
+from engine.studies.study import Row, Table
+
+ALARMS = ("named", "set", "unknown")
+
+
+@dataclass(frozen=True)
+class Rate:
+    """``events`` of ``of``, with the Wilson interval of 95 %."""
+
+    events: int
+    of: int
+
+    @property
+    def value(self) -> float:
+        """The share, NaN of nothing."""
+        return self.events / self.of if self.of else np.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson."""
+        return wilson(self.events, self.of)
+
+    def __str__(self) -> str:
+        if not self.of:
+            return "-"
+        low, high = self.interval
+        return f"{100 * self.value:.0f} % ({self.events} of {self.of}; {100 * low:.0f}-{100 * high:.0f} %)"
+
+
+def rate(rows: Iterable[Row], event: Callable[[Row], bool]) -> Rate:
+    """How often something happens."""
+    seen = [event(row) for row in rows]
+    return Rate(sum(seen), len(seen))
+
+
+def exact(row: Row) -> bool:
+    """Named, rightly, and nothing else."""
+    return row["verdict"] == "named" and row["causes"] == row["hidden"]
+
+
+def wrong(row: Row) -> bool:
+    """Named confidently, and not right: a wrong name, or a further one beside the right one."""
+    return row["verdict"] == "named" and row["causes"] != row["hidden"]
+
+
+def alarm(row: Row) -> bool:
+    """Any verdict but ``nothing``."""
+    return row["verdict"] in ALARMS
+
+
+def in_set(row: Row) -> bool:
+    """Whether the truth is in the first round's set."""
+    return str(row["hidden"]) in str(row["set"]).split()
+
+
+def set_size(row: Row) -> int:
+    """Effects in the first round's set."""
+    return len(str(row["set"]).split())
+
+
+def place(effect: str) -> str:
+    """The state, output, input or parameter that an effect enters at."""
+    channel = effect.partition(":")[2]
+    return channel.partition("->")[2] or channel
+
+
+def right_equation(row: Row) -> bool:
+    """Whether the first cause enters where the truth does."""
+    causes = str(row["causes"]).split()
+    return bool(causes) and place(causes[0]) == place(str(row["hidden"]))
+
+
+def oracle_right(row: Row) -> bool:
+    """Whether the likelihood alone prefers the truth."""
+    return row["oracle"] == row["hidden"]
+
+
+def same_again(row: Row) -> bool:
+    """The same verdict and causes with another seed."""
+    return f"{row['verdict']} {row['causes']}".strip() == row["again"]
+
+
+def gain_share(table: Table) -> float:
+    """Held-out log-density gained by what was found, as a share of the true extension's."""
+    gain, truth = table.numbers("gain"), table.numbers("gain_truth")
+    both = np.isfinite(gain) & np.isfinite(truth)
+    total = float(truth[both].sum())
+    return float(gain[both].sum()) / total if total > 0.0 else np.nan
+
+
+def chosen(table: Table, **values: object) -> list[Row]:
+    """Rows with the given values, compared as text or number; series that ended in an error left out."""
+    return [
+        row
+        for row in table.rows
+        if row["verdict"] != "error" and all(_same(row[k], v) for k, v in values.items())
+    ]
+
+
+def _same(cell: float | str, value: object) -> bool:
+    if isinstance(value, (int, float)):
+        return float(cell) == float(value)
+    return cell == value
+
+
+def confusion(
+    rows: Sequence[Row],
+) -> tuple[list[str], list[str], np.ndarray[tuple[int, int], np.dtype[np.int64]]]:
+    """Hidden effects, answers, and counts: an answer is the first cause's kind if it was named."""
+    count: dict[str, Counter[str]] = {}
+    for row in rows:
+        hidden = f"{row['base']} {row['hidden'] or 'clean'}"
+        count.setdefault(hidden, Counter())[answer(row)] += 1
+    verdicts = ["set", "unknown", "nothing"]
+    names = sorted({a for c in count.values() for a in c} - set(verdicts))
+    columns = [*names, *verdicts]
+    return list(count), columns, np.array([[c[a] for a in columns] for c in count.values()])
+
+
+def answer(row: Row) -> str:
+    """The named causes' kinds, or the verdict."""
+    if row["verdict"] != "named":
+        return str(row["verdict"])
+    return str(row["causes"]).split()[0].partition(":")[0]

@@ -1,0 +1,319 @@
+"""The benchmark's page: figures against their targets, every cell, the confusion matrix."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from engine.studies.blind import figures as f
+from engine.studies.blind.cells import CLEAN, HIDDEN, OTHER, UNLISTED, USUAL
+from engine.studies.blind.runs import (
+    BOOTSTRAP_ARM,
+    CLEAN_ARM,
+    OTHER_ARM,
+    OUTSIDE_ARM,
+    USUAL_ARM,
+)
+from engine.studies.plots import axes, save
+from engine.studies.report import made_with, markdown
+from engine.studies.study import Row, Study, Table, Tables
+
+ABOUT = """\
+Effects are hidden in simulated series of four models, whose parameters are then estimated again, and
+`engine.diagnose` is asked what the model leaves out: its naming part, with the whole catalogue and
+alpha = 5 %. Series have N training rows; a quarter as many more are held out. Sizes are set once per
+cell by the likelihood ratio LR of the true extension (`sizes.csv`), from other series.
+
+*Exact*: verdict `named` and nothing but the truth. *Oracle*: the truth has the largest refitted
+likelihood, less costs of further parameters, among all that the search refitted, all that looks like
+the truth (|cos| > 0.7) and the best of the screen; it knows no sets, no thresholds and no alarms. *In
+set*: the truth is in the set of the first round. *Wrong*: `named`, but not the truth alone. Intervals
+are Wilson's, 95 %.
+"""
+
+
+def report(tables: Tables) -> str:
+    """Everything."""
+    usual, other = tables[USUAL_ARM.name], tables[OTHER_ARM.name]
+    clean, outside = tables[CLEAN_ARM.name], tables[OUTSIDE_ARM.name]
+    everything = [row for t in (usual, other, clean, outside) for row in f.chosen(t)]
+    text = [
+        ABOUT,
+        _summary(usual, other, clean, outside),
+        "## Every cell\n",
+        _cells([*f.chosen(usual), *f.chosen(other)]),
+        "## Clean series\n",
+        _clean(clean),
+        "## Not in the catalogue\n",
+        _outside(outside),
+        _bootstrap(tables[BOOTSTRAP_ARM.name]),
+        "## Confusion\n\nThe first cause's kind where one was named, else the verdict.\n",
+        _confusion(everything),
+        _errors(tables),
+        made_with(tables),
+    ]
+    return "\n".join(text)
+
+
+def _summary(usual: Table, other: Table, clean: Table, outside: Table) -> str:
+    at_40 = f.chosen(usual)
+    at_100, at_15 = f.chosen(other, ratio=100.0), f.chosen(other, ratio=15.0)
+    alarmed = [row for row in at_40 if f.alarm(row)]
+    exact, oracle = f.rate(at_40, f.exact), f.rate(at_40, f.oracle_right)
+    no_name = f.chosen(outside)
+    false = f.rate(f.chosen(clean), f.alarm)
+    unknown = [
+        row
+        for t in (usual, other, clean, outside)
+        for row in f.chosen(t)
+        if row["verdict"] == "unknown"
+    ]
+    precision = f.rate(unknown, lambda row: str(row["hidden"]).startswith("outside"))
+    again = [row for row in [*f.chosen(clean), *at_100] if row["again"]]
+    sizes = [f.set_size(row) for row in alarmed if f.set_size(row)]
+    lines = [
+        ["exact name, LR 40", "at least 85 %", str(exact)],
+        ["... the oracle", "", str(oracle)],
+        ["... as a share of the oracle's", "at least 95 %", _share(exact, oracle)],
+        [
+            "truth in the set, LR 40, of series with an alarm",
+            "at least 97 %",
+            str(f.rate(alarmed, f.in_set)),
+        ],
+        ["... of all series", "", str(f.rate(at_40, f.in_set))],
+        ["mean size of the set", "below 2", f"{np.mean(sizes):.2f}" if sizes else "-"],
+        [
+            "right equation, of series with an alarm",
+            "at least 97 %",
+            str(f.rate(alarmed, f.right_equation)),
+        ],
+        [
+            "held-out gain, share of the true extension's",
+            "at least 90 %",
+            _percent(f.gain_share(usual)),
+        ],
+        ["wrong names, LR 40", "", str(f.rate(at_40, f.wrong))],
+        ["exact name, LR 100", "at least 95 %", str(f.rate(at_100, f.exact))],
+        ["... the oracle", "", str(f.rate(at_100, f.oracle_right))],
+        ["wrong names, LR 15", "below 10 %", str(f.rate(at_15, f.wrong))],
+        ["false alarms, clean", "lower end at most 5 %", str(false)],
+        ["wrong names, not in the catalogue", "below 10 %", str(f.rate(no_name, f.wrong))],
+        [
+            "`unknown`: recall (`unknown` or `set`, not in the catalogue, of alarms)",
+            "",
+            str(_recall(no_name)),
+        ],
+        ["`unknown`: precision (not in the catalogue)", "", str(precision)],
+        [
+            "same verdict with another seed, clean and LR 100",
+            "at least 95 %",
+            str(f.rate(again, f.same_again)),
+        ],
+    ]
+    return markdown(["figure", "target", "measured"], lines)
+
+
+def _recall(rows: Sequence[Row]) -> f.Rate:
+    alarmed = [row for row in rows if f.alarm(row)]
+    return f.rate(alarmed, lambda row: row["verdict"] in ("unknown", "set"))
+
+
+def _share(exact: f.Rate, oracle: f.Rate) -> str:
+    return _percent(exact.value / oracle.value) if oracle.events else "-"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.0f} %" if np.isfinite(value) else "-"
+
+
+def _cells(rows: Sequence[Row]) -> str:
+    lines = []
+    for cell in [*USUAL, *OTHER]:
+        some = [
+            row
+            for row in rows
+            if (row["base"], row["hidden"]) == (cell.base, cell.effect)
+            and (float(row["rows"]), float(row["ratio"])) == (cell.rows, cell.ratio)
+        ]
+        if not some:
+            continue
+        rivals = Counter(str(row["oracle"]) for row in some if not f.oracle_right(row))
+        named = Counter(str(row["causes"]) for row in some if f.wrong(row))
+        sizes = [f.set_size(row) for row in some if f.set_size(row)]
+        lines.append(
+            [
+                cell.base,
+                cell.effect,
+                str(cell.rows),
+                f"{cell.ratio:g}",
+                str(len(some)),
+                str(sum(map(f.exact, some))),
+                str(sum(map(f.oracle_right, some))),
+                str(sum(map(f.in_set, some))),
+                f"{np.mean(sizes):.1f}" if sizes else "-",
+                str(sum(row["verdict"] == "nothing" for row in some)),
+                _most(named),
+                _most(rivals),
+            ]
+        )
+    head = ["model", "hidden", "N", "LR", "series", "exact", "oracle", "in set", "set size"]
+    return markdown([*head, "nothing", "wrong names", "the oracle's wrong names"], lines)
+
+
+def _most(counts: Counter[str]) -> str:
+    return ", ".join(f"{n} {name}" for name, n in counts.most_common(3)) or "-"
+
+
+def _clean(table: Table) -> str:
+    lines = []
+    for cell in CLEAN:
+        some = f.chosen(table, base=cell.base, rows=cell.rows)
+        if some:
+            named = Counter(f"{row['verdict']} {row['causes']}" for row in some if f.alarm(row))
+            seconds = float(np.mean([float(row["seconds"]) for row in some]))
+            lines.append(
+                [
+                    cell.base,
+                    str(cell.rows),
+                    str(f.rate(some, f.alarm)),
+                    _most(named),
+                    f"{seconds:.1f}",
+                ]
+            )
+    return markdown(["model", "N", "false alarms", "what", "seconds"], lines)
+
+
+def _outside(table: Table) -> str:
+    lines = []
+    for cell in UNLISTED:
+        some = f.chosen(table, base=cell.base, hidden=cell.effect)
+        if some:
+            verdicts = Counter(str(row["verdict"]) for row in some)
+            named = Counter(str(row["causes"]) for row in some if row["verdict"] == "named")
+            lines.append(
+                [
+                    cell.base,
+                    cell.effect.partition(":")[2],
+                    str(len(some)),
+                    _most(verdicts),
+                    _most(named),
+                ]
+            )
+    return markdown(["model", "hidden", "series", "verdicts", "wrong names"], lines)
+
+
+def _bootstrap(table: Table) -> str:
+    p, q = table.numbers("p_value"), table.numbers("p_bootstrap")
+    hidden = np.array([bool(text) for text in table.texts("hidden")])
+    lines = []
+    for label, rows in (("clean", ~hidden), ("LR 40", hidden)):
+        n = int(rows.sum())
+        if n:
+            agree = f.Rate(int(((p[rows] <= 0.05) == (q[rows] <= 0.05)).sum()), n)
+            lines.append(
+                [
+                    label,
+                    str(f.Rate(int((p[rows] <= 0.05).sum()), n)),
+                    str(f.Rate(int((q[rows] <= 0.05).sum()), n)),
+                    str(agree),
+                    f"{np.median(p[rows]):.3f}, {np.median(q[rows]):.3f}",
+                ]
+            )
+    head = [
+        "series",
+        "p <= 5 % by multipliers",
+        "by bootstrap",
+        "the same answer",
+        "median p of each",
+    ]
+    return (
+        "## Family-wise p-values: multiplier draws against the parametric bootstrap\n\n"
+        + markdown(head, lines)
+    )
+
+
+def _confusion(rows: Sequence[Row]) -> str:
+    hidden, answers, counts = f.confusion(rows)
+    lines = []
+    for name, row in zip(hidden, counts, strict=True):
+        cells = [
+            f"{n} {a}" for a, n in sorted(zip(answers, row, strict=True), key=lambda x: -x[1]) if n
+        ]
+        lines.append([name, str(int(row.sum())), ", ".join(cells)])
+    return markdown(["hidden", "series", "answers"], lines)
+
+
+def _errors(tables: Tables) -> str:
+    notes = [
+        f"- {row['base']} {row['hidden'] or 'clean'}, N = {row['rows']}: {row['note']}"
+        for name, table in tables.items()
+        if name != BOOTSTRAP_ARM.name
+        for row in table.rows
+        if row["verdict"] == "error"
+    ]
+    if not notes:
+        return "No series ended in an error.\n"
+    return "Series that ended in an error, counted nowhere above:\n\n" + "\n".join(notes) + "\n"
+
+
+def plot(tables: Tables, path: Path) -> None:
+    """Exact names and the oracle's per effect; the confusion matrix; false alarms."""
+    figure, panels = axes(1, 3, (17.0, 6.5))
+    _names(panels[0], f.chosen(tables[USUAL_ARM.name]))
+    _matrix(panels[1], f.chosen(tables[USUAL_ARM.name]))
+    _alarms(panels[2], tables[CLEAN_ARM.name])
+    save(figure, path)
+
+
+def _names(panel: Any, rows: Sequence[Row]) -> None:
+    labels, ours, theirs = [], [], []
+    for base, effects in HIDDEN.items():
+        for effect in effects:
+            some = [r for r in rows if (r["base"], r["hidden"]) == (base, effect)]
+            if some:
+                labels.append(f"{base} {effect}")
+                ours.append(f.rate(some, f.exact).value)
+                theirs.append(f.rate(some, f.oracle_right).value)
+    at = np.arange(len(labels))
+    panel.barh(at - 0.2, ours, 0.4, color="#2a7f5f", label="exact name")
+    panel.barh(at + 0.2, theirs, 0.4, color="#c8c8c8", label="oracle")
+    panel.set_yticks(at, labels, fontsize=7)
+    panel.invert_yaxis()
+    panel.set_xlim(0.0, 1.0)
+    panel.set_title("LR 40, N = 1000", fontsize=9)
+    panel.legend(fontsize=7, frameon=False)
+
+
+def _matrix(panel: Any, rows: Sequence[Row]) -> None:
+    hidden, answers, counts = f.confusion(rows)
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    panel.imshow(shares, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
+    panel.set_xticks(np.arange(len(answers)), answers, rotation=70, ha="right", fontsize=7)
+    panel.set_yticks(np.arange(len(hidden)), hidden, fontsize=7)
+    panel.set_title("LR 40: hidden (rows), answered (columns)", fontsize=9)
+
+
+def _alarms(panel: Any, table: Table) -> None:
+    rates = [f.rate(f.chosen(table, base=c.base, rows=c.rows), f.alarm) for c in CLEAN]
+    labels = [f"{c.base}, N = {c.rows}" for c in CLEAN]
+    for k, found in enumerate(rates):
+        low, high = found.interval
+        panel.plot([100 * low, 100 * high], [k, k], color="#9a9a9a")
+        panel.plot([100 * found.value], [k], "o", color="#c44e52", markersize=5)
+    panel.axvline(5.0, color="0.5", linestyle="--", linewidth=1)
+    panel.set_yticks(np.arange(len(labels)), labels, fontsize=7)
+    panel.invert_yaxis()
+    panel.set_title("false alarms on clean series, %", fontsize=9)
+
+
+BLIND = Study(
+    "blind",
+    "Blind benchmark of the diagnosis",
+    {USUAL_ARM: 480, CLEAN_ARM: 300, OTHER_ARM: 320, OUTSIDE_ARM: 120, BOOTSTRAP_ARM: 100},
+    report,
+    plot,
+)
