@@ -90,8 +90,9 @@ class Lines(Silent):
         if not tenth and now - self.said < PAUSE:
             return
         self.shown, self.said = done, now
-        pace = (now - self.since) / max(done - self.first, 1)
-        left = f", {duration(pace * (self.total - done))} left" if done < self.total else ""
+        left, mine = "", done - self.first
+        if done < self.total and mine * STEPS >= self.total:  # sooner it would be a guess
+            left = f", {duration((now - self.since) / mine * (self.total - done))} left"
         self.say(f"{done} of {self.total}{', ' if text else ''}{text}{left}")
 
     def say(self, text: str) -> None:
