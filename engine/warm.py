@@ -25,8 +25,11 @@ from typing import Any
 import numpy as np
 
 import engine.kernels
+from engine.diagnose.tails import prediction_pit
 from engine.em import rbps_em, rts_em
+from engine.kernels.footprints import footprints
 from engine.linear_cost import rb_ffbsi_linear
+from engine.moment_filter import moment_path
 from engine.quasi_ml import quasi_ml
 from engine.rbpf import RESAMPLING, rbpf
 from engine.registry import get_model
@@ -52,6 +55,10 @@ def warm() -> dict[str, set[Any]]:
     short = simulate(walk, None, 8, rng).series
     rts_em(walk, short, n_iterations=1)
     quasi_ml(walk, short)
+    path = moment_path(walk, walk.theta(), short)
+    T, nx, ny = len(short), walk.nx, walk.ny
+    footprints(path.F, path.H, path.K, np.zeros((T - 1, nx)), np.zeros((T, ny)), np.ones((T, 1)))
+    prediction_pit(rbpf(walk, None, short, 4, rng), rng)
     rb_ffbsi_linear(rbpf(walk, None, short, 4, rng), 4, rng)
     tanks = get_model("tanks")
     measured = simulate(tanks, None, 12, rng, u=np.ones(12), dt=4.0).series

@@ -68,6 +68,8 @@ class Load:
     async def _poll(self, number: int) -> None:
         rng = np.random.default_rng(number)
         calls = [call for call, (share, _) in CALLS.items() for _ in range(share)]
+        while not self.jobs:
+            await asyncio.sleep(0.01)
         await asyncio.sleep(rng.uniform(0.0, PAUSE))
         while self.waiting or len(self.jobs) < self.n_jobs:
             # half of the questions are about jobs that are about to run

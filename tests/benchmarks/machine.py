@@ -80,8 +80,12 @@ class Watch:
             before = now
 
     def figures(self) -> dict[str, float]:
-        """Means over the seconds watched."""
+        """Means over the seconds watched, and how the scheduler favours this session (nice)."""
+        group = Path("/proc/self/autogroup")  # nice within it counts against its own processes only
         return {
+            "nice of the run's session": float(group.read_text().split()[-1])
+            if group.exists()
+            else 0.0,
             "cores": float(os.cpu_count() or 1),
             "load average": round(float(np.mean(self._load)), 2),
             "busy foreign processes": round(float(np.mean(self._busy)), 2),

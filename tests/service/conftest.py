@@ -34,15 +34,33 @@ def slowness() -> float:
     return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
-def wait_for(client: Any, url: str, until: Callable[[dict], bool], seconds: float = 40.0) -> dict:
-    """The job's status document as soon as ``until`` holds for it."""
-    end = time.monotonic() + seconds * slowness()
-    while time.monotonic() < end:
-        document = client.get(url).json()
-        if until(document):
-            return document
+def eventually(what: Callable[[], Any], seconds: float = 120.0) -> Any:
+    """What ``what`` returns as soon as that is true; patience costs nothing where all is well."""
+    begin = time.monotonic()
+    while not (found := what()):
+        if time.monotonic() - begin > seconds * slowness():
+            raise AssertionError(f"still {found!r} after {seconds} s")
         time.sleep(0.02)
-    raise AssertionError(f"still {document} after {seconds} s")
+    return found
+
+
+def wait_for(client: Any, url: str, until: Callable[[dict], bool], seconds: float = 120.0) -> dict:
+    """The job's status document as soon as ``until`` holds for it."""
+    seen: dict = {}
+
+    def look() -> dict | None:
+        seen.update(client.get(url).json())
+        return seen if until(seen) else None
+
+    try:
+        return eventually(look, seconds)
+    except AssertionError as error:
+        raise AssertionError(f"{error}: {seen}") from None
+
+
+@pytest.fixture(scope="session", name="eventually")
+def eventually_() -> Callable[..., Any]:
+    return eventually
 
 
 @pytest.fixture
@@ -52,7 +70,7 @@ def wait() -> Callable[..., dict]:
 
 @pytest.fixture
 def ended() -> Callable[..., dict]:
-    return lambda client, url, seconds=40.0: wait_for(
+    return lambda client, url, seconds=120.0: wait_for(
         client, url, lambda job: job["status"] in ENDED, seconds
     )
 
@@ -83,9 +101,9 @@ def estimation(data: list[list[float]]) -> Callable[..., dict[str, Any]]:
 
 @pytest.fixture
 def long(estimation: Callable[..., dict[str, Any]]) -> dict[str, Any]:
-    """A request that computes far longer than any test waits."""
+    """A request that computes far longer than any test waits: 40 slow iterations at least."""
     request = estimation(particles=200, iterations=10_000)
-    request["series"] = [{"y": [[float(i % 7)] for i in range(1000)]}]
+    request["series"] = [{"y": [[float(i % 7)] for i in range(2000)]}]
     return request
 
 
@@ -106,7 +124,7 @@ class Served(httpx.Client):
         self.thread.start()
         while not self.server.started:
             time.sleep(0.01)
-        super().__init__(base_url=f"http://127.0.0.1:{self.port}", timeout=20)
+        super().__init__(base_url=f"http://127.0.0.1:{self.port}", timeout=60)
 
     def stop(self) -> None:
         """Stop as a signal would."""
@@ -163,19 +181,20 @@ class Spawned:
             env=os.environ | (environment or {}) | env,
             stderr=self.log,
         )
-        self.client = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20)
-        for _ in range(400):
-            try:
-                self.client.get("/livez")
-                return
-            except httpx.TransportError:
-                time.sleep(0.05)
-        raise AssertionError("the service did not start")
+        self.client = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60)
+        eventually(self.answers)
+
+    def answers(self) -> bool:
+        assert self.process.poll() is None, "the service has ended"
+        try:
+            return self.client.get("/livez").status_code == 200
+        except httpx.TransportError:
+            return False
 
     def stop(self, how: int = signal.SIGTERM) -> None:
         self.client.close()
         self.process.send_signal(how)
-        self.process.wait(20)
+        self.process.wait(120)
         self.log.close()
 
 
@@ -193,24 +212,79 @@ def spawn(tmp_path: Path) -> Iterator[Callable[..., Spawned]]:
             one.stop()
 
 
+def parent(pid: int) -> int:
+    """Of a process; 0 if it has gone."""
+    try:
+        return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+    except (FileNotFoundError, ProcessLookupError):
+        return 0
+
+
+def gone(pid: int) -> bool:
+    """No such process, or one that is dead and only waits for its parent to notice."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
 def _children(pid: int) -> list[int]:
-    lists = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/children")]
+    try:
+        lists = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/children")]
+    except (FileNotFoundError, ProcessLookupError):
+        return []
     return [int(child) for text in lists for child in text.split()]
 
 
-@pytest.fixture
-def workers() -> Callable[[int], list[int]]:
-    """Process ids of the workers of a service, which its forkserver started."""
-
-    def find(service: int) -> list[int]:
-        found = []
-        for child in _children(service):
+def worker_processes(above: int) -> list[int]:
+    """Process ids of the workers of a service or Dask worker, which its forkserver started."""
+    found = []
+    for child in _children(above):
+        try:
             command = Path(f"/proc/{child}/cmdline").read_text()
-            if "forkserver" in command:
-                found += _children(child)
-        return found
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if "forkserver" in command:
+            found += [pid for pid in _children(child) if not gone(pid)]
+    return found
 
-    return find
+
+@pytest.fixture(scope="session")
+def workers() -> Callable[[int], list[int]]:
+    return worker_processes
+
+
+@pytest.fixture(scope="session")
+def dead() -> Callable[[int], bool]:
+    return gone
+
+
+@pytest.fixture(scope="session")
+def children_of() -> Callable[[int], list[int]]:
+    return _children
+
+
+@pytest.fixture(scope="session")
+def parent_of() -> Callable[[int], int]:
+    return parent
+
+
+@pytest.fixture
+def catch() -> Callable[..., tuple[str, int]]:
+    """Submit until a job's worker is found while it computes; (address, worker's process id)."""
+
+    def caught(service: Spawned, request: dict[str, Any], iterations: int) -> tuple[str, int]:
+        for _ in range(10):
+            url = service.client.post("/jobs", json=request).headers["location"]
+            job = wait_for(
+                service.client, url, lambda j: j["iteration"] >= iterations or j["status"] in ENDED
+            )
+            found = worker_processes(service.process.pid)
+            if found and job["status"] == "running":
+                return url, found[0]
+        raise AssertionError("the jobs end before their workers are found")
+
+    return caught
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,48 @@
+"""Worker processes have compiled code for all that jobs call: the first job waits for no compiler."""
+
+import subprocess
+import sys
+
+# in a process of its own, for other tests of this one may have compiled what is missing
+SCRIPT = """
+import numpy as np
+from engine.warm import compiled_kernels, warm
+from service import stages
+from service.documents import model
+from service.prepare import load
+import engine
+
+class Progress:
+    def rows(self): return np.zeros((0, 0))
+    def start(self, theta): pass
+    def iteration(self, it): pass
+    def step(self, k, message=""): pass
+    def left(self, task): return None
+
+def signatures():
+    return {(name, str(one)) for name, all_ in compiled_kernels().items() for one in all_}
+
+warm()
+before = signatures()
+for name in ("mixed-4", "linear-2", "tanks"):
+    estimate = model(engine.get_model(name)).example
+    estimate["options"] = {"particles": 50, "iterations": 2, "seed": 1}
+    smooth = {"kind": "smooth", "model": name, "series": estimate["series"]}
+    requests = [estimate, smooth]
+    if name != "tanks":
+        requests.append({"kind": "simulate", "model": name, "options": {"samples": 20}})
+        requests.append(estimate | {"options": estimate["options"] | {"method": "ps-em"}})
+    if name == "linear-2":
+        requests.append(estimate | {"options": {"method": "rts-em", "iterations": 2}})
+        y = [[float(np.sin(i))] for i in range(60)]
+        diagnose = {"kind": "diagnose", "model": name, "series": [{"y": y}]}
+        requests.append(diagnose | {"options": {"effects": ["step", "heavy-tails"], "max_effects": 1}})
+    for request in requests:
+        stages.run(load(request), 0, Progress())
+        missing = sorted(signatures() - before)
+        assert not missing, (name, request["kind"], missing)
+"""
+
+
+def test_no_kind_of_job_calls_a_kernel_that_is_not_compiled_ahead():
+    subprocess.run([sys.executable, "-c", SCRIPT], check=True, timeout=900)
