@@ -10,7 +10,7 @@ from collections.abc import Mapping, MutableMapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.datastructures import Headers, MutableHeaders
@@ -21,6 +21,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import engine.data
+from service.answers import Kind, Status
 
 HERE = Path(__file__).parent
 STATIC = HERE / "static"
@@ -50,15 +51,19 @@ def routes(keys_needed: bool) -> list[BaseRoute]:
         return render("start.html", keys_needed)
 
     def jobs(request: Request) -> Response:
-        return render("jobs.html", keys_needed)
+        return render("jobs.html", keys_needed, statuses=get_args(Status), kinds=get_args(Kind))
 
     def nile(request: Request) -> Response:
         return FileResponse(NILE, media_type="text/csv")
+
+    def icon(request: Request) -> Response:  # browsers ask for it beside a JSON answer
+        return FileResponse(STATIC / "icon.svg")
 
     return [
         Page("/", start),
         Page("/jobs", jobs),
         Route("/examples/nile.csv", nile),
+        Route("/favicon.ico", icon),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
 

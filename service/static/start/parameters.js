@@ -50,7 +50,7 @@ export class ParameterTable {
         type: "text", inputmode: "decimal", class: "value", value: typed?.edited ? typed.value : text,
         "aria-label": `Start value of ${p.name}${p.unit ? ` in ${p.unit}` : ""}`, autocomplete: "off",
       })),
-      element("td", {}, p.unit === "1" ? "" : unit(p.unit)),
+      element("td", { class: "unit" }, p.unit === "1" ? "" : unit(p.unit)),
       element("td", { class: "muted bounds" }, bounds(p.bounds)),
       element("td", { class: "muted meaning" }, p.description),
     );
