@@ -100,7 +100,14 @@ def _quantisation(setting: Setting, channel: str) -> Effect | None:
         extend,
         look_alikes={"level": "is not seen in the readings: they take any value"},
         one_sided=True,
+        readings=_rounded,
     )
+
+
+def _rounded(y: Array, variance: float) -> Array:
+    """Readings rounded to the steps whose rounding error has a variance."""
+    step = np.sqrt(12.0 * variance)
+    return step * np.round(y / step) if step > 0.0 else y
 
 
 def _each_lattice(setting: Setting) -> Iterator[str]:

@@ -1,0 +1,143 @@
+"""A small drive, and one case per kind of effect of the catalogue: where it is hidden, and how large."""
+
+import numpy as np
+
+import engine
+from engine.diagnose.hide import hide
+from engine.diagnose.spare_inputs import with_inputs
+
+T = 400
+DT = 0.1
+
+
+def dynamics(a, u, t, dt, theta):
+    f = [a[:, 0] + dt * (-theta.damping * a[:, 0] + u[0]), 0.0]
+    A = [[dt * theta.load], [0.9]]
+    return f, A, np.diag([2e-4, 1e-2])
+
+
+def measurement(a, u, t, theta):
+    return [a[:, 0]], [[0.0]], [[1e-3]]
+
+
+def initial(theta):
+    return engine.Gaussian([0.0], [[0.01]]), [0.0], [[0.05]]
+
+
+DRIVE = engine.MixedModel(
+    name="drive",
+    dynamics=dynamics,
+    measurement=measurement,
+    initial=initial,
+    nonlinear={"speed": "m/s"},
+    linear={"load": "m/s^2"},
+    inputs={"force": "m/s^2"},
+    outputs={"reading": "m/s"},
+    parameters=[
+        engine.Parameter("damping", 1.0, "1/s", (0.0, 10.0)),
+        engine.Parameter("load", 1.0, "1", (0.0, 5.0)),
+    ],
+)
+
+
+def levels(rng, n=T):
+    """A force that changes level every two seconds: speeds of both signs and many sizes."""
+    return np.repeat(rng.uniform(-2.0, 2.0, -(-n // 20)), 20)[:n]
+
+
+def smooth(rng, n=T):
+    """A force that swings within a second: what happens between its samples matters."""
+    window = np.hanning(9)
+    return np.convolve(2.0 * rng.standard_normal(n + 8), window / 2.0, "same")[4:-4]
+
+
+def hidden(effects, values, seed, n=T, force=levels):
+    """A series of the drive with effects in it."""
+    rng = np.random.default_rng(seed)
+    return hide(DRIVE, effects, values, n, rng, u=force(rng, n), dt=DT).series
+
+
+# kind -> (channel, the effect's own parameters)
+CASES = {
+    "force": ("speed", {"force_speed": 0.6}),
+    "quadratic": ("speed", {"quadratic_speed": 0.2}),
+    "cubic": ("speed", {"cubic_speed": -0.8}),
+    "drag": ("speed", {"drag_speed": 0.6}),
+    "coulomb": ("speed", {"coulomb_speed": 0.4}),
+    "stribeck": ("speed", {"stribeck_speed": 1.0, "stribeck_speed_width": 0.3}),
+    "deadzone": ("speed", {"deadzone_speed": -2.0, "deadzone_speed_width": 0.3}),
+    "saturation": ("speed", {"saturation_speed": -4.0, "saturation_speed_width": 1.0}),
+    "linear": ("load", {"linear_load": 0.9}),
+    "coupling": ("speed->load", {"coupling_speed_load": -1.0}),
+    "pole": ("speed", {"pole_speed": -1.5, "pole_speed_time": 1.0}),
+    "mode": ("speed", {"mode_speed": -0.8, "mode_speed_frequency": 0.4, "mode_speed_damping": 0.2}),
+    "hysteresis": ("speed", {"hysteresis_speed": -4.0, "hysteresis_speed_width": 0.2}),
+    "bias": ("reading", {"bias_reading": 0.5}),
+    "offset": ("reading", {"bias_reading": 0.5}),
+    "drift": ("reading", {"drift_reading": 0.015}),
+    "gain": ("reading", {"gain_reading": 0.5}),
+    "lag": ("reading", {"lag_reading": 0.6}),
+    "delay": ("reading", {"delay_reading": 1.0, "delay_reading_samples": 3.0}),
+    "cubic-sensor": ("reading", {"cubic_sensor_reading": 0.2}),
+    "saturation-sensor": (
+        "reading",
+        {"saturation_sensor_reading": 0.8, "saturation_sensor_reading_limit": 0.8},
+    ),
+    "rectification": ("reading", {"rectification_reading": 0.3}),
+    "quantisation": ("reading", {"quantisation_reading": 0.15**2 / 12.0}),
+    "level": ("reading", {"level_reading": 0.4}),
+    "variance": ("reading->speed", {"variance_reading_speed": 2.0}),
+    "correlation": ("speed,load", {"correlation_speed_load": 0.9}),
+    "colored": ("reading", {"colored_reading": 0.01, "colored_reading_time": 0.3}),
+    "latent": (
+        "speed,oscillating",
+        {
+            "latent_speed_oscillating": 0.1,
+            "latent_speed_oscillating_time": 2.0,
+            "latent_speed_oscillating_frequency": 1.0,
+        },
+    ),
+    "heavy-tails": (
+        "reading",
+        {"heavy_tails_reading_share": 0.02, "heavy_tails_reading_ratio": 8.0},
+    ),
+    "input-offset": ("force", {"input_offset_force": 0.6}),
+    "input-deadzone": ("force", {"input_deadzone_force": 0.5}),
+    "input-saturation": (
+        "force",
+        {"input_saturation_force": 1.0, "input_saturation_force_limit": 1.0},
+    ),
+    "hold": ("force", {"hold_force": 1.0}),
+    "extra-input": ("temperature->speed", {"extra_input_temperature_speed": 0.3}),
+    "step": ("reading", {"step_reading": 0.4, "step_reading_time": 16.0}),
+    "pulse": (
+        "reading",
+        {"pulse_reading": 0.5, "pulse_reading_time": 16.0, "pulse_reading_width": 0.1},
+    ),
+    "ramp": ("speed", {"ramp_speed": 0.05}),
+    "harmonic": ("speed", {"harmonic_speed": 0.4, "harmonic_speed_frequency": 0.83}),
+    "parameter-step": (
+        "damping",
+        {"parameter_step_damping": 1.0, "parameter_step_damping_time": 16.0},
+    ),
+    "parameter-drift": ("damping", {"parameter_drift_damping": 1.2}),
+}
+
+
+LONGER = {"correlation": 1200}  # samples, where an effect shows little in each
+
+
+def case(kind, seed):
+    """(model, series, name) of a kind's case; extra channels are inputs of the model already."""
+    channel, values = CASES[kind]
+    name = f"{kind}:{channel}"
+    if kind != "extra-input":
+        force = smooth if kind == "hold" else levels
+        return DRIVE, hidden([name], values, seed, LONGER.get(kind, T), force), name
+    rng = np.random.default_rng(seed)
+    force = levels(rng)
+    warm = np.convolve(rng.standard_normal(T + 40), np.ones(41) / np.sqrt(41.0), "valid")
+    both = np.column_stack([force, warm])
+    y = hide(DRIVE, [name], values, T, rng, u=both, dt=DT).y
+    series = engine.Series(y, force, dt=DT, extra=warm, extra_names=["temperature"])
+    return with_inputs(DRIVE, ["temperature"]), series.with_extra_inputs(), name

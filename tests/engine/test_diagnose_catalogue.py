@@ -1,0 +1,224 @@
+"""Every kind of effect: nothing at size zero, hidden at a given size, found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose import all_effects, diagnose, effect_kinds, extend, make_effect
+from engine.diagnose.causes import find_causes
+from engine.diagnose.decide import set_of
+from engine.diagnose.hide import hide
+from engine.diagnose.lattice import lattice_step
+from engine.diagnose.runs import noise_free
+from engine.diagnose.search import MARGIN
+from engine.diagnose.setting import Setting, setting_for
+from engine.diagnose.spare_inputs import with_inputs
+from engine.moment_filter import moment_filter
+from tests.engine.hidden_effects import CASES, DRIVE, DT, T, case, hidden, levels, smooth
+
+BY_NAME_ONLY = {"offset"}  # another word for bias
+
+
+def test_every_kind_has_a_case():
+    assert set(CASES) == set(effect_kinds())
+
+
+def mixed_case():
+    """A model with an input that it does not use, and all effects it can have."""
+    model = with_inputs(DRIVE, ["temperature"])
+    setting = Setting(
+        model,
+        span=(0.0, 5.0),
+        dt=DT,
+        extra=("temperature",),
+        resolution={"reading": 0.1},
+    )
+    rng = np.random.default_rng(2)
+    u = np.column_stack([smooth(rng, 50), rng.standard_normal(50)])
+    return model, setting, engine.simulate(model, None, 50, rng, u=u, dt=DT).series
+
+
+def test_at_size_zero_the_extended_model_is_the_model():
+    model, setting, series = mixed_case()
+    x1 = np.array([0.3, -0.2])
+    y, _ = noise_free(model, np.asarray(model.theta()), series, x1)
+    base = moment_filter(model, np.asarray(model.theta())[None], series).log_likelihood[0]
+    effects = all_effects(setting)
+    assert {e.kind for e in effects} == set(effect_kinds()) - BY_NAME_ONLY
+    for effect in effects:
+        extended = effect.apply(model)
+        theta = np.asarray(extended.theta())
+        assert theta[len(DRIVE.parameters)] == pytest.approx(0.0, abs=1e-5)
+        states = [*extended.nonlinear, *extended.linear]
+        start = np.zeros(extended.nx)
+        start[states.index("speed")], start[states.index("load")] = x1
+        run, _ = noise_free(extended, theta, series, start)
+        np.testing.assert_allclose(run, y, rtol=1e-12, atol=1e-12, err_msg=effect.name)
+        if effect.kind == "heavy-tails":
+            continue  # its likelihood is the particle filter's
+        likelihood = moment_filter(extended, theta[None], series).log_likelihood[0]
+        assert likelihood == pytest.approx(base, abs=1e-7), effect.name
+
+
+def test_many_sizes_at_once_are_what_each_is_alone():
+    model, setting, series = mixed_case()
+    k = len(model.parameters)
+    for effect in all_effects(setting):
+        if effect.kind == "heavy-tails":
+            continue
+        extended = effect.apply(model)
+        thetas = np.repeat(np.asarray(extended.theta())[None], 3, axis=0)
+        thetas[:, 0] = [0.8, 1.0, 1.2]
+        thetas[1:, k] += 0.02 * np.array([1.0, 2.0])
+        thetas = np.clip(thetas, extended.lower, extended.upper)
+        together = moment_filter(extended, thetas, series).log_likelihood
+        alone = [moment_filter(extended, row[None], series).log_likelihood[0] for row in thetas]
+        np.testing.assert_allclose(together, alone, rtol=1e-9, err_msg=effect.name)
+        assert np.ptp(together) > 0.0, effect.name
+
+
+def rivals(name, model):
+    """The kinds the effect may be taken for, and the force nobody named."""
+    alike = make_effect(name, Setting(model)).look_alikes
+    return [name, *(kind for kind in alike if kind in effect_kinds()), "latent"]
+
+
+def explains(found):
+    """The stated set, and what says the same in other words (a force through an input)."""
+    best = found.refits[0].score if found.refits else 0.0
+    return {*set_of(found), *(r.effect.name for r in found.refits if r.score >= best - MARGIN)}
+
+
+@pytest.mark.parametrize("kind", sorted(set(CASES) - BY_NAME_ONLY))
+def test_a_hidden_effect_is_found_among_its_look_alikes(kind):
+    model, series, name = case(kind, seed=5)
+    found = find_causes(model, series, effects=rivals(name, model), seed=1, max_effects=1)
+    first = found.search.rounds[0]
+    assert first.screen.p_value <= 0.05
+    if kind == "latent":  # the detector of "something": no cause, so it is never named
+        assert first.generic is not None
+        assert found.verdict.value in ("unknown", "set")
+        return
+    assert name in explains(first)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", sorted(set(CASES) - BY_NAME_ONLY))
+def test_a_hidden_effect_is_found_in_the_whole_catalogue(kind):
+    """In at least two of three series, alone or in the stated set."""
+    hits = 0
+    for seed in (5, 6, 7):
+        model, series, name = case(kind, seed)
+        found = find_causes(model, series, seed=1)
+        hits += any(name in explains(r) for r in found.search.rounds if r.equivalent)
+        if kind == "latent":
+            hits += found.verdict.value == "unknown"
+    assert hits >= 2
+
+
+def test_rounding_is_asked_for_only_where_readings_lie_on_a_lattice():
+    _, series, name = case("quantisation", seed=5)
+    assert lattice_step(series.y[:, 0]) == pytest.approx(0.15)
+    setting = setting_for(DRIVE, series, np.asarray(DRIVE.theta()))
+    assert setting.resolution == {"reading": pytest.approx(0.15)}
+    effect = make_effect(name, setting)
+    assert effect.size.bounds == (0.0, pytest.approx(2.0 * 0.15**2 / 12.0))
+    plain = hidden([], {}, seed=5)
+    assert lattice_step(plain.y[:, 0]) is None
+    theirs = setting_for(DRIVE, plain, np.asarray(DRIVE.theta()))
+    assert "quantisation" not in {e.kind for e in all_effects(theirs)}
+
+
+def test_a_lattice_is_seen_through_gaps_offsets_and_rounded_numbers():
+    rng = np.random.default_rng(0)
+    values = 0.02 * np.round(50.0 * np.cumsum(rng.standard_normal(500)) * 0.1) + 0.007
+    assert lattice_step(values) == pytest.approx(0.02)
+    assert lattice_step(values.astype(np.float32).astype(float)) == pytest.approx(0.02, rel=1e-3)
+    assert lattice_step(rng.standard_normal(500)) is None
+    assert lattice_step(np.repeat([0.0, 1.0, np.pi], 50)) is None
+
+
+def test_an_extra_channel_is_diagnosed_and_becomes_an_input():
+    model, wide, name = case("extra-input", seed=5)
+    series = engine.Series(
+        wide.y, wide.u[:, :1], dt=DT, extra=wide.extra, extra_names=["temperature"]
+    )
+    found = diagnose(DRIVE, series, seed=1, effects=["extra-input", "force", "step"])
+    assert [cause.effect for cause in found.causes] == [name]
+    assert found.extended.inputs == {"force": "m/s^2", "temperature": "1"}
+    truth = CASES["extra-input"][1]["extra_input_temperature_speed"]
+    assert abs(found.causes[0].size - truth) < 4.0 * found.causes[0].standard_error
+    again = extend(DRIVE, [name])
+    assert again.inputs == found.extended.inputs
+    assert again.parameter_names == found.extended.parameter_names
+    filtered = moment_filter(again, np.asarray(found.theta)[None], wide)
+    assert np.isfinite(filtered.log_likelihood[0])
+    with pytest.raises(engine.SeriesError, match="name of a channel"):
+        diagnose(
+            DRIVE, engine.Series(wide.y, wide.u[:, :1], extra=wide.u, extra_names=["speed", "b"])
+        )
+    assert model.inputs == found.model.inputs
+
+
+def test_extra_channels_stay_with_their_rows():
+    y, extra = np.arange(8.0), np.arange(8.0) ** 2
+    series = engine.Series(y, None, extra=extra, extra_names=["t2"])
+    np.testing.assert_array_equal(series.part(2, 5).extra[:, 0], extra[2:5])
+    np.testing.assert_array_equal(series.masked([1]).extra[:, 0], extra)
+    assert series.with_extra_inputs().u_names == ("t2",)
+    with pytest.raises(engine.SeriesError, match="extra has 3 rows"):
+        engine.Series(y, None, extra=extra[:3])
+    with pytest.raises(engine.SeriesError, match="extra is not finite at row 2, channel 't2'"):
+        engine.Series(y, None, extra=np.where(extra == 4.0, np.nan, extra), extra_names=["t2"])
+
+
+def test_a_held_input_and_its_trapezoid():
+    """With size one the extended model is the trapezoid u_t + (u_(t+1) - u_t) / 2, states shifted."""
+    rng = np.random.default_rng(4)
+    u = smooth(rng, 60)
+    model = extend(DRIVE, ["hold:force"], Setting(DRIVE, dt=DT))
+    series = engine.Series(np.zeros(60), u, dt=DT)
+    middle = engine.Series(np.zeros(60), u + 0.5 * np.append(np.diff(u), 0.0), dt=DT)
+    theta = np.asarray(model.theta({"hold_force": 1.0}))
+    start = np.array([0.3 - 0.5 * DT * u[0], 0.1])
+    one, _ = noise_free(model, theta, series, start)
+    other, _ = noise_free(DRIVE, np.asarray(DRIVE.theta()), middle, np.array([0.3, 0.1]))
+    np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_a_delay_of_the_sensor_is_that_of_the_reading():
+    rng = np.random.default_rng(4)
+    model = extend(DRIVE, ["delay:reading"])
+    series = engine.Series(np.zeros(60), levels(rng, 60), dt=DT)
+    theta = np.asarray(model.theta({"delay_reading": 1.0, "delay_reading_samples": 3.0}))
+    late, _ = noise_free(model, theta, series, np.array([0.3, 0.1, *np.zeros(model.nx - 2)]))
+    now, _ = noise_free(DRIVE, np.asarray(DRIVE.theta()), series, np.array([0.3, 0.1]))
+    np.testing.assert_allclose(late[3:], now[:-3], atol=1e-12)
+
+
+def test_a_missing_mode_is_its_differential_equation():
+    """Against the exact solution of q'' = w^2 (x - q) - 2 zeta w q' for a held x."""
+    still = replace(
+        DRIVE,
+        dynamics=lambda a, u, t, dt, theta: ([a[:, 0], 0.0], [[0.0], [1.0]], np.zeros((2, 2))),
+    )
+    model = extend(still, ["mode:speed"])
+    f, zeta = 0.7, 0.15
+    theta = np.asarray(
+        model.theta({"mode_speed": 1e-9, "mode_speed_frequency": f, "mode_speed_damping": zeta})
+    )
+    series = engine.Series(np.zeros(80), np.zeros(80), dt=DT)
+    _, x = noise_free(model, theta, series, np.array([2.0, 0.0, 0.0, 0.0]))
+    w = 2.0 * np.pi * f
+    wd = w * np.sqrt(1.0 - zeta**2)
+    t = series.t
+    q = 2.0 - 2.0 * np.exp(-zeta * w * t) * (np.cos(wd * t) + zeta * w / wd * np.sin(wd * t))
+    np.testing.assert_allclose(x[:, 2], q, atol=1e-6)
+
+
+def test_what_hides_says_what_it_does_not_know():
+    rng = np.random.default_rng(0)
+    with pytest.raises(engine.OptionError, match="no parameter of bias:reading"):
+        hide(DRIVE, ["bias:reading"], {"bias": 1.0}, T, rng, u=np.zeros(T), dt=DT)
