@@ -9,7 +9,7 @@ from typing import Any
 
 from engine.report.chart import Chart, Trace
 from engine.report.html import Html, bullets, join, table, tag
-from engine.report.parts import Document, Drawer, grid, label, measured, pretty
+from engine.report.parts import Document, Drawer, grid, label, measured, pretty, prose
 from engine.words import number, percent, probability
 
 TIME = "time [s]"
@@ -64,7 +64,17 @@ def errors_over_time(symptoms: Document, units: Document, draw: Drawer) -> list[
             t = symptoms["one_step"]["curves"]["t"]
             title = f"Error of {name} over time (measured less simulated)"
             figures.append(
-                draw(Chart(title, TIME, label(name, unit), t, tuple(traces), level=(0.0,)))
+                draw(
+                    Chart(
+                        title,
+                        TIME,
+                        label(name, unit),
+                        t,
+                        tuple(traces),
+                        level=(0.0,),
+                        wide=len(units) == 1,
+                    )
+                )
             )
     return figures
 
@@ -262,4 +272,4 @@ def _quantiles(name: str, found: Document) -> Chart:
 
 def sentences(symptoms: Document) -> Html:
     """What is wrong in words."""
-    return bullets(symptoms["sentences"], "sentences")
+    return bullets(map(prose, symptoms["sentences"]), "sentences")

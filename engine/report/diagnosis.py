@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from engine.report.chart import Chart, Trace
@@ -28,6 +29,7 @@ from engine.report.parts import (
     measured,
     plus_minus,
     pretty,
+    prose,
     section,
 )
 from engine.report.svg import hbars
@@ -79,6 +81,10 @@ def _verdict(d: Document) -> Html:
     word = tag("span", d["verdict"], class_=f"verdict {TONE[d['verdict']]}")
     said = tag("p", word, " ", d["sentence"], class_="said")
     names = [tag("p", _headline(cause), class_="cause") for cause in d["causes"]]
+    if d["verdict"] == "unknown":
+        names = [tag("p", "Closest: ", _headline(cause)) for cause in d["causes"]]
+        if d["unnamed"]:
+            names.insert(0, tag("p", prose(d["unnamed"]["sentence"]), class_="cause"))
     if not names:
         tested, seen = len(d["detectable"]), sum(x["testable"] for x in d["detectable"])
         text = (
@@ -151,9 +157,11 @@ def _place(region: Document) -> str:
 
 
 def _cause_at_a_glance(d: Document) -> Html:
+    if d["verdict"] == "unknown":
+        said = tag("p", tag("b", "Unknown"), ": something acts that no known effect explains.")
+        names = listed([cause["title"] for cause in d["causes"]])
+        return join([said, tag("p", f"Closest: {names}", class_="hint") if names else ""])
     if not d["causes"]:
-        if d["verdict"] == "unknown":
-            return tag("p", "Something acts that none of the known effects explains.")
         return tag("p", f"None: {_p(d['p_value'])} for all effects together.")
     parts = []
     for cause in d["causes"]:
@@ -222,7 +230,7 @@ def _cause(d: Document, draw: Drawer) -> list[object]:
     if not d["causes"]:
         parts.append(tag("p", "None named."))
     if d["unnamed"]:
-        parts += [tag("h3", "An unnamed force"), tag("p", d["unnamed"]["sentence"])]
+        parts += [tag("h3", "An unnamed force"), tag("p", prose(d["unnamed"]["sentence"]))]
         parts.append(grid(_force(d["unnamed"], draw)))
     ranked = [_ranked(d["rounds"], k) for k in range(len(d["rounds"]))]
     if any(ranked):
@@ -230,8 +238,9 @@ def _cause(d: Document, draw: Drawer) -> list[object]:
             tag("h3", "Candidates and their evidence"),
             tag(
                 "p",
-                "Green: could not be told apart. Orange: the unnamed force, to which a cause has to be "
-                "compared.",
+                "Refitted effects: green could not be told apart; orange is the unnamed force, which a "
+                "cause has to beat. Screened effects: the line is what a single one needs to be an alarm "
+                "among all.",
                 class_="hint",
             ),
             grid(ranked),
@@ -270,22 +279,20 @@ def _look_alikes(found: list[dict[str, Any]]) -> Html:
 
 def _ranked(rounds: list[dict[str, Any]], k: int) -> Html:
     found = rounds[k]
-    name = f"Round {k + 1}: " if len(rounds) > 1 else ""
+    name = f"Round {k + 1}: "
     if found["refitted"]:
         bars = [
-            (r["title"] if "title" in r else r["effect"], r["score"],
-             "after" if r.get("equivalent") else "data")
+            (r["title"], r["score"], "after" if r["equivalent"] else "data")
             for r in found["refitted"][:SHOWN]
         ]  # fmt: skip
         if found["unnamed"]:
             bars.append(("unnamed force", found["unnamed"]["score"], "before"))
         bars.sort(key=lambda bar: -bar[1])
         return hbars(f"{name}refitted effects", "2 × log-likelihood gained, less costs", bars)
-    bars = [
-        (s.get("title", s["effect"]), s["statistic"], "data") for s in found["screened"][:SHOWN]
-    ]
-    title = f"{name}screened effects (line: what a single test needs)"
-    return hbars(title, "statistic", bars, found.get("threshold"))
+    bars = [(x["title"], -math.log10(max(x["p_value"], 1e-300)), "data") for x in found["screened"]]
+    needed = math.erfc(math.sqrt(0.5 * found["threshold"]))  # chi2 with one degree of freedom
+    title = f"{name}screened effects"
+    return hbars(title, "-log10 of each one's p-value", bars[:SHOWN], -math.log10(needed))
 
 
 def _force(force: Document, draw: Drawer) -> list[Html]:
@@ -370,7 +377,7 @@ def _gain(d: Document, units: Document, draw: Drawer) -> list[object]:
             [
                 ("log-density gained", _signed(gain["log_density"])),
                 ("per sample", plus_minus(gain["per_sample"], gain["standard_error"])),
-                ("of no gain (Diebold-Mariano)", _p(gain["p_value"])),
+                ("test of no gain (Diebold-Mariano)", _p(gain["p_value"])),
             ]
         ),
     ]

@@ -35,7 +35,13 @@ def join(parts: Iterable[object]) -> Html:
 def table(
     head: Sequence[object], rows: Iterable[Sequence[object]], class_: str | None = None
 ) -> Html:
-    """A table whose first column holds the rows' names; it scrolls by itself where it is too wide."""
+    """A table whose first column holds the rows' names; it scrolls by itself where it is too wide.
+
+    Columns in which nothing stands are left out.
+    """
+    rows = list(rows)
+    kept = [k for k in range(len(head)) if k == 0 or any(row[k] != "" for row in rows)]
+    head, rows = [head[k] for k in kept], [[row[k] for k in kept] for row in rows]
     body = [
         tag("tr", tag("th", first, scope="row"), *(tag("td", cell) for cell in cells))
         for first, *cells in rows

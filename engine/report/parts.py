@@ -83,6 +83,13 @@ def pretty(unit: str) -> str:
     return text.replace("*", " ")
 
 
+def prose(sentence: str) -> str:
+    """A sentence with its units and signs as they are printed."""
+    text = re.sub(r"\bx 1e(-?\d+)", lambda m: "× 10" + m[1].translate(SUPERSCRIPT), sentence)
+    text = re.sub(r"(?<=[a-zA-Z])\^(-?\d+)(?![\d.])", lambda m: m[1].translate(SUPERSCRIPT), text)
+    return text.replace("+-", "±")
+
+
 def label(name: str, unit: str) -> str:
     """``level [V]``."""
     return f"{name} [{pretty(unit)}]" if tidy(unit) else name

@@ -95,11 +95,15 @@ details { margin: .5rem 0; } summary { cursor: pointer; color: var(--accent); }
 .r-c5 { color: var(--chart-c5); } .r-c6 { color: var(--chart-c6); }
 table.numbers td { white-space: nowrap; }
 .for-narrow { display: none; }
-@media (max-width: 700px) {
+@media screen and (max-width: 700px) {
   .for-wide { display: none; } .for-narrow { display: block; }
   .chart-svg text { font-size: 16px; }
 }
-@media print { .answer, .figure, table { break-inside: avoid; } details > * { display: block; } }
+@media print {
+  .answer, .figure, tr { break-inside: avoid; } details > * { display: block; }
+  .answers { grid-template-columns: repeat(4, 1fr); }
+  .figures { grid-template-columns: 1fr 1fr; } .figures.small { grid-template-columns: 1fr 1fr 1fr; }
+}
 """
 
 # What a file needs beyond that: it has no page around it.
