@@ -91,7 +91,7 @@ def draws(
 
 
 def covariance_of(fit: QuasiFit) -> Array:
-    """The covariance (n_theta, n_theta) of a fit's estimate, zero for what was held.
+    """The covariance (n_theta, n_theta) of a fit's estimate, zero for what was held or is at a bound.
 
     The inverse of the information where it has one; directions without information, which the
     data leave open, are left out instead of being drawn over all of their bounds.
@@ -100,10 +100,12 @@ def covariance_of(fit: QuasiFit) -> Array:
     out = np.zeros((n, n))
     H = fit.information
     d = np.sqrt(np.clip(np.diag(H), 0.0, None))
-    told = np.flatnonzero(d > 0.0)
+    own = np.array([fit.model.index(name) for name in fit.free], dtype=int)
+    theta = np.asarray(fit.theta)[own]
+    inside = (theta > fit.model.lower[own]) & (theta < fit.model.upper[own])
+    told = np.flatnonzero((d > 0.0) & inside)
     if told.size:
         scaled = H[np.ix_(told, told)] / np.outer(d[told], d[told])
         inverse = np.linalg.pinv(scaled, rcond=1e-6, hermitian=True) / np.outer(d[told], d[told])
-        indices = np.array([fit.model.index(name) for name in fit.free])[told]
-        out[np.ix_(indices, indices)] = 0.5 * (inverse + inverse.T)
+        out[np.ix_(own[told], own[told])] = 0.5 * (inverse + inverse.T)
     return out

@@ -49,6 +49,8 @@ class Setting:
     def rate(self, target: str, divided_by: str = "") -> str:
         """Unit of what enters a state's equation per second, divided by another unit."""
         unit = f"{self.unit(target)}/s"
+        if divided_by.startswith("("):  # a power of a unit in brackets
+            return f"{unit}/{divided_by}"
         return f"{unit}/({divided_by})" if divided_by else unit
 
     def unit(self, channel: str) -> str:

@@ -20,6 +20,14 @@ from engine.model import MixedModel, Parameter
 ODD = "an odd function of the same state; told apart by the amplitudes that were visited"
 
 
+def power_of(unit: str, power: float) -> str:
+    """The unit of x ** power, "" for power 0."""
+    if power in (0, 1):
+        return unit if power else ""
+    whole = f"({unit})" if "/" in unit or " " in unit else unit
+    return f"{whole}^{power:g}"
+
+
 def _static(
     kind: str,
     title: str,
@@ -38,7 +46,7 @@ def _static(
         source, target = found
         name = identifier(kind, channel)
         scale = setting.size(source)
-        x_unit = f"{setting.unit(source)}^{power:g}" if power else ""
+        x_unit = power_of(setting.unit(source), power)
         parameters = [Parameter(name, 0.0, setting.rate(target, x_unit), description=title)]
         if width:
             parameters.append(
