@@ -69,6 +69,11 @@ def make_report(document: Document, draw: Drawer = on_paper) -> Report:
     if document.get("diagnosis"):
         document = document["diagnosis"]
     if document.get("verdict"):
+        if "channels" not in document:
+            raise OptionError(
+                "this diagnosis was stored by an earlier version, without its curves; run it again",
+                "result",
+            )
         return diagnosis_report(document, draw)
     if document.get("estimate"):
         return estimate_report(document, draw)

@@ -292,7 +292,9 @@ def _ranked(rounds: list[dict[str, Any]], k: int) -> Html:
     bars = [(x["title"], -math.log10(max(x["p_value"], 1e-300)), "data") for x in found["screened"]]
     needed = math.erfc(math.sqrt(0.5 * found["threshold"]))  # chi2 with one degree of freedom
     title = f"{name}screened effects"
-    return hbars(title, "-log10 of each one's p-value", bars[:SHOWN], -math.log10(needed))
+    return hbars(
+        title, "-log10 of each one's p-value", bars[:SHOWN], -math.log10(max(needed, 1e-300))
+    )
 
 
 def _force(force: Document, draw: Drawer) -> list[Html]:

@@ -130,6 +130,27 @@ def test_library_and_service_documents_give_the_same_report(diagnosis, estimate)
     assert report_html(stored) == report_html(estimate.to_dict())
 
 
+def test_a_diagnosis_of_an_earlier_version_says_so(diagnosis):
+    old = {key: value for key, value in diagnosis.items() if key != "channels"}
+    with pytest.raises(OptionError, match="run it again"):
+        report_html(old)
+
+
+def test_an_unknown_cause_is_no_name(diagnosis):
+    document = copy.deepcopy(diagnosis)
+    document["verdict"], document["sentence"] = "unknown", "None explains it."
+    t = document["gain"]["curves"]["t"]
+    document["unnamed"] = {
+        "target": "level", "unit": "1e8 m^3/s", "sentence": "A force of 3 x 1e8 m^3 +- 1 acts.",
+        "curves": {"t": t, "mean": [1.0] * len(t), "standard_deviation": [0.5] * len(t)},
+    }  # fmt: skip
+    page = check_alone(report_html(document))
+    first = page.text[: page.text.index("1. What is wrong")]
+    assert "A force of 3 × 10⁸ m³ ± 1 acts." in first
+    assert "Closest: Step of the reading flow" in first
+    assert any("unnamed force on level" in svg["aria-label"] for svg in page.all("svg"))
+
+
 def test_nothing_found_is_said_plainly():
     series = simulate(LINEAR, None, 200, np.random.default_rng(8)).series
     found = diagnose(LINEAR, series, effects=["bias", "force"], seed=1)
