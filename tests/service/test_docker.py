@@ -1,104 +1,269 @@
 """The image without a Docker engine: what its files say, and its commands run in a clean root."""
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-import time
+import tomllib
 from pathlib import Path
-from urllib.request import urlopen
 
 import pytest
 import yaml
 
+from service.settings import Settings
+from tests.service.image import Container, build, instructions
+
 ROOT = Path(__file__).parents[2]
-DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
+TEXT = (ROOT / "docker" / "Dockerfile").read_text()
+DOCKERFILE = instructions(TEXT)
 COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text())
+SERVICES = COMPOSE["services"]
 
 
-def instructions():
-    """[(instruction, argument)], continued lines joined, comments dropped."""
-    text = re.sub(r"^#.*\n", "", DOCKERFILE, flags=re.MULTILINE).replace("\\\n", " ")
-    return [tuple(line.split(None, 1)) for line in text.splitlines() if line.strip()]
+# ---- what a linter would say ----------------------------------------------------------------
+
+
+def last_stage():
+    names = [name for name, _ in DOCKERFILE]
+    return DOCKERFILE[len(names) - names[::-1].index("FROM") - 1 :]
 
 
 def test_dockerfile():
-    words = [name for name, _ in instructions()]
-    assert words.count("FROM") == 2
-    final = instructions()[len(words) - words[::-1].index("FROM") :]
+    known = {
+        "FROM", "ENV", "WORKDIR", "COPY", "ARG", "RUN", "USER", "VOLUME", "EXPOSE", "HEALTHCHECK",
+        "ENTRYPOINT", "CMD",
+    }  # fmt: skip
+    assert {name for name, _ in DOCKERFILE} <= known
+    assert TEXT.startswith("# syntax=docker/dockerfile:1\n")
+    bases = [argument.split()[0] for name, argument in DOCKERFILE if name == "FROM"]
+    assert len(bases) == 2
+    assert all(re.fullmatch(r"[\w./-]+:[\w.-]*\d[\w.-]*", base) for base in bases), "a pinned tag"
+    for name, argument in DOCKERFILE:
+        if name == "WORKDIR":
+            assert argument.startswith("/")
+        if name == "RUN":
+            assert not re.search(r"\b(sudo|curl|wget|apt-get upgrade)\b", argument)
+    final = last_stage()
+    for name in ("ENTRYPOINT", "CMD"):
+        (words,) = [json.loads(argument) for one, argument in final if one == name]
+        assert words
+        assert all(isinstance(word, str) for word in words)
+    (check,) = [argument for name, argument in final if name == "HEALTHCHECK"]
+    assert "/livez" in " ".join(json.loads(check.partition(" CMD ")[2]))
+    after_user = [name for name, _ in final][[name for name, _ in final].index("USER") :]
     assert ("USER", "rbps") in final
-    assert any(name == "HEALTHCHECK" and "/livez" in argument for name, argument in final)
-    assert not any(name == "ADD" for name in words)
-    assert all(":" in argument for name, argument in instructions() if name == "FROM")
+    assert not {"RUN", "COPY"} & set(after_user)
+
+
+def test_only_what_the_image_needs_is_sent_to_the_engine():
     ignored = (ROOT / ".dockerignore").read_text().splitlines()
-    for name, argument in instructions():
+    assert ignored[0] == "*"
+    for name, argument in DOCKERFILE:
         if name == "COPY" and "--from" not in argument:
             for source in argument.split()[:-1]:
                 assert (ROOT / source).exists(), source
                 assert f"!{source}" in ignored
 
 
-def test_compose():
-    services = COMPOSE["services"]
-    assert [name for name, one in services.items() if "profiles" not in one] == ["service"]
-    for name, one in services.items():
+def test_compose_profiles_and_guards():
+    assert set(COMPOSE) <= {"services", "volumes", "x-image"}
+    plain = [name for name, one in SERVICES.items() if "profiles" not in one]
+    assert plain == ["service"]
+    assert {p for one in SERVICES.values() for p in one.get("profiles", ())} == {"cluster"}
+    known = {
+        "build", "image", "init", "read_only", "tmpfs", "cap_drop", "security_opt", "restart",
+        "environment", "ports", "volumes", "profiles", "healthcheck", "command", "depends_on",
+    }  # fmt: skip
+    for name, one in SERVICES.items():
+        assert set(one) <= known, name
+        assert one["restart"] == "unless-stopped"
         if one["image"] == "rbps":
             assert one["read_only"], name
             assert one["cap_drop"] == ["ALL"]
+            assert one["security_opt"] == ["no-new-privileges:true"]
+            assert (ROOT / "docker" / one["build"]["context"] / one["build"]["dockerfile"]).exists()
         for port in one.get("ports", ()):
             assert port.startswith("127.0.0.1:"), "published beyond this machine without keys"
 
 
+def test_compose_names_what_there_is():
+    for name, one in SERVICES.items():
+        for volume in one.get("volumes", ()):
+            assert volume.split(":")[0] in COMPOSE["volumes"], name
+        for other, how in one.get("depends_on", {}).items():
+            has_check = "healthcheck" in SERVICES[other] or SERVICES[other]["image"] == "rbps"
+            assert how["condition"] != "service_healthy" or has_check
+        values = {key: re.sub(r"\$\{\w+:-(\w+)\}", r"\1", str(value))
+                  for key, value in one.get("environment", {}).items()}  # fmt: skip
+        Settings.from_env(values)  # no unknown RBPS_ variable
+        for text in [*values.values(), *(one.get("command") or ())]:
+            for host in re.findall(r"://(?:[^@/]*@)?([a-z]+)", text):
+                assert host in SERVICES, f"{name}: {host}"
+
+
+# ---- the commands themselves ----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory):
+    """The image with its extra ``cluster``, built stage by stage in clean roots.
+
+    The environment variable DEBIAN_ROOT may name a minimal root, else debootstrap makes one.
+    """
+    tools = ("chroot", "unshare", "nsenter", "mount", "debootstrap")
+    if os.getuid() != 0 or not all(map(shutil.which, tools)):
+        pytest.skip("clean roots need to be root, and debootstrap")
+    folder = tmp_path_factory.mktemp("image")
+    base = folder / "base"
+    if given := os.environ.get("DEBIAN_ROOT"):
+        subprocess.run(["cp", "-a", given, str(base)], check=True)
+    else:
+        debian(base)
+    python = base / "usr/local/bin/python"  # what the official Python image has
+    python.unlink(missing_ok=True)
+    python.symlink_to("/usr/bin/python3")
+    wheels(base / "wheels")
+    made = build(TEXT, ROOT, base, folder, {"EXTRAS": "cluster"})
+    yield made
+    shutil.rmtree(folder)
+
+
+def debian(folder):
+    format_ = ["--format", "$(REPO_URI) $(CODENAME)"]
+    targets = subprocess.run(
+        ["apt-get", "indextargets", *format_], capture_output=True, text=True, check=True
+    )
+    mirror = next(
+        line.split()[0] for line in targets.stdout.splitlines() if line.endswith(" bookworm")
+    )
+    packages = "--include=python3,python3-venv"
+    command = ["debootstrap", "--variant=minbase", packages, "bookworm", str(folder), mirror]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+
+def wheels(folder):
+    """All that pip will ask for within."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = project["project"]["optional-dependencies"]
+    asked = [*project["build-system"]["requires"], *project["project"]["dependencies"]]
+    asked += [one for name in ("postgres", "cluster") for one in extras[name] if "rbps[" not in one]
+    command = [sys.executable, "-m", "pip", "download", "-qq", "--dest", str(folder)]
+    command += ["--only-binary=:all:", "--python-version=3.11", "-c", str(ROOT / "constraints.txt")]
+    subprocess.run([*command, *asked], check=True)
+
+
+@pytest.fixture
+def start(image, tmp_path):
+    started: list[Container] = []
+
+    def start_(**more):
+        volumes = tmp_path / "volumes"
+        volumes.mkdir(exist_ok=True)
+        with (tmp_path / f"log-{len(started)}").open("wb") as log:
+            started.append(Container(image, volumes, log=log, **more))
+        return started[-1]
+
+    yield start_
+    for container in reversed(started):
+        container.stop()
+
+
+CALL = """
+import json, sys, time
+from urllib.request import Request, urlopen
+def ask(path, body=None):
+    data = None if body is None else json.dumps(body).encode()
+    with urlopen(Request("http://127.0.0.1:8000" + path, data, {"Content-Type": "application/json"})) as answer:
+        return json.load(answer)
+"""
+RUN = (
+    CALL
+    + """
+model = ask("/models/mixed-4")
+job = ask("/jobs", model["example"] | {"options": {"iterations": 5, "particles": 20}})
+for _ in range(1200):
+    status = ask("/jobs/" + job["jobID"])
+    if status["status"] not in ("accepted", "running"):
+        break
+    time.sleep(0.1)
+print(json.dumps(status))
+"""
+)
+
+
+def python(container, text):
+    done = container.execute(["python", "-c", text])
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def compiled(container, folder):
+    found = python(
+        container, f"import glob; print(*glob.glob('{folder}/**/*.nbc', recursive=True))"
+    )
+    return {Path(path).name for path in found.split()}
+
+
 @pytest.mark.slow
-def test_the_commands_of_each_stage_in_a_clean_root(tmp_path, free_ports):
-    """RUN lines of the build stage with paths under tmp_path, then the entry point."""
-    src, opt, tmp = tmp_path / "src", tmp_path / "opt", tmp_path / "tmp"
-    for folder in (src, opt, tmp):
-        folder.mkdir()
-    env = {"PATH": os.environ["PATH"], "HOME": str(tmp_path), "EXTRAS": ""}
-    env |= {name: value for name, value in os.environ.items() if name.startswith("PIP_")}
-    stage = 0
-    for name, argument in instructions():
-        stage += name == "FROM"
-        if stage > 1:
-            break
-        if name == "COPY":
-            *sources, _ = argument.split()
-            for source in sources:
-                whole = ROOT / source
-                if whole.is_dir():
-                    shutil.copytree(
-                        whole, src / source, ignore=shutil.ignore_patterns("__pycache__"),
-                        dirs_exist_ok=True,
-                    )  # fmt: skip
-                else:
-                    shutil.copy(whole, src / source)
-        elif name == "RUN":
-            command = argument.replace("/opt/rbps", f"{opt}/rbps").replace("cd /", f"cd {tmp}")
-            command = command.replace("python -m venv", f"{sys.executable} -m venv", 1)
-            subprocess.run(["sh", "-c", command], cwd=src, env=env, check=True)
-    kernels = tmp / "kernels"
-    entry = (ROOT / "docker" / "entrypoint").read_text().replace("/opt/rbps", f"{opt}/rbps")
-    (tmp / "entrypoint").write_text(entry)
-    port = free_ports()
-    env |= {"NUMBA_CACHE_DIR": str(kernels), "RBPS_STATE_DIR": str(tmp / "state")}
-    env |= {"RBPS_PORT": str(port), "PYTHONDONTWRITEBYTECODE": "1"}
-    compiled = {path.name for path in (opt / "rbps" / "kernels").rglob("*.nbc")}
-    assert compiled
-    command = ["sh", str(tmp / "entrypoint"), f"{opt}/rbps/bin/python", "-m", "service"]
-    process = subprocess.Popen(command, cwd=tmp, env=env)
+def test_the_image_runs_as_nobody_on_a_read_only_root_and_starts_warm(image, start):
+    container = start()
+    container.wait_until_healthy()
+    facts = json.loads(python(container, """
+import json, os
+def writable(path):
     try:
-        for _ in range(300):
-            try:
-                urlopen(f"http://127.0.0.1:{port}/livez", timeout=4).close()
-                break
-            except OSError:
-                time.sleep(0.1)
-        else:
-            raise AssertionError("the service did not start")
-        time.sleep(3.0)
-        assert {path.name for path in kernels.rglob("*.nbc")} == compiled  # nothing compiled again
-    finally:
-        process.terminate()
-        process.wait(30)
+        open(path + "/x", "w").close()
+    except OSError:
+        return False
+    return True
+status = open("/proc/self/status").read()
+print(json.dumps({
+    "uid": os.getuid(), "groups": os.getgroups(),
+    "capabilities": [line.split()[1] for line in status.splitlines() if line.startswith("Cap")],
+    "writable": {p: writable(p) for p in ("/", "/opt/rbps", "/usr/local/bin", "/tmp", "/var/lib/rbps")},
+}))
+"""))  # fmt: skip
+    assert facts["uid"] == 10001
+    assert set(facts["capabilities"]) == {"0000000000000000"}
+    assert facts["writable"] == {
+        "/": False, "/opt/rbps": False, "/usr/local/bin": False, "/tmp": True, "/var/lib/rbps": True,
+    }  # fmt: skip
+    page = "Request('http://127.0.0.1:8000/', headers={'Accept': 'text/html'})"
+    html = python(container, CALL + f"print(urlopen({page}).read().decode())")
+    assert "<html" in html
+    before = compiled(container, "/opt/rbps/kernels")
+    assert before
+    job = json.loads(python(container, RUN))
+    assert job["status"] == "successful", job["message"]
+    assert compiled(container, "/tmp/kernels") == before  # nothing had to be compiled
+    assert container.stop() == 0
+
+    again = start()  # what a volume is for
+    again.wait_until_healthy()
+    listed = json.loads(python(again, CALL + "print(json.dumps(ask('/jobs')))"))["jobs"]
+    assert [one["jobID"] for one in listed] == [job["jobID"]]
+
+
+@pytest.mark.slow
+def test_the_cluster_of_compose(image, start):
+    """Scheduler, workers and service with the commands and variables of compose.yaml."""
+    hosts = image.root / "etc/hosts"
+    hosts.write_text("127.0.0.1 localhost scheduler database\n")
+    one = SERVICES["scheduler"]
+    scheduler = start(command=one["command"], env=one["environment"])
+    check = one["healthcheck"]["test"][1:]
+    for _ in range(600):
+        if not scheduler.execute(check).returncode:
+            break
+    else:
+        raise AssertionError("the scheduler is not healthy")
+    one = SERVICES["worker"]
+    start(command=one["command"], env=one["environment"], network=scheduler)
+    env = dict(SERVICES["front"]["environment"])
+    env["RBPS_DATABASE_URL"] = "sqlite:////var/lib/rbps/cluster.sqlite"  # one machine, one volume
+    front = start(env=env, network=scheduler)
+    front.wait_until_healthy()
+    job = json.loads(python(front, RUN))
+    assert job["status"] == "successful", job["message"]
