@@ -259,11 +259,13 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             raise Problem(503, "not-ready", f"the store cannot be used: {reason}") from None
         if not supervisor.alive():
             raise Problem(503, "not-ready", "the supervisor does not run")
+        if not supervisor.places():
+            raise Problem(503, "not-ready", "the cluster has no worker, or cannot be reached")
         return {"status": "ready"}
 
     @api.get("/metrics", summary="Prometheus metrics", response_class=PlainTextResponse)
     def prometheus(caller: Caller) -> Response:
-        text = metrics.text(store, supervisor, settings.workers)
+        text = metrics.text(store, supervisor)
         return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
 
     return api

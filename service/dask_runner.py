@@ -13,6 +13,7 @@ that disappears is reported by the scheduler, one that is cut off by the end of 
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 from collections.abc import Callable
@@ -36,14 +37,35 @@ class DaskRunner:
         self, store: Store, scheduler: str, terms: Terms, on_free: Callable[[], None]
     ) -> None:
         self._store, self._terms, self._on_free = store, terms, on_free
-        self._client: Any = cast(Any, distributed).Client(
-            scheduler, set_as_default=False, name="rbps"
-        )
+        self._scheduler, self._places = scheduler, 0
         self._running: dict[str, tuple[Attempt, Any]] = {}
+        self._client: Any = self._connect()
+
+    def _connect(self) -> Any:
+        made = cast(Any, distributed).Client
+        return made(self._scheduler, set_as_default=False, name="rbps", timeout=5)
+
+    def places(self) -> int:
+        """How many attempts can run at once, at the last look."""
+        return self._places
 
     def free(self) -> int:
-        """How many more attempts can start now."""
-        return int(sum(self._client.nthreads().values())) - len(self._running)
+        """How many more attempts can start now; connects again to a scheduler that was away."""
+        try:
+            if self._client is None:
+                self._client = self._connect()
+            if self._client.status == "closed":  # Dask's own tries to connect again were too few
+                raise OSError("the connection is closed")
+            here = self._client.status == "running"
+            self._places = int(sum(self._client.nthreads().values())) if here else 0
+        except OSError as error:
+            log.warning("the Dask scheduler does not answer: %s", error)
+            if self._client is not None:
+                with contextlib.suppress(OSError):
+                    self._client.close(timeout=1)
+            self._places, self._client = 0, None
+            self._running.clear()  # what still runs of these keeps or loses its own lease
+        return self._places - len(self._running)
 
     def running(self) -> int:
         """How many attempts there are."""
@@ -62,8 +84,10 @@ class DaskRunner:
         for attempt, future in list(self._running.values()):
             if not drain:
                 self._store.release(attempt)  # its watcher sees it and kills the process
-            future.exception()
-        self._client.close()
+            with contextlib.suppress(OSError, distributed.CancelledError):  # the scheduler has gone
+                future.exception()
+        if self._client is not None:
+            self._client.close()
 
     def _done(self, attempt: Attempt, future: Any) -> None:
         self._running.pop(attempt.token, None)

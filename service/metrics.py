@@ -8,7 +8,7 @@ from service.store import Store
 from service.supervisor import Supervisor
 
 
-def text(store: Store, supervisor: Supervisor, workers: int) -> str:
+def text(store: Store, supervisor: Supervisor) -> str:
     """The exposition format, version 0.0.4."""
     found = store.statistics()
     out: list[str] = []
@@ -21,7 +21,7 @@ def text(store: Store, supervisor: Supervisor, workers: int) -> str:
     statuses = ((f'{{status="{s}"}}', n) for s, n in sorted(store.counts().items()))
     add("jobs", "gauge", "Jobs by status.", statuses)
     add("queue_age_seconds", "gauge", "Age of the oldest waiting job.", [("", found["waiting"])])
-    add("workers", "gauge", "Attempts that may run at once.", [("", workers)])
+    add("workers", "gauge", "Attempts that may run at once.", [("", supervisor.places())])
     add("workers_busy", "gauge", "Attempts that run.", [("", supervisor.running())])
     add("iterations_total", "counter", "Iterations done.", [("", found["iterations"])])
     durations = []

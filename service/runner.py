@@ -56,6 +56,9 @@ class Terms:
 class Runner(Protocol):
     """Runs attempts somewhere."""
 
+    def places(self) -> int:
+        """How many attempts can run at once; 0 if nothing can be reached that runs them."""
+
     def free(self) -> int:
         """How many more attempts can start now."""
 
@@ -82,6 +85,10 @@ class LocalRunner:
         self._warm = threading.Event()  # claimed before, an attempt's lease could end in waiting
         self._warming = threading.Thread(target=self._warm_up, name="warm-up")
         self._warming.start()
+
+    def places(self) -> int:
+        """How many attempts can run at once."""
+        return self._workers
 
     def free(self) -> int:
         """How many more attempts can start now."""

@@ -43,6 +43,10 @@ class Supervisor:
         """How many attempts the runner has."""
         return self._runner.running()
 
+    def places(self) -> int:
+        """How many attempts the runner can have at once."""
+        return self._runner.places()
+
     def stop(self, drain: bool = False) -> None:
         """Claim nothing more and wait for the runner to stop."""
         self._stop.set()

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import time
-from pathlib import Path
 
 import pytest
 
@@ -27,19 +25,9 @@ def without_seconds(results):
     return results
 
 
-def gone(pid):
-    """No such process, or one that is dead and only waits for its parent to notice."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
-    except FileNotFoundError:
-        return True
-
-
-def test_a_killed_worker_is_replaced_and_goes_on(spawn, workers, wait, ended, request_, expected):
+def test_a_killed_worker_is_replaced_and_goes_on(spawn, catch, wait, ended, request_, expected):
     service = spawn()
-    url = service.client.post("/jobs", json=request_).headers["location"]
-    wait(service.client, url, lambda job: job["iteration"] >= 5)
-    (worker,) = workers(service.process.pid)
+    url, worker = catch(service, request_, iterations=5)
     os.kill(worker, signal.SIGKILL)
     job = wait(service.client, url, lambda job: "restart 1 of 2" in job["message"])
     assert "killed by signal 9" in job["message"]
@@ -48,17 +36,13 @@ def test_a_killed_worker_is_replaced_and_goes_on(spawn, workers, wait, ended, re
 
 
 def test_a_killed_service_leaves_no_worker_and_is_taken_up_again(
-    spawn, workers, wait, ended, request_, expected
+    spawn, catch, dead, eventually, ended, request_, expected
 ):
     service = spawn(lease_seconds=1)
-    url = service.client.post("/jobs", json=request_).headers["location"]
-    done = wait(service.client, url, lambda job: job["iteration"] >= 5)["iteration"]
-    (worker,) = workers(service.process.pid)
+    url, worker = catch(service, request_, iterations=5)
+    done = service.client.get(url).json()["iteration"]
     service.stop(signal.SIGKILL)
-    end = time.monotonic() + 2.0
-    while not gone(worker):
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    eventually(lambda: dead(worker))
 
     again = spawn(lease_seconds=1)
     assert again.client.get(url).json()["iteration"] >= done
@@ -67,17 +51,17 @@ def test_a_killed_service_leaves_no_worker_and_is_taken_up_again(
     assert without_seconds(again.client.get(f"{url}/results").json()) == expected
 
 
-def test_a_worker_that_always_dies_fails_the_job(spawn, workers, wait, ended, long):
+def test_a_worker_that_always_dies_fails_the_job(
+    spawn, workers, wait, ended, eventually, dead, long
+):
     service = spawn()
     url = service.client.post("/jobs", json=long).headers["location"]
     wait(service.client, url, lambda job: job["iteration"] >= 1)
     for restart in range(3):
         wait(service.client, url, lambda job, n=restart: f"restart {n} " in job["message"] or not n)
-        end = time.monotonic() + 10
-        while not (found := workers(service.process.pid)):
-            assert time.monotonic() < end
-            time.sleep(0.01)
-        os.kill(found[0], signal.SIGKILL)
+        (worker,) = eventually(lambda: workers(service.process.pid))
+        os.kill(worker, signal.SIGKILL)
+        eventually(lambda pid=worker: dead(pid))
     job = ended(service.client, url)
     assert job["status"] == "failed"
     assert "given up after 3 attempts" in job["message"]
@@ -85,16 +69,28 @@ def test_a_worker_that_always_dies_fails_the_job(spawn, workers, wait, ended, lo
     assert (answer.status_code, answer.json()["title"]) == (500, "worker lost")
 
 
-def test_a_killed_forkserver_is_replaced(spawn, workers, wait, ended, request_, expected):
+def test_a_killed_forkserver_is_replaced(
+    spawn, catch, ended, parent_of, dead, eventually, request_, expected
+):
     service = spawn()
-    url = service.client.post("/jobs", json=request_).headers["location"]
-    wait(service.client, url, lambda job: job["iteration"] >= 3)
-    (worker,) = workers(service.process.pid)
-    parent = int(Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[1])
-    os.kill(parent, signal.SIGKILL)
+    url, worker = catch(service, request_, iterations=3)
+    os.kill(parent_of(worker), signal.SIGKILL)
+    eventually(lambda: dead(worker))
     assert ended(service.client, url)["status"] == "successful"
     assert without_seconds(service.client.get(f"{url}/results").json()) == expected
-    assert gone(worker)
+
+
+def test_a_stopped_service_goes_on_where_it_was(spawn, catch, ended, dead, request_, expected):
+    """SIGTERM without draining: the task goes back to the queue unharmed, no loss is counted."""
+    service = spawn(lease_seconds=1000)
+    url, worker = catch(service, request_, iterations=5)
+    service.stop()
+    assert dead(worker)
+    again = spawn(lease_seconds=1000)
+    job = ended(again.client, url)
+    assert (job["status"], "restart" in job["message"]) == ("successful", False)
+    assert "goes on after iteration" in (again.state / "log").read_text()
+    assert without_seconds(again.client.get(f"{url}/results").json()) == expected
 
 
 def test_run_time_is_limited(make_client, long, ended):

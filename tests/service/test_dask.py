@@ -5,97 +5,119 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("distributed")
 
 
+class Cluster:
+    """A scheduler and two worker processes of one thread each."""
+
+    def __init__(self, folder, port):
+        self.address, self.folder = f"tcp://127.0.0.1:{port}", folder
+        self.start()
+
+    def start(self):
+        env = os.environ | {
+            "DASK_DISTRIBUTED__WORKER__DAEMON": "False",
+            "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
+        }
+        dask = [sys.executable, "-m", "dask"]
+        commands = [
+            [*dask, "scheduler", "--host", self.address, "--no-dashboard"],
+            [*dask, "worker", self.address, "--nworkers", "2", "--nthreads", "1", "--no-dashboard",
+             "--local-directory", str(self.folder), "--preload", "service.dask_runner"],
+        ]  # fmt: skip
+        with (self.folder / "log").open("ab") as log:
+            self.processes = [
+                subprocess.Popen(c, env=env, stdout=log, stderr=log) for c in commands
+            ]
+
+    def stop(self, how=signal.SIGTERM):
+        for process in reversed(self.processes):
+            process.send_signal(how)
+            process.wait(120)
+
+
 @pytest.fixture(scope="module")
 def cluster(free_ports, tmp_path_factory):
-    """Address of a scheduler with two workers of one thread each."""
-    folder = tmp_path_factory.mktemp("dask")
-    address = f"tcp://127.0.0.1:{free_ports()}"
-    env = os.environ | {
-        "DASK_DISTRIBUTED__WORKER__DAEMON": "False",
-        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
-    }
-    dask = [sys.executable, "-m", "dask"]
-    commands = [
-        [*dask, "scheduler", "--host", address, "--no-dashboard"],
-        [*dask, "worker", address, "--nworkers", "2", "--nthreads", "1", "--no-dashboard",
-         "--local-directory", str(folder), "--preload", "service.dask_runner"],
-    ]  # fmt: skip
-    log = (folder / "log").open("wb")
-    processes = [subprocess.Popen(c, env=env, stdout=log, stderr=log) for c in commands]
-    yield address
-    for process in reversed(processes):
-        process.send_signal(signal.SIGTERM)
-        process.wait(20)
-    log.close()
+    made = Cluster(tmp_path_factory.mktemp("dask"), free_ports())
+    yield made
+    made.stop()
 
 
 @pytest.fixture
-def client(make_client, cluster, database):
-    served = make_client(dask_scheduler=cluster, database_url=database, lease_seconds=5)
-    runner = served.app.state.supervisor._runner
-    end = time.monotonic() + 60
-    while runner.free() < 2:
-        assert time.monotonic() < end, "the workers did not come"
-        time.sleep(0.1)
+def attempts(cluster, workers, children_of):
+    """{Dask worker's process id: those of what it computes} where it computes anything."""
+
+    def look():
+        found = {pid: workers(pid) for pid in children_of(cluster.processes[1].pid)}
+        return {pid: computing for pid, computing in found.items() if computing}
+
+    return look
+
+
+@pytest.fixture
+def client(make_client, cluster, database, eventually):
+    served = make_client(dask_scheduler=cluster.address, database_url=database, lease_seconds=5)
+    eventually(lambda: served.app.state.supervisor.places() == 2)
     return served
 
 
-def attempts():
-    """(process id, that of the Dask worker above it) of computing processes on this machine."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            pid, parent = int(stat.parent.name), int(stat.read_text().rpartition(")")[2].split()[1])
-            if "forkserver" in Path(f"/proc/{parent}/cmdline").read_text():
-                above = int(Path(f"/proc/{parent}/stat").read_text().rpartition(")")[2].split()[1])
-                if "spawn_main" in Path(f"/proc/{above}/cmdline").read_text():
-                    found.append((pid, above))
-        except (FileNotFoundError, ProcessLookupError):
-            pass
-    return found
-
-
-def test_estimate_cancel_and_a_killed_worker(client, estimation, long, wait, ended):
+def test_estimate_cancel_and_a_killed_worker(
+    client, attempts, estimation, long, wait, ended, eventually, patience
+):
     request = estimation(particles=100, iterations=40, seed=9)
     url = client.post("/jobs", json=request).headers["location"]
     assert ended(client, url)["status"] == "successful"
     expected = client.get(f"{url}/trace").json()["theta"]
-    assert attempts() == []
+    eventually(lambda: not attempts())
 
     url = client.post("/jobs", json=long).headers["location"]
     wait(client, url, lambda job: job["iteration"] >= 1)
+    assert len(attempts()) == 1
     begin = time.monotonic()
     client.delete(url)
-    while attempts():
-        assert time.monotonic() - begin < 2.0
-        time.sleep(0.02)
+    eventually(lambda: not attempts())
+    assert time.monotonic() - begin < 2.0 * patience
 
-    url = client.post("/jobs", json=request).headers["location"]
-    wait(client, url, lambda job: job["iteration"] >= 3)
-    ((_, worker),) = attempts()
-    os.kill(worker, signal.SIGKILL)
+    for _ in range(10):  # until one is caught while it computes
+        url = client.post("/jobs", json=request).headers["location"]
+        wait(client, url, lambda job: job["iteration"] >= 3)
+        if caught := list(attempts()):
+            os.kill(caught[0], signal.SIGKILL)
+            break
+        ended(client, url)
     job = wait(client, url, lambda job: "disappeared" in job["message"])
     job = ended(client, url)
     assert job["status"] == "successful", job["message"]
     assert client.get(f"{url}/trace").json()["theta"] == expected
 
 
-def test_a_study_is_spread_over_the_workers(client, estimation, ended):
+def test_a_study_is_spread_over_the_workers(client, attempts, estimation, ended):
     request = estimation(method="rts-em", iterations=15, bootstrap=8)
     url = client.post("/jobs", json=request).headers["location"]
     seen = set()
-
-    end = time.monotonic() + 60
     while client.get(url).json()["status"] in ("accepted", "running"):
-        assert time.monotonic() < end
-        seen.add(len({above for _, above in attempts()}))
-        time.sleep(0.02)
-    assert client.get(url).json()["status"] == "successful"
+        seen.add(len(attempts()))
+    assert ended(client, url)["status"] == "successful"
     assert max(seen) == 2
+
+
+def test_a_scheduler_that_is_gone_and_comes_back(
+    client, cluster, attempts, estimation, long, wait, ended, eventually
+):
+    assert client.get("/readyz").status_code == 200
+    assert "rbps_workers 2" in client.get("/metrics").text
+    url = client.post("/jobs", json=long).headers["location"]
+    wait(client, url, lambda job: job["iteration"] >= 1)
+    cluster.stop(signal.SIGKILL)
+    eventually(lambda: client.get("/readyz").status_code == 503)
+    waiting = client.post("/jobs", json=estimation()).headers["location"]
+    cluster.start()
+    eventually(lambda: client.get("/readyz").status_code == 200)
+    before = client.get(url).json()["iteration"]
+    wait(client, url, lambda job: job["iteration"] > before)
+    client.delete(url)
+    assert ended(client, waiting)["status"] == "successful"

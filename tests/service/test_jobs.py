@@ -1,5 +1,7 @@
 """Every documented call, on the real application with real worker processes."""
 
+import subprocess
+import sys
 import time
 from itertools import pairwise
 
@@ -105,7 +107,7 @@ def test_simulate_draws_and_free_run(client, ended):
     assert free["rmse"] == pytest.approx(((1.0 + 1.8**2) / 2) ** 0.5)
 
 
-def test_results_before_the_end_cancel_and_list(client, long, wait):
+def test_results_before_the_end_cancel_and_list(client, long, wait, eventually, patience):
     url = client.post("/jobs", json=long).headers["location"]
     early = client.get(f"{url}/results")
     assert early.status_code == 404
@@ -116,13 +118,11 @@ def test_results_before_the_end_cancel_and_list(client, long, wait):
     assert running["estimate"]["theta"] is not None
     assert running["estimated_end"] > running["updated"]
 
-    started = time.monotonic()
+    begin = time.monotonic()
     answer = client.delete(url)
     assert (answer.status_code, answer.json()["status"]) == (200, "dismissed")
-    supervisor = client.app.state.supervisor
-    while supervisor.running():
-        assert time.monotonic() - started < 2.0
-        time.sleep(0.01)
+    eventually(lambda: not client.app.state.supervisor.running())
+    assert time.monotonic() - begin < 2.0 * patience
     assert client.get(f"{url}/results").status_code == 404
     assert client.delete(url).json()["status"] == "dismissed"
     listed = client.get("/jobs?status=dismissed").json()["jobs"]
@@ -166,12 +166,13 @@ def test_a_computation_that_fails_tells_why(client, ended):
     assert "runs away" in answer.json()["detail"] == job["message"]
 
 
-def test_finished_and_waiting_jobs_survive_a_restart(make_client, estimation, long, ended):
+def test_all_jobs_survive_a_restart(make_client, estimation, long, ended, wait):
     client = make_client(workers=1)
     done = client.post("/jobs", json=estimation()).headers["location"]
     ended(client, done)
     before = client.get(f"{done}/results").json()
     blocking = client.post("/jobs", json=long).headers["location"]
+    there = wait(client, blocking, lambda job: job["iteration"] >= 1)["iteration"]
     waiting = client.post("/jobs", json=estimation(seed=2)).headers["location"]
     client.stop()
 
@@ -179,6 +180,7 @@ def test_finished_and_waiting_jobs_survive_a_restart(make_client, estimation, lo
     assert again.get(f"{done}/results").json() == before
     assert again.get(done).json()["status"] == "successful"
     assert again.get(waiting).json()["status"] == "accepted"
+    wait(again, blocking, lambda job: job["iteration"] > there)
     again.delete(blocking)
     assert ended(again, waiting)["status"] == "successful"
 
@@ -207,9 +209,13 @@ def test_service_document_and_livez(client):
     assert client.get("/livez").json() == {"status": "alive"}
 
 
-def test_first_iteration_of_a_fresh_service_within_two_seconds(spawn, estimation, wait, patience):
+def test_a_fresh_service_starts_warm(spawn, estimation, wait):
+    """Its first iteration is there after little more than what it takes to load the engine."""
     service = spawn()
     begin = time.monotonic()
     url = service.client.post("/jobs", json=estimation(iterations=200)).headers["location"]
     wait(service.client, url, lambda job: job["iteration"] >= 1)
-    assert time.monotonic() - begin < 2.0 * patience
+    first = time.monotonic() - begin
+    begin = time.monotonic()
+    subprocess.run([sys.executable, "-c", "import service.preload"], check=True)
+    assert first < 3.0 * (time.monotonic() - begin)  # compiling would take ten times as long

@@ -59,7 +59,9 @@ def service(spawn, tmp_path):
     return spawn({"PYTHONPATH": path}, worker_memory=3 << 30, run_seconds=6.0)
 
 
-def test_good_and_broken_and_misbehaving_models(service, ended):
+def test_good_and_broken_and_misbehaving_models(
+    service, workers, dead, ended, eventually, wait, patience
+):
     client = service.client
     models = client.get("/models").json()
     assert "valve" in {model["name"] for model in models["models"]}
@@ -84,35 +86,57 @@ def test_good_and_broken_and_misbehaving_models(service, ended):
             problem = client.get(f"{url}/results")
             assert problem.status_code in (422, 500)
             assert problem.json()["detail"] == job["message"]
+
+    # what never returns is cancelled all the same
+    request = REQUEST | {"parameters": {"values": {"fault": 3.0}}}
+    url = client.post("/jobs", json=request).headers["location"]
+    wait(client, url, lambda job: job["status"] == "running")
+    (worker,) = eventually(lambda: workers(service.process.pid))
+    begin = time.monotonic()
+    assert client.delete(url).json()["status"] == "dismissed"
+    eventually(lambda: dead(worker))
+    assert time.monotonic() - begin < 2.0 * patience
+
     causes = client.get("/metrics").text
     assert 'rbps_failures_total{cause="computation-failed"}' in causes
     assert 'rbps_failures_total{cause="worker-lost"} 1' in causes
 
 
-def test_a_full_disk(spawn, workers, estimation, ended, wait):
-    """A limit on the size of files stands for the disk; with room again all goes on."""
+def limit(pids, size):
+    """A limit on the size of files stands for a full disk; 0 takes it away again."""
+    for pid in pids:
+        most = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (size or most, most))
+
+
+def test_a_full_disk(spawn, catch, estimation, ended, eventually):
+    """With room again all goes on."""
     service = spawn(lease_seconds=2, losses_allowed=100)
     client = service.client
-    url = client.post("/jobs", json=estimation(particles=100, iterations=60)).headers["location"]
-    wait(client, url, lambda job: job["iteration"] >= 1)
-    full = [service.process.pid, *workers(service.process.pid)]
-    assert len(full) == 2
-    unlimited = resource.prlimit(full[0], resource.RLIMIT_FSIZE)
-    for pid in full:
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, (4096, unlimited[1]))
+    url, worker = catch(service, estimation(particles=100, iterations=150), iterations=1)
+    limit([service.process.pid, worker], 4096)
     answer = client.post("/jobs", json=estimation())
     assert (answer.status_code, answer.json()["title"]) == (503, "store unavailable")
     assert client.get("/readyz").status_code == 503
     assert client.get("/livez").status_code == 200
     assert client.get(url).status_code == 200
-    time.sleep(1.0)
-    resource.prlimit(full[0], resource.RLIMIT_FSIZE, unlimited)
+    eventually(lambda: "attempt ended, exit code" in (service.state / "log").read_text())
+    limit([service.process.pid], 0)
     assert client.get("/readyz").status_code == 200
     job = ended(client, url)
     assert job["status"] == "successful"
-    log = (service.state / "log").read_text()
-    assert log.count("attempt started") >= 2
     assert ended(client, client.post("/jobs", json=estimation()).headers["location"])
+
+
+def test_a_disk_that_stays_full_for_the_worker(spawn, catch, long, ended):
+    service = spawn(losses_allowed=0)
+    url, worker = catch(service, long, iterations=1)
+    limit([worker], 4096)
+    job = ended(service.client, url)
+    assert job["status"] == "failed"
+    assert "the store could not be written (its disk may be full)" in job["message"]
+    problem = service.client.get(f"{url}/results").json()
+    assert problem["detail"] == job["message"]
 
 
 def test_an_unwritable_state_directory_is_said(tmp_path):
