@@ -3,7 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo serve test lint tables bench warm load chaos
+.PHONY: setup demo serve test lint tables bench warm load chaos bench-dask
 
 setup: .venv/ready
 
@@ -46,3 +46,7 @@ load: setup
 
 chaos: setup
 	$(BIN)/python -m tests.benchmarks.chaos
+
+# One study on a Dask scheduler with one worker and with two.
+bench-dask: setup
+	$(BIN)/python -m tests.benchmarks.bench_dask

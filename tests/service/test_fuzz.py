@@ -1,5 +1,7 @@
 """Schemathesis over the whole OpenAPI document: no answer is a 500, each is as documented."""
 
+import copy
+
 import pytest
 import schemathesis
 from hypothesis import HealthCheck, given, settings
@@ -71,3 +73,48 @@ def test_call(operations, call, mode):
         )
 
     run()
+
+
+KINDS = {
+    "estimate": "EstimateRequest",
+    "smooth": "SmoothRequest",
+    "simulate": "SimulateRequest",
+    "diagnose": "DiagnoseRequest",
+}
+
+
+@pytest.mark.parametrize("mode", list(GenerationMode), ids=str)
+@pytest.mark.parametrize("kind", KINDS)
+def test_bodies_of_every_kind(operations, kind, mode):
+    """The same with POST /jobs narrowed to one kind, so that none is left out by chance."""
+    whole = operations["POST /jobs"].schema
+    raw = copy.deepcopy(whole.raw_schema)
+    body = raw["paths"]["/jobs"]["post"]["requestBody"]["content"]["application/json"]
+    body.pop("examples", None)
+    named = {one["$ref"].rpartition("/")[2] for one in body["schema"]["oneOf"]}
+    assert named == set(KINDS.values())
+    body["schema"] = {"$ref": f"#/components/schemas/{KINDS[kind]}"}
+    narrowed = schemathesis.openapi.from_dict(raw)
+    narrowed.location = whole.location
+    narrowed.config.update(base_url=whole.get_base_url())
+    operation = narrowed["/jobs"]["POST"]
+    seen = []
+
+    @settings(
+        max_examples=20,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(case=operation.as_strategy(generation_mode=mode))
+    def run(case):
+        if isinstance(case.body, dict):
+            seen.append(case.body.get("kind"))
+        case.call_and_validate(
+            headers={"X-API-Key": KEY},
+            excluded_checks=[schemathesis.checks.positive_data_acceptance],
+        )
+
+    run()
+    assert kind in seen
