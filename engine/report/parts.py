@@ -134,4 +134,4 @@ def equations(lines: Iterable[str], added: Iterable[str] = ()) -> Html:
     """Equations line by line; those that were added are marked."""
     old = [tag("code", line) for line in lines]
     new = [tag("code", line, class_="added") for line in added]
-    return tag("div", *old, *new, class_="equations") if old or new else Html("")
+    return tag("div", *old, *new, class_="formulas") if old or new else Html("")

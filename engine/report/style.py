@@ -47,10 +47,10 @@ RULES = """
 .facts dt { color: var(--muted); font-size: .8rem; }
 .facts dd { margin: 0; font-weight: 600; font-variant-numeric: tabular-nums; }
 .sentences { padding-left: 1.1rem; } .sentences li { margin: 0 0 .35rem; }
-.equations { display: grid; gap: .3rem; margin: .4rem 0 .9rem; }
-.equations code { background: var(--grid); border-left: 4px solid var(--line); border-radius: 4px;
+.formulas { display: grid; gap: .3rem; margin: .4rem 0 .9rem; }
+.formulas code { background: var(--grid); border-left: 4px solid var(--line); border-radius: 4px;
   padding: .3rem .7rem; overflow-wrap: anywhere; }
-.equations code.added { border-left-color: var(--good); background: var(--good-pale); }
+.formulas code.added { border-left-color: var(--good); background: var(--good-pale); }
 code.added { color: var(--good); }
 table.numbers td { text-align: right; } table.numbers th:not(:first-child) { text-align: right; }
 table.numbers tr > :last-child { padding-right: 0; }
@@ -74,6 +74,7 @@ details { margin: .5rem 0; } summary { cursor: pointer; color: var(--accent); }
   background: currentColor; }
 .key i.points { width: .5rem; height: .5rem; border-radius: 50%; }
 .key i.bars { width: .75rem; height: .75rem; }
+.key i.dashed { background: repeating-linear-gradient(90deg, currentColor 0 5px, transparent 5px 8px); }
 .key i.band { height: .75rem; opacity: .55; border-radius: 2px; }
 .chart-svg { display: block; width: 100%; height: auto; }
 .figure:not(.wide) > .chart-svg { max-width: 620px; }

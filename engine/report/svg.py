@@ -74,7 +74,7 @@ def legend(chart: Chart) -> Html:
         return Html("")
     items = []
     for t in chart.traces:
-        kind = "band" if t.band is not None else t.kind
+        kind = "band" if t.band is not None else "dashed" if t.dash else t.kind
         items.append(tag("li", tag("i", class_=f"{kind} r-{t.role}"), t.label))
     return tag("ul", *items, class_="key")
 
@@ -115,7 +115,7 @@ def hbars(
         return Html("")
     values = [value for _, value, _ in shown] + ([line] if line is not None else [])
     low, high = min(0.0, *values), max(0.0, *values)
-    width, step, bottom = NARROW, 34, 40
+    width, step, bottom = NARROW, 38, 40
     height = step * len(shown) + bottom + 4
     x = Axis(low, high if high > low else low + 1.0, 12, width - 60)
     parts = []
@@ -127,10 +127,10 @@ def hbars(
         left, right = sorted((x(0.0), x(value)))
         parts.append(_words(x.start, top + 12, name, "start", "name"))
         parts.append(
-            tag("rect", x=_n(left), y=_n(top + 17), width=_n(max(right - left, 1.0)), height=10,
+            tag("rect", x=_n(left), y=_n(top + 18), width=_n(max(right - left, 1.0)), height=10,
                 class_=f"bar r-{role}")
         )  # fmt: skip
-        parts.append(_words(right + 5, top + 26, number(value), "start"))
+        parts.append(_words(right + 5, top + 28, number(value), "start"))
     if line is not None:
         parts.append(_line(x(line), 2, x(line), height - bottom, "level"))
     parts.append(_words(width / 2, height - 6, x_label, "middle"))
