@@ -103,7 +103,7 @@ export class DataCard {
     this.showFacts();
     const columns = this.columns();
     const usable = columns.filter((one) => !one.problem).map((one) => one.name);
-    const guessed = this.job ? new Map() : guess(this.channels, usable.filter((name) => name !== by("time").value));
+    const guessed = this.job ? new Map() : guess(this.channels, usable.filter((name) => name !== by("time").value), columns.length - usable.length);
     this.selects = new Map();
     const rows = this.channels.map((channel, i) => {
       const key = `${channel.member}.${channel.name}`;
@@ -146,6 +146,7 @@ export class DataCard {
     by("data-facts").replaceChildren(
       element("span", {}, ...names),
       element("span", { class: "muted" }, `${rows.map((n) => n.toLocaleString("en")).join(" + ")} samples`),
+      ...this.columns().filter((one) => one.problem).map((one) => element("span", { class: "notice warn small" }, `Column ${one.name} cannot be used: ${one.problem}`)),
       ...(ignored.length ? [element("span", { class: "muted" }, `not read: ${ignored.join(", ")}`)] : []),
     );
     const time = this.files[0]?.preview.time;

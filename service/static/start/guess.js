@@ -1,10 +1,11 @@
-// Which column is which channel, by its name: guess(channels, columns) -> Map("y.flow" -> column).
+// Which column is which channel, by its name: guess(channels, columns, others) -> Map("y.flow" -> column).
 //
 // A column is a channel's if it has its name, or begins with it ("flow_1e8m3" for flow); then columns
 // called y... and u... are outputs and inputs in their order; then, if just as many columns are left as
-// channels, they are those, in their order.
+// channels, they are those, in their order. A file with other columns, which cannot be used, leaves that
+// last step to the user: the one that is missing may be among them.
 
-export function guess(channels, columns) {
+export function guess(channels, columns, others) {
   const found = new Map();
   const left = new Set(columns);
   const open = (member) => channels.filter((c) => (!member || c.member === member) && !found.has(key(c)));
@@ -23,7 +24,7 @@ export function guess(channels, columns) {
     open(member).forEach((channel, i) => take(channel, called[i]));
   }
   const rest = [...left];
-  if (open().length === rest.length) open().forEach((channel, i) => take(channel, rest[i]));
+  if (!others && open().length === rest.length) open().forEach((channel, i) => take(channel, rest[i]));
   return found;
 }
 
