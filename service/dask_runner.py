@@ -15,10 +15,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import socket
 import threading
 from collections.abc import Callable
 from functools import cache
 from typing import Any, cast
+from urllib.parse import urlsplit
 
 import distributed
 from sqlalchemy.exc import SQLAlchemyError
@@ -37,11 +39,14 @@ class DaskRunner:
         self, store: Store, scheduler: str, terms: Terms, on_free: Callable[[], None]
     ) -> None:
         self._store, self._terms, self._on_free = store, terms, on_free
-        self._scheduler, self._places = scheduler, 0
+        self._scheduler, self._places, self._away = scheduler, 0, False
         self._running: dict[str, tuple[Attempt, Any]] = {}
-        self._client: Any = self._connect()
+        self._client: Any = None  # until the scheduler is there; services need not start after it
 
     def _connect(self) -> Any:
+        where = urlsplit(self._scheduler)
+        with socket.create_connection((where.hostname or "", where.port or 8786), 2.0):
+            pass  # a Dask client that finds nobody leaves its threads behind
         made = cast(Any, distributed).Client
         return made(self._scheduler, set_as_default=False, name="rbps", timeout=5)
 
@@ -58,8 +63,11 @@ class DaskRunner:
                 raise OSError("the connection is closed")
             here = self._client.status == "running"
             self._places = int(sum(self._client.nthreads().values())) if here else 0
+            self._away = False
         except OSError as error:
-            log.warning("the Dask scheduler does not answer: %s", error)
+            if not self._away:  # said once, not twice a second
+                log.warning("the Dask scheduler does not answer: %s", error)
+            self._away = True
             if self._client is not None:
                 with contextlib.suppress(OSError):
                     self._client.close(timeout=1)
