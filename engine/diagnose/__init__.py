@@ -180,6 +180,13 @@ def _check_options(
                 f"effect '{unknown[0]}' is not known; kinds are {', '.join(effect_kinds())}",
                 "effects",
             )
+    for name, y in zip(series.y_names, series.y.T, strict=True):
+        seen = y[~np.isnan(y)]
+        if len(seen) > 1 and seen.min() == seen.max():
+            raise SeriesError(
+                f"output '{name}' reads {seen[0]:g} throughout: a dead channel tells nothing of the model; "
+                "give its readings as NaN, or leave the output out of the model"
+            )
     rows = int(series.observed.any(axis=1).sum())
     if rows < LEAST:
         raise SeriesError(f"only {rows} rows hold a measurement; a diagnosis needs {LEAST}")

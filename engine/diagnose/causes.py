@@ -11,8 +11,9 @@ import numpy as np
 
 from engine.diagnose.decide import verdict_of
 from engine.diagnose.diagnosis import Verdict
-from engine.diagnose.search import Search, search
+from engine.diagnose.search import OUTLYING, Search, search
 from engine.diagnose.setting import Setting, setting_for
+from engine.diagnose.tails import KIND as TAILS
 from engine.model import MixedModel, ThetaLike
 from engine.moment_filter import moment_path
 from engine.quasi_ml import QuasiFit, quasi_ml, whitening
@@ -71,7 +72,7 @@ def find_causes(
         progress=clock.progress,
     )
     verdict = verdict_of(found)
-    level = misfit(found.final, series)
+    level = misfit(found.final, series, outliers=has_tails(found))
     if level > MISFIT:
         notes.append(
             f"One-step errors are {np.sqrt(level):.1f} times what the model's noise allows, after "
@@ -93,12 +94,21 @@ def fit_base(
     return quasi_ml(model, series, start, free)
 
 
-def misfit(fit: QuasiFit, series: Series) -> float:
-    """Mean squared standardised innovation: about 1 where the model's noise explains the data."""
+def has_tails(found: Search) -> bool:
+    """Whether outliers are among what was found."""
+    return any(r.refits[0].effect.kind == TAILS for r in found.rounds if r.equivalent)
+
+
+def misfit(fit: QuasiFit, series: Series, outliers: bool = False) -> float:
+    """Mean squared standardised innovation: about 1 where the model's noise explains the data.
+
+    With ``outliers`` the values that only they explain are left out.
+    """
     path = moment_path(fit.model, np.asarray(fit.theta), series)
     root = whitening(path.S, series.observed)
     z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
-    return float((z**2).sum() / series.observed.sum())
+    usual = np.abs(z) < OUTLYING if outliers else np.ones_like(z, dtype=bool)
+    return float((z[usual] ** 2).sum() / max(int((series.observed & usual).sum()), 1))
 
 
 class Clock:

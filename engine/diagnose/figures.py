@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 DATA, RUN, AFTER = "#222222", "#c44e52", "#2a7f5f"
 SHOWN = 15  # candidates in a round's ranking
 
+VAGUE = 20.0  # times the usual width of a prediction's band: nothing was predicted yet
+
 
 def figures(diagnosis: Diagnosis) -> dict[str, Any]:
     """``wrong``, ``where``, ``residuals``, ``candidates``; ``force`` and ``gain`` where there are such."""
@@ -59,9 +61,10 @@ def _wrong(symptoms: Symptoms, outputs: dict[str, str]) -> Any:
             top.plot(t, run.y[:, i], color=RUN, linewidth=1.0, label="free run, 95 % band")
             bottom.plot(t, y[:, i] - run.y[:, i], color=RUN, linewidth=0.8, label="free run")
         top.plot(t, y[:, i], ".", color=DATA, markersize=2.5, label="measured")
-        bottom.plot(
-            t, y[:, i] - predicted.y[:, i], color=DATA, linewidth=0.6, label="one-step prediction"
-        )
+        width = predicted.upper[:, i] - predicted.lower[:, i]
+        told = width < VAGUE * np.nanmedian(width)  # not before the state is known
+        error = np.where(told, y[:, i] - predicted.y[:, i], np.nan)
+        bottom.plot(t, error, color=DATA, linewidth=0.6, label="one-step prediction")
         bottom.axhline(0.0, color="#888888", linewidth=0.5)
         top.set(ylabel=label(name, unit))
         bottom.set(ylabel=f"error of {label(name, unit)}", xlabel="t [s]")

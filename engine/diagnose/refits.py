@@ -30,7 +30,15 @@ HOPELESS = 10.0  # of the score behind the best refit, from which another one is
 TIME_COST = 4.0  # for a time or frequency found on a grid
 
 
-PLAIN = ("bias", "step", "force", "input-offset", "coulomb", "cubic")  # plainer names first
+PLAIN = (
+    "bias",
+    "step",
+    "force",
+    "input-offset",
+    "coulomb",
+    "cubic",
+    "quantisation",
+)  # plainer names first
 
 
 NESTS = {  # a kind with a width of its own, and plainer ones it becomes at the end of its range

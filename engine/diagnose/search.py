@@ -31,7 +31,7 @@ from engine.diagnose.tails import (
     standardised_errors,
     tail_test,
 )
-from engine.errors import EngineError
+from engine.errors import EngineError, OptionError
 from engine.model import MixedModel
 from engine.moment_filter import moment_path
 from engine.quasi_ml import QuasiFit, quasi_ml
@@ -198,6 +198,11 @@ def screen_effects(
             test = None  # an extension whose filter is lost explains nothing
         if test is not None:
             tests.append(test)
+    if not tests:
+        raise OptionError(
+            f"none of the effects asked for can be tested on model '{model.name}' and these data",
+            "effects",
+        )
     return screen(tests, np.random.default_rng(np.random.SeedSequence(seed)), alpha)
 
 
