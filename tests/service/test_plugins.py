@@ -109,18 +109,18 @@ def limit(pids, size):
         resource.prlimit(pid, resource.RLIMIT_FSIZE, (size or most, most))
 
 
-def test_a_full_disk(spawn, catch, estimation, ended, eventually):
+def test_a_full_disk(spawn, catch, dead, estimation, ended, eventually):
     """With room again all goes on."""
     service = spawn(lease_seconds=2, losses_allowed=100)
     client = service.client
-    url, worker = catch(service, estimation(particles=100, iterations=150), iterations=1)
+    url, worker = catch(service, estimation(particles=100, iterations=80), iterations=1)
     limit([service.process.pid, worker], 4096)
     answer = client.post("/jobs", json=estimation())
     assert (answer.status_code, answer.json()["title"]) == (503, "store unavailable")
     assert client.get("/readyz").status_code == 503
     assert client.get("/livez").status_code == 200
     assert client.get(url).status_code == 200
-    eventually(lambda: "attempt ended, exit code" in (service.state / "log").read_text())
+    eventually(lambda: dead(worker))  # it could not write, and nobody could write about it
     limit([service.process.pid], 0)
     assert client.get("/readyz").status_code == 200
     job = ended(client, url)
