@@ -79,4 +79,5 @@ def sensitivities(F, H, K, precision, nu, b, e, dQ, dR, dX):
             CK = dC @ Kt.T
             dx = Ft @ (dx + dK @ nu[t] - Kt @ g[t]) + b[t]
             dP = Ft @ (dP - CK - CK.T + Kt @ dS[t] @ Kt.T) @ Ft.T + dQ[t]
+            dP = 0.5 * (dP + dP.T)  # the recursion amplifies what rounding makes unsymmetric
     return g, dS

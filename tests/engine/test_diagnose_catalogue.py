@@ -8,6 +8,7 @@ import pytest
 import engine
 from engine.diagnose import all_effects, diagnose, effect_kinds, extend, make_effect
 from engine.diagnose.causes import find_causes
+from engine.diagnose.columns import static_column
 from engine.diagnose.decide import set_of
 from engine.diagnose.hide import hide
 from engine.diagnose.lattice import lattice_step
@@ -15,7 +16,8 @@ from engine.diagnose.runs import noise_free
 from engine.diagnose.search import MARGIN
 from engine.diagnose.setting import Setting, setting_for
 from engine.diagnose.spare_inputs import with_inputs
-from engine.moment_filter import moment_filter
+from engine.moment_filter import moment_filter, moment_path
+from engine.quasi_ml import log_likelihoods
 from tests.engine.hidden_effects import CASES, DRIVE, DT, T, case, hidden, levels, smooth
 
 BY_NAME_ONLY = {"offset"}  # another word for bias
@@ -222,3 +224,25 @@ def test_what_hides_says_what_it_does_not_know():
     rng = np.random.default_rng(0)
     with pytest.raises(engine.OptionError, match="no parameter of bias:reading"):
         hide(DRIVE, ["bias:reading"], {"bias": 1.0}, T, rng, u=np.zeros(T), dt=DT)
+
+
+def test_a_score_is_the_slope_of_the_likelihood_however_well_the_states_are_seen():
+    """The footprint's covariance recursion once amplified rounding on precisely measured states."""
+    model = engine.get_model("structure")
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-1.0, 1.0, 125), 8)
+    series = engine.simulate(model, None, 1000, rng, u=u, dt=0.05).series
+    theta = np.asarray(model.theta())
+    path = moment_path(model, theta, series)
+    for name in ("gain:y2", "coulomb:v1", "level:y1"):
+        effect = make_effect(name, setting_for(model, series, theta))
+        extended = effect.apply(model)
+        point = np.append(theta, 0.0)
+        column = static_column(effect, extended, point, len(theta), model, series, path)
+        step = 1e-4
+        ends = np.array([np.append(theta, -step), np.append(theta, step)])
+        ends = np.clip(ends, extended.lower, extended.upper)
+        values = log_likelihoods(extended, [series], ends)
+        slope = (values[1] - values[0]) / (ends[1, -1] - ends[0, -1])
+        size = float(np.linalg.norm(column.v))
+        assert abs(column.s.sum() - slope) < 0.05 * size, name
