@@ -1,0 +1,350 @@
+"""What people do on the pages, in a real Chromium."""
+
+import re
+import time
+
+import httpx
+import numpy as np
+import pytest
+
+import engine
+from engine.data import nile
+from service.auth import digest_of
+from tests.e2e.browser import PATIENCE, browser, chromium, service
+
+pytest.importorskip("playwright", reason="the tests of the pages need playwright")
+if chromium() is None:
+    pytest.skip("the tests of the pages need Chromium", allow_module_level=True)
+
+
+@pytest.fixture(scope="module")
+def chrome():
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    with service(tmp_path_factory.mktemp("state")) as url:
+        yield url
+
+
+class Watched:
+    """Opens pages and remembers what they say and whom they ask."""
+
+    def __init__(self, chrome, address):
+        self.chrome, self.address = chrome, address
+        self.errors, self.asked, self.contexts = [], [], []
+
+    def __call__(self, path, address=None, **options):
+        context = self.chrome.new_context(viewport={"width": 1280, "height": 900}, **options)
+        context.set_default_timeout(PATIENCE)
+        self.contexts.append(context)
+        page = context.new_page()
+        self.listen(page)
+        page.goto((address or self.address) + path)
+        return page
+
+    def listen(self, page):
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on(
+            "console", lambda said: self.errors.append(said.text) if said.type == "error" else 0
+        )
+        page.on("request", lambda request: self.asked.append(request.url))
+
+    def expect(self, words):
+        """Chromium reports every answer 4xx; those a test provokes are taken off the list."""
+        found = [error for error in self.errors if words in error]
+        assert found
+        self.errors = [error for error in self.errors if error not in found]
+
+    def check(self):
+        for context in self.contexts:
+            context.close()
+        assert self.errors == []
+        assert self.asked
+        foreign = re.compile(r"(?!http://127\.0\.0\.1:|data:|blob:|file:)")
+        assert [url for url in self.asked if foreign.match(url)] == []
+
+
+@pytest.fixture
+def visit(chrome, address):
+    watched = Watched(chrome, address)
+    yield watched
+    watched.check()
+
+
+def ready(page):
+    page.wait_for_selector("form[data-ready]")
+
+
+def write(path, **columns):
+    names = list(columns)
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join("" if v is None else str(v) for v in row) for row in rows]
+    path.write_text("\n".join([",".join(names), *lines]))
+    return path
+
+
+@pytest.fixture
+def flows(tmp_path):
+    """The Nile flows in columns that no name gives away, two of them missing."""
+    flow = nile().y[:, 0].tolist()
+    flow[20] = flow[21] = None
+    return write(tmp_path / "flows.csv", station=[3] * 100, Q=flow, T=list(range(100)))
+
+
+def test_upload_map_run_watch_and_keep_the_report(visit, flows, tmp_path):
+    page = visit("/")
+    ready(page)
+    page.select_option("#model", "local-level")
+    page.set_input_files("#file", flows)
+    page.wait_for_selector("#channels select")
+    assert page.input_value('[id="column-y.flow"]') == ""  # three columns, none of the name
+    page.select_option('[id="column-y.flow"]', "Q")
+    page.wait_for_selector("#channels .u-wrap canvas")
+    assert "2 missing" in page.inner_text("#channels")
+    assert "missing" in page.inner_text("#channels .chart-legend")
+    page.uncheck('tr[data-name="level"] input[type=checkbox]')
+    page.fill('tr[data-name="q"] .value', "1000")
+    page.click("#options summary")
+    page.fill("#estimate-iterations", "30")
+    page.click("#go")
+    page.wait_for_url("**/jobs/*")
+    page.wait_for_selector("#status.successful")
+    page.wait_for_selector("#results table")
+    job = page.url.rpartition("/")[2]
+    asked = httpx.get(f"{visit.address}/jobs/{job}/request").json()
+    assert asked["series"][0]["y"][20:23] == [[None], [None], [nile().y[22, 0]]]
+    assert asked["parameters"]["free"] == ["q", "r"]
+    assert asked["parameters"]["start"]["q"] == 1000.0
+    with page.expect_download() as kept:
+        page.click("#report")
+    kept.value.save_as(tmp_path / "report.html")
+    shown = page.context.new_page()
+    visit.listen(shown)
+    shown.goto((tmp_path / "report.html").as_uri())
+    assert "local-level" in shown.inner_text("body")
+    assert shown.locator("svg").count() > 0
+
+
+@pytest.fixture
+def long(address):
+    """Id of an estimation that computes far longer than the test watches it."""
+    request = {
+        "kind": "estimate",
+        "model": "linear-2",
+        "series": [{"y": [[float(i % 7)] for i in range(1000)]}],
+        "options": {"particles": 200, "iterations": 10_000},
+    }
+    job = httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
+    yield job
+    httpx.delete(f"{address}/jobs/{job}")
+
+
+def test_watch_a_job_and_stop_it(visit, long):
+    page = visit(f"/jobs/{long}")
+    page.wait_for_selector("#traces canvas")
+    first = iteration(page)
+    eventually(page, lambda: iteration(page) > first)  # the page was not loaded again
+    assert "effective sample size" in page.inner_text("#facts").lower()
+    assert page.locator("#traces canvas").count() >= 2  # the parameter and the log-likelihood
+    page.on("dialog", lambda asked: asked.accept())
+    page.click("#stop")
+    page.wait_for_selector("#status.dismissed")
+    assert "was stopped" in page.inner_text("#problem")
+    assert not page.is_visible("#stop")
+
+
+def iteration(page):
+    return int(re.search(r"iteration\s+(\d+)", page.inner_text("#facts"), re.IGNORECASE)[1])
+
+
+def eventually(page, holds):
+    """Asked from here: the pages' own policy forbids the text of a condition to be run in them."""
+    last = time.monotonic() + PATIENCE / 1000
+    while not holds():
+        assert time.monotonic() < last, "not within the patience of the tests"
+        page.wait_for_timeout(100)
+
+
+def test_diagnose_and_go_on_with_the_extension(visit):
+    page = visit("/")
+    ready(page)
+    page.click("#example")
+    page.wait_for_selector("#channels .u-wrap canvas")
+    page.check('input[value="diagnose"]')
+    page.click("#options summary")
+    page.fill("#diagnose-effects", "step, pulse")
+    page.click("#go")
+    page.wait_for_url("**/jobs/*")
+    page.wait_for_selector("#status.successful")
+    page.wait_for_selector("#extended:visible")
+    assert "step" in page.inner_text("#results")
+    page.click("#extended")
+    ready(page)
+    assert "step:flow" in page.inner_text("#effects")
+    assert page.is_checked('input[value="estimate"]')
+    assert float(page.input_value('tr[data-name="step_flow"] .value')) == pytest.approx(
+        -250, abs=40
+    )
+    assert page.locator("#channels canvas").count() == 1  # the data need no second upload
+    page.click("#options summary")
+    page.fill("#estimate-iterations", "3")
+    page.uncheck('[data-kind="estimate"] [data-option="standard_errors"]')
+    page.click("#go")
+    page.wait_for_url(lambda url: "/jobs/" in url)
+    page.wait_for_selector("#status.successful")
+
+
+def test_wrong_input_is_said_beside_its_field(visit, tmp_path):
+    page = visit("/")
+    ready(page)
+    page.click("#go")
+    beside = page.locator('[data-field="model"] .field-error')
+    assert beside.inner_text() == "choose a model"
+    assert page.evaluate("document.activeElement.id") == "model"
+    page.click("#example")
+    page.wait_for_selector("#channels .u-wrap")
+    page.fill('tr[data-name="r"] .value', "-4")
+    page.click("#go")
+    page.wait_for_selector('tr[data-name="r"] .field-error')
+    assert "not within" in page.inner_text('tr[data-name="r"] .field-error')
+    assert page.get_attribute('tr[data-name="r"] .value', "aria-invalid") == "true"
+    visit.expect("422")
+    commas = tmp_path / "commas.csv"
+    commas.write_text("day;flow\n1;12,5\n2;13,5\n3;14\n")
+    page.set_input_files("#file", commas)
+    page.wait_for_selector("#data-facts .notice")
+    assert "decimal comma" in page.inner_text("#data-facts")
+    # The only usable column is not taken for the channel.
+    assert page.input_value('[id="column-y.flow"]') == ""
+    empty = tmp_path / "empty.csv"
+    empty.write_text("")
+    page.set_input_files("#file", empty)
+    page.wait_for_selector('[data-field~="file"] .field-error')
+    assert "is empty" in page.inner_text('[data-field~="file"] .field-error')
+    visit.expect("422")
+
+
+def test_light_and_dark(visit):
+    page = visit("/", color_scheme="dark")
+    shade = "getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)"
+    assert max(page.evaluate(shade)) < 60
+    page.click("#theme")
+    assert min(page.evaluate(shade)) > 200
+    page.goto(f"{visit.address}/jobs")
+    assert min(page.evaluate(shade)) > 200  # remembered
+    page.click("#theme")
+    assert max(page.evaluate(shade)) < 60
+    page.emulate_media(color_scheme="light")
+    assert min(page.evaluate(shade)) > 200
+    page.emulate_media(color_scheme="dark")  # chosen was what the system said: followed again
+    assert max(page.evaluate(shade)) < 60
+
+
+def tab_to(page, selector):
+    for _ in range(80):
+        if page.evaluate("s => document.activeElement?.matches(s) ?? false", selector):
+            return
+        page.keyboard.press("Tab")
+    raise AssertionError(f"the tab key does not reach {selector}")
+
+
+def test_keyboard_only(visit, flows):
+    page = visit("/")
+    ready(page)
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
+    tab_to(page, "#model")
+    page.keyboard.type("local")
+    tab_to(page, "#file")
+    with page.expect_file_chooser() as chosen:
+        page.keyboard.press("Enter")
+    chosen.value.set_files(flows)
+    page.wait_for_selector('[id="column-y.flow"]')
+    tab_to(page, '[id="column-y.flow"]')
+    page.keyboard.type("Q")
+    page.wait_for_selector("#channels .u-wrap canvas")
+    tab_to(page, "#channels .chart-frame")
+    assert "2 missing" in page.evaluate("document.activeElement.ariaLabel")
+    page.keyboard.press("Home")
+    assert "Q 1120" in page.evaluate("document.activeElement.ariaLabel")
+    page.keyboard.press("ArrowRight")
+    assert "Q 1160" in page.evaluate("document.activeElement.ariaLabel")
+    tab_to(page, 'input[name="kind"]')
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("ArrowDown")
+    assert page.is_checked('input[value="smooth"]')
+    tab_to(page, "#go")
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/jobs/*")
+    page.wait_for_selector("#status.successful")
+
+
+def test_list_of_jobs(visit, long):
+    short = {"kind": "smooth", "model": "local-level", "series": [{"y": nile().y.tolist()}]}
+    httpx.post(f"{visit.address}/jobs", json=short).raise_for_status()
+    page = visit("/jobs")
+    page.wait_for_selector(f'[data-job="{long}"]')
+    page.select_option("#kind", "smooth")
+    page.wait_for_selector(f'[data-job="{long}"]', state="detached")
+    assert "kind=smooth" in page.url
+    page.click("#clear")
+    page.click(f'[data-job="{long}"] button')
+    page.click("#sure-yes")
+    page.wait_for_selector(f'[data-job="{long}"] .badge.dismissed')
+    page.locator("#jobs tr", has_text="smooth").get_by_text("Repeat").first.click()
+    ready(page)
+    assert page.is_checked('input[value="smooth"]')
+    assert "100 samples" in page.inner_text("#data-facts")
+
+
+def test_keys(visit, tmp_path):
+    keys = tmp_path / "keys"
+    keys.write_text(
+        "".join(f"{name} {digest_of(f'key of {name}')}\n" for name in ("anna", "boris"))
+    )
+    request = {"kind": "simulate", "model": "linear-2", "options": {"samples": 9}}
+    with service(tmp_path, keys_file=keys) as address:
+        job = httpx.post(
+            f"{address}/jobs", json=request, headers={"X-API-Key": "key of anna"}
+        ).json()
+        page = visit("/jobs", address)
+        page.fill("#key-input", "wrong")
+        page.click("#key-dialog .primary")
+        page.wait_for_selector("#key-error:not(:empty)")
+        visit.expect("401")
+        page.fill("#key-input", "key of anna")
+        page.click("#key-dialog .primary")
+        page.wait_for_selector(f'[data-job="{job["jobID"]}"]')
+        page.reload()  # the key is asked for once
+        page.wait_for_selector(f'[data-job="{job["jobID"]}"]')
+        other = visit(f"/jobs/{job['jobID']}", address)
+        other.fill("#key-input", "key of boris")
+        other.click("#key-dialog .primary")
+        other.wait_for_selector("#problem:visible")
+        assert "there is no job" in other.inner_text("#problem")
+        visit.expect("404")
+        for context in visit.contexts:
+            context.close()
+        visit.contexts.clear()
+
+
+def test_100_000_samples(visit, tmp_path):
+    model = engine.get_model("linear-2")
+    y = engine.simulate(model, None, 100_000, np.random.default_rng(0)).y[:, 0]
+    y /= np.abs(y).max()
+    y[77_777] = 2.5
+    page = visit("/?model=linear-2")
+    ready(page)
+    page.set_input_files("#file", write(tmp_path / "long.csv", y=y.round(4).tolist()))
+    page.wait_for_selector("#channels .u-wrap canvas")
+    assert "100,000 samples" in page.inner_text("#data-facts")
+    page.focus("#channels .chart-frame")
+    assert "and 2.5;" in page.evaluate("document.activeElement.ariaLabel")  # thinned, not lost
+    spoken = set()
+    for key in ("+", "+", "ArrowRight", "ArrowRight", "0", "End"):
+        page.keyboard.press(key)
+        spoken.add(page.evaluate("document.activeElement.ariaLabel"))
+    assert len(spoken) == 4  # the cursor moves by what is drawn, so that steps can be seen
