@@ -115,7 +115,8 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
     options = options_of(asked)
     shown.begin(asked.iterations, recorder.k)
     try:
-        found = kinds.fit(job, options, job.theta, options.seed, recorder)
+        with recorder.between_iterations():
+            found = kinds.fit(job, options, job.theta, options.seed, recorder)
         recorder.save()
         return kinds.describe(job, options, found, recorder)
     except Problem:  # diverged or lost: from here nothing leads on

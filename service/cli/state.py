@@ -86,6 +86,7 @@ class Recorder:
         self.path, self.asked, self.meter = path, asked, meter
         self.done: list[Array] = [] if rows is None else list(rows)
         self._saved = time.monotonic()
+        self._stop = False
 
     @property
     def k(self) -> int:
@@ -107,6 +108,28 @@ class Recorder:
         if time.monotonic() - self._saved > SAVE_SECONDS:
             self.save()
         self.meter.at(it.k, f"log-likelihood {it.log_likelihood:.2f}")
+        if self._stop:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def between_iterations(self) -> Iterator[None]:
+        """Ctrl-C waits for the end of the iteration, as compiled code is not to be left half way.
+
+        A second one does not wait.
+        """
+
+        def stop(*_: Any) -> None:
+            if self._stop:
+                raise KeyboardInterrupt
+            self._stop = True
+
+        before = signal.signal(signal.SIGINT, stop)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+        if self._stop:  # it came after the last iteration
+            raise KeyboardInterrupt
 
     def step(self, k: int, message: str = "") -> None:
         """What follows the iterations."""
