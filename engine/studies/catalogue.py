@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.studies import diagnose_measured, estimates, lost, poster, states, uncertainty
+from engine.studies import diagnose_measured, estimates, lost, poster, sindy, states, uncertainty
 from engine.studies.blind.report import BLIND
 from engine.studies.study import Study
 
@@ -21,9 +21,10 @@ STUDIES: dict[str, Study] = {
         uncertainty.STANDARD_ERRORS,
         diagnose_measured.MEASURED,
         BLIND,
+        sindy.SINDY,
     )
 }
-DOCUMENTS = tuple(name for name in STUDIES if name not in ("diagnose-measured", "blind"))
+DOCUMENTS = tuple(name for name in STUDIES if name not in ("diagnose-measured", "blind", "sindy"))
 ALIASES = {
     "table-1": "table-1-2",
     "table-2": "table-1-2",
