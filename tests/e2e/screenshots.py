@@ -1,0 +1,81 @@
+"""Pictures of the pages for the documentation: ``python -m tests.e2e.screenshots [FOLDER]``."""
+
+import io
+import sys
+import tempfile
+from pathlib import Path
+
+import httpx
+import numpy as np
+from PIL import Image
+
+import engine
+from tests.e2e.browser import PATIENCE, browser, chromium, service
+
+FOLDER = Path(__file__).parents[2] / "docs" / "screenshots"
+WIDTH = 1280  # px
+
+
+def take(folder):
+    """Write start.png, running.png, finished.png, diagnosis.png and jobs.png into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (
+        tempfile.TemporaryDirectory() as state,
+        service(Path(state)) as address,
+        browser() as chrome,
+    ):
+        page = chrome.new_page(viewport={"width": WIDTH, "height": 800}, color_scheme="light")
+        page.set_default_timeout(PATIENCE)
+        page.goto(f"{address}/")
+        page.wait_for_selector("form[data-ready]")
+        page.click("#example")
+        page.wait_for_selector("#channels .u-wrap canvas")
+        page.evaluate("document.activeElement.blur()")
+        keep(page, folder / "start.png")
+        page.check('input[value="diagnose"]')
+        page.click("#go")
+        page.wait_for_url("**/jobs/*")
+        page.wait_for_selector("#status.successful")
+        page.wait_for_selector("#results .u-wrap canvas")
+        keep(page, folder / "diagnosis.png")
+        page.goto(f"{address}/jobs/{submit(address, 200, particles=50)}")
+        page.wait_for_selector("#status.successful")
+        page.wait_for_selector("#results .u-wrap canvas")
+        keep(page, folder / "finished.png")
+        long = submit(address, 3000, particles=200)
+        page.goto(f"{address}/jobs/{long}")
+        page.wait_for_selector("#traces canvas")
+        page.wait_for_selector("#facts dd:text-matches('^1[2-9] of')")  # of iterations
+        keep(page, folder / "running.png")
+        page.goto(f"{address}/jobs")
+        page.wait_for_selector(f'[data-job="{long}"]')
+        keep(page, folder / "jobs.png")
+        httpx.delete(f"{address}/jobs/{long}")
+
+
+def submit(address, samples, **options):
+    """Id of an estimation of linear-2 from simulated samples."""
+    y = engine.simulate(engine.get_model("linear-2"), None, samples, np.random.default_rng(1)).y
+    request = {
+        "kind": "estimate",
+        "model": "linear-2",
+        "series": [{"y": y.tolist()}],
+        "parameters": {"start": {"theta": 0.5}, "free": ["theta"]},
+        "options": options,
+    }
+    answer = httpx.post(f"{address}/jobs", json=request, timeout=60)
+    return answer.raise_for_status().json()["jobID"]
+
+
+def keep(page, path):
+    """The whole page, in 48 colours so that the file is small."""
+    for name in ("beforeprint", "afterprint"):  # draws what is not yet in view
+        page.evaluate("name => dispatchEvent(new Event(name))", name)
+    picture = Image.open(io.BytesIO(page.screenshot(full_page=True, animations="disabled")))
+    picture.convert("RGB").quantize(48).save(path, optimize=True)
+
+
+if __name__ == "__main__":
+    if chromium() is None:
+        sys.exit("screenshots need Chromium, which is not installed")
+    take(Path(sys.argv[1]) if sys.argv[1:] else FOLDER)
