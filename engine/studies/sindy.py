@@ -209,7 +209,7 @@ def report(tables: Tables) -> str:
                     f"{cell.ratio:g}" if cell.effect else "",
                     method,
                     str(rate_of(some)),
-                    *(str(sum(map(count, some))) for count in counts),
+                    *(str(sum(map(count, some))) if some else "-" for count in counts),
                 ]
             )
     head = ["hidden", "LR", "method", "right", "nothing", "wrong", "no name"]
