@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +37,16 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     _check_outputs(asked)
     output_path("--state", path)
     in_file = references.in_file(asked.model)
-    with meter(quiet or as_json) as shown:
-        job = _prepare(asked, shown)
-        asked.seal([Path(name) for name in asked.data] + ([in_file[0]] if in_file else []))
-        aside = keep_old(path)
-        if aside is not None:
-            shown.note(f"an earlier {path.name} is kept as {aside.name}")
-        document = _run(job, asked, Recorder(path, asked, shown), shown)
-    _tell(job, asked, document, path, as_json)
+    with _resumable(asked) as begun:
+        with meter(quiet or as_json) as shown:
+            job = _prepare(asked, shown)
+            asked.seal([Path(name) for name in asked.data] + ([in_file[0]] if in_file else []))
+            aside = keep_old(path)
+            if aside is not None:
+                shown.note(f"an earlier {path.name} is kept as {aside.name}")
+            begun.append(Recorder(path, asked, shown))
+            document = _run(job, asked, begun[0], shown)
+        _tell(job, asked, document, path, as_json)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
@@ -53,16 +56,20 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
         setattr(asked, name, value)
     asked.check()
     _check_outputs(asked)
-    with meter(quiet or as_json) as shown:
-        job = _prepare(asked, shown)
-        recorder = Recorder(path, asked, shown, rows)
-        if rows.shape[1] != len(job.model.parameters) + 4:
-            raise wrong(f"--resume {path}: its parameters are not those of model '{asked.model}'")
-        if asked.iterations < recorder.k:
-            raise wrong(f"--iterations {asked.iterations}: {recorder.k} are done already")
-        shown.note(f"going on after iteration {recorder.k}")
-        document = _run(job, asked, recorder, shown)
-    _tell(job, asked, document, path, as_json)
+    with _resumable(asked) as begun:
+        with meter(quiet or as_json) as shown:
+            job = _prepare(asked, shown)
+            recorder = Recorder(path, asked, shown, rows)
+            if rows.shape[1] != len(job.model.parameters) + 4:
+                raise wrong(
+                    f"--resume {path}: its parameters are not those of model '{asked.model}'"
+                )
+            if asked.iterations < recorder.k:
+                raise wrong(f"--iterations {asked.iterations}: {recorder.k} are done already")
+            shown.note(f"going on after iteration {recorder.k}")
+            begun.append(recorder)
+            document = _run(job, asked, recorder, shown)
+        _tell(job, asked, document, path, as_json)
 
 
 def _beside(asked: Asked) -> Path:
@@ -110,8 +117,28 @@ def options_of(asked: Asked) -> EstimateOptions:
     )
 
 
+@contextmanager
+def _resumable(asked: Asked) -> Iterator[list[Recorder]]:
+    """Save what is done when it is interrupted, and say how to go on; the recorder is put in the list."""
+    begun: list[Recorder] = []
+    try:
+        yield begun
+    except KeyboardInterrupt:
+        if not begun:
+            raise
+        recorder = begun[0]
+        recorder.save()
+        raise Ending(
+            Code.INTERRUPTED,
+            f"interrupted after {recorder.k} of {asked.iterations} iterations. Go on with\n"
+            f"  {again(recorder.path)}",
+            state=str(recorder.path),
+            iteration=recorder.k,
+        ) from None
+
+
 def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[str, Any]:
-    """Iterate, then smooth and assess; what is done is saved when that is interrupted."""
+    """Iterate, then smooth and assess."""
     options = options_of(asked)
     shown.begin(asked.iterations, recorder.k)
     try:
@@ -122,15 +149,6 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
     except Problem:  # diverged or lost: from here nothing leads on
         _tidy(asked, recorder.path)
         raise
-    except KeyboardInterrupt:
-        recorder.save()
-        raise Ending(
-            Code.INTERRUPTED,
-            f"interrupted after {recorder.k} of {asked.iterations} iterations. Go on with\n"
-            f"  {again(recorder.path)}",
-            state=str(recorder.path),
-            iteration=recorder.k,
-        ) from None
 
 
 # ---- telling ----------------------------------------------------------------------------------

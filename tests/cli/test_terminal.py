@@ -13,9 +13,10 @@ from engine.series_files import write_series
 from service.cli import state
 from tests.cli.conftest import RBPS
 
+# enough particles that there is time to type within the iterations
 FIT = (
     *("data.csv", "-m", "mixed-4", "--set", "theta_2=0.9", "--free", "theta_2,theta_5"),
-    *("-n", "30", "--particles", "30", "--seed", "5", "--no-standard-errors"),
+    *("-n", "30", "--particles", "250", "--seed", "5", "--no-standard-errors"),
 )  # fmt: skip
 
 
