@@ -15,7 +15,7 @@ from engine.model import MixedModel
 from engine.report import write_report
 from service import diagnoses, strict_json
 from service.cli import references
-from service.cli.ending import Code, Ending, wrong
+from service.cli.ending import Code, Ending, Interrupt, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
 from service.cli.values import figure_folder, free_of, output_path, theta_of
@@ -45,14 +45,15 @@ class Wanted:
 
 
 class Steps:
-    """Where ``diagnoses.Percent`` tells how far it is."""
+    """Where ``diagnoses.Percent`` tells how far it is, and where Ctrl-C ends the diagnosis."""
 
-    def __init__(self, shown: Meter) -> None:
-        self.shown = shown
+    def __init__(self, shown: Meter, interrupt: Interrupt) -> None:
+        self.shown, self.interrupt = shown, interrupt
 
     def step(self, k: int, message: str = "") -> None:
         """Per cent done."""
         self.shown.at(k, message)
+        self.interrupt.check()
 
 
 def run(wanted: Wanted, as_json: bool, quiet: bool) -> None:
@@ -89,20 +90,22 @@ def _diagnosis(wanted: Wanted, shown: Meter) -> tuple[engine.Diagnosis, dict[str
     model = _holding(model, wanted.fixed)
     _check_effects(model, wanted)
     shown.begin(diagnoses.STEPS)
+    interrupt = Interrupt()
     try:
-        found = engine.diagnose(
-            model,
-            series,
-            theta if wanted.start else None,  # without a start, one is searched for
-            test,
-            seed=wanted.seed,
-            alpha=wanted.alpha,
-            effects=wanted.consider or None,
-            max_effects=wanted.max_effects,
-            free=free,
-            bootstrap=wanted.bootstrap,
-            callback=diagnoses.Percent(Steps(shown)),
-        )
+        with interrupt.held():
+            found = engine.diagnose(
+                model,
+                series,
+                theta if wanted.start else None,  # without a start, one is searched for
+                test,
+                seed=wanted.seed,
+                alpha=wanted.alpha,
+                effects=wanted.consider or None,
+                max_effects=wanted.max_effects,
+                free=free,
+                bootstrap=wanted.bootstrap,
+                callback=diagnoses.Percent(Steps(shown, interrupt)),
+            )
     except KeyboardInterrupt:
         raise Ending(
             Code.INTERRUPTED,

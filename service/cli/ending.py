@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 import traceback
 from collections.abc import Iterator
@@ -28,6 +29,32 @@ CODES = (
     "Exit codes: 0 done; 1 the estimation diverged, was lost, or cannot be computed; 2 wrong usage "
     "or data; 3 only with 'diagnose --exit-code': the model leaves something out; 130 interrupted."
 )
+
+
+class Interrupt:
+    """Ctrl-C held back until :meth:`check`, as compiled code may swallow it; a second one is not held."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold it back within; it is raised at the end at the latest."""
+        before = signal.signal(signal.SIGINT, self._take)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+        self.check()
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt if it came."""
+        if self.came:
+            raise KeyboardInterrupt
+
+    def _take(self, *_: Any) -> None:
+        self.check()
+        self.came = True
 
 
 class Ending(Exception):  # noqa: N818 - an end need not be an error

@@ -142,7 +142,7 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
     options = options_of(asked)
     shown.begin(asked.iterations, recorder.k)
     try:
-        with recorder.between_iterations():
+        with recorder.interrupt.held():
             found = kinds.fit(job, options, job.theta, options.seed, recorder)
         recorder.save()
         return kinds.describe(job, options, found, recorder)

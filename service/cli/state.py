@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from engine.model import Array, Theta
-from service.cli.ending import wrong
+from service.cli.ending import Interrupt, wrong
 from service.cli.meter import Meter
 
 FORMAT = 1
@@ -86,7 +86,7 @@ class Recorder:
         self.path, self.asked, self.meter = path, asked, meter
         self.done: list[Array] = [] if rows is None else list(rows)
         self._saved = time.monotonic()
-        self._stop = False
+        self.interrupt = Interrupt()
 
     @property
     def k(self) -> int:
@@ -108,28 +108,7 @@ class Recorder:
         if time.monotonic() - self._saved > SAVE_SECONDS:
             self.save()
         self.meter.at(it.k, f"log-likelihood {it.log_likelihood:.2f}")
-        if self._stop:
-            raise KeyboardInterrupt
-
-    @contextmanager
-    def between_iterations(self) -> Iterator[None]:
-        """Ctrl-C waits for the end of the iteration, as compiled code is not to be left half way.
-
-        A second one does not wait.
-        """
-
-        def stop(*_: Any) -> None:
-            if self._stop:
-                raise KeyboardInterrupt
-            self._stop = True
-
-        before = signal.signal(signal.SIGINT, stop)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, before)
-        if self._stop:  # it came after the last iteration
-            raise KeyboardInterrupt
+        self.interrupt.check()
 
     def step(self, k: int, message: str = "") -> None:
         """What follows the iterations."""

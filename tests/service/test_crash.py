@@ -8,8 +8,8 @@ import pytest
 
 @pytest.fixture
 def request_(estimation):
-    """About two seconds of iterations."""
-    return estimation(particles=100, iterations=60, seed=9)
+    """Some seconds of iterations."""
+    return estimation(particles=200, iterations=100, seed=9)
 
 
 @pytest.fixture
