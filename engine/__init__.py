@@ -30,7 +30,12 @@ from engine.series import Series
 from engine.simulate import Simulation, simulate
 from engine.simulation_fit import fit_simulation
 from engine.special_case import SpecialCase, gaussian_case, rb_ffbsi_special, rbpf_special
-from engine.standard_errors import StandardErrors, standard_errors
+from engine.standard_errors import (
+    LikelihoodIntervals,
+    StandardErrors,
+    likelihood_intervals,
+    standard_errors,
+)
 
 __all__ = [
     "Checkpoint",
@@ -42,6 +47,7 @@ __all__ = [
     "Gaussian",
     "GaussianMixture",
     "Iteration",
+    "LikelihoodIntervals",
     "MixedModel",
     "ModelError",
     "NonlinearModel",
@@ -70,6 +76,7 @@ __all__ = [
     "gaussian_case",
     "get_model",
     "kalman_smoother",
+    "likelihood_intervals",
     "model_names",
     "particle_filter",
     "plugin_errors",

@@ -23,9 +23,7 @@ from engine.rb_ffbsi import rb_ffbsi
 from engine.rbpf import rbpf
 from engine.report import write_report
 from engine.series import Series, as_series_list
-from engine.standard_errors import StandardErrors
-
-NORMAL = 1.959964  # standard errors to either side of a 95 % interval
+from engine.standard_errors import LikelihoodIntervals, StandardErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +45,15 @@ def examine(
     found: EmResult,
     series: Series | Sequence[Series],
     errors: StandardErrors | None = None,
+    intervals: LikelihoodIntervals | None = None,
     n_particles: int = 100,
     seed: int = 0,
 ) -> Examination:
     """Look at an estimate on the series it comes from.
 
     ``errors`` are its standard errors, where they were computed; with them the simulation's bands hold
-    the parameters' uncertainty. States are smoothed with ``n_particles`` particles. Raises ModelError
+    the parameters' uncertainty. ``intervals`` by the likelihood ratio are shown in place of those that
+    the standard errors give. States are smoothed with ``n_particles`` particles. Raises ModelError
     for a model without linear part, OptionError, SeriesError.
     """
     model = found.model
@@ -70,10 +70,9 @@ def examine(
         )
         smoothed = condition_on_trajectories(draws)
         states.append((smoothed.mean(), smoothed.std()))
-    values = None if errors is None else errors.values
     document = {
         "model": model_document(model),
-        "estimate": estimate_document(model, found.theta, found.free, values),
+        "estimate": estimate_document(model, found.theta, found.free, errors, intervals),
         "outcome": found.outcome.name.lower().replace("_", "-"),
         "message": found.message,
         "trace": trace_document(found),
@@ -96,18 +95,29 @@ def model_document(model: MixedModel) -> dict[str, Any]:
 
 
 def estimate_document(
-    model: MixedModel, theta: ThetaLike, free: Sequence[str], errors: Array | None
+    model: MixedModel,
+    theta: ThetaLike,
+    free: Sequence[str],
+    errors: StandardErrors | None,
+    intervals: LikelihoodIntervals | None = None,
 ) -> dict[str, Any]:
-    """Each parameter's value, standard error, 95 % interval and unit; None for what is not known."""
+    """Each parameter's value, standard error, 95 % interval and unit; None for what is not known.
+
+    Intervals are those by the likelihood ratio, or symmetric ones where these are not given; an
+    interval without an end is None.
+    """
     out: dict[str, Any] = {}
     values = model.theta(theta)
     for i, p in enumerate(model.parameters):
-        error = None if errors is None or not np.isfinite(errors[i]) else float(errors[i])
-        value = float(values[i])
+        value, error, interval = float(values[i]), None, None
+        if errors is not None and np.isfinite(errors.values[i]):
+            error = float(errors.values[i])
+            ends = (errors.interval() if intervals is None else intervals.values)[i]
+            interval = ends.tolist() if np.isfinite(ends).all() else None
         out[p.name] = {
             "value": value,
             "standard_error": error,
-            "interval": None if error is None else [value - NORMAL * error, value + NORMAL * error],
+            "interval": interval,
             "unit": p.unit,
         }
         if p.name not in free:

@@ -182,7 +182,9 @@ class Estimated(BaseModel):
     value: float
     standard_error: float | None
     interval: tuple[float, float] | None = Field(
-        default=None, description="95 %; from the bootstrap where there was one"
+        default=None,
+        description="95 %: by the likelihood ratio, or symmetric, or from the bootstrap where there was one; "
+        "null where it has no end or was not computed",
     )
     unit: str
     fixed: bool = Field(default=False, description="true for a parameter that was not free")

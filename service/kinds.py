@@ -17,7 +17,7 @@ from engine.examine import (
 )
 from engine.model import Array, MixedModel, Theta
 from engine.series import Series
-from engine.standard_errors import StandardErrors
+from engine.standard_errors import LikelihoodIntervals, StandardErrors
 from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
@@ -92,24 +92,32 @@ def describe(
     states = _states(job, theta, n, options.trajectories or n, rng, options.method)
     message = found["message"]
     errors: StandardErrors | None = None
+    intervals: LikelihoodIntervals | None = None
     if options.standard_errors and not options.bootstrap:
         progress.step(done, "standard errors")
+        exact = options.method == "rts-em"
         try:
             errors = engine.standard_errors(
-                model, theta, job.series, job.free, seed=options.seed,
-                exact=options.method == "rts-em",
-            )  # fmt: skip
+                model, theta, job.series, job.free, seed=options.seed, exact=exact
+            )
         except ModelError as error:
             message += f" No standard errors: {error}"
+    if errors is not None and options.intervals == "likelihood-ratio":
+        progress.step(done, "intervals")
+        try:
+            intervals = engine.likelihood_intervals(
+                model, theta, job.series, errors=errors, seed=options.seed, exact=exact
+            )
+        except ModelError as error:
+            message += f" Intervals are symmetric: {error}"
     progress.step(done, "comparing simulation and prediction with the data")
     examined = examination(
         model, theta, job.series, covariance_of(model, errors), seed=options.seed
     )
-    values = None if errors is None else errors.values
     trace = np.array(found["trace"])
     return {
         "model": model_document(model),
-        "estimate": estimate_document(model, theta, found["free"], values),
+        "estimate": estimate_document(model, theta, found["free"], errors, intervals),
         "outcome": found["outcome"],
         "message": message,
         "log_likelihood": log_likelihood(job, theta, n, rng, options.method),

@@ -196,6 +196,11 @@ class EstimateOptions(_Strict):
     iterations: int = Field(default=100, ge=1)
     seed: Seed = 0
     standard_errors: bool = Field(default=True, description="takes about as long as the rest")
+    intervals: Literal["likelihood-ratio", "symmetric"] = Field(
+        default="likelihood-ratio",
+        description="of 95 %, beside the standard errors; symmetric ones cost nothing more, but cover "
+        "too little where the likelihood is no parabola",
+    )
     starts: int = Field(default=1, ge=1, description="the best of so many starts is taken")
     bootstrap: int = Field(
         default=0, ge=0, description="standard errors from so many estimations on simulated data"

@@ -16,7 +16,7 @@ from engine.errors import ModelError
 from engine.model import Array
 from engine.ps_em import ps_em
 from engine.series import Series
-from engine.standard_errors import standard_errors
+from engine.standard_errors import likelihood_intervals, standard_errors
 from engine.studies.problems import PROBLEMS, Problem, log_likelihood, model_named
 from engine.studies.realisation import METHOD, realisation, stream
 from engine.studies.study import Arm, Row
@@ -61,11 +61,13 @@ def em_arm(
     options: Mapping[str, Any] | None = None,
     at_truth: bool = False,
     errors: bool = False,
+    intervals: bool = False,
 ) -> Arm:
     """Estimate by a method with options (default: none, so the method's defaults).
 
     ``at_truth`` starts at the true parameters: what a run that is not lost is measured against.
-    ``errors`` asks for standard errors at the estimate too.
+    ``errors`` asks for standard errors at the estimate too, ``intervals`` for those and likelihood-ratio
+    intervals.
     """
     options = dict(options or {})
     known = inspect.signature(METHODS[method]).parameters
@@ -76,9 +78,11 @@ def em_arm(
         and name not in ("theta0", "free", "callback", "resume", "seed")
     }
     settings = {"method": method, **used, **options, "start": "truth" if at_truth else "paper's"}
-    if errors:
+    if errors or intervals:
         settings["standard_errors"] = "defaults"
-    work = partial(estimate, problem, method, options, at_truth, errors)
+    if intervals:
+        settings["intervals"] = "likelihood-ratio, 95 %"
+    work = partial(estimate, problem, method, options, at_truth, errors or intervals, intervals)
     return Arm(f"{problem}.{label}", work, settings)
 
 
@@ -88,6 +92,7 @@ def estimate(
     options: Mapping[str, Any],
     at_truth: bool,
     errors: bool,
+    intervals: bool,
     seed: int,
     run: int,
 ) -> Row:
@@ -124,20 +129,32 @@ def estimate(
     )
     row.update(_parameters(problem, model.parameter_names, theta, trace))
     if errors:
-        row.update(_standard_errors(problem, theta, series))
+        row.update(_standard_errors(problem, theta, series, intervals))
     return row
 
 
-def _standard_errors(problem: Problem, theta: Array, series: Series) -> Row:
+def _standard_errors(problem: Problem, theta: Array, series: Series, intervals: bool) -> Row:
+    """Columns ``se.`` and, if ``intervals``, ``low.`` and ``high.`` of every free parameter."""
     model = model_named(problem.model)
     started = time.perf_counter()
     values = np.full(len(theta), np.nan)
+    ends, interval_seconds = np.full((len(theta), 2), np.nan), 0.0
     if np.isfinite(theta).all():
         with contextlib.suppress(*FAILURES):
-            values = standard_errors(model, theta, series, problem.free).values
-    row: Row = {"se_seconds": time.perf_counter() - started}
+            found = standard_errors(model, theta, series, problem.free)
+            values = found.values
+            if intervals:
+                between = time.perf_counter()
+                ends = likelihood_intervals(model, theta, series, errors=found).values
+                interval_seconds = time.perf_counter() - between
+    row: Row = {"se_seconds": time.perf_counter() - started - interval_seconds}
+    if intervals:
+        row["interval_seconds"] = interval_seconds
     for name in problem.free:
-        row[f"se.{name}"] = float(values[model.parameter_names.index(name)])
+        k = model.parameter_names.index(name)
+        row[f"se.{name}"] = float(values[k])
+        if intervals:
+            row[f"low.{name}"], row[f"high.{name}"] = ends[k].tolist()
     return row
 
 
@@ -167,7 +184,8 @@ RTS_I = em_arm("table-I", "rts-em", "rts", _paper("rts", 100))
 PS_I = em_arm("table-I", "ps-em", "ps", _paper("ps", 100))
 RBPS_I = em_arm("table-I", "rbps-em", "rbps", _paper("rbps", 100))
 DEFAULT_I = em_arm("table-I", "default", errors=True)
-TRUTH_I = em_arm("table-I", "truth", at_truth=True, errors=True)
+# as by default, but not stopped before it has settled
+SETTLED_I = em_arm("table-I", "settled", "rbps", {"n_iterations": 1000}, intervals=True)
 RBPS_THETA_2 = em_arm("theta-2", "rbps-em", "rbps", _paper("rbps", 500))
 PS_THETA_2 = em_arm("theta-2", "ps-em", "ps", _paper("ps", 500))
 DEFAULT_THETA_2 = em_arm("theta-2", "default", errors=True)

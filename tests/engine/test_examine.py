@@ -130,3 +130,11 @@ def test_seven_digits_are_kept():
     assert [repr(v) for v in out[:3].tolist()] == ["1.234568e-05", "-98765430.0", "0.0"]
     assert np.isnan(out[3])
     assert np.isinf(out[4])
+
+
+def test_intervals_by_the_likelihood_ratio_replace_symmetric_ones(series, found):
+    errors = engine.standard_errors(LINEAR, found.theta, series, exact=True)
+    intervals = engine.likelihood_intervals(LINEAR, found.theta, series, errors=errors, exact=True)
+    theta = engine.examine(found, series, errors, intervals).to_dict()["estimate"]["theta"]
+    assert theta["interval"] == intervals.values[0].tolist()
+    assert theta["standard_error"] == pytest.approx(errors.values[0])

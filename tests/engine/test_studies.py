@@ -254,15 +254,18 @@ def test_standard_errors_report(tmp_path):
     made = []
     for run in range(200):
         made.append({"run": str(run), "theta.theta": str(0.1 + 0.03 * rng.standard_normal())})
-        made[-1] |= {"se.theta": "0.03", "se_seconds": "1"}
+        made[-1] |= {"se.theta": "0.03", "outcome": "CONVERGED"}
+        made[-1] |= {"low.theta": "0.05", "high.theta": "inf"} if run < 190 else {}
+        made[-1] |= {"low.theta": "0.11", "high.theta": "0.2"} if run < 8 else {}
+    close, symmetric, ratio = 7, 9, 11
     cells = uncertainty.case(Table(made, {}, 0.0, 1), "table-I", "theta")
-    assert cells[5] == "yes"
-    assert cells[7] == "yes"
+    assert cells[2] == "200"
+    assert [cells[k] for k in (close, symmetric, ratio)] == ["yes", "yes", "yes"]
+    assert "of 190" in cells[10]
     for row in made:
         row["se.theta"] = "0.02"
     cells = uncertainty.case(Table(made, {}, 0.0, 1), "table-I", "theta")
-    assert cells[5] == "no"
-    assert cells[7] == "no"
+    assert [cells[k] for k in (close, symmetric, ratio)] == ["no", "no", "yes"]
 
 
 def test_command_line(tmp_path, capsys):

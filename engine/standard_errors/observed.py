@@ -1,29 +1,24 @@
 """Standard errors from the observed information, by differences of the score.
 
-Fisher's identity gives the score as the gradient of the Q-function at its own theta,
-
-    s(theta) = d log p_theta(y) / d theta = d Q(theta', theta) / d theta' at theta' = theta,
-
-and the observed information is its negative derivative. Louis' identity would subtract the variance
-of the complete-data score from the complete-data information: where EM contracts slowly the two
-nearly cancel, and their Monte Carlo noise does not. Differences of s over half a standard error to either
-side need far fewer trajectories. The directions of the differences are the columns of a square root of
-the covariance, so they are found in a first round and refined in a second.
+The observed information is the negative derivative of the score. Louis' identity would subtract the
+variance of the complete-data score from the complete-data information: where EM contracts slowly the
+two nearly cancel, and their Monte Carlo noise does not. Differences of the score over half a standard
+error to either side need far fewer trajectories. The directions of the differences are the columns of a
+square root of the covariance, so they are found in a first round and refined in a second.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from engine import display
-from engine.e_steps import rbps_step, rts_step
 from engine.errors import ModelError
 from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.series import Series, as_series_list
+from engine.standard_errors.score import Score, inside
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates
 GUESS = 0.1  # share of the complete-data information that the data usually hold, to start with
@@ -95,23 +90,11 @@ def standard_errors(
     """
     theta = model.theta(theta)
     listed = as_series_list(series, model)
-    indices = model.free_indices(free)
-    indices = indices[
-        (theta[indices] > model.lower[indices]) & (theta[indices] < model.upper[indices])
-    ]
-    names = tuple(model.parameter_names[i] for i in indices)
-    if exact:
-        expect, replicates = rts_step(model, listed), 1
-    else:
-        expect = rbps_step(model, listed, n_particles, n_trajectories)
+    indices = inside(model, theta, free)
+    score = Score.of(model, theta, listed, indices, n_particles, n_trajectories, exact)
+    names, x, replicates = score.names, score.x, 1 if exact else replicates
     seeds = np.random.SeedSequence(seed).spawn(replicates)
-
-    def score(at: Array, which: np.random.SeedSequence) -> tuple[Array, Array]:
-        point = Theta(at, theta.names)
-        step = expect(point, np.random.default_rng(which))
-        return step.q.derivatives(point, indices)[1:]
-
-    centre = [score(theta, which) for which in seeds]
+    centre = [score.at(x, which) for which in seeds]
     H = np.mean([h for _, h in centre], axis=0)
     silent = [name for name, h in zip(names, np.diag(H), strict=True) if not h > 0.0]
     if silent:
@@ -121,7 +104,7 @@ def standard_errors(
         )
     L = _root(np.linalg.inv(H / GUESS))
     for n in [1] * (ROUNDS - 1) + [replicates]:
-        G = np.array([_whitened_information(score, theta, indices, L, w, model) for w in seeds[:n]])
+        G = np.array([_whitened_information(score, L, which) for which in seeds[:n]])
         refined = L @ _root(_inverse(G.mean(axis=0)))
         spread, L_last, L = G, L, refined
     covariance = L @ L.T
@@ -137,26 +120,15 @@ def standard_errors(
     )
 
 
-def _whitened_information(
-    score: Callable[[Array, np.random.SeedSequence], tuple[Array, Array]],
-    theta: Theta,
-    indices: NDArray[np.intp],
-    L: Array,
-    which: np.random.SeedSequence,
-    model: MixedModel,
-) -> Array:
+def _whitened_information(score: Score, L: Array, which: np.random.SeedSequence) -> Array:
     """L' I L from central differences of the score along the columns of L, clipped to the bounds."""
-    n = len(indices)
+    n, x = len(L), score.x
     G = np.empty((n, n))
     for k in range(n):
         ends, lengths = [], []
         for sign in (-1.0, 1.0):
-            length = _within(
-                theta[indices], sign * L[:, k], model.lower[indices], model.upper[indices]
-            )
-            at = np.array(theta)
-            at[indices] += sign * length * L[:, k]
-            ends.append(score(at, which)[0])
+            length = _within(x, sign * L[:, k], *score.bounds)
+            ends.append(score.at(x + sign * length * L[:, k], which)[0])
             lengths.append(length)
         G[:, k] = L.T @ (ends[0] - ends[1]) / sum(lengths)
     return 0.5 * (G + G.T)
