@@ -181,16 +181,20 @@ def test_written_csv_gives_unrecognised_names_a_prefix(tmp_path):
     assert read_series(tmp_path / "a.csv").y_names == ("y_flow",)
 
 
-def test_hundred_thousand_rows_are_read_within_seconds(tmp_path):
+def test_hundred_thousand_rows_take_about_as_long_as_numpy_does(tmp_path):
+    path = tmp_path / "long.csv"
     rng = np.random.default_rng(0)
     y = rng.standard_normal(100_000)
     y[::10] = np.nan
-    write_series(Series(y, rng.standard_normal(100_000)), tmp_path / "long.csv")
+    write_series(Series(y, rng.standard_normal(100_000)), path)
     began = time.perf_counter()
-    back = read_series(tmp_path / "long.csv")
-    assert time.perf_counter() - began < 5.0
-    assert len(back) == 100_000
+    table = np.genfromtxt(path, delimiter=",", skip_header=1)
+    numpy_took, began = time.perf_counter() - began, time.perf_counter()
+    back = read_series(path)
+    took = time.perf_counter() - began
+    np.testing.assert_array_equal(np.column_stack((back.t, back.y, back.u)), table)
     assert int((~back.observed).sum()) == 10_000
+    assert took < 20.0 * numpy_took  # twice as long where nothing else runs
 
 
 def test_nile():
