@@ -41,6 +41,7 @@ class DaskRunner:
         self._store, self._terms, self._on_free = store, terms, on_free
         self._scheduler, self._places, self._away = scheduler, 0, False
         self._running: dict[str, tuple[Attempt, Any]] = {}
+        self._ending, self._stopped = threading.Lock(), False
         self._client: Any = None  # until the scheduler is there; services need not start after it
 
     def _connect(self) -> Any:
@@ -73,7 +74,9 @@ class DaskRunner:
                     self._client.close(timeout=1)
             self._places, self._client = 0, None
             self._running.clear()  # what still runs of these keeps or loses its own lease
-        return self._places - len(self._running)
+        # Another service of this store, or one that was killed, may have attempts in the cluster too;
+        # a task claimed beyond its places would lose its lease in Dask's queue.
+        return self._places - max(len(self._running), self._store.leased())
 
     def running(self) -> int:
         """How many attempts there are."""
@@ -94,15 +97,18 @@ class DaskRunner:
                 self._store.release(attempt)  # its watcher sees it and kills the process
             with contextlib.suppress(OSError, distributed.CancelledError):  # the scheduler has gone
                 future.exception()
+        with self._ending:  # a callback that comes later would use a store that is closed
+            self._stopped = True
         if self._client is not None:
             self._client.close()
 
     def _done(self, attempt: Attempt, future: Any) -> None:
         self._running.pop(attempt.token, None)
         try:
-            if future.status != "finished":
-                cause = "the machine or Dask worker that ran the computation disappeared"
-                self._store.lost(attempt, cause, self._terms.losses_allowed)
+            with self._ending:
+                if future.status != "finished" and not self._stopped:
+                    cause = "the machine or Dask worker that ran the computation disappeared"
+                    self._store.lost(attempt, cause, self._terms.losses_allowed)
         except SQLAlchemyError:  # the lease will run out
             log.exception("the loss could not be written", extra={"job": attempt.job_id})
         self._on_free()

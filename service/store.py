@@ -257,6 +257,12 @@ class Store:
                 )
         return Attempt(task.job, task.id, task.task, token, task.losses, task.run_seconds)
 
+    def leased(self) -> int:
+        """How many tasks belong to an attempt, of whichever service."""
+        with self._read.begin() as sql:
+            query = select(func.count()).select_from(tasks).where(tasks.c.state == "running")
+            return int(sql.scalar(query) or 0)
+
     def renew(self, attempt: Attempt, lease: float) -> bool:
         """Keep the lease; False if the task is no longer this attempt's."""
         with self._engine.begin() as sql:

@@ -5,10 +5,14 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("distributed")
+
+from service.dask_runner import DaskRunner
+from service.runner import Terms
 
 
 class Cluster:
@@ -93,6 +97,83 @@ def test_estimate_cancel_and_a_killed_worker(
     job = ended(client, url)
     assert job["status"] == "successful", job["message"]
     assert client.get(f"{url}/trace").json()["theta"] == expected
+
+
+@pytest.fixture
+def front(spawn, cluster, database, eventually):
+    """Starts a service of the cluster as a process of its own."""
+
+    def start(**more):
+        there = {"dask_scheduler": cluster.address, "database_url": database}
+        service = spawn(**(there | more))
+        eventually(lambda: "rbps_workers 2" in service.client.get("/metrics").text)
+        return service
+
+    return start
+
+
+def test_a_killed_computation_and_a_killed_service(front, attempts, estimation, wait, ended):
+    """The computation starts again where it was; that of a service that died goes on without it."""
+    service = front(lease_seconds=5)
+    request = estimation(particles=200, iterations=150, seed=9)
+
+    def submitted():
+        url = service.client.post("/jobs", json=request).headers["location"]
+        wait(service.client, url, lambda job: job["iteration"] >= 3)
+        return url
+
+    def trace(url):
+        return service.client.get(f"{url}/trace").json()["theta"]
+
+    url = submitted()
+    assert ended(service.client, url)["status"] == "successful"
+    expected = trace(url)
+
+    url = submitted()
+    ((computation,),) = attempts().values()
+    os.kill(computation, signal.SIGKILL)
+    job = wait(service.client, url, lambda job: "killed by signal 9" in job["message"])
+    job = ended(service.client, url)
+    assert (job["status"], trace(url)) == ("successful", expected), job["message"]
+
+    url = submitted()
+    before = attempts()
+    service.stop(signal.SIGKILL)
+    assert attempts() == before
+    service = front(lease_seconds=5)
+    job = ended(service.client, url)
+    assert (job["status"], trace(url)) == ("successful", expected), job["message"]
+    assert "restart" not in job["message"]
+
+
+def test_workers_that_another_service_uses_are_not_free(
+    front, attempts, estimation, long, wait, ended, eventually
+):
+    """What it left running after a kill has its places; other jobs wait and lose nothing."""
+    service = front(lease_seconds=2)
+    running = [service.client.post("/jobs", json=long).headers["location"] for _ in range(2)]
+    for url in running:
+        wait(service.client, url, lambda job: job["iteration"] >= 1)
+    before = attempts()
+    service.stop(signal.SIGKILL)
+    service = front(lease_seconds=2, losses_allowed=0)
+    waiting = service.client.post("/jobs", json=estimation()).headers["location"]
+    time.sleep(6.0)
+    assert service.client.get(waiting).json()["status"] == "accepted"
+    assert attempts() == before
+    for url in running:
+        assert service.client.delete(url).json()["status"] == "dismissed"
+    job = ended(service.client, waiting)
+    assert job["status"] == "successful", job["message"]
+
+
+def test_what_ends_after_the_service_has_stopped_is_let_alone(store):
+    runner = DaskRunner(store, "tcp://nowhere", Terms(10.0, 10.0, 2, 0), lambda: None)
+    store.create("estimate", "linear-2", {}, 10)
+    attempt = store.claim("a", 10.0)
+    runner.stop(drain=True)
+    runner._done(attempt, SimpleNamespace(status="cancelled"))
+    assert store.holds(attempt)
 
 
 def test_a_study_is_spread_over_the_workers(client, attempts, estimation, ended):
