@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -12,14 +13,22 @@ from service import job_pages, pages, problems
 from service.api import router
 from service.auth import Keys, check_exposure
 from service.limits import BodyLimit
-from service.runner import LocalRunner, Runner, Terms
+from service.runner import GUARD, LocalRunner, Runner, Terms
 from service.settings import Settings
 from service.store import Store
 from service.supervisor import Supervisor
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
-    """The application; its supervisor runs from startup to shutdown."""
+    """The application; its supervisor runs from startup to shutdown.
+
+    Raises RuntimeError in a worker process that only imports the script it was started from.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise RuntimeError(
+            "a worker process imports the script that starts the service, and so starts it again: "
+            f"{GUARD}"
+        )
     settings = settings or Settings.from_env()
     keys = Keys(settings.keys_file)
     check_exposure(settings, keys)

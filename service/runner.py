@@ -30,6 +30,7 @@ log = logging.getLogger("service")
 
 POLL_SECONDS = 0.25  # how soon a cancelled job's process is killed
 START_TRIES = 3
+GUARD = "create_app() and uvicorn.run() belong under `if __name__ == '__main__':`"
 _starting = threading.Lock()  # multiprocessing polls all children when it starts one
 
 
@@ -175,10 +176,12 @@ def _context() -> ForkServerContext:
 
 
 def warm_up() -> None:
-    """Return when the forkserver has the engine loaded."""
+    """Return when the forkserver has the engine loaded; says so if workers cannot start."""
     process = _start(int, ())
     with _starting:
         process.join()
+    if process.exitcode:
+        log.error("no job will be computed: %s", _epitaph(process))
 
 
 def spawn(url: str, attempt: Attempt, memory: int) -> BaseProcess:
@@ -245,4 +248,5 @@ def _epitaph(process: BaseProcess) -> str:
         return f"the worker process was killed by signal {-code}{hint}"
     if code == STORE_FAILED:
         return "the store could not be written (its disk may be full)"
-    return f"the worker process ended with exit code {code}"
+    hint = f" (the log says why; in a script of your own, {GUARD})" if code == 1 else ""
+    return f"the worker process ended with exit code {code}{hint}"

@@ -1,8 +1,13 @@
 """Killed workers and killed services: nothing lost, nothing twice, the same bits."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
+import httpx
 import pytest
 
 
@@ -91,6 +96,66 @@ def test_a_stopped_service_goes_on_where_it_was(spawn, catch, ended, dead, reque
     assert (job["status"], "restart" in job["message"]) == ("successful", False)
     assert "goes on after iteration" in (again.state / "log").read_text()
     assert without_seconds(again.client.get(f"{url}/results").json()) == expected
+
+
+def test_memory_that_ends_is_taken_from_a_worker_first(spawn, catch, long):
+    service = spawn()
+    _, worker = catch(service, long, iterations=1)
+    scores = [
+        int(Path(f"/proc/{pid}/oom_score_adj").read_text()) for pid in (service.process.pid, worker)
+    ]
+    assert scores[0] < scores[1]
+
+
+UNGUARDED = """
+import uvicorn
+from service.app import create_app
+from service.logs import configure
+from service.settings import Settings
+configure()
+settings = Settings.from_env()
+uvicorn.run(create_app(settings), port=settings.port, log_config=None)
+"""
+
+
+def test_a_script_without_a_main_guard_is_told_so(tmp_path, free_ports, ended, eventually):
+    script, port = tmp_path / "serve.py", free_ports()
+    script.write_text(UNGUARDED)
+    env = {
+        "RBPS_STATE_DIR": tmp_path,
+        "RBPS_PORT": port,
+        "RBPS_WORKERS": 1,
+        "RBPS_LOSSES_ALLOWED": 0,
+    }
+    with (tmp_path / "log").open("wb") as log:
+        path = os.pathsep.join(sys.path)  # a script's own folder takes the place of this one
+        served = subprocess.Popen(
+            [sys.executable, script],
+            env=os.environ | {"PYTHONPATH": path} | {k: str(v) for k, v in env.items()},
+            stderr=log,
+        )
+    client = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60)
+
+    def answers():
+        try:
+            return client.get("/livez").status_code == 200
+        except httpx.TransportError:
+            return False
+
+    try:
+        eventually(answers)
+        request = {"kind": "simulate", "model": "linear-2", "options": {"samples": 5}}
+        job = ended(client, client.post("/jobs", json=request).headers["location"])
+    finally:
+        client.close()
+        served.terminate()
+        served.wait(120)
+    assert job["status"] == "failed"
+    assert "belong under `if __name__ == '__main__':`" in job["message"]
+    lines = [
+        json.loads(one) for one in (tmp_path / "log").read_text().splitlines() if one[0] == "{"
+    ]
+    assert any(one["message"].startswith("no job will be computed") for one in lines)
 
 
 def test_run_time_is_limited(make_client, long, ended):
