@@ -84,7 +84,7 @@ def _load() -> None:
                 offered = offered()
             for model in _several(offered):
                 _register(model, replace=False)
-        except Exception as error:  # noqa: BLE001 - a stranger's package may raise anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's package may do anything
             _plugin_errors[point.name] = f"{type(error).__name__}: {error}"
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import ipaddress
+import re
 import secrets
 import sys
 from pathlib import Path
@@ -32,7 +33,7 @@ class Keys:
             if not line.strip() or line.startswith("#"):
                 continue
             name, _, digest = line.strip().partition(" ")
-            if len(digest) != 64 or len(name) > 64:
+            if not re.fullmatch("[0-9a-fA-F]{64}", digest) or len(name) > 64:
                 raise ValueError(f"{file}, line {i + 1}: 'NAME SHA256' is needed")
             self._hashes[name] = digest.lower()
 

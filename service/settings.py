@@ -61,7 +61,7 @@ class Settings:
     max_tasks: int = 1000  # starts, or bootstrap runs, of a job
     max_queue: int = 1000  # jobs that wait or run
     max_queue_per_key: int = 1000
-    body_seconds: float = 30.0  # longest pause within a body
+    body_seconds: float = 30.0  # longest pause within a body; the whole may take 20 times that
 
     def __post_init__(self) -> None:
         for name in ("workers", "lease_seconds", "run_seconds", "max_body", "max_queue"):

@@ -1,5 +1,6 @@
 """The manners of HTTP: conditional requests, repeats, keys, uploads, readiness, metrics."""
 
+import contextlib
 import io
 import json
 import os
@@ -210,9 +211,10 @@ def test_without_keys_only_loopback(make_client, tmp_path):
     with pytest.raises(ValueError, match=r"0\.0\.0\.0 can be reached .* RBPS_KEYS_FILE"):
         make_client(host="0.0.0.0")
     make_client(host="0.0.0.0", open_network=True)
-    (tmp_path / "keys").write_text("anna key\n")
-    with pytest.raises(ValueError, match="line 1: 'NAME SHA256'"):
-        make_client(keys_file=tmp_path / "keys")
+    for wrong in ("key", "ä" * 64):  # bytes beyond ASCII could not be compared
+        (tmp_path / "keys").write_text(f"anna {wrong}\n", "utf-8")
+        with pytest.raises(ValueError, match="line 1: 'NAME SHA256'"):
+            make_client(keys_file=tmp_path / "keys")
     assert Settings.from_env({"RBPS_OPEN_NETWORK": "yes"}).open_network
 
 
@@ -224,6 +226,24 @@ def test_a_body_that_stops_halfway(make_client):
         begin = time.monotonic()
         assert slow.recv(1000).startswith(b"HTTP/1.1 408")
         assert time.monotonic() - begin < 5.0
+
+
+def test_a_body_that_trickles(make_client):
+    """No pause is too long, but all together are."""
+    client = make_client(body_seconds=0.3)
+    with socket.create_connection(("127.0.0.1", client.port)) as slow:
+        slow.sendall(b"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n")
+        slow.sendall(b"Content-Length: 100000\r\n\r\n")
+        slow.settimeout(0.05)
+        begin = time.monotonic()
+        answer = b""
+        while not answer:
+            assert time.monotonic() - begin < 60.0
+            slow.sendall(b" ")
+            with contextlib.suppress(TimeoutError):
+                answer = slow.recv(1000)
+        assert answer.startswith(b"HTTP/1.1 408")
+        assert b"longer than 6 s" in answer + slow.recv(1000)
 
 
 def test_metrics_and_readiness(client, finished):

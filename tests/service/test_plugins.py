@@ -42,6 +42,7 @@ VALVE = MixedModel(
 ENTRIES = """[engine.models]
 valve = laboratory:VALVE
 gone = laboratory:MISSING
+quits = quitting:MODEL
 """
 REQUEST = {"kind": "smooth", "model": "valve", "series": [{"y": [[0.0], [0.1], [0.2], [0.1]]}]}
 
@@ -53,6 +54,7 @@ def service(spawn, tmp_path):
     info = site / "laboratory-1.0.dist-info"
     info.mkdir(parents=True)
     (site / "laboratory.py").write_text(MODELS)
+    (site / "quitting.py").write_text("raise SystemExit('no licence')")
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: laboratory\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(ENTRIES)
     path = os.pathsep.join([str(site), *sys.path])
@@ -66,6 +68,7 @@ def test_good_and_broken_and_misbehaving_models(
     models = client.get("/models").json()
     assert "valve" in {model["name"] for model in models["models"]}
     assert "MISSING" in models["broken_plugins"]["gone"]
+    assert models["broken_plugins"]["quits"] == "SystemExit: no licence"
     faults = {
         0: ("successful", ""),
         1: ("failed", "ZeroDivisionError: the valve is shut (laboratory.py, line 8, in dynamics)"),
