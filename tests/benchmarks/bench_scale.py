@@ -87,6 +87,11 @@ def main() -> None:
             out = subprocess.run(call, check=True, capture_output=True, text=True)
             rows.append(json.loads(out.stdout.splitlines()[-1]))
             print(line(rows[-1]), flush=True)
+    write(rows)
+
+
+def write(rows: list[dict[str, Any]]) -> None:
+    """The rows as ``scale.csv``, and the page about them."""
     with (RESULTS / "scale.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
@@ -101,8 +106,19 @@ def main() -> None:
         "| " + " | ".join("---" for _ in head) + " |",
         *map(line, rows),
         "",
+        "Slope of log seconds over log T (1: linear): "
+        + ", ".join(f"{name} {slope(rows, name):.2f}" for name in MODELS)
+        + ".",
+        "",
     ]
     (RESULTS / "scale.md").write_text("\n".join(text))
+
+
+def slope(rows: list[dict[str, Any]], name: str) -> float:
+    """The exponent of T by which the total grows."""
+    own = [(row["T"], row["total"]) for row in rows if row["model"] == name]
+    T, total = np.log(np.array(own)).T
+    return float(np.polyfit(T, total, 1)[0])
 
 
 def line(row: dict[str, Any]) -> str:
