@@ -9,6 +9,7 @@ from pathlib import Path
 from engine.studies.catalogue import ALIASES, DOCUMENTS, STUDIES
 from engine.studies.runner import make_study
 from engine.studies.study import StudyError
+from engine.studies.times import times
 
 RESULTS = Path("tests/benchmarks/results")
 
@@ -55,6 +56,10 @@ def main(arguments: list[str] | None = None) -> int:
         except StudyError as error:
             print(f"{name}: {error}", file=sys.stderr)
             return 2
+        print(text)
+    if options.names == ["all"]:
+        text = times([STUDIES[name] for name in wanted], options.out, options.seed)
+        (options.out / "times.md").write_text(text)
         print(text)
     return 0
 

@@ -29,6 +29,7 @@ from engine.studies.statistics import (
 )
 from engine.studies.store import Store
 from engine.studies.study import Arm, Study, StudyError, Table
+from engine.studies.times import times
 
 
 def draw(label, seed, run):
@@ -88,6 +89,24 @@ def test_more_runs_than_asked_for_are_used_and_none_is_made_twice(tmp_path):
     make_runs(arm, 3, tmp_path, workers=1)
     assert len(make_runs(arm, 2, tmp_path, workers=1)) == 3
     assert made == [0, 1, 2]
+
+
+def test_shared_runs_count_once_in_the_time_of_all_studies(tmp_path):
+    named = [Arm(name, partial(draw, name), {}) for name in "abc"]
+    for arm, seconds, workers in zip(named, (600.0, 1200.0, 80.0), (2, 1, 2), strict=True):
+        make_runs(arm, 3, tmp_path, workers=1)
+        store = Store(tmp_path, arm, 0)
+        store.wall = 0.0
+        store.spend(seconds, workers)
+    a, b, c = named
+    studies = [
+        Study(name, "t", dict.fromkeys(arms, 3), lambda tables: "", lambda tables, path: None)
+        for name, arms in (("one", (a, b)), ("two", (b, c)))
+    ]
+    text = times(studies, tmp_path)
+    assert "Together 21:20 on 2 cores" in text
+    assert "| `one` | 2 | 2 | 6 | 20:00 |" in text
+    assert "| `two` | 2 | 1 | 3 | 1:20 |" in text
 
 
 def test_progress_on_a_terminal_and_elsewhere():
