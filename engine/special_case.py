@@ -194,6 +194,7 @@ def rb_ffbsi_special(
         i[lost] = filtered.ancestors[t + 1, index[t + 1, lost]]
         index[t], a[t] = i, filtered.a[t, i]
 
+        # Approximation 1: the moments of particle i, whose past need not be that of a~_{1:t}
         P_f, L = _of(filtered.cov[t], i, common), _of(filtered.L[t], i, common)
         gain = gains(L, _of(filtered.AP[t], i, common))  # T_t, eq. (66c)
         gain_t, predicted = np.swapaxes(gain, 1, 2), L @ np.swapaxes(L, 1, 2)

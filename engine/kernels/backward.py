@@ -249,7 +249,7 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
             if i < 0:  # noise-free states: only the particle's own past leads to it
                 i = ancestors[t + 1, after]
             index[t, j] = i
-
+            # Here Approximation 1 is made: z and P of particle i, whose past need not be that of a~_{1:t}.
             b = 0
             if not common:
                 b = j
