@@ -96,6 +96,12 @@ class ReportOut(BaseModel):
     charts: list[dict[str, Any]]
 
 
+class ChartsOut(BaseModel):
+    """Curves of a report's charts by their numbers, as `charts` of the report has them."""
+
+    charts: dict[int, dict[str, Any]]
+
+
 class ParameterOut(BaseModel):
     """A parameter of a model; a bound that is null is infinite."""
 

@@ -5,24 +5,26 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Response
+from fastapi import APIRouter, Depends, Query, Response
 from fastapi import Request as HttpRequest
 from starlette.requests import Request
 from starlette.routing import BaseRoute, Route
 
 from engine.errors import OptionError
-from engine.report import RULES, OnPage, make_report, report_html
-from service.answers import ReportOut, ReportSection, TaskOut, Tasks
+from engine.report import RULES, OnPage, Report, make_report, report_html
+from service.answers import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
 from service.api import JobId, parameter_names, problem_answers, tagged
 from service.auth import Keys
 from service.found import find_job, find_result, roles
 from service.pages import Page, prefers_html, render
-from service.problems import Problem
+from service.problems import Problem, invalid
 from service.store import Store
 from service.strict_json import finite
 from service.thin import thin_results
 
-POINTS = 3000  # of a curve in a report
+POINTS = 3000  # of a curve in a report as a file
+From = Annotated[float, Query(alias="from", allow_inf_nan=False, description="time in seconds")]
+To = Annotated[float, Query(alias="to", allow_inf_nan=False, description="a later time in seconds")]
 # A report has no script, loads nothing, and brings its own style.
 FILE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 
@@ -60,21 +62,41 @@ def router(store: Store, keys: Keys) -> APIRouter:
     )
     def report(caller: Caller, http: HttpRequest, job_id: JobId) -> Response:
         row = find(job_id, caller)
-        document = thin_results(json.loads(find_result(store, row)), POINTS)
-        try:
-            if prefers_html(http.headers.get("Accept", "")):
-                return _file(row, document)
-            draw = OnPage()
-            made = make_report(document, draw)
-        except OptionError as error:
-            raise Problem(404, "no-report", str(error)) from None
+        document = json.loads(find_result(store, row))
+        if prefers_html(http.headers.get("Accept", "")):
+            return _file(row, thin_results(document, POINTS))
+        made, draw = _on_page(document)
         sections = [ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections]
         parts = ReportOut(
             title=made.title, summary=made.summary, sections=sections, charts=draw.charts
         )
         return tagged(http, parts.model_dump_json().encode())
 
+    @api.get(
+        "/jobs/{job_id}/charts",
+        summary="Long curves of its report between two times, with more of their points",
+        responses=problem_answers(404, 500),
+        response_model=ChartsOut,
+    )
+    def charts(caller: Caller, http: HttpRequest, job_id: JobId, low: From, high: To) -> Response:
+        if not low < high:
+            raise invalid("to", f"to = {high:g} is not after from = {low:g}")
+        document = json.loads(find_result(store, find(job_id, caller)))
+        _, draw = _on_page(document, (low, high))
+        return tagged(http, ChartsOut(charts=draw.finer).model_dump_json().encode())
+
     return api
+
+
+def _on_page(
+    document: dict[str, Any], zoom: tuple[float, float] | None = None
+) -> tuple[Report, OnPage]:
+    """The report's parts and its charts, numbered alike with any ``zoom``."""
+    draw = OnPage(zoom)
+    try:
+        return make_report(document, draw), draw
+    except OptionError as error:
+        raise Problem(404, "no-report", str(error)) from None
 
 
 def _tasks(row: Any, names: list[str], store: Store) -> list[TaskOut]:
@@ -96,13 +118,16 @@ def _tasks(row: Any, names: list[str], store: Store) -> list[TaskOut]:
 
 
 def _file(row: Any, document: dict[str, Any]) -> Response:
-    """The report as a file to keep."""
+    """The report as a file to keep. Raises Problem where there is nothing to report."""
     about = {"job": row.id, "kind": row.kind, "model": row.model, "finished": _time(row.finished)}
     headers = {
         "Content-Security-Policy": FILE_POLICY,
         "Content-Disposition": f'inline; filename="{row.kind}-{row.id[:8]}.html"',
     }
-    return Response(report_html(document, about), headers=headers, media_type="text/html")
+    try:
+        return Response(report_html(document, about), headers=headers, media_type="text/html")
+    except OptionError as error:
+        raise Problem(404, "no-report", str(error)) from None
 
 
 def _time(seconds: float | None) -> str:

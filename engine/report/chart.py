@@ -11,7 +11,8 @@ import numpy as np
 from engine.report.thin import keep
 
 Numbers = Sequence[float | None]
-POINTS = 2400  # of a chart, at most about
+POINTS = 4000  # of a chart, at most about
+TIMES = "t"  # ``sync`` of charts over time
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,8 @@ class Chart:
     """Curves over a common x.
 
     ``log`` names the logarithmic axes ("", "x", "xy"); ``level`` are horizontal lines to compare with;
-    ``wide`` charts take the width of the page; ``live`` ones are drawn by script where there is one,
-    to be zoomed, and those with the same ``sync`` show one cursor.
+    ``wide`` charts take the width of the page, ``small`` ones a third of it; ``live`` ones are drawn by
+    script where there is one, to be zoomed, and those with the same ``sync`` show one cursor.
     """
 
     title: str
@@ -50,16 +51,25 @@ class Chart:
     log: str = ""
     level: tuple[float, ...] = ()
     wide: bool = False
+    small: bool = False
     live: bool = True
-    sync: str = "t"
+    sync: str = TIMES
 
     def thinned(self, points: int = POINTS) -> Chart:
         """The same with about so many points at most, extremes kept."""
         if len(self.x) <= points:
             return self
         columns = [c for trace in self.traces for c in (trace.y, *(trace.band or ()))]
-        rows = keep(np.array(columns, dtype=float).T, points).tolist()
+        return self._rows(keep(np.array(columns, dtype=float).T, points).tolist())
 
+    def within(self, low: float, high: float) -> Chart:
+        """The same between two values of x, which increases, with one point more on either side."""
+        x = np.array(self.x, dtype=float)
+        first = max(int(np.searchsorted(x, low, "left")) - 1, 0)
+        last = min(int(np.searchsorted(x, high, "right")) + 1, len(x))
+        return self._rows(range(first, last))
+
+    def _rows(self, rows: Sequence[int]) -> Chart:
         def few(values: Numbers | None) -> Numbers | None:
             return None if values is None else [values[i] for i in rows]
 

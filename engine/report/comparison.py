@@ -108,7 +108,7 @@ def where_it_is(symptoms: Document, units: Document, draw: Drawer) -> Html:
         role = "model" if what == "free_run" else "data"
         figures = [
             draw(
-                _spectrum(output, bands, role)
+                _spectrum(output, units[output] if what == "free_run" else "", bands, role)
                 if kind == "frequency"
                 else _by_bands(output, units[output], signal, bands, role)
             )
@@ -147,24 +147,27 @@ def _by_bands(output: str, unit: str, signal: str, bands: list[dict[str, Any]], 
             ),
         ),
         level=(0.0,),
+        small=True,
         live=False,
     )
 
 
-def _spectrum(output: str, bands: list[dict[str, Any]], role: str) -> Chart:
+def _spectrum(output: str, unit: str, bands: list[dict[str, Any]], role: str) -> Chart:
+    """``unit`` of the errors; without one they are in standard deviations of the prediction."""
     edges = [b["low"] for b in bands] + [bands[-1]["high"]]
     error = [b["rms"] for b in bands]
     expected = [b["expected_rms"] for b in bands]
     return Chart(
         f"Error of {output} by frequency",
         "frequency [Hz]",
-        "rms in the band",
+        f"rms in the band [{pretty(unit)}]" if unit else "standardised rms in the band",
         edges,
         (
             Trace("error", [*error, error[-1]], "steps", role),
             Trace("expected by the model", [*expected, expected[-1]], "steps", "c4"),
         ),
         log="xy",
+        small=True,
         live=False,
     )
 

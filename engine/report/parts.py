@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from engine.report.chart import Chart
+from engine.report.chart import POINTS, TIMES, Chart
 from engine.report.html import Html, join, tag
 from engine.report.svg import svg_element
 from engine.words import number, tidy
@@ -29,15 +29,23 @@ def on_paper(chart: Chart) -> Html:
 
 @dataclass
 class OnPage:
-    """For a page with scripts: charts over a long axis become places for them, with data in ``charts``."""
+    """For a page with scripts: charts over a long axis become places for them, with data in ``charts``.
 
+    Of long curves over time fewer points are given, with their extremes. ``zoom`` = (from, to) in seconds
+    gives ``finer`` instead: {number of the chart: more of its points there}.
+    """
+
+    zoom: tuple[float, float] | None = None
     charts: list[dict[str, Any]] = field(default_factory=list)
+    finer: dict[int, dict[str, Any]] = field(default_factory=dict)
 
     def __call__(self, chart: Chart) -> Html:
         """A place with its number, or SVG where there is nothing to zoom into."""
         if not chart.live:
             return svg_element(chart)
-        self.charts.append(chart.thinned().spec())
+        if self.zoom is not None and chart.sync == TIMES and len(chart.x) > POINTS:
+            self.finer[len(self.charts)] = chart.within(*self.zoom).thinned().spec()
+        self.charts.append(chart.thinned().spec() | {"points": len(chart.x)})
         size = "figure live wide" if chart.wide else "figure live"
         return tag("div", class_=size, data_chart=len(self.charts) - 1)
 

@@ -63,8 +63,8 @@ th[scope="row"] code { font-size: 1em; }
 details { margin: .5rem 0; } summary { cursor: pointer; color: var(--accent); }
 .figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 440px), 1fr));
   gap: 1rem 1.6rem; margin: .8rem 0; }
-.figures.small { grid-template-columns: repeat(auto-fit, minmax(min(100%, 300px), 1fr)); }
-.figures.small figcaption { font-size: .87rem; } .figures.small text { font-size: 16px; }
+.figures.small { grid-template-columns: repeat(auto-fill, minmax(min(100%, 300px), 1fr)); }
+.figures.small figcaption { font-size: .87rem; }
 .figure { margin: 0; min-width: 0; break-inside: avoid; }
 .figure.wide { grid-column: 1 / -1; }
 .figure figcaption { font-weight: 600; font-size: .95rem; margin-bottom: .15rem; }
@@ -78,6 +78,7 @@ details { margin: .5rem 0; } summary { cursor: pointer; color: var(--accent); }
 .key i.band { height: .75rem; opacity: .55; border-radius: 2px; }
 .chart-svg { display: block; width: 100%; height: auto; }
 .figure:not(.wide) > .chart-svg { max-width: 620px; }
+.figures.small .chart-svg { max-width: 430px; }
 .chart-svg text { fill: var(--muted); font-size: 12.5px; font-family: inherit; }
 .chart-svg text.name { fill: var(--ink); }
 .chart-svg .grid { stroke: var(--grid); stroke-width: 1; }
@@ -98,12 +99,16 @@ table.numbers td { white-space: nowrap; }
 .for-narrow { display: none; }
 @media screen and (max-width: 700px) {
   .for-wide { display: none; } .for-narrow { display: block; }
-  .chart-svg text { font-size: 16px; }
+  .chart-svg text { font-size: 16px; } .figures.small .chart-svg text { font-size: 13px; }
+  th { white-space: normal; }
 }
 @media print {
-  .answer, .figure, tr { break-inside: avoid; } details > * { display: block; }
+  .answer, .figure, tr { break-inside: avoid; } h3, h4 { break-after: avoid; }
   .answers { grid-template-columns: repeat(4, 1fr); }
-  .figures { grid-template-columns: 1fr 1fr; } .figures.small { grid-template-columns: 1fr 1fr 1fr; }
+  .figures, .figures.small { grid-template-columns: 1fr 1fr; }
+  .chart-svg text { font-size: 15px; } .figures.small .chart-svg text { font-size: 13px; }
+  .for-wide text { font-size: 17px; }
+  th { white-space: normal; } table { font-size: .92em; }
 }
 """
 

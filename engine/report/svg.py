@@ -10,8 +10,9 @@ from engine.report.chart import Chart, Numbers, Trace
 from engine.report.html import Html, tag, text
 from engine.words import number
 
-NARROW, WIDE = 520, 1080  # widths drawn for: half a page or a phone, and a page
-HEIGHT, TALL = 250, 300
+# Widths drawn for: a third of a page or a phone, half a page, and a page.
+SMALL, NARROW, WIDE = 380, 520, 1080
+LOW, HEIGHT, TALL = 220, 250, 300
 LEFT, RIGHT, TOP, BOTTOM = 62, 18, 10, 46  # around the axes, for the words
 MARGIN, LETTER = 28, 9.5  # left of the numbers at the y axis, and for each of their letters
 DECADES = 1e-12  # of the largest value: what a logarithmic axis shows at most
@@ -43,13 +44,10 @@ class Axis:
             powers = [10.0**k for k in range(first, last + 1, every)]
             between = [m * 10.0**k for k in range(first - 1, last + 1) for m in (1.0, 2.0, 5.0)]
             inside = [v for v in between if self.low <= v <= self.high]
-            return (
-                powers
-                if len(powers) >= 3
-                else inside
-                if len(inside) >= 2
-                else [self.low, self.high]
-            )
+            if len(powers) >= 3:
+                return powers
+            if len(inside) >= 3:
+                return inside
         raw = (self.high - self.low) / max(wanted, 1)
         unit = 10.0 ** math.floor(math.log10(raw))
         step = unit * next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * unit >= raw * 0.999)
@@ -59,11 +57,13 @@ class Axis:
 
 def svg_element(chart: Chart) -> Html:
     """A figure: title, legend, and the chart; a wide one also drawn narrow, for small screens."""
-    sizes = [(WIDE, TALL, "chart-svg for-wide"), (NARROW, HEIGHT, "chart-svg for-narrow")]
-    drawn = [
-        svg(chart, width, height, class_)
-        for width, height, class_ in (sizes if chart.wide else [(NARROW, HEIGHT, "chart-svg")])
-    ]
+    if chart.small:
+        sizes = [(SMALL, LOW, "chart-svg")]
+    elif chart.wide:
+        sizes = [(WIDE, TALL, "chart-svg for-wide"), (NARROW, HEIGHT, "chart-svg for-narrow")]
+    else:
+        sizes = [(NARROW, HEIGHT, "chart-svg")]
+    drawn = [svg(chart, width, height, class_) for width, height, class_ in sizes]
     head = tag("figcaption", text(chart.title))
     return tag("figure", head, legend(chart), *drawn, class_=f"figure{' wide' * chart.wide}")
 
@@ -212,7 +212,7 @@ def _grid(chart: Chart, x: Axis, y: Axis, width: int, height: int) -> Iterable[H
     for tick in y.ticks(_rows(height)):
         yield _line(x.start, y(tick), x.end, y(tick), "grid")
         yield _words(x.start - 6, y(tick) + 4, number(tick, 4), "end")
-    for tick in x.ticks(5 if width < WIDE else 10):
+    for tick in x.ticks(4 if width < NARROW else 5 if width < WIDE else 10):
         yield _line(x(tick), y.end, x(tick), y.start, "grid")
         yield _words(x(tick), y.start + 17, number(tick, 5), "middle")
     yield _words(0.5 * (x.start + x.end), height - 8, chart.x_label, "middle")

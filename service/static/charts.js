@@ -16,18 +16,21 @@
 //     height,                          CSS pixels, 220 if left out
 //     log: {x: true, y: true},         logarithmic axes
 //     summary,                         the text alternative; made from the curves if left out
+//     onZoom,                          called as onZoom(from, to) when another part is shown, onZoom(null) for all
 //   })
+//   c.refine({x, series})              more points of a part: they take the place of those drawn there
 //   c.update({x, series, ...})         new data or options; keeps the zoom if the user has zoomed
 //   c.destroy()
 //
-// Mouse: drag zooms, double click shows all. Keyboard: the chart takes the focus; arrow keys move the cursor
+// Mouse: drag zooms, with Shift it moves what is shown, double click shows all. Keyboard: the chart takes the focus; arrow keys move the cursor
 // (with Shift by ten), Home and End, + and - zoom around it, 0 shows all. Buttons in the legend hide curves.
 
 const HEIGHT = 220;
+const PAPER = 640; // width of a printed page without its margins, CSS pixels
 const live = new Set();
 
 document.addEventListener("themechange", () => live.forEach((one) => one.redraw()));
-addEventListener("beforeprint", () => live.forEach((one) => one.fit(680)));
+addEventListener("beforeprint", () => live.forEach((one) => one.fit(one.paper())));
 addEventListener("afterprint", () => live.forEach((one) => one.fit()));
 
 export function chart(element, options) {
@@ -38,12 +41,22 @@ class Chart {
   constructor(element, options) {
     this.element = element;
     this.options = { ...options };
+    this.whole = { x: options.x, series: options.series };
     this.hidden = new Set();
+    this.part = null; // [from, to] of x that is shown, null for all
     element.classList.add("chart");
     element.replaceChildren();
     this.heading = add(element, "div", "chart-title");
     this.frame = add(element, "div", "chart-frame");
     this.legend = add(element, "div", "chart-legend");
+    this.all = add(element, "button", "small chart-all");
+    this.all.type = "button";
+    this.all.textContent = "Show all";
+    this.all.hidden = true;
+    this.all.addEventListener("click", () => {
+      this.frame.focus(); // the button goes
+      this.zoom(0, Infinity);
+    });
     this.frame.tabIndex = 0;
     this.frame.setAttribute("role", "img");
     this.frame.addEventListener("keydown", (event) => this.key(event));
@@ -52,6 +65,27 @@ class Chart {
     this.observer = new ResizeObserver(() => this.fit());
     this.observer.observe(this.frame);
     live.add(this);
+  }
+
+  refine({ x: fine, series }) {
+    const { x } = this.whole;
+    const first = x.findIndex((v) => v >= fine[0]);
+    const after = x.findIndex((v) => v > fine[fine.length - 1]);
+    const last = after < 0 ? x.length : after;
+    const joined = (old, part) => old && [...old.slice(0, first), ...part, ...old.slice(last)];
+    this.update({
+      x: joined(x, fine),
+      series: this.whole.series.map((one, i) => ({
+        ...one,
+        y: joined(one.y, series[i].y),
+        band: one.band && one.band.map((edge, k) => joined(edge, series[i].band[k])),
+      })),
+    });
+  }
+
+  // Back to the points of the beginning.
+  coarsen() {
+    if (this.options.x !== this.whole.x) this.update(this.whole);
   }
 
   update(options) {
@@ -131,11 +165,13 @@ class Chart {
         cursor: {
           y: false,
           drag: { x: true, y: false },
+          bind: { mousedown: (plot, target, handler) => (event) => (event.shiftKey ? this.pan(event) : handler(event)) },
           points: { size: 7 },
           sync: sync ? { key: sync, scales: ["x", null] } : undefined,
         },
         hooks: {
           drawClear: [(plot) => this.shade(plot)],
+          setScale: [(plot, key) => key === "x" && this.rangeChanged()],
           setCursor: [(plot) => this.readings(plot.cursor.idx)],
         },
       },
@@ -143,10 +179,16 @@ class Chart {
       this.frame,
     );
     this.describe();
+    this.explain();
   }
 
   width() {
     return Math.max(200, Math.floor(this.frame.clientWidth || 600));
+  }
+
+  // On paper there are two columns of charts, and the wide ones.
+  paper() {
+    return this.element.matches(".figures > :not(.wide), .mapping *") ? PAPER / 2 : PAPER;
   }
 
   fit(width = this.width()) {
@@ -176,11 +218,15 @@ class Chart {
   }
 
   describe() {
-    const { title, series, marks, marksLabel } = this.options;
+    const { title } = this.options;
     this.heading.textContent = title ?? "";
     this.heading.hidden = !title;
     this.frame.setAttribute("aria-label", this.options.summary ?? summary(this.options));
     this.frame.setAttribute("aria-roledescription", "chart; arrow keys move the cursor, plus and minus zoom");
+  }
+
+  explain() {
+    const { series, marks, marksLabel } = this.options;
     this.legend.replaceChildren();
     const alone = series.length === 1 && !marks?.length; // then the labels of the axes say what it is
     this.values = series.map((one, i) => {
@@ -223,6 +269,27 @@ class Chart {
     });
   }
 
+  // ---- what is shown of it ------------------------------------------------------------------
+
+  rangeChanged() {
+    if (!this.plot) return; // being built
+    const { min, max } = this.plot.scales.x;
+    const part = this.zoomed() ? [min, max] : null;
+    this.all.hidden = part === null;
+    if (String(part) === String(this.part)) return;
+    this.part = part;
+    this.options.onZoom?.(...(part ?? [null]));
+  }
+
+  pan(event) {
+    const { min, max } = this.plot.scales.x;
+    const perPixel = (max - min) / this.plot.over.clientWidth;
+    const from = event.clientX;
+    const move = ({ clientX }) => this.zoom((min + max) / 2 - (clientX - from) * perPixel, max - min);
+    addEventListener("mousemove", move);
+    addEventListener("mouseup", () => removeEventListener("mousemove", move), { once: true });
+  }
+
   // ---- keyboard -----------------------------------------------------------------------------
 
   key(event) {
@@ -254,7 +321,15 @@ class Chart {
     return `${label(xLabel)} ${short(x[index])}: ${values.join(", ")}`;
   }
 
+  // Here and in the charts that share the zoom.
   zoom(middle, width) {
+    const { sync } = this.options;
+    for (const one of sync ? live : [this]) {
+      if (one.options.sync === sync) one.showPart(middle, width);
+    }
+  }
+
+  showPart(middle, width) {
     const { x } = this.options;
     const [first, last] = [x[0], x[x.length - 1]];
     if (width >= last - first) return this.plot.setScale("x", { min: first, max: last });
@@ -266,8 +341,8 @@ class Chart {
 // ---- details --------------------------------------------------------------------------------
 
 // Options that need a new plot when they change; data alone does not.
-function shape({ xLabel, yLabel, series, sync, log, height }) {
-  return JSON.stringify([xLabel, yLabel, sync, log, height, series.map((s) => [s.label, s.kind, s.colour, s.dash, !!s.band])]);
+function shape({ xLabel, yLabel, series, sync, log, height, marks, marksLabel }) {
+  return JSON.stringify([xLabel, yLabel, sync, log, height, marks?.length > 0, marksLabel, series.map((s) => [s.label, s.kind, s.colour, s.dash, !!s.band])]);
 }
 
 function stroke(one, colour) {

@@ -123,7 +123,7 @@ async function end(job) {
   const report = await get(`${here}/report`);
   for (const name of ["attempts", "live"]) by(name).hidden = true;
   convergence.destroy();
-  showReport(by("results"), report);
+  showReport(by("results"), report, here);
   by("report").hidden = by("json").hidden = false;
   download(by("report"), `${here}/report`, `${job.kind}-${id.slice(0, 8)}.html`, "text/html");
   download(by("json"), `${here}/results`, `${job.kind}-${id.slice(0, 8)}.json`, "application/json");

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -25,6 +26,7 @@ FLAGS = [
     "--disable-sync",
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 ]
+DESK = {"width": 1280, "height": 900}
 PATIENCE = 120_000.0  # ms: the machine may be shared with long studies
 
 
@@ -81,3 +83,54 @@ def browser() -> Iterator[Any]:
         )
         yield started
         started.close()
+
+
+class Watched:
+    """Opens pages and remembers what they say and whom they ask."""
+
+    def __init__(self, chrome, address):
+        self.chrome, self.address = chrome, address
+        self.errors, self.asked, self.contexts = [], [], []
+
+    def __call__(self, path, address=None, **options):
+        context = self.chrome.new_context(**{"viewport": DESK} | options)
+        context.set_default_timeout(PATIENCE)
+        self.contexts.append(context)
+        page = context.new_page()
+        self.listen(page)
+        page.goto((address or self.address) + path)
+        return page
+
+    def listen(self, page):
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on(
+            "console", lambda said: self.errors.append(said.text) if said.type == "error" else 0
+        )
+        page.on("request", lambda request: self.asked.append(request.url))
+
+    def expect(self, words):
+        """Chromium reports every answer 4xx; those a test provokes are taken off the list."""
+        page = self.contexts[-1].pages[0]
+        eventually(page, lambda: any(words in error for error in self.errors))
+        found = [error for error in self.errors if words in error]
+        self.errors = [error for error in self.errors if error not in found]
+
+    def check(self):
+        for context in self.contexts:
+            context.close()
+        assert self.errors == []
+        assert self.asked
+        foreign = re.compile(r"(?!http://127\.0\.0\.1:|data:|blob:|file:)")
+        assert [url for url in self.asked if foreign.match(url)] == []
+
+
+def ready(page):
+    page.wait_for_selector("form[data-ready]")
+
+
+def eventually(page, holds):
+    """Asked from here: the pages' own policy forbids the text of a condition to be run in them."""
+    last = time.monotonic() + PATIENCE / 1000
+    while not holds():
+        assert time.monotonic() < last, "not within the patience of the tests"
+        page.wait_for_timeout(100)

@@ -1,7 +1,6 @@
 """What people do on the pages, in a real Chromium."""
 
 import re
-import time
 
 import httpx
 import numpy as np
@@ -10,73 +9,7 @@ import pytest
 import engine
 from engine.data import nile
 from service.auth import digest_of
-from tests.e2e.browser import PATIENCE, browser, chromium, service
-
-pytest.importorskip("playwright", reason="the tests of the pages need playwright")
-if chromium() is None:
-    pytest.skip("the tests of the pages need Chromium", allow_module_level=True)
-
-
-@pytest.fixture(scope="module")
-def chrome():
-    with browser() as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory):
-    with service(tmp_path_factory.mktemp("state")) as url:
-        yield url
-
-
-class Watched:
-    """Opens pages and remembers what they say and whom they ask."""
-
-    def __init__(self, chrome, address):
-        self.chrome, self.address = chrome, address
-        self.errors, self.asked, self.contexts = [], [], []
-
-    def __call__(self, path, address=None, **options):
-        context = self.chrome.new_context(viewport={"width": 1280, "height": 900}, **options)
-        context.set_default_timeout(PATIENCE)
-        self.contexts.append(context)
-        page = context.new_page()
-        self.listen(page)
-        page.goto((address or self.address) + path)
-        return page
-
-    def listen(self, page):
-        page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on(
-            "console", lambda said: self.errors.append(said.text) if said.type == "error" else 0
-        )
-        page.on("request", lambda request: self.asked.append(request.url))
-
-    def expect(self, words):
-        """Chromium reports every answer 4xx; those a test provokes are taken off the list."""
-        page = self.contexts[-1].pages[0]
-        eventually(page, lambda: any(words in error for error in self.errors))
-        found = [error for error in self.errors if words in error]
-        self.errors = [error for error in self.errors if error not in found]
-
-    def check(self):
-        for context in self.contexts:
-            context.close()
-        assert self.errors == []
-        assert self.asked
-        foreign = re.compile(r"(?!http://127\.0\.0\.1:|data:|blob:|file:)")
-        assert [url for url in self.asked if foreign.match(url)] == []
-
-
-@pytest.fixture
-def visit(chrome, address):
-    watched = Watched(chrome, address)
-    yield watched
-    watched.check()
-
-
-def ready(page):
-    page.wait_for_selector("form[data-ready]")
+from tests.e2e.browser import eventually, ready, service
 
 
 def write(path, **columns):
@@ -159,14 +92,6 @@ def test_watch_a_job_and_stop_it(visit, long):
 
 def iteration(page):
     return int(re.search(r"iteration\s+(\d+)", page.inner_text("#facts"), re.IGNORECASE)[1])
-
-
-def eventually(page, holds):
-    """Asked from here: the pages' own policy forbids the text of a condition to be run in them."""
-    last = time.monotonic() + PATIENCE / 1000
-    while not holds():
-        assert time.monotonic() < last, "not within the patience of the tests"
-        page.wait_for_timeout(100)
 
 
 def test_diagnose_and_go_on_with_the_extension(visit):

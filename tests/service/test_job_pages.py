@@ -112,6 +112,37 @@ def test_report_in_parts(client, url, ended):
     assert not re.search(r"<script|<style|\sstyle=|\son\w+=", html)
 
 
+def test_more_points_where_a_long_curve_is_zoomed_into(client, ended):
+    request = {"kind": "simulate", "model": "linear-2", "options": {"samples": 9000, "seed": 1}}
+    url = client.post("/jobs", json=request).headers["location"]
+    ended(client, url)
+    whole = client.get(f"{url}/results").json()["simulation"]["series"][0]
+    charts = client.get(f"{url}/report").json()["charts"]
+    number, chart = next((k, c) for k, c in enumerate(charts) if c["title"].startswith("y"))
+    (y,) = (row["y"] for row in chart["series"])
+    full = whole["y"]["y"]
+    assert len(y) == len(chart["x"]) <= 4000 < chart["points"] == 9000
+    assert (min(y), max(y)) == (min(full), max(full))
+    finer = client.get(f"{url}/charts?from=4000.5&to=4100").json()["charts"]
+    assert set(finer) == {str(k) for k in range(len(charts))}
+    assert finer[str(number)]["x"] == [float(t) for t in range(4000, 4102)]
+    assert finer[str(number)]["series"][0]["y"] == full[4000:4102]
+    wide = client.get(f"{url}/charts?from=-50&to=1e6").json()["charts"][str(number)]
+    assert wide["x"] == chart["x"]
+    assert client.get(f"{url}/charts?from=9500&to=9600").json()["charts"][str(number)]["x"] == [
+        8999.0
+    ]
+    for wrong in ("from=5&to=5", "from=nan&to=1", "to=3"):
+        assert client.get(f"{url}/charts?{wrong}").status_code == 422
+
+
+def test_short_curves_have_no_finer_ones(client, url, ended):
+    ended(client, url)
+    charts = client.get(f"{url}/report").json()["charts"]
+    assert all(chart["points"] == len(chart["x"]) for chart in charts)
+    assert client.get(f"{url}/charts?from=1&to=2").json() == {"charts": {}}
+
+
 def test_computations_are_listed(client, url, ended):
     ended(client, url)
     tasks = client.get(f"{url}/tasks").json()["tasks"]
@@ -180,7 +211,7 @@ def test_others_see_neither_report_nor_tasks(make_client, tmp_path, estimation, 
     client = make_client(keys_file=tmp_path / "keys")
     mine, other = {"X-API-Key": "key one"}, {"X-API-Key": "key two"}
     url = client.post("/jobs", json=estimation(iterations=1), headers=mine).headers["location"]
-    for path in (f"{url}/report", f"{url}/tasks"):
+    for path in (f"{url}/report", f"{url}/tasks", f"{url}/charts?from=0&to=1"):
         assert client.get(path).status_code == 401
         assert client.get(path, headers=other).status_code == 404
     page = client.get(url, headers={"Accept": BROWSER})  # a shell that holds no data

@@ -1,0 +1,150 @@
+"""Narrow screens, paper, and curves too long to draw all their points, in a real Chromium."""
+
+import httpx
+import pytest
+
+from engine.data import nile
+from tests.e2e.browser import eventually, ready
+
+PHONE = {"width": 390, "height": 844}
+
+
+@pytest.fixture(scope="module")
+def post(chrome, address):
+    """post(request) -> id of a job that has ended."""
+
+    def posted(request):
+        job = httpx.post(f"{address}/jobs", json=request, timeout=60).raise_for_status().json()
+        url = f"{address}/jobs/{job['jobID']}"
+        page = chrome.new_page()
+        eventually(page, lambda: httpx.get(url).json()["status"] == "successful")
+        page.close()
+        return job["jobID"]
+
+    return posted
+
+
+@pytest.fixture(scope="module")
+def diagnosis(post):
+    options = {"effects": ["step", "pulse"]}
+    series = [{"y": nile().y.tolist(), "t": nile().t.tolist()}]
+    return post({"kind": "diagnose", "model": "local-level", "series": series, "options": options})
+
+
+@pytest.fixture(scope="module")
+def long(post):
+    return post(
+        {"kind": "simulate", "model": "local-level", "options": {"samples": 100_000, "seed": 1}}
+    )
+
+
+def wider_than_the_screen(page):
+    return page.evaluate("document.documentElement.scrollWidth - innerWidth")
+
+
+def draw_all(page):
+    """What is not in view yet is drawn as for printing, and fitted to the screen again."""
+    for name in ("beforeprint", "afterprint"):
+        page.evaluate("name => dispatchEvent(new Event(name))", name)
+
+
+def test_narrow_screens_need_no_scrolling_to_the_side(visit, diagnosis):
+    page = visit("/", viewport=PHONE)
+    ready(page)
+    page.click("#example")
+    page.wait_for_selector("#channels .u-wrap canvas")
+    page.click("#options summary")
+    assert wider_than_the_screen(page) == 0
+    page.goto(f"{visit.address}/jobs")
+    page.wait_for_selector(f'[data-job="{diagnosis}"]')
+    assert wider_than_the_screen(page) == 0
+    assert page.is_visible(f'[data-job="{diagnosis}"] >> text=Remove')
+    page.goto(f"{visit.address}/jobs/{diagnosis}")
+    page.wait_for_selector("#results .u-wrap canvas")
+    draw_all(page)
+    assert wider_than_the_screen(page) == 0
+    sizes = page.evaluate(
+        "[...document.querySelectorAll('svg text')].filter(one => one.getClientRects().length)"
+        ".map(one => parseFloat(getComputedStyle(one).fontSize)"
+        " * one.ownerSVGElement.getScreenCTM().a)"
+    )
+    assert min(sizes) > 8.5  # px
+
+
+def test_paper_shows_whole_curves(visit, diagnosis):
+    page = visit(f"/jobs/{diagnosis}")
+    page.wait_for_selector("#results .u-wrap canvas")
+    page.set_viewport_size({"width": 688, "height": 1000})  # A4 without its margins
+    page.emulate_media(media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    frames = "[...document.querySelectorAll('.chart-frame')].filter(one => one.clientWidth)"
+    cut = f"{frames}.filter(one => one.scrollWidth > one.clientWidth).length"
+    eventually(page, lambda: page.evaluate(f"{frames}.length") >= 6)
+    eventually(page, lambda: page.evaluate(cut) == 0)
+    assert wider_than_the_screen(page) == 0
+    assert not page.is_visible("#repeat")
+
+
+def test_zoom_into_100_000_samples(visit, long):
+    page = visit(f"/jobs/{long}")
+    page.wait_for_selector("#results .u-wrap canvas")
+    frame = page.locator(".chart-frame").first
+    results = httpx.get(f"{visit.address}/jobs/{long}/results", timeout=60).json()
+    y = results["simulation"]["series"][0]["y"]["flow"]
+
+    def spoken():
+        return frame.get_attribute("aria-label")
+
+    def time():
+        return float(spoken().split(":")[0].split()[1])
+
+    def value():
+        return float(spoken().split()[-1])
+
+    frame.focus()
+    page.keyboard.press("Home")
+    page.keyboard.press("ArrowRight")
+    assert time() > 1  # some rows are left out
+    with page.expect_response("**/charts?*"):
+        for _ in range(12):
+            page.keyboard.press("+")
+    eventually(page, lambda: page.is_visible(".chart-all"))
+
+    def next_sample():
+        page.keyboard.press("Home")
+        page.keyboard.press("ArrowRight")
+        return time() == 1
+
+    eventually(page, next_sample)  # now none is
+    assert value() == pytest.approx(y[1], rel=1e-4)
+    page.locator(".chart-all").first.click()
+    page.wait_for_selector(".chart-all", state="hidden")
+    eventually(page, lambda: not next_sample())
+
+
+def test_drag_zooms_and_with_shift_moves(visit, long):
+    page = visit(f"/jobs/{long}")
+    page.wait_for_selector("#results .u-wrap canvas")
+    asked = []
+    page.on("request", lambda request: asked.append(request.url) if "charts?" in request.url else 0)
+
+    def drag(start, end):
+        box = page.locator(".u-over").first.bounding_box()
+        height = box["y"] + box["height"] / 2
+        page.mouse.move(box["x"] + start, height)
+        page.mouse.down()
+        page.mouse.move(box["x"] + end, height, steps=5)
+        page.mouse.up()
+
+    def middle():
+        low, high = (float(part.split("=")[1]) for part in asked[-1].split("?")[1].split("&"))
+        return 0.5 * (low + high)
+
+    drag(200, 220)
+    eventually(page, lambda: len(asked) == 1)
+    first = middle()
+    page.keyboard.down("Shift")
+    drag(300, 60)
+    page.keyboard.up("Shift")
+    eventually(page, lambda: len(asked) > 1)
+    assert middle() > first  # what was to the right came in
