@@ -9,10 +9,8 @@ class Outcome(Enum):
     """The end of an estimation; ``value`` is the sentence, ``success`` whether theta is an estimate."""
 
     CONVERGED = "Converged: the last iterates show no trend beyond their Monte Carlo noise."
-    ITERATIONS_USED_UP = (
-        "Iterations used up before the iterates settled: continue with resume=, or allow more."
-    )
-    STOPPED_BY_CALLER = "Stopped by the caller: continue with resume=."
+    ITERATIONS_USED_UP = "Iterations used up before the iterates settled: allow more of them."
+    STOPPED_BY_CALLER = "Stopped by the caller before the iterates settled."
     DIVERGED = (
         "Diverged: the filter or the parameters are no longer finite. Start closer, tighten the "
         "parameters' bounds, or check the model's units."

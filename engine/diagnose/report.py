@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
 from engine.errors import EngineError
+from engine.report.asked import asked_first
 from engine.words import listed, number, percent, probability, tidy, with_unit
 
 if TYPE_CHECKING:
@@ -15,18 +16,20 @@ if TYPE_CHECKING:
     from engine.diagnose.gain import Gain
 
 WIDTH = 100
-SHOWN = 12  # rows of the table of sizes
 
 
-def page(diagnosis: Diagnosis) -> str:
-    """The verdict with its cause and gain, then the four questions, then what was testable."""
+def page(diagnosis: Diagnosis, every: bool = False) -> str:
+    """The verdict with its cause and gain, then the four questions, then what was testable.
+
+    Of the sizes that would have been found, those are listed that are asked about first, or ``every`` one.
+    """
     lines = [*_head(diagnosis)]
     for title, body in (
         ("1. What is wrong", _wrong(diagnosis)),
         ("2. The cause", _cause(diagnosis)),
         ("3. The extension", _extension(diagnosis)),
         ("4. The gain", _gain(diagnosis.gain)),
-        ("What these data could have shown", _testable(diagnosis)),
+        ("What these data could have shown", _testable(diagnosis, every)),
         ("Notes", _notes(diagnosis)),
     ):
         lines += ["", title, "-" * len(title), *body]
@@ -221,21 +224,25 @@ def _gain(gain: Gain | None) -> Iterator[str]:
     )
 
 
-def _testable(d: Diagnosis) -> Iterator[str]:
+def _testable(d: Diagnosis, every: bool) -> Iterator[str]:
     yield from _wrapped(
         "The smallest size of each effect that would have been found with 80 % probability, and the share "
         "of its trace that the fitted parameters leave:",
         "  ",
     )
-    yes = [x for x in d.detectable if x.testable]
-    for item in yes:
+    yes = {x.effect: x for x in d.detectable if x.testable}
+    shown = list(yes) if every else asked_first(list(yes))
+    for item in (yes[name] for name in shown):
         size = with_unit(item.smallest, item.unit)
         yield f"  {item.effect:<34} {size:>22}   {percent(item.rho):>6}"
+    if len(shown) < len(yes):
+        yield f"  ... and {len(yes) - len(shown)} more: 'rbps diagnose --all', or .detectable in the library"
     no: list[Detectable] = [x for x in d.detectable if not x.testable]
     if no:
-        yield from _wrapped(
-            f"Not testable with this experiment: {', '.join(x.effect for x in no)}.", "  "
-        )
+        names = [x.effect for x in no]
+        some = names if every else asked_first(names)
+        more = f" and {len(no) - len(some)} more" if len(some) < len(no) else ""
+        yield from _wrapped(f"Not testable with this experiment: {', '.join(some)}{more}.", "  ")
 
 
 def _notes(d: Diagnosis) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from engine.report.asked import asked_first
 from engine.report.chart import Chart, Trace
 from engine.report.comparison import (
     TIME,
@@ -247,10 +248,13 @@ def _cause(d: Document, draw: Drawer) -> list[object]:
         ]
     untestable = [x["effect"] for x in d["detectable"] if not x["testable"]]
     if untestable:
+        some = ", ".join(asked_first(untestable))
+        rest = len(untestable) - len(asked_first(untestable))
         parts += [
             tag("h3", "Not testable with this experiment"),
-            tag("p", f"{', '.join(untestable)}: the data do not excite them, or the fitted parameters "
-                "take up all they would show."),
+            tag("p", f"{some}{f' and {rest} more' if rest else ''}: the data do not excite them, or the "
+                "fitted parameters take up all they would show."),
+            _folded("All that were not testable", tag("p", ", ".join(untestable)) if rest else Html("")),
         ]  # fmt: skip
     return parts
 
@@ -489,8 +493,8 @@ def _held_out(gain: Document, units: Document, draw: Drawer) -> list[Html]:
 
 
 def _testable(d: Document) -> list[object]:
-    rows = [
-        (
+    rows = {
+        x["effect"]: (
             tag("code", x["effect"]),
             x["title"],
             measured(x["smallest"], x["unit"]),
@@ -498,15 +502,21 @@ def _testable(d: Document) -> list[object]:
         )
         for x in d["detectable"]
         if x["testable"]
-    ]
+    }
     if not rows:
         return []
     head = ("effect", "", "smallest size found with 80 %", "share left by the parameters")
+    first = asked_first(list(rows))
+    rest = [row for name, row in rows.items() if name not in first]
     said = (
         "The smallest size of each effect that would have been found with 80 % probability, and the share of "
         "its trace in the data that the fitted parameters leave."
     )
-    return [tag("p", said, class_="hint"), _folded(f"{len(rows)} effects", table(head, rows))]
+    return [
+        tag("p", said, class_="hint"),
+        table(head, [rows[name] for name in first]),
+        _folded(f"{len(rest)} more effects", table(head, rest)),
+    ]
 
 
 def _seconds(d: Document) -> Html:

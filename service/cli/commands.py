@@ -272,6 +272,9 @@ def diagnose(
     out: Out = None,
     report: Report = None,
     plot: Plot = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="List every effect that would have been found.")
+    ] = False,
     exit_code: Annotated[
         bool, typer.Option("--exit-code", help="Exit with 3 where the model leaves something out.")
     ] = False,
@@ -305,6 +308,7 @@ def diagnose(
             out=out,
             report=report,
             plot=plot,
+            every=every,
             exit_code=exit_code,
         )
         run(wanted, as_json, quiet)

@@ -9,6 +9,7 @@ from typing import Any
 
 import engine
 from engine.diagnose import Verdict, all_effects, effect_kinds
+from engine.diagnose.report import page
 from engine.diagnose.setting import Setting
 from engine.diagnose.spare_inputs import with_inputs
 from engine.model import MixedModel
@@ -41,6 +42,7 @@ class Wanted:
     out: Path | None
     report: Path | None
     plot: Path | None
+    every: bool
     exit_code: bool
 
 
@@ -69,7 +71,7 @@ def run(wanted: Wanted, as_json: bool, quiet: bool) -> None:
     if as_json:
         print(strict_json.dumps(document))
     else:
-        print(found)
+        print(page(found, wanted.every))
         for path in written:
             print(f"Written: {path}")
     if wanted.exit_code and found.verdict is not Verdict.NOTHING:

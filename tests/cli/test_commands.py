@@ -240,6 +240,21 @@ def test_diagnose(rbps, flows, tmp_path):
     assert document["extension"]["model"]["name"] == "local-level"
 
 
+def test_diagnose_lists_what_is_asked_about_first_and_all_on_demand(rbps, flows):
+    kinds = "step,pulse,ramp,harmonic,drift,gain,cubic,drag,coulomb,deadzone,lag,heavy-tails,level"
+    result = rbps("diagnose", flows, "-m", "local-level", "--effects", kinds, "--all",
+                  "-o", "out.json")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(flows.with_name("out.json").read_text())["diagnosis"]
+    there = [one["effect"] for one in found["detectable"] if one["testable"]]
+    short = found["page"].partition("could have shown")[2].partition("Not testable")[0]
+    listed = [name for name in there if f"  {name} " in short]
+    assert len(listed) == 12 < len(there)
+    assert f"and {len(there) - 12} more: 'rbps diagnose --all'" in short
+    every = result.stdout.partition("could have shown")[2]
+    assert [name for name in there if f"  {name} " not in every] == []
+
+
 def test_diagnose_for_machines(rbps, flows):
     result = rbps("diagnose", flows, "-m", "local-level", *FEW, "--json", "--exit-code")
     assert result.exit_code == 3

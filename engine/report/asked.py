@@ -1,0 +1,30 @@
+"""Which of many effects a person asks about first."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+FIRST = 12  # effects that are listed; the rest is a click or an option away
+
+# Kinds by how often they are met: friction, sensors, timing, limits, then noise and what happens once.
+_KINDS = (
+    "coulomb", "bias", "drag", "gain", "delay", "input-offset", "cubic", "lag", "input-deadzone",
+    "saturation", "step", "heavy-tails", "drift", "harmonic", "input-saturation", "deadzone", "stribeck",
+    "extra-input", "parameter-step", "colored", "hysteresis", "linear",
+)  # fmt: skip
+
+
+def asked_first(effects: Sequence[str], n: int = FIRST) -> list[str]:
+    """At most ``n`` of the effects ``kind:place``, one of each common kind before a second one.
+
+    Effects of a channel on itself come before those of one on another, such as ``drag:a->b``.
+    """
+    own_first = sorted(effects, key=lambda name: "->" in name)
+    ranks: dict[str, tuple[int, int]] = {}
+    seen: Counter[str] = Counter()
+    for name in own_first:
+        kind = name.partition(":")[0]
+        ranks[name] = (seen[kind], _KINDS.index(kind) if kind in _KINDS else len(_KINDS))
+        seen[kind] += 1
+    return sorted(own_first, key=ranks.__getitem__)[:n]
