@@ -90,7 +90,8 @@ class MixedModel(BaseModel):
     """A mixed linear/nonlinear state-space model, paper, eq. (1); see the module's docstring.
 
     ``nonlinear`` (a), ``linear`` (z), ``inputs`` (u) and ``outputs`` (y) map names to units.
-    ``equations`` are lines of text for people.
+    ``equations`` are lines of text for people. ``kinematic`` names states whose equation holds by
+    definition, as q' = v does: a diagnosis adds nothing to it.
     """
 
     name: str
@@ -104,10 +105,16 @@ class MixedModel(BaseModel):
     inputs: Mapping[str, str] = field(default_factory=dict)
     description: str = ""
     equations: Sequence[str] = ()
+    kinematic: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parameters", tuple(self.parameters))
-        object.__setattr__(self, "equations", tuple(self.equations))
+        for name in ("parameters", "equations", "kinematic"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        unknown = [name for name in self.kinematic if name not in {**self.nonlinear, **self.linear}]
+        if unknown:
+            raise ModelError(
+                f"model '{self.name}': kinematic state '{unknown[0]}' is not among its states"
+            )
 
     @cached_property
     def na(self) -> int:

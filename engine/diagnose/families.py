@@ -1,4 +1,4 @@
-"""Tests over an unknown time or frequency, by footprints: one recursion for the whole family."""
+"""Tests of what comes with time, by footprints: one recursion for a whole family of times or frequencies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GRID = 400  # times or frequencies tried at most
 STEP_GRID = 1000  # for a step, as one sample off it leaves another footprint
 CHUNK = 50  # columns held in memory at once; even, as a harmonic has two
 EDGE = 0.04  # share of the record at each end in which no step can be told from the start
-TIMED = ("step", "parameter-step", "harmonic", "pulse")
+TIMED = ("step", "parameter-step", "parameter-drift", "harmonic", "pulse")
 
 
 def family_test(
@@ -107,6 +107,9 @@ def grid(effect: Effect, series: Series) -> Array:
 def _gates(effect: Effect, series: Series) -> tuple[list[tuple[float, ...]], Array]:
     """The grid as values of the effect's other parameters, and the factors (T, n) in time."""
     t = series.t[:, None]
+    if effect.kind == "parameter-drift":
+        middle, per = effect.probes[0]
+        return [(middle, per)], (t - middle) / per
     points = grid(effect, series)
     if effect.kind == "harmonic":
         angle = 2.0 * np.pi * points * t
@@ -122,7 +125,7 @@ def _driver(
     T = len(series)
     b, e = np.zeros((T - 1, model.nx)), np.zeros((T, model.ny))
     states = [*model.nonlinear, *model.linear]
-    if effect.kind == "parameter-step":
+    if effect.kind in ("parameter-step", "parameter-drift"):
         return _sensitivity(model, theta, model.index(effect.channel), series, path)
     if effect.channel in model.outputs:
         e[:, list(model.outputs).index(effect.channel)] = 1.0
@@ -158,5 +161,5 @@ def _sensitivity(
 
 
 def is_timed(effect: Effect) -> bool:
-    """Whether the effect's test runs over a grid of times or frequencies."""
+    """Whether the effect is tested by footprints over time."""
     return effect.kind in TIMED

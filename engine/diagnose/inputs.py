@@ -216,7 +216,7 @@ def _extra_input(setting: Setting, channel: str) -> Effect | None:
 
 def _each_extra(setting: Setting) -> Iterator[str]:
     for source in setting.extra:
-        for target in setting.states:
+        for target in setting.targets:
             yield f"{source}->{target}"
 
 

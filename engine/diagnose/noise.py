@@ -178,7 +178,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
 
 def _each_variance(setting: Setting) -> Iterator[str]:
     model = setting.model
-    for target in [*model.outputs, *setting.states]:
+    for target in [*model.outputs, *setting.targets]:
         for signal in [*model.nonlinear, *model.inputs, "time"]:
             yield f"{target}->{signal}"
 
@@ -220,7 +220,7 @@ def _correlation(setting: Setting, channel: str) -> Effect | None:
 
 
 def _each_correlation(setting: Setting) -> Iterator[str]:
-    states = list(setting.states)
+    states = setting.targets
     for i, one in enumerate(states):
         for other in states[i + 1 :]:
             yield f"{one},{other}"
@@ -342,7 +342,7 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
 
 
 def _each_latent(setting: Setting) -> Iterator[str]:
-    for state in setting.states:
+    for state in setting.targets:
         yield state
         yield f"{state},{OSCILLATING}"
 

@@ -27,9 +27,6 @@ TOLERANCE = 0.02  # of a log-likelihood: refits are compared, the best one is th
 HOPELESS = 10.0  # of the score behind the best refit, from which another one is given up
 
 
-TIME_COST = 4.0  # for a time or frequency found on a grid
-
-
 PLAIN = (
     "bias",
     "step",
@@ -114,10 +111,10 @@ def _plainness(found: Refit) -> int:
     return PLAIN.index(kind) if kind in PLAIN else len(PLAIN)
 
 
-def cost(effect: Effect) -> float:
-    """What an effect's further parameters must gain before they count."""
+def cost(effect: Effect, series: Series) -> float:
+    """What an effect's further parameters must gain before they count: log T each (Schwarz 1978)."""
     further = len(effect.parameters) - 1 - len(effect.held)
-    return 2.0 * further + (TIME_COST if is_timed(effect) else 0.0)
+    return further * float(np.log(len(series)))
 
 
 def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) -> Refit:
@@ -142,7 +139,7 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
     if sought:
         start = _best_row(extended, series, start, sought[0], effect)
     zero = float(log_likelihoods(extended, [series], null[None])[0])
-    target = zero + 0.5 * (best - HOPELESS + cost(effect))
+    target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
     found = quasi_ml(extended, series, start, free, tolerance=TOLERANCE, target=target)
     if sought and found.log_likelihood > target:
         moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect)
@@ -150,7 +147,7 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
             again = quasi_ml(extended, series, moved, free, tolerance=TOLERANCE)
             found = max(found, again, key=lambda one: one.log_likelihood)
     gain = 2.0 * (found.log_likelihood - zero)
-    return Refit(effect, found, gain, gain - cost(effect))
+    return Refit(effect, found, gain, gain - cost(effect, series))
 
 
 def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> Refit:
@@ -171,7 +168,7 @@ def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Se
         1,
         True,
     )
-    return Refit(effect, found, gain, gain - cost(effect))
+    return Refit(effect, found, gain, gain - cost(effect, series))
 
 
 def _best_start(extended: MixedModel, series: Series, start: Array, n: int) -> Array:

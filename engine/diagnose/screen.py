@@ -19,7 +19,7 @@ time's contribution s~_t keeps its size and gets a random sign.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -57,12 +57,20 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class Screen:
-    """All scores, best first; ``p_value`` family-wise; ``vectors`` (n, .) the projected v~ of each."""
+    """All scores, best first; ``p_value`` family-wise; ``vectors`` (n, .) the projected v~ of each.
+
+    ``lowest`` (DRAWS,) are the smallest p-values of the multiplier draws.
+    """
 
     scores: tuple[Score, ...]
     p_value: float
     threshold: float
     vectors: Array
+    lowest: Array
+
+    def family_wise(self, p_value: float) -> float:
+        """How probable so small a p-value is among all of these tests."""
+        return (1.0 + float((self.lowest <= p_value).sum())) / (len(self.lowest) + 1.0)
 
     def likeness(self, one: int, other: int) -> float:
         """|cos| between two effects' projected vectors, by their place in ``scores``."""
@@ -127,7 +135,6 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
             observed.append(_family_p(float(found.max()), draws, test.degrees, effective[-1]))
             drawn.append(_family_p_all(draws))
     lowest = np.min(drawn, axis=0)
-    p_value = (1.0 + float((lowest <= min(observed)).sum())) / (DRAWS + 1.0)
     threshold = float(chi2.isf(max(float(np.quantile(lowest, alpha)), 1e-12), 1))
     order = sorted(range(len(tests)), key=lambda i: observed[i])
     scores, vectors = [], []
@@ -135,7 +142,8 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
         score, vector = _score(tests[i], observed[i], effective[i])
         scores.append(score)
         vectors.append(vector)
-    return Screen(tuple(scores), p_value, threshold, np.array(vectors))
+    result = Screen(tuple(scores), 1.0, threshold, np.array(vectors), lowest)
+    return replace(result, p_value=result.family_wise(min(observed)))
 
 
 def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:

@@ -3,10 +3,11 @@
 Each round screens all effects on the model as extended so far. Without an alarm the search ends.
 Otherwise the best effects are refitted together with all parameters, and ranked by
 
-    score = 2 (log-likelihood gained) - 2 (own parameters - 1) - TIME_COST for a time that was sought.
+    score = 2 (log-likelihood gained) - log T (own parameters - 1).
 
-Effects within MARGIN of the best are an equivalence set. The unnamed slow force is refitted in every
-round: where it explains clearly more than any named effect, the cause is not in the catalogue.
+An alarm counts where the likelihood ratio of some refit confirms it. Effects within MARGIN of the best
+are an equivalence set. The unnamed slow force is refitted in every round: where it explains clearly
+more than any named effect, the cause is not in the catalogue.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from engine.diagnose.catalogue import all_effects
 from engine.diagnose.columns import Projection, effect_columns, parameter_columns
 from engine.diagnose.families import family_test, is_timed
 from engine.diagnose.refits import Refit, cost, distinct, refit
-from engine.diagnose.screen import Score, Screen, Test, make_test, screen
+from engine.diagnose.screen import Screen, Test, make_test, screen
 from engine.diagnose.setting import Setting
 from engine.diagnose.tails import KIND as TAILS
 from engine.diagnose.tails import (
@@ -43,10 +44,18 @@ MARGIN = 4.0  # of the score: a likelihood ratio of e^2 = 7
 REFITS = 12  # effects refitted in a round
 
 
-WORTH = 0.25  # of the best statistic: below this an effect is not refitted ...
+WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
 
 
 AT_LEAST = 6  # ... unless it is among the first few: large effects bend the scores of others
+
+
+SCREENED = 0.8  # of alpha, spent on the screen of the first round ...
+
+
+REFITTED = (
+    0.1  # ... and on the refits after it: a maximum between a grid's points is larger than on it
+)
 
 
 LATER = 0.2  # of alpha: a second effect needs more than a first, as each round is a new chance
@@ -107,8 +116,11 @@ def search(
     tails: Refit | None = None
     for k in range(max_effects + 1):
         looked_for = None if tails is None else TAILS
-        seen = screen_effects(fit, series, setting, kinds, alpha, seed + k, progress, looked_for)
-        alarm = seen.p_value <= (alpha if k == 0 else LATER * alpha)
+        level = alpha if k == 0 else LATER * alpha
+        seen = screen_effects(fit, series, setting, kinds, level, seed + k, progress, looked_for)
+        if k == 0:
+            seen = replace(seen, p_value=min(1.0, seen.p_value / SCREENED))
+        alarm = seen.p_value <= level
         swallowed: list[Refit] = []
         if not alarm and k == 0:
             seen, swallowed = refit_swallowed(fit, series, seen, progress)
@@ -117,6 +129,12 @@ def search(
             rounds.append(Round(seen, (), None, ()))
             break
         found = refit_best(fit, series, seen, swallowed, progress)
+        if not swallowed:
+            found = confirmed(found)
+            alarm = found.screen.p_value <= level or not found.refits
+        if not alarm:
+            rounds.append(replace(found, refits=(), generic=None, equivalent=()))
+            break
         rounds.append(found)
         if not found.equivalent:
             break
@@ -238,7 +256,7 @@ def refit_swallowed(
             refits.append(refit(fit, series, score))
         except (EngineError, np.linalg.LinAlgError):
             continue
-        p_value = min(p_value, 2.0 * len(families) * score.p_of(refits[-1].gain))
+        p_value = min(p_value, len(families) / REFITTED * score.p_of(refits[-1].gain))
     return replace(seen, p_value=p_value), refits
 
 
@@ -250,10 +268,13 @@ def refit_best(
     ``done`` are refits that were made before.
     """
     named = [s for s in seen.scores if s.effect.kind != GENERIC and s.statistic > 0.0]
-    named.sort(key=lambda s: -_screen_score(s))
-    best = _screen_score(named[0]) if named else 0.0
+    worth = {s.effect.name: s.statistic - cost(s.effect, series) for s in named}
+    named.sort(key=lambda s: -worth[s.effect.name])
+    best = worth[named[0].effect.name] if named else 0.0
     chosen = [
-        s for i, s in enumerate(named[:REFITS]) if i < AT_LEAST or _screen_score(s) >= WORTH * best
+        s
+        for i, s in enumerate(named[:REFITS])
+        if i < AT_LEAST or worth[s.effect.name] >= WORTH * best
     ]
     tails = [s for s in seen.scores if s.effect.kind == TAILS and s.p_value < TAILS_ALARM]
     chosen += [s for s in tails if s not in chosen]
@@ -277,5 +298,14 @@ def refit_best(
     return Round(seen, tuple(ranked), top, equivalent)
 
 
-def _screen_score(score: Score) -> float:
-    return score.statistic - cost(score.effect)
+def confirmed(found: Round) -> Round:
+    """The round with the p-value of its best likelihood ratio, where that is larger than the scores'.
+
+    A score can be large where an effect moves hardly anything and is divided by nearly nothing; the
+    likelihood of the extended model then gains nothing.
+    """
+    scores = {s.effect.name: s for s in found.screen.scores}
+    every = [*found.refits, *([found.generic] if found.generic else [])]
+    best = min((scores[r.effect.name].p_of(r.gain) for r in every), default=0.0)
+    p_value = max(found.screen.p_value, found.screen.family_wise(best))
+    return replace(found, screen=replace(found.screen, p_value=p_value))

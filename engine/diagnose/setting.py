@@ -46,6 +46,11 @@ class Setting:
         """All states with their units."""
         return {**self.model.nonlinear, **self.model.linear}
 
+    @property
+    def targets(self) -> list[str]:
+        """States whose equations may be wrong: all but those that hold by definition."""
+        return [name for name in self.states if name not in self.model.kinematic]
+
     def rate(self, target: str, divided_by: str = "") -> str:
         """Unit of what enters a state's equation per second, divided by another unit."""
         unit = f"{self.unit(target)}/s"
@@ -72,8 +77,8 @@ Kind: TypeAlias = tuple[str, Maker, Channels]
 
 
 def each_state(setting: Setting) -> Iterator[str]:
-    """Every state."""
-    yield from setting.states
+    """Every state whose equation may be wrong."""
+    yield from setting.targets
 
 
 def each_output(setting: Setting) -> Iterator[str]:
@@ -97,7 +102,7 @@ def each_moved(setting: Setting) -> Iterator[str]:
     F = _structure(model)
     by_inputs = _moved_by_inputs(model)
     for i, name in enumerate(setting.states):
-        if by_inputs[i] or np.delete(F[i], i).any():
+        if name in setting.targets and (by_inputs[i] or np.delete(F[i], i).any()):
             yield name
 
 
@@ -106,9 +111,10 @@ def each_pair(setting: Setting) -> Iterator[str]:
     states = list(setting.states)
     F = np.abs(_structure(setting.model))
     for i, source in enumerate(states):
-        yield source
+        if source in setting.targets:
+            yield source
         for j, target in enumerate(states):
-            if i != j and (F[j, i] > 0.0 or F[i, j] > 0.0):
+            if i != j and target in setting.targets and (F[j, i] > 0.0 or F[i, j] > 0.0):
                 yield f"{source}->{target}"
 
 

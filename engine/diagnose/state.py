@@ -186,9 +186,8 @@ def _coupling(setting: Setting, channel: str) -> Effect | None:
 
 
 def _each_coupling(setting: Setting) -> Any:
-    states = list(setting.states)
-    for source in states:
-        for target in states:
+    for source in setting.states:
+        for target in setting.targets:
             if source != target:
                 yield f"{source}->{target}"
 

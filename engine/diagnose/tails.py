@@ -62,7 +62,7 @@ def _heavy_tails(setting: Setting, channel: str) -> Effect | None:
 
 
 KINDS: list[Kind] = [
-    (KIND, _heavy_tails, lambda s: iter([*s.model.outputs, *s.states])),
+    (KIND, _heavy_tails, lambda s: iter([*s.model.outputs, *s.targets])),
 ]
 
 

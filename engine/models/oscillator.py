@@ -60,6 +60,7 @@ MODEL = MixedModel(
     ),
     nonlinear={"position": "1"},
     linear={"velocity": "1/s"},
+    kinematic=("position",),
     inputs={"drive": "1"},
     outputs={"y": "1"},
     parameters=[

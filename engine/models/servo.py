@@ -72,6 +72,7 @@ MODEL = MixedModel(
     ),
     nonlinear={"velocity": "m/s"},
     linear={"position": "m", "load": "N"},
+    kinematic=("position",),
     inputs={"drive": "V"},
     outputs={"y": "m"},
     parameters=[

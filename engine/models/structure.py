@@ -67,6 +67,7 @@ MODEL = MixedModel(
     ),
     nonlinear={"x1": "m"},
     linear={"x2": "m", "v1": "m/s", "v2": "m/s"},
+    kinematic=("x1", "x2"),
     inputs={"force": "N"},
     outputs={"y1": "m", "y2": "m"},
     parameters=[

@@ -18,12 +18,12 @@ from engine.kalman import kalman_smoother
 from engine.model import Array
 from engine.series import Series
 from engine.studies.blind.bases import BASES
-from engine.studies.blind.cells import CLEAN, OTHER, USUAL, USUAL_ROWS, Cell
+from engine.studies.blind.cells import CLEAN, HARD, OTHER, USUAL, USUAL_ROWS, Cell
 from engine.studies.blind.figures import Rate, rate
 from engine.studies.blind.hidden import draw
 from engine.studies.blind.report import BLIND
-from engine.studies.blind.runs import CLEAN_ARM, OTHER_ARM, USUAL_ARM
-from engine.studies.blind.sizes import fit_base, sizes
+from engine.studies.blind.runs import CLEAN_ARM, HARD_ARM, OTHER_ARM, USUAL_ARM
+from engine.studies.blind.sizes import fit_base, size
 from engine.studies.plots import axes, save
 from engine.studies.report import made_with, markdown
 from engine.studies.sparse import RULES, SETTINGS, WAYS, Equation, Setting, Way, equation, path
@@ -34,10 +34,15 @@ EFFECTS = ("cubic:x1->v1", "coulomb:v1", "drag:v1")
 STRONG = 100.0
 CELLS = (
     *(Cell(BASE.name, effect) for effect in EFFECTS),
-    *(Cell(BASE.name, effect, ratio=STRONG) for effect in EFFECTS[:2]),
+    Cell(BASE.name, "coulomb:v1", ratio=STRONG),
     Cell(BASE.name, "", ratio=0.0),
 )
-SOURCES = ((USUAL_ARM, 1, USUAL), (OTHER_ARM, 2, OTHER), (CLEAN_ARM, 3, CLEAN))
+SOURCES = (
+    (USUAL_ARM, 11, USUAL),
+    (OTHER_ARM, 12, OTHER),
+    (CLEAN_ARM, 13, CLEAN),
+    (HARD_ARM, 16, HARD),
+)
 DEVELOPMENT_STREAM, DEVELOPMENT_RUNS = 61, 60
 ALARMS = 0.1  # share of clean series in which the careful setting may find something
 
@@ -69,7 +74,7 @@ def judged_series() -> list[Judged]:
 
 def series_of(cell: Cell, *stream: int) -> Series:
     """Training part of the series with this stream of random numbers."""
-    return draw(cell, sizes().get(cell.name, 0.0), np.random.default_rng(stream)).train
+    return draw(cell, size(cell), np.random.default_rng(stream)).train
 
 
 def smoothed(cell: Cell, series: Series) -> Array:

@@ -22,16 +22,17 @@ from engine.diagnose.screen import Score
 from engine.errors import EngineError
 from engine.quasi_ml import QuasiFit
 from engine.studies.blind.bases import BASES
-from engine.studies.blind.cells import BOOTSTRAP, CLEAN, OTHER, UNLISTED, USUAL, Cell
+from engine.studies.blind.cells import BOOTSTRAP, CLEAN, HARD, OTHER, UNLISTED, USUAL, Cell
 from engine.studies.blind.hidden import Hidden, draw
-from engine.studies.blind.sizes import refit_truth, sizes
+from engine.studies.blind.sizes import refit_truth, size
 from engine.studies.study import Arm, Row
 
 ALIKE = 0.7  # |cos| with the truth from which the oracle refits an effect
-RIVALS = 8  # that it refits at most, besides those that the search did
+RIVALS = 4  # that it refits at most, besides those that the search did
 AGAIN_RATIOS = (0.0, 100.0)
-AGAIN_ROWS = 1000  # longest series that is diagnosed with another seed too
-SAMPLES = 49  # of the parametric bootstrap
+AGAIN_ROWS = 1000  # longest series that is diagnosed with another seed too ...
+AGAIN_EACH = 3  # ... one in so many of each cell
+SAMPLES = 19  # of the parametric bootstrap
 
 
 def work(cells: Sequence[Cell], stream: int, seed: int, run: int) -> Row:
@@ -45,6 +46,7 @@ def work(cells: Sequence[Cell], stream: int, seed: int, run: int) -> Row:
         "set": "",
         "p_value": np.nan,
         "oracle": "",
+        "ratio_truth": np.nan,
         "score_truth": np.nan,
         "score_rival": np.nan,
         "gain": np.nan,
@@ -56,26 +58,28 @@ def work(cells: Sequence[Cell], stream: int, seed: int, run: int) -> Row:
         "note": "",
     }
     try:
-        size = sizes().get(cell.name, 0.0)
-        hidden = draw(cell, size, rng)
-        return row | blank | {"size_true": size} | _diagnosed(cell, hidden, seed, run)
+        hidden = draw(cell, size(cell), rng)
+        again = cell.rows <= AGAIN_ROWS and cell.ratio in AGAIN_RATIOS
+        again = again and run // len(cells) % AGAIN_EACH == 0
+        return row | blank | {"size_true": size(cell)} | _diagnosed(cell, hidden, run, again)
     except (EngineError, np.linalg.LinAlgError) as error:
         return row | blank | {"note": str(error)}
 
 
-def _diagnosed(cell: Cell, hidden: Hidden, seed: int, run: int) -> Row:
+def _diagnosed(cell: Cell, hidden: Hidden, run: int, again: bool) -> Row:
     base = BASES[cell.base]
     look = partial(find_causes, base.model, hidden.train, free=base.free)
     began = time.perf_counter()
     found = look(base.model.theta(), seed=run)
     row: Row = {"seconds": time.perf_counter() - began, **outcome(found)}
-    if cell.rows <= AGAIN_ROWS and cell.ratio in AGAIN_RATIOS:
+    if again:
         row["again"] = _said(look(found.base.theta, seed=run + 1_000_000))
     row["gain"] = held_out(found.search.base, found.search.final, hidden)
     if hidden.effect is None or hidden.effect.kind == "outside":
         return row
     truth, rival = oracle(found, hidden)
     row["gain_truth"] = held_out(found.search.base, truth.fit, hidden)
+    row["ratio_truth"] = truth.gain
     row["score_truth"] = truth.score
     row["score_rival"] = -np.inf if rival is None else rival.score
     row["oracle"] = truth.effect.name
@@ -146,7 +150,7 @@ def work_bootstrap(cells: Sequence[Cell], stream: int, seed: int, run: int) -> R
     cell = cells[run % len(cells)]
     base = BASES[cell.base]
     row: Row = {"base": cell.base, "hidden": cell.effect, "rows": cell.rows, "ratio": cell.ratio}
-    hidden = draw(cell, sizes().get(cell.name, 0.0), np.random.default_rng([seed, stream, run]))
+    hidden = draw(cell, size(cell), np.random.default_rng([seed, stream, run]))
     began = time.perf_counter()
     found = find_causes(base.model, hidden.train, base.model.theta(), free=base.free, seed=run)
     spent = time.perf_counter() - began
@@ -165,12 +169,13 @@ def _arm(name: str, stream: int, cells: Sequence[Cell]) -> Arm:
     return Arm(f"blind.{name}", partial(work, tuple(cells), stream), {"cells": len(cells)})
 
 
-USUAL_ARM = _arm("usual", 1, USUAL)
-OTHER_ARM = _arm("other", 2, OTHER)
-CLEAN_ARM = _arm("clean", 3, CLEAN)
-OUTSIDE_ARM = _arm("outside", 4, UNLISTED)
+USUAL_ARM = _arm("usual", 11, USUAL)
+OTHER_ARM = _arm("other", 12, OTHER)
+CLEAN_ARM = _arm("clean", 13, CLEAN)
+OUTSIDE_ARM = _arm("outside", 14, UNLISTED)
+HARD_ARM = _arm("look-alikes", 16, HARD)
 BOOTSTRAP_ARM = Arm(
     "blind.bootstrap",
-    partial(work_bootstrap, tuple(BOOTSTRAP), 5),
+    partial(work_bootstrap, tuple(BOOTSTRAP), 15),
     {"cells": len(BOOTSTRAP), "samples": SAMPLES},
 )

@@ -25,6 +25,7 @@ from engine.quasi_ml import QuasiFit, quasi_ml
 from engine.series import Series
 from engine.studies.blind.bases import BASES
 from engine.studies.blind.cells import (
+    HARD,
     OTHER,
     UNLISTED,
     USUAL,
@@ -37,10 +38,10 @@ from engine.studies.runner import THREADS
 
 FILE = Path(__file__).with_name("sizes.csv")
 SEED = 20_000_000  # apart from every series that is judged
-SERIES = 8  # per step of the search: the information differs much between series
-LONG_SERIES = 3  # of more rows than usual
+SERIES = 14  # per step of the search: the information differs much between series
+LONG_SERIES = 4  # of more rows than usual
 STEPS = 7
-CLOSE = 0.25  # of the logarithm of the ratio: near enough to stop
+CLOSE = 0.15  # of the logarithm of the ratio: near enough to stop
 MOST = 4.0  # by which a size changes in a step
 
 
@@ -109,7 +110,7 @@ def first_size(cell: Cell) -> float:
 
 def work(cell: Cell, start: float | None) -> tuple[str, float, float]:
     """Name, size and measured ratio; from a first size where there is one."""
-    cells = [*USUAL, *OTHER, *UNLISTED]
+    cells = [*USUAL, *HARD, *OTHER, *UNLISTED]
     size, ratio = size_of(cell, start or first_size(cell), cells.index(cell))
     return cell.name, size, ratio
 
@@ -129,18 +130,23 @@ def sizes() -> dict[str, float]:
         return {row["cell"]: float(row["size"]) for row in csv.DictReader(file)}
 
 
+def size(cell: Cell) -> float:
+    """The size hidden in a cell; 0 where nothing is, or what has no size. KeyError: not yet made."""
+    return sizes()[cell.name] if cell.effect and cell.effect != "outside:play" else 0.0
+
+
 def main() -> None:
     """Make the sizes that are missing."""
     done: dict[str, list[str]] = {}
     if FILE.exists():
         with FILE.open(newline="") as file:
             done = {row[0]: row for row in list(csv.reader(file))[1:]}
-    cells = [c for c in [*USUAL, *OTHER, *UNLISTED] if c.effect != "outside:play"]
+    cells = [c for c in [*USUAL, *HARD, *OTHER, *UNLISTED] if c.effect != "outside:play"]
     for name in THREADS:
         os.environ.setdefault(name, "1")
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
-        for batch in (USUAL, [*OTHER, *UNLISTED]):
+        for batch in ([*USUAL, *HARD], [*OTHER, *UNLISTED]):
             known = {name: float(row[1]) for name, row in done.items()}
             left = [c for c in batch if c in cells and c.name not in done]
             waiting = [pool.submit(work, c, scaled(c, known)) for c in left]

@@ -1,0 +1,85 @@
+"""What counts as an alarm, what it costs, and where effects may enter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import engine
+from engine.diagnose.catalogue import all_effects, make_effect
+from engine.diagnose.columns import Column, Projection
+from engine.diagnose.refits import Refit, cost
+from engine.diagnose.screen import make_test, screen
+from engine.diagnose.search import Round, confirmed
+from engine.diagnose.setting import Setting
+from engine.quasi_ml import quasi_ml
+from tests.engine.hidden_effects import DRIVE, hidden
+
+
+def enters(effect):
+    """The channel in whose equation an effect is."""
+    return effect.channel.partition(",")[0].partition("->")[2] or effect.channel.partition(",")[0]
+
+
+def test_nothing_is_added_to_an_equation_that_holds_by_definition():
+    servo = engine.get_model("servo")
+    assert servo.kinematic == ("position",)
+    there = {enters(e) for e in all_effects(Setting(servo)) if e.family != "noise"}
+    assert "velocity" in there
+    assert "position" not in there
+    free = replace(servo, kinematic=())
+    names = {e.name for e in all_effects(Setting(free))}
+    assert {"force:position", "coupling:velocity->position", "step:position"} <= names
+    # asked for by name it is there all the same
+    assert make_effect("force:position", Setting(servo)).name == "force:position"
+    # what the position does to others stays
+    assert "cubic:position->velocity" in {e.name for e in all_effects(Setting(servo))}
+
+
+def test_a_kinematic_state_must_be_a_state():
+    with pytest.raises(engine.ModelError, match="'place' is not among its states"):
+        replace(engine.get_model("servo"), kinematic=("place",))
+
+
+def scored(rng, n=8, T=500):
+    """A screen of n independent effects, the first of them with a large score."""
+    tests = []
+    effects = list(
+        all_effects(Setting(DRIVE), ["force", "quadratic", "cubic", "drag", "coupling"])
+    )[:n]
+    for i, effect in enumerate(effects):
+        v = rng.standard_normal(T)
+        z = rng.standard_normal(T) + (0.3 * v if i == 0 else 0.0)
+        tests.append(make_test(effect, [[((), Column(v * z, v))]], Projection([])))
+    return screen(tests, rng, alpha=0.05)
+
+
+def test_an_alarm_needs_a_refit_that_gains():
+    rng = np.random.default_rng(3)
+    seen = scored(rng)
+    assert seen.p_value <= 0.01
+    series = hidden([], {}, 1)
+    fit = quasi_ml(DRIVE, series, DRIVE.theta())
+    effect = seen.scores[0].effect
+    for gain, alarm in ((seen.scores[0].statistic, True), (0.5, False)):
+        found = confirmed(Round(seen, (Refit(effect, fit, gain, gain),), None, ()))
+        assert (found.screen.p_value <= 0.05) is alarm
+    assert found.screen.p_value > seen.p_value
+
+
+def test_family_wise_p_values_are_those_of_the_smallest_of_all_tests():
+    seen = scored(np.random.default_rng(4))
+    n = len(seen.scores)
+    for single in (0.002, 0.01, 0.05):  # n independent tests
+        assert seen.family_wise(single) == pytest.approx(1 - (1 - single) ** n, abs=0.05)
+    level = float(chi2.sf(seen.threshold, 1))
+    assert seen.family_wise(level) == pytest.approx(0.05, abs=0.005)
+
+
+def test_a_further_parameter_must_gain_the_logarithm_of_the_rows():
+    series = hidden([], {}, 1)
+    setting = Setting(DRIVE)
+    assert cost(make_effect("force:speed", setting), series) == 0.0
+    assert cost(make_effect("stribeck:speed", setting), series) == pytest.approx(np.log(400))
+    assert cost(make_effect("step:reading", setting), series) == pytest.approx(np.log(400))
