@@ -155,6 +155,22 @@ def fit(
     standard_errors: Annotated[
         bool, typer.Option("--standard-errors/--no-standard-errors", help="They take a while.")
     ] = True,
+    starts: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Take the best of N starts: yours, and others drawn within +-50 % of it.",
+        ),
+    ] = 1,
+    bootstrap: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="Standard errors and intervals from N estimations on simulated data instead.",
+        ),
+    ] = 0,
     out: Out = None,
     report: Report = None,
     plot: Plot = None,
@@ -216,6 +232,8 @@ def fit(
             iterations=iterations,
             seed=seed,
             standard_errors=standard_errors,
+            starts=starts,
+            bootstrap=bootstrap,
             out=paths.get("out"),
             report=paths.get("report"),
             plot=paths.get("plot"),

@@ -35,11 +35,12 @@ class Interrupt:
     """Ctrl-C held back until :meth:`check`, as compiled code may swallow it; a second one is not held."""
 
     def __init__(self) -> None:
-        self.came = False
+        self.came = self.holding = False
 
     @contextmanager
     def held(self) -> Iterator[None]:
         """Hold it back within; it is raised at the end at the latest."""
+        self.holding = True
         before = signal.signal(signal.SIGINT, self._take)
         try:
             yield
@@ -47,12 +48,19 @@ class Interrupt:
             signal.signal(signal.SIGINT, before)
         self.check()
 
+    def let_go(self) -> None:
+        """Hold it back no longer: what follows has no steps at which it could be checked."""
+        self.check()
+        self.holding = False
+
     def check(self) -> None:
         """Raise KeyboardInterrupt if it came."""
         if self.came:
             raise KeyboardInterrupt
 
     def _take(self, *_: Any) -> None:
+        if not self.holding:
+            raise KeyboardInterrupt
         self.check()
         self.came = True
 

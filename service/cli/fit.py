@@ -18,16 +18,22 @@ from engine.free_run import free_run
 from engine.model import MixedModel
 from engine.report import write_report
 from engine.series import Series
-from service import kinds, strict_json
+from service import stages, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
 from service.cli.state import Asked, Recorder, keep_old, read
 from service.cli.values import figure_folder, free_of, output_path, theta_of
+from service.found import roles
 from service.prepare import Prepared
 from service.problems import Problem
-from service.schemas import EstimateOptions, EstimateRequest, ModelReference
+from service.schemas import (
+    EstimateOptions,
+    EstimateParameters,
+    EstimateRequest,
+    ModelReference,
+)
 
 
 def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
@@ -45,13 +51,16 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
             if aside is not None:
                 shown.note(f"an earlier {path.name} is kept as {aside.name}")
             begun.append(Recorder(path, asked, shown))
+            _name_tasks(job, begun[0])
             document = _run(job, asked, begun[0], shown)
         _tell(job, asked, document, path, as_json)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
     """Go on with an estimation; ``changes`` are members of Asked that may differ."""
-    asked, rows = read(path)
+    asked, rows, finished = read(path)
+    if "iterations" in changes and (asked.starts > 1 or asked.bootstrap):
+        raise wrong("--iterations cannot be changed where there are several starts or a bootstrap")
     for name, value in changes.items():
         setattr(asked, name, value)
     asked.check()
@@ -59,14 +68,16 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
-            recorder = Recorder(path, asked, shown, rows)
-            if rows.shape[1] != len(job.model.parameters) + 4:
+            recorder = Recorder(path, asked, shown, rows, finished)
+            if len(rows) and rows.shape[1] != len(job.model.parameters) + 4:
                 raise wrong(
                     f"--resume {path}: its parameters are not those of model '{asked.model}'"
                 )
             if asked.iterations < recorder.k:
                 raise wrong(f"--iterations {asked.iterations}: {recorder.k} are done already")
-            shown.note(f"going on after iteration {recorder.k}")
+            _name_tasks(job, recorder)
+            within = f" of {recorder.name}" if recorder.name else ""
+            shown.note(f"going on after iteration {recorder.k}{within}")
             begun.append(recorder)
             document = _run(job, asked, recorder, shown)
         _tell(job, asked, document, path, as_json)
@@ -101,7 +112,10 @@ def _prepare(asked: Asked, shown: Meter) -> Prepared:
     for _, line in both:
         shown.note(line)
     request = EstimateRequest.model_construct(
-        kind="estimate", model=ModelReference(name=base.name), options=options_of(asked)
+        kind="estimate",
+        model=ModelReference(name=base.name),
+        parameters=EstimateParameters(),
+        options=options_of(asked),
     )
     return Prepared(request, model, series, theta, free)
 
@@ -128,24 +142,39 @@ def _resumable(asked: Asked) -> Iterator[list[Recorder]]:
             raise
         recorder = begun[0]
         recorder.save()
+        where = f"in {recorder.name}, " if recorder.name else ""
         raise Ending(
             Code.INTERRUPTED,
-            f"interrupted after {recorder.k} of {asked.iterations} iterations. Go on with\n"
+            f"interrupted {where}after {recorder.k} of {asked.iterations} iterations. Go on with\n"
             f"  {again(recorder.path)}",
             state=str(recorder.path),
             iteration=recorder.k,
         ) from None
 
 
+def _name_tasks(job: Prepared, recorder: Recorder) -> None:
+    """Names of the tasks, as the page of a job has them."""
+    sizes = [n for _, n in stages.plan(job.request)]
+    if len(sizes) > 1:
+        parts = [roles(sizes)[sum(sizes[:i])] for i in range(len(sizes))]
+        recorder.names = [
+            f"{role} {i + 1} of {n}" if n > 1 else role
+            for role, n in zip(parts, sizes, strict=True)
+            for i in range(n)
+        ]
+
+
 def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[str, Any]:
-    """Iterate, then smooth and assess."""
-    options = options_of(asked)
-    shown.begin(asked.iterations, recorder.k)
+    """All tasks that are left, one after the other; what the last one leaves is the result."""
+    last = sum(n for _, n in stages.plan(job.request)) - 1
+    shown.begin(stages.steps(job), recorder.steps)
     try:
-        with recorder.interrupt.held():
-            found = kinds.fit(job, options, job.theta, options.seed, recorder)
-        recorder.save()
-        return kinds.describe(job, options, found, recorder)
+        while True:
+            with recorder.interrupt.held():
+                document = stages.run(job, recorder.task, recorder)
+            if recorder.task == last:
+                return document
+            recorder.finish(document)
     except Problem:  # diverged or lost: from here nothing leads on
         _tidy(asked, recorder.path)
         raise
@@ -158,7 +187,8 @@ def _tell(
     job: Prepared, asked: Asked, document: dict[str, Any], state: Path, as_json: bool
 ) -> None:
     """Write the files and print the estimate."""
-    more = document["outcome"] == "iterations-used-up"
+    one_run = asked.starts == 1 and not asked.bootstrap
+    more = one_run and document["outcome"] == "iterations-used-up"
     if not more:
         _tidy(asked, state)
     written = []
@@ -200,17 +230,46 @@ def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any])
     samples = sum(map(len, series))
     likelihood = document["log_likelihood"]
     lines = [f"{model.name}: {samples} samples, {done} iterations. {document['message']}"]
-    lines.append(f"{'':<16}{'estimate':>12}{'std. error':>12}  unit")
+    intervals = any(one.get("interval") for one in document["estimate"].values())
+    between = f"{'95 % interval':>26}" if intervals else ""
+    lines.append(f"{'':<16}{'estimate':>12}{'std. error':>12}{between}  unit")
     for name, one in document["estimate"].items():
         error = one["standard_error"]
         shown = "fixed" if one.get("fixed") else "-" if error is None else words.number(error, 3)
         value = words.number(one["value"], 5)
+        if intervals:
+            ends = [words.number(v, 4) for v in one.get("interval") or ()]
+            shown = f"{shown:>12}{' to '.join(ends):>26}"
         lines.append(f"{name:<16}{value:>12}{shown:>12}  {words.tidy(one['unit'])}".rstrip())
     error = likelihood["standard_error"]
     lines.append(
         f"log-likelihood {likelihood['value']:.2f}" + (f" +- {error:.2f}" if error else "")
     )
-    return lines
+    if bootstrap := document.get("bootstrap"):
+        lines.append(
+            f"standard errors and intervals from {bootstrap['runs'] - bootstrap['failed']} estimations on "
+            "data simulated at the estimate"
+        )
+    return lines + _starts(document)
+
+
+def _starts(document: dict[str, Any]) -> list[str]:
+    """Where each of several starts ended, the best first."""
+    found = document.get("starts") or []
+    reached = [(i, one) for i, one in enumerate(found, 1) if "log_likelihood" in one]
+    reached.sort(key=lambda pair: -pair[1]["log_likelihood"]["value"])
+    free = [name for name, one in document["estimate"].items() if not one.get("fixed")]
+    lines = [
+        f"start {i}: log-likelihood {one['log_likelihood']['value']:.2f}; "
+        + ", ".join(f"{name} {words.number(one['estimate'][name], 4)}" for name in free)
+        for i, one in reached
+    ]
+    lost = [
+        f"start {i}: {one['message']}"
+        for i, one in enumerate(found, 1)
+        if "log_likelihood" not in one
+    ]
+    return lines + lost
 
 
 def figures(job: Prepared, document: dict[str, Any]) -> plots.Figures:

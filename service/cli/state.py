@@ -1,11 +1,13 @@
-"""The state file of an estimation: what was asked, and every iteration that is done.
+"""The state file of an estimation: what was asked, what its tasks left, every iteration of the current one.
 
-An .npz archive of one table and one JSON text; nothing is pickled. It is written beside itself and
+Tasks are those of ``stages.plan``, one after the other. The file is an .npz archive of one table and JSON
+texts; nothing is pickled. It is written beside itself and
 moved into place, so a file that is there is whole.
 """
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import io
 import json
@@ -13,7 +15,7 @@ import os
 import signal
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
@@ -23,13 +25,14 @@ from typing import Any
 import numpy as np
 
 from engine.model import Array, Theta
+from service import strict_json
 from service.cli.ending import Interrupt, wrong
 from service.cli.meter import Meter
 
-FORMAT = 1
-SAVE_SECONDS = (
-    1.0  # at most so much work is lost to a kill; Ctrl-C loses the running iteration only
-)
+FORMAT = 2
+# At most so much work is lost to a kill, or so many times what it takes to save a large state; Ctrl-C
+# loses the running iteration only.
+SAVE_SECONDS, SAVE_TIMES = 1.0, 20.0
 
 
 @dataclass
@@ -51,6 +54,8 @@ class Asked:
     iterations: int = 100
     seed: int = 0
     standard_errors: bool = True
+    starts: int = 1
+    bootstrap: int = 0
     out: str | None = None
     report: str | None = None
     plot: str | None = None
@@ -82,16 +87,46 @@ def digest(file: Path) -> str:
 class Recorder:
     """``kinds.Progress`` on a state file and a meter; rows are (theta..., log-likelihood, ess, ...)."""
 
-    def __init__(self, path: Path, asked: Asked, meter: Meter, rows: Array | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        asked: Asked,
+        meter: Meter,
+        rows: Array | None = None,
+        finished: Sequence[Any] = (),
+    ) -> None:
         self.path, self.asked, self.meter = path, asked, meter
         self.done: list[Array] = [] if rows is None else list(rows)
-        self._saved = time.monotonic()
+        self.finished = list(finished)  # what the tasks before this one left
+        self.names: list[str] = []  # of the tasks, where there are several
+        self._save_at = time.monotonic() + SAVE_SECONDS
         self.interrupt = Interrupt()
 
     @property
     def k(self) -> int:
-        """Iterations done."""
+        """Iterations done of this task."""
         return max(len(self.done) - 1, 0)
+
+    @property
+    def task(self) -> int:
+        """Number of the task that is computed."""
+        return len(self.finished)
+
+    @property
+    def name(self) -> str:
+        """What is computed, such as ``start 2 of 8``; empty where there is nothing else."""
+        return self.names[self.task] if self.names else ""
+
+    @property
+    def steps(self) -> int:
+        """Iterations done in all; a task that has ended has used all that it might."""
+        return self.asked.iterations * self.task + self.k
+
+    def finish(self, result: Any) -> None:
+        """Go on to the next task; ``result`` is kept as JSON, as the service keeps it."""
+        self.finished.append(json.loads(strict_json.dumps(result)))
+        self.done = []
+        self.save()
 
     def rows(self) -> Array:
         """Iterations of the run that is resumed."""
@@ -105,31 +140,38 @@ class Recorder:
         """One more row, saved when the last saving is long enough ago."""
         numbers = [it.log_likelihood, it.ess, it.seconds, it.collapsed]
         self.done.append(np.append(it.theta, numbers))
-        if time.monotonic() - self._saved > SAVE_SECONDS:
+        if time.monotonic() > self._save_at:
             self.save()
-        self.meter.at(it.k, f"log-likelihood {it.log_likelihood:.2f}")
+        said = f"log-likelihood {it.log_likelihood:.2f}"
+        self.meter.at(self.steps, f"{self.name}, {said}" if self.names else said)
         self.interrupt.check()
 
     def step(self, k: int, message: str = "") -> None:
         """What follows the iterations."""
+        if self.interrupt.holding:
+            self.save()
+            self.interrupt.let_go()
         self.meter.say(message)
 
     def left(self, task: int) -> Any:
-        """What other tasks left: the command line runs a single one."""
-        raise LookupError(f"task {task}")
+        """What an earlier task left."""
+        return copy.deepcopy(self.finished[task])
 
     def save(self) -> None:
         """Write the state; Ctrl-C waits meanwhile."""
+        began = time.monotonic()
         with _undisturbed():
-            write(self.path, self.asked, np.array(self.done))
-        self._saved = time.monotonic()
+            write(self.path, self.asked, np.array(self.done), self.finished)
+        now = time.monotonic()
+        self._save_at = now + max(SAVE_SECONDS, SAVE_TIMES * (now - began))
 
 
-def write(path: Path, asked: Asked, rows: Array) -> None:
+def write(path: Path, asked: Asked, rows: Array, finished: Sequence[Any] = ()) -> None:
     """Write a state file in one move."""
     text = json.dumps({"rbps_state": FORMAT} | asdict(asked))
+    left = np.frombuffer(json.dumps(list(finished)).encode(), dtype=np.uint8)
     packed = io.BytesIO()
-    np.savez_compressed(packed, asked=np.array(text), rows=rows)
+    np.savez_compressed(packed, asked=np.array(text), rows=np.atleast_2d(rows), left=left)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         beside.write_bytes(packed.getvalue())
@@ -138,20 +180,21 @@ def write(path: Path, asked: Asked, rows: Array) -> None:
         beside.unlink(missing_ok=True)
 
 
-def read(path: Path) -> tuple[Asked, Array]:
-    """What was asked, and its rows (k + 1, n_theta + 4)."""
+def read(path: Path) -> tuple[Asked, Array, list[Any]]:
+    """What was asked, the current task's rows (k + 1, n_theta + 4) or (0, 0), and what tasks left."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             told, rows = json.loads(str(stored["asked"])), np.asarray(stored["rows"], dtype=float)
+            left = json.loads(stored["left"].tobytes())
         known = {one.name for one in fields(Asked)}
         asked = Asked(**{name: value for name, value in told.items() if name in known})
     except FileNotFoundError:
         raise wrong(f"--resume {path}: there is no such file") from None
     except (ValueError, TypeError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
         raise wrong(f"--resume {path}: this is not a state file of 'rbps fit'") from error
-    if told.get("rbps_state") != FORMAT or rows.ndim != 2:
+    if told.get("rbps_state") != FORMAT or rows.ndim != 2 or not isinstance(left, list):
         raise wrong(f"--resume {path}: this is not a state file of this version of rbps")
-    return asked, rows
+    return asked, rows if rows.size else np.zeros((0, 0)), left
 
 
 def keep_old(path: Path) -> Path | None:

@@ -13,11 +13,14 @@ import numpy as np
 import pytest
 
 import engine
+from engine import words
 from engine.data import nile
 from engine.series_files import read_series, write_series
+from service import stages
 from service.examples import EXAMPLES
 from service.kinds import simulate as simulated_by_the_service
 from service.prepare import load
+from service.strict_json import dumps
 from tests.cli.conftest import RBPS
 
 QUICK = ("-n", "3", "--no-standard-errors")
@@ -145,6 +148,55 @@ def test_fit_gives_the_engines_numbers(rbps, flows):
         assert document["trace"]["theta"][name] == found.trace[:, model.index(name)].tolist()
     assert document["estimate"]["level"]["fixed"]
     assert document["outcome"] == "iterations-used-up"
+
+
+class InMemory:
+    """What the service's tasks tell and leave, without a store."""
+
+    def __init__(self):
+        self.results = []
+
+    def rows(self):
+        return np.zeros((0, 0))
+
+    def start(self, theta):
+        pass
+
+    def iteration(self, it):
+        pass
+
+    def step(self, k, message=""):
+        pass
+
+    def left(self, task):
+        return json.loads(dumps(self.results[task]))
+
+
+def test_starts_and_bootstrap_are_the_services(rbps, flows):
+    result = rbps("fit", flows, "-m", "local-level", "--set", "q=3000", "--free", "q,r", "--method",
+                  "rts-em", "-n", 40, "--starts", 3, "--bootstrap", 4, "--seed", 2, "-o", "a.json")  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    job = load({
+        "kind": "estimate", "model": "local-level", "series": [{"y": nile().y.tolist()}],
+        "parameters": {"start": {"q": 3000.0}, "free": ["q", "r"]},
+        "options": {"method": "rts-em", "iterations": 40, "starts": 3, "bootstrap": 4, "seed": 2},
+    })  # fmt: skip
+    there = InMemory()
+    for task in range(3 + 1 + 4 + 1):
+        there.results.append(stages.run(job, task, there))
+    mine, theirs = (json.loads(text) for text in (
+        flows.with_name("a.json").read_text(), dumps(there.results[-1])))  # fmt: skip
+    for document in (mine, theirs):
+        del document["trace"]["seconds"]
+    assert mine == theirs
+    assert "from 4 estimations on data simulated at the estimate" in result.stdout
+    found = [line for line in result.stdout.splitlines() if line.startswith("start ")]
+    reached = [float(line.split()[3].rstrip(";")) for line in found]
+    assert len(reached) == 3
+    assert reached == sorted(reached, reverse=True)
+    low, high = mine["estimate"]["q"]["interval"]
+    assert f"{words.number(low, 4)} to {words.number(high, 4)}" in result.stdout
+    assert not list(flows.parent.glob("*.state"))
 
 
 def test_fit_writes_what_is_asked_for(rbps, flows, tmp_path):

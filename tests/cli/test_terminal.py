@@ -81,13 +81,36 @@ def test_ctrl_c_and_going_on_give_the_same_numbers(folder, terminal, uninterrupt
     assert same_numbers(json.loads((folder / "result.json").read_text()), uninterrupted)
 
 
+def test_ctrl_c_in_a_later_start(folder, terminal):
+    several = (*FIT, "--starts", "2", "--out", "result.json")
+    whole = terminal("fit", *several)
+    assert whole.end()[0] == 0
+    expected = json.loads((folder / "result.json").read_text())
+    assert len(expected["starts"]) == 2
+    (folder / "result.json").unlink()
+    run = terminal("fit", *several)
+    run.until("start 2 of 2, log-likelihood")
+    run.type(b"\x03")
+    assert run.end()[0] == 130
+    told = re.search(r"interrupted in (start 2 of 2|choice), after (\d+) of 30 it", run.shown)
+    assert told, run.shown
+    refused = terminal("fit", "--resume", "result.state", "-n", "40")
+    assert refused.end()[0] == 2
+    assert "cannot be changed where there are several starts" in refused.shown
+    run = terminal("fit", "--resume", "result.state")
+    run.until(rf"going on after iteration {told[2]} of {told[1]}")
+    assert run.end()[0] == 0
+    assert same_numbers(json.loads((folder / "result.json").read_text()), expected)
+    assert not (folder / "result.state").exists()
+
+
 def test_ctrl_c_after_the_iterations_loses_none(folder, terminal, uninterrupted):
     run = terminal("fit", *FIT, "--state", "kept.state")
     run.until("smoothing|comparing")
     run.type(b"\x03")
     if run.end()[0] == 130:
         assert "interrupted after 30 of 30 iterations" in run.shown
-    asked, rows = state.read(folder / "kept.state")
+    asked, rows, _ = state.read(folder / "kept.state")
     assert rows.shape == (31, 9)
     assert asked.data == [str(folder / "data.csv")]
     again = subprocess.run(
@@ -106,7 +129,7 @@ def test_a_killed_run_leaves_its_iterations(folder, uninterrupted):
         time.sleep(0.05)
     run.kill()
     run.wait()
-    asked, rows = state.read(path)
+    asked, rows, _ = state.read(path)
     assert asked.iterations == 100000
     assert len(rows) > 1
     theta = uninterrupted["trace"]["theta"]
