@@ -163,21 +163,47 @@ def check_effects(effects: Sequence[str] | None) -> None:
 
 def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:
     """Measured data with the model's channel names, so that messages use them."""
-    if model.nu and one.u is None:
+    u, extra = _with_inputs(one, model, where)
+    if model.nu and u is None:
         inputs = ", ".join(model.inputs)
         raise invalid(f"{where}.u", f"is missing; model '{model.name}' has inputs ({inputs})")
-    for name, table, channels in (("y", one.y, model.outputs), ("u", one.u, model.inputs)):
+    for name, table, channels in (("y", one.y, model.outputs), ("u", u, model.inputs)):
         if table is not None:
             _check_width(table, channels, f"{where}.{name}", model)
     with _at(where):
         return Series(
             one.y,
-            one.u if model.nu else None,
+            u if model.nu else None,
             t=one.t,
             y_names=tuple(model.outputs),
             u_names=tuple(model.inputs),
             dt=1.0 if one.dt is None else one.dt,
+            extra=np.column_stack(list(extra.values())) if extra else None,
+            extra_names=tuple(extra) or None,
         ).check(model)
+
+
+def _with_inputs(
+    one: SeriesIn, model: MixedModel, where: str
+) -> tuple[Array | None, dict[str, list[float]]]:
+    """u with those extra channels behind it that the model has as inputs; the other extra channels."""
+    extra = dict(one.extra or {})
+    for name, column in extra.items():
+        if len(column) != len(one.y):
+            raise invalid(
+                f"{where}.extra", f"'{name}' has {len(column)} rows and y has {len(one.y)}"
+            )
+        if name in {**model.outputs, **model.nonlinear, **model.linear}:
+            raise invalid(
+                f"{where}.extra", f"'{name}' is the name of a channel of model '{model.name}'"
+            )
+    added = [extra.pop(name) for name in model.inputs if name in extra]
+    if not added:
+        return one.u, extra
+    own = np.zeros((len(one.y), 0)) if one.u is None else one.u
+    if len(own) != len(one.y):
+        raise invalid(f"{where}.u", f"u has {len(own)} rows and y has {len(one.y)}")
+    return np.column_stack([own, *added]), extra
 
 
 def _inputs(request: SimulateRequest, model: MixedModel) -> list[Series]:
@@ -195,7 +221,11 @@ def _inputs(request: SimulateRequest, model: MixedModel) -> list[Series]:
             raise invalid("options.samples", f"{request.options.samples}; {where} has {n} rows")
         y = one.y if one.y is not None else np.zeros((n, model.ny))
         out.append(
-            _series(SeriesIn.model_construct(y=y, u=one.u, dt=one.dt, t=one.t), model, where)
+            _series(
+                SeriesIn.model_construct(y=y, u=one.u, dt=one.dt, t=one.t, extra=one.extra),
+                model,
+                where,
+            )
         )
         if one.y is None:
             out[-1] = out[-1].masked(np.arange(n))
@@ -219,7 +249,7 @@ def _at(where: str) -> Iterator[None]:
         yield
     except SeriesError as error:
         text = str(error)
-        part = re.match(r"(y|u|t|dt)\b", text)
+        part = re.match(r"(y|u|t|dt|extra)\b", text)
         more: dict[str, Any] = {}
         if row := re.search(r"\brow (\d+)", text):
             more["row"] = int(row[1])

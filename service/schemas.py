@@ -116,6 +116,10 @@ ModelChoice = Annotated[
 ]
 
 
+# The signs are those of effects and models: extra-input:NAME->STATE, MODEL+EFFECT.
+ExtraName = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^+:>]*$")]
+
+
 class _Timed(_Strict):
     dt: float | None = Field(default=None, gt=0, allow_inf_nan=False, description="time step, s")
     t: list[float] | None = Field(
@@ -129,14 +133,23 @@ class _Timed(_Strict):
         return self
 
 
-class SeriesIn(_Timed):
+class _Recorded(_Timed):
+    extra: dict[ExtraName, list[Number]] | None = Field(
+        default=None,
+        max_length=50,
+        description="channels by name that were recorded beside y and u, without gaps; a diagnosis asks "
+        "whether the model should use them, and a model that does takes them for its inputs of these names",
+    )
+
+
+class SeriesIn(_Recorded):
     """Measured data: y (T, ny) with null where a value is missing, u (T, nu) without gaps."""
 
     y: Table
     u: Table | None = None
 
 
-class InputIn(_Timed):
+class InputIn(_Recorded):
     """What drives a simulation: u (T, nu); y, where measured, is what a free run starts from."""
 
     u: Table | None = None

@@ -8,16 +8,19 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from engine.errors import OptionError, SeriesError
-from engine.registry import get_model
-from engine.series_files import read_series_bytes
-from service.prepare import ADAPTER, Request
+from engine.diagnose.setting import Setting
+from engine.errors import SeriesError
+from engine.series_files import READERS, read_series_bytes
+from service.prepare import ADAPTER, Request, find_model
 from service.problems import Problem, invalid
+from service.schemas import ModelReference
 
 UNPACKED = 20  # how many times its size a compressed file may unpack to, beyond 16 MiB
 
@@ -31,6 +34,7 @@ class _FileSeries(BaseModel):
     u: list[str] | dict[str, str] | None = None
     t: str | None = None
     dt: float | None = None
+    extra: list[str] = Field(default_factory=list, max_length=50)
 
 
 def with_files(text: str, files: Mapping[str, bytes]) -> Request:
@@ -89,17 +93,45 @@ def _read(
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
     read = {"y": series.y, "t": series.t.tolist()}
-    return read | ({"u": series.u} if series.u.shape[1] else {})
+    if series.u.shape[1]:
+        read["u"] = series.u
+    if wanted.extra:
+        read["extra"] = _extra(wanted, data, f"{where}.extra")
+    return read
+
+
+def _extra(wanted: _FileSeries, data: bytes, where: str) -> dict[str, list[float]]:
+    """Columns that the model does not use."""
+    table = READERS[Path(wanted.file).suffix.lower()](data, wanted.file)
+    found = {}
+    for name in wanted.extra:
+        if name not in table.columns:
+            raise invalid(where, f"there is no column '{name}'; there are {table.there()}")
+        try:
+            column = table.column(name)
+        except SeriesError as error:
+            raise invalid(where, str(error)) from None
+        if (gaps := np.flatnonzero(~np.isfinite(column))).size:
+            raise invalid(
+                where,
+                f"column '{name}' has no value at row {gaps[0]}; an input must be known at every sample",
+                row=int(gaps[0]),
+                channel=name,
+            )
+        found[name] = column.tolist()
+    return found
 
 
 def _channels(model: Any) -> tuple[list[str], list[str]]:
     """Outputs and inputs of the request's model; what is wrong with it is told later."""
-    name = model.get("name") if isinstance(model, dict) else model
     try:
-        found = get_model(name) if isinstance(name, str) else None
-    except OptionError:
-        found = None
-    return (list(found.outputs), list(found.inputs)) if found else ([], [])
+        reference = ModelReference.model_validate(
+            {"name": model} if isinstance(model, str) else model
+        )
+        found = find_model(reference, Setting)
+    except (ValidationError, Problem):
+        return [], []
+    return list(found.outputs), list(found.inputs)
 
 
 def _in_order(

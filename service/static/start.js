@@ -42,8 +42,8 @@ function build() {
 }
 
 // A simulation that reads an earlier job's data keeps its length in one place, the series.
-function inputsOnly({ y, u, t, dt }) {
-  return { y, u, t, dt };
+function inputsOnly({ y, u, t, dt, extra }) {
+  return { y, u, t, dt, extra };
 }
 
 async function send(event) {

@@ -123,6 +123,36 @@ def test_diagnose_and_go_on_with_the_extension(visit):
     page.wait_for_selector("#status.successful")
 
 
+def test_a_column_that_the_model_does_not_use_is_asked_about(visit, tmp_path):
+    rng = np.random.default_rng(0)
+    noise, rain = rng.standard_normal((2, 80))
+    level = 1100 + np.cumsum(40 * noise + 150 * np.append(0.0, rain[:-1]))
+    flow = level + 30 * rng.standard_normal(80)
+    page = visit("/?model=local-level")
+    ready(page)
+    page.set_input_files("#file", write(tmp_path / "wet.csv", flow=flow, rain=rain))
+    page.wait_for_selector("#channels .u-wrap canvas")
+    page.check('#extra-columns label:has-text("rain") input')
+    page.check('input[value="diagnose"]')
+    page.click("#options summary")
+    page.fill("#diagnose-effects", "extra-input, bias")
+    page.click("#go")
+    page.wait_for_url("**/jobs/*")
+    page.wait_for_selector("#status.successful")
+    page.wait_for_selector("#extended:visible")
+    assert "extra-input:rain->level" in page.inner_text("#results")
+    page.click("#extended")
+    ready(page)
+    assert "80 values" in page.inner_text('[data-facts="u.rain"]')  # an input of the model now
+    assert page.is_hidden("#extra")
+    page.click("#options summary")
+    page.fill("#estimate-iterations", "3")
+    page.uncheck('[data-kind="estimate"] [data-option="standard_errors"]')
+    page.click("#go")
+    page.wait_for_url(lambda url: "/jobs/" in url)
+    page.wait_for_selector("#status.successful")
+
+
 def test_wrong_input_is_said_beside_its_field(visit, tmp_path):
     page = visit("/")
     ready(page)

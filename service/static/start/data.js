@@ -14,6 +14,7 @@ export class DataCard {
     this.job = null; // {id, series}: the data of an earlier job instead of files
     this.channels = []; // [{member: "y" | "u", name, unit}]
     this.mapping = new Map(); // "y.flow" -> column
+    this.extra = new Set(); // columns that a diagnosis should ask about
     this.charts = [];
     by("file").addEventListener("change", () => this.take([...by("file").files]));
     by("time").addEventListener("change", () => this.look());
@@ -51,6 +52,7 @@ export class DataCard {
       return;
     }
     this.mapping.clear();
+    this.extra.clear();
     this.offerTimes();
     this.showChannels();
   }
@@ -59,6 +61,7 @@ export class DataCard {
   takeJob(id, series) {
     [this.files, this.job] = [[], { id, series }];
     this.mapping.clear();
+    this.extra.clear();
     this.showChannels();
   }
 
@@ -113,7 +116,27 @@ export class DataCard {
     });
     by("channels").replaceChildren(...rows);
     if (!this.channels.length) by("channels").replaceChildren(element("p", { class: "muted" }, "Choose a model to see which channels it needs."));
+    this.offerExtra();
     this.draw();
+  }
+
+  // Columns that are no channel of the model.
+  offerExtra() {
+    const used = new Set([...this.mapping.values(), by("time").value]);
+    const names = this.job ? spare(this.job.series[0], this.channels)
+      : this.columns().filter((one) => !one.problem && !one.missing && !used.has(one.name)).map((one) => one.name);
+    by("extra").hidden = !names.length || !this.channels.length;
+    by("extra-hint").textContent = this.job ? "A diagnosis asks whether the model should use them."
+      : "A diagnosis asks whether the model should use the columns marked here.";
+    for (const name of this.extra) if (!names.includes(name)) this.extra.delete(name);
+    by("extra-columns").replaceChildren(...names.map((name) => (this.job ? element("span", {}, name)
+      : element("label", { class: "inline" }, element("input", {
+        type: "checkbox", checked: this.extra.has(name), onchange: (event) => {
+          if (event.target.checked) this.extra.add(name);
+          else this.extra.delete(name);
+          this.onChange();
+        },
+      }), name))));
   }
 
   row(channel, key, columns) {
@@ -124,6 +147,7 @@ export class DataCard {
     select.value = this.mapping.get(key);
     select.addEventListener("change", () => {
       this.mapping.set(key, select.value);
+      this.offerExtra();
       this.draw();
     });
     this.selects.set(key, select);
@@ -239,6 +263,7 @@ export class DataCard {
       if (!columns[member][name]) errors.push({ field: `series[0].${member}.${name}`, message: "no column is chosen for this channel" });
     }
     const how = { ...columns };
+    if (this.extra.size) how.extra = [...this.extra];
     if (by("time").value) how.t = by("time").value;
     else {
       how.dt = Number(by("dt").value);
@@ -280,7 +305,7 @@ function jobColumns(series, channels) {
   const index = { y: 0, u: 0 };
   return channels.map(({ member, name }) => {
     const at = index[member]++;
-    const value = (series[member] ?? []).map((row) => row[at] ?? null);
+    const value = member === "u" && series.extra?.[name] ? series.extra[name] : (series[member] ?? []).map((row) => row[at] ?? null);
     const there = value.filter((v) => v !== null);
     const gaps = [];
     value.forEach((v, i) => {
@@ -291,6 +316,12 @@ function jobColumns(series, channels) {
     const [minimum, maximum] = there.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
     return { name, rows: value.length, missing: value.length - there.length, minimum, maximum, problem: null, row: value.map((_, i) => i), value, gaps };
   });
+}
+
+// Extra channels of a job's series that the model does not use.
+function spare(series, channels) {
+  const used = new Set(channels.map((one) => one.name));
+  return Object.keys(series.extra ?? {}).filter((name) => !used.has(name));
 }
 
 function describe(column, channel) {
