@@ -144,7 +144,8 @@ def test_preview_has_the_limits_of_jobs(make_client):
 
 def test_a_request_can_be_asked_for_and_posted_again(client, estimation, ended):
     first = estimation(iterations=2)
-    first["series"][0]["y"][3] = [None]
+    y = first["series"][0]["y"]
+    first["series"][0]["y"] = [*y[:3], [None], *y[4:]]  # a copy: other tests have the same data
     url = client.post("/jobs", json=first).headers["location"]
     asked = client.get(f"{url}/request").json()
     assert asked["series"][0]["y"] == first["series"][0]["y"]
