@@ -14,7 +14,7 @@ CALLS = [
     "GET /", "GET /models", "GET /models/{name}", "POST /models/extend", "POST /preview",
     "POST /jobs", "POST /jobs/upload", "GET /jobs", "GET /jobs/{job_id}", "GET /jobs/{job_id}/request",
     "GET /jobs/{job_id}/trace", "GET /jobs/{job_id}/results", "GET /jobs/{job_id}/tasks",
-    "GET /jobs/{job_id}/report",
+    "GET /jobs/{job_id}/report", "GET /jobs/{job_id}/charts",
     "DELETE /jobs/{job_id}", "GET /livez", "GET /readyz", "GET /metrics",
 ]  # fmt: skip
 PLAIN = ("GET /", "GET /livez", "GET /readyz")  # nothing in them can be wrong
