@@ -17,7 +17,8 @@ class Outcome(Enum):
     )
     COLLAPSED = (
         "Lost: at these parameters the particle filter collapses onto single particles, so the "
-        "iterates follow noise. Use more particles, another start, or a larger measurement noise."
+        "iterates follow noise. Check the units of the data, or use more particles, another start, or a "
+        "larger measurement noise."
     )
 
     @property

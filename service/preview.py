@@ -50,7 +50,8 @@ def preview(data: bytes, filename: str, time: str | None, max_samples: int) -> P
 def _read(data: bytes, filename: str) -> Table:
     suffix = Path(filename).suffix.lower()
     if suffix not in READERS:
-        raise invalid("file", f"must be a .csv, .mat or .npz file, not '{filename}'")
+        sheet = "; a spreadsheet can be saved as CSV" if suffix in (".xls", ".xlsx", ".ods") else ""
+        raise invalid("file", f"must be a .csv, .mat or .npz file, not '{filename}'{sheet}")
     check_unpacked(data, "file")
     try:
         return READERS[suffix](data, Path(filename).name)

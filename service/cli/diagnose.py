@@ -111,7 +111,8 @@ def _diagnosis(wanted: Wanted, shown: Meter) -> tuple[engine.Diagnosis, dict[str
     except KeyboardInterrupt:
         raise Ending(
             Code.INTERRUPTED,
-            "interrupted; a diagnosis keeps nothing to go on from, the same command begins anew",
+            "interrupted; a diagnosis keeps nothing to go on from. The same command begins anew and gives "
+            "the same answer; one that looks for less, such as --effects coulomb,bias, ends sooner.",
         ) from None
     return found, diagnoses.document(found, base.name, wanted.effects)
 

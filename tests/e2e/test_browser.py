@@ -175,11 +175,22 @@ def test_wrong_input_is_said_beside_its_field(visit, tmp_path):
     assert "decimal comma" in page.inner_text("#data-facts")
     # The only usable column is not taken for the channel.
     assert page.input_value('[id="column-y.flow"]') == ""
+    units = tmp_path / "units.csv"
+    units.write_text("t,flow\n[s],[m3]\n0,12\n1,13\n2,14\n")
+    page.set_input_files("#file", units)
+    page.wait_for_selector('#data-facts .notice:has-text("line of units")')
+    assert page.locator("#data-facts .notice").count() == 1
+    page.set_input_files("#file", write(tmp_path / "ms.csv", time_ms=[0, 20, 40], y=[1, 2, 3]))
+    page.wait_for_selector('#data-facts:has-text("ms.csv")')
+    page.select_option("#time", "time_ms")
+    page.wait_for_selector("#time-facts.field-error")
+    assert "seems to be in ms" in page.inner_text("#time-facts")
     empty = tmp_path / "empty.csv"
     empty.write_text("")
     page.set_input_files("#file", empty)
     page.wait_for_selector('[data-field~="file"] .field-error')
     assert "is empty" in page.inner_text('[data-field~="file"] .field-error')
+    assert page.is_hidden("#data-card")  # nothing of the file before it is left
     visit.expect("422")
 
 

@@ -49,6 +49,8 @@ export class DataCard {
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
       this.complain(error.errors[0]?.message ?? error.message);
+      [this.files, this.job] = [[], null]; // an earlier file would be taken for this one
+      this.showChannels();
       return;
     }
     this.mapping.clear();
@@ -102,7 +104,7 @@ export class DataCard {
     by("clock").hidden = this.job !== null;
     by("dt-field").hidden = by("time").value !== "";
     for (const one of this.charts.splice(0)) one.destroy();
-    if (!this.ready) return;
+    if (!this.ready) return this.onChange();
     this.showFacts();
     const columns = this.columns();
     const usable = columns.filter((one) => !one.problem).map((one) => one.name);
@@ -125,7 +127,8 @@ export class DataCard {
     const used = new Set([...this.mapping.values(), by("time").value]);
     const names = this.job ? spare(this.job.series[0], this.channels)
       : this.columns().filter((one) => !one.problem && !one.missing && !used.has(one.name)).map((one) => one.name);
-    by("extra").hidden = !names.length || !this.channels.length;
+    const open = this.channels.some(({ member, name }) => !this.mapping.get(`${member}.${name}`));
+    by("extra").hidden = !names.length || !this.channels.length || open;
     by("extra-hint").textContent = this.job ? "A diagnosis asks whether the model should use them."
       : "A diagnosis asks whether the model should use the columns marked here.";
     for (const name of this.extra) if (!names.includes(name)) this.extra.delete(name);
@@ -170,12 +173,15 @@ export class DataCard {
     by("data-facts").replaceChildren(
       element("span", {}, ...names),
       element("span", { class: "muted" }, `${rows.map((n) => n.toLocaleString("en")).join(" + ")} samples`),
-      ...this.columns().filter((one) => one.problem).map((one) => element("span", { class: "notice warn small" }, `Column ${one.name} cannot be used: ${one.problem}`)),
+      ...problems(this.columns()).map((text) => element("span", { class: "notice warn small" }, text)),
       ...(ignored.length ? [element("span", { class: "muted" }, `not read: ${ignored.join(", ")}`)] : []),
     );
     const time = this.files[0]?.preview.time;
-    by("time-facts").className = time?.problem && by("time").value ? "field-error" : "hint";
-    by("time-facts").textContent = !time ? "The file names no column of times: give the step, or choose a column." : time.problem ? `column '${time.column}' ${time.problem}`
+    const other = by("time").value && notSeconds(by("time").value);
+    by("time-facts").className = (time?.problem && by("time").value) || other ? "field-error" : "hint";
+    by("time-facts").textContent = !time ? "The file names no column of times: give the step, or choose a column."
+      : other ? `Times are taken as seconds, and '${by("time").value}' seems to be in ${other}: convert it, or give the step instead.`
+      : time.problem ? `Column '${time.column}': ${time.problem}`
       : by("time").value && `${number(time.first)} to ${number(time.last)} s, step ${number(time.step)} s${time.regular ? "" : " (median; not regular)"}`;
   }
 
@@ -316,6 +322,20 @@ function jobColumns(series, channels) {
     const [minimum, maximum] = there.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
     return { name, rows: value.length, missing: value.length - there.length, minimum, maximum, problem: null, row: value.map((_, i) => i), value, gaps };
   });
+}
+
+// What is wrong with columns that cannot be used. A second line of units spoils them all.
+function problems(columns) {
+  const bad = columns.filter((one) => one.problem);
+  if (bad.length === columns.length && bad.every((one) => /\bline 2\b/.test(one.problem))) {
+    return [`No column can be used: line 2 holds no numbers. If it is a line of units, delete it; the model says which units it needs. (${bad[0].problem})`];
+  }
+  return bad.map((one) => `Column ${one.name} cannot be used: ${one.problem}`);
+}
+
+// The unit in the name of a column of times, where it is not seconds: "time_ms", "t [min]".
+function notSeconds(name) {
+  return name.match(/[ _([](ms|us|µs|ns|min|minutes|h|hours|days?)[)\]]?$/i)?.[1] ?? "";
 }
 
 // Extra channels of a job's series that the model does not use.
