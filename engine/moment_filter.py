@@ -124,7 +124,7 @@ class Thetas:
 
 def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
     """Filter a series with each of the parameter vectors ``thetas`` (K, n_theta)."""
-    run = _Run(model, Thetas(model, thetas), series)
+    run = FilterSteps(model, Thetas(model, thetas), series)
     T, K, ny = len(series), run.thetas.K, model.ny
     innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
     m, P = run.start()
@@ -142,7 +142,7 @@ def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
 
     Raises ModelError naming the row at which the filter was lost.
     """
-    run = _Run(model, Thetas(model, theta), series)
+    run = FilterSteps(model, Thetas(model, theta), series)
     T, nx, ny = len(series), model.nx, model.ny
     kept: dict[str, Array] = {
         "predicted": np.empty((T, nx)),
@@ -181,7 +181,7 @@ def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
     return MomentPath(**kept, log_likelihood=total)
 
 
-class _Run:
+class FilterSteps:
     """The model's part of each step, for K copies of the filter."""
 
     def __init__(self, model: MixedModel, thetas: Thetas, series: Series) -> None:

@@ -173,15 +173,17 @@ def derivatives(
         value += float(total[0])
         if not np.isfinite(value):
             return -np.inf, g, H
-        with np.errstate(invalid="ignore"):  # a lost neighbour makes the value -inf below
+        with np.errstate(
+            invalid="ignore", over="ignore"
+        ):  # a lost neighbour: the value is -inf below
             g += (total[2::2] - total[1::2]) / distances
-        d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
-        d_S = f.S[:, 2::2] - f.S[:, 1::2]
-        root = whitening(f.S[:, 0], one.observed)
-        z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None]).reshape(n, -1)
-        E = np.einsum("tij,tkjl,tml->ktim", root, d_S / distances[:, None, None], root)
-        E = E.reshape(n, -1)
-        H += z @ z.T + 0.5 * E @ E.T
+            d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
+            d_S = f.S[:, 2::2] - f.S[:, 1::2]
+            root = whitening(f.S[:, 0], one.observed)
+            z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None]).reshape(n, -1)
+            E = np.einsum("tij,tkjl,tml->ktim", root, d_S / distances[:, None, None], root)
+            E = E.reshape(n, -1)
+            H += z @ z.T + 0.5 * E @ E.T
     if not (np.isfinite(g).all() and np.isfinite(H).all()):
         value = -np.inf
     return value, g, H

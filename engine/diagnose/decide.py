@@ -7,8 +7,9 @@ import numpy as np
 from engine.diagnose.columns import UNTESTABLE
 from engine.diagnose.diagnosis import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.refits import Refit
+from engine.diagnose.rounds import GENERIC, MARGIN, Round
 from engine.diagnose.screen import Screen
-from engine.diagnose.search import GENERIC, MARGIN, Round, Search
+from engine.diagnose.search import Search
 from engine.diagnose.tails import KIND as TAILS
 
 POWER = 0.84  # normal quantile of 80 %

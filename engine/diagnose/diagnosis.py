@@ -9,7 +9,8 @@ from typing import Any
 
 from engine import display, plots
 from engine.diagnose.gain import Gain
-from engine.diagnose.search import Round, Search
+from engine.diagnose.rounds import Round
+from engine.diagnose.search import Search
 from engine.diagnose.symptoms import Symptoms
 from engine.model import MixedModel, Theta
 from engine.report import write_report

@@ -19,7 +19,7 @@ from engine.quasi_ml import QuasiFit
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis
     from engine.diagnose.gain import Gain
-    from engine.diagnose.search import Round
+    from engine.diagnose.rounds import Round
 
 SHOWN = 12  # screened effects of a round
 

@@ -117,6 +117,17 @@ def cost(effect: Effect, series: Series) -> float:
     return further * float(np.log(len(series)))
 
 
+def _sought(effect: Effect) -> list[str]:
+    """Times at which the likelihood jumps: sought on rows, not by slopes."""
+    return [p.name for p in effect.parameters if p.name.endswith("_time") and is_timed(effect)]
+
+
+def free_parameters(effect: Effect) -> list[str]:
+    """The effect's own parameters that are estimated by slopes."""
+    fixed = {*_sought(effect), *effect.held}
+    return [p.name for p in effect.parameters if p.name not in fixed]
+
+
 def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) -> Refit:
     """Maximum likelihood of the extended model, started at the score's one-step estimate.
 
@@ -131,10 +142,8 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
     null = start.copy()
     null[n] = 0.0
     start = np.clip(start, extended.lower, extended.upper)
-    own = [p.name for p in effect.parameters]
-    sought = [name for name in own if name.endswith("_time")] if is_timed(effect) else []
-    fixed = {*sought, *effect.held}
-    free = [*fit.free, *(name for name in own if name not in fixed)]
+    sought = _sought(effect)
+    free = [*fit.free, *free_parameters(effect)]
     start = _best_start(extended, series, start, n)
     if sought:
         start = _best_row(extended, series, start, sought[0], effect)
@@ -151,8 +160,8 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
 
 
 def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> Refit:
-    """By particles: the moment filter's likelihood does not see outliers."""
-    gain, theta = fit_tails(fit, extended, series, seed=0)
+    """By a filter that knows outliers, over a grid."""
+    gain, theta = fit_tails(fit, effect, series)
     own = [p.name for p in effect.parameters]
     information = np.zeros((len(fit.free) + len(own), len(fit.free) + len(own)))
     information[: len(fit.free), : len(fit.free)] = fit.information

@@ -21,8 +21,11 @@ from scipy.stats import chi2
 
 from engine.diagnose.catalogue import all_effects
 from engine.diagnose.columns import Projection, effect_columns, parameter_columns
+from engine.diagnose.effect import Effect
 from engine.diagnose.families import family_test, is_timed
-from engine.diagnose.refits import Refit, cost, distinct, refit
+from engine.diagnose.look_back import look_back
+from engine.diagnose.refits import Refit, cost, refit
+from engine.diagnose.rounds import GENERIC, Round, settle
 from engine.diagnose.screen import Screen, Test, make_test, screen
 from engine.diagnose.setting import Setting
 from engine.diagnose.tails import KIND as TAILS
@@ -37,9 +40,6 @@ from engine.model import MixedModel
 from engine.moment_filter import moment_path
 from engine.quasi_ml import QuasiFit, quasi_ml
 from engine.series import Series
-
-MARGIN = 4.0  # of the score: a likelihood ratio of e^2 = 7
-
 
 REFITS = 12  # effects refitted in a round
 
@@ -61,9 +61,6 @@ REFITTED = (
 LATER = 0.2  # of alpha: a second effect needs more than a first, as each round is a new chance
 
 
-GENERIC = "latent"
-
-
 SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")
 
 
@@ -77,16 +74,6 @@ TAILS_ALARM = 1e-3  # p-value from which outliers are refitted, whatever their r
 
 
 Progress = Callable[[str, float], Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One round: what the screen saw, what was refitted (best first), and the set that remains."""
-
-    screen: Screen
-    refits: tuple[Refit, ...]
-    generic: Refit | None
-    equivalent: tuple[Refit, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +102,9 @@ def search(
     fit, rounds, alarm = base, [], False
     tails: Refit | None = None
     for k in range(max_effects + 1):
-        looked_for = None if tails is None else TAILS
+        taken = None if tails is None else tails.effect
         level = alpha if k == 0 else LATER * alpha
-        seen = screen_effects(fit, series, setting, kinds, level, seed + k, progress, looked_for)
+        seen = screen_effects(fit, series, setting, kinds, level, seed + k, progress, taken)
         if k == 0:
             seen = replace(seen, p_value=min(1.0, seen.p_value / SCREENED))
         alarm = seen.p_value <= level
@@ -139,8 +126,7 @@ def search(
         if not found.equivalent:
             break
         if found.refits[0].effect.kind != TAILS:
-            last = found.refits[0].fit
-            fit = quasi_ml(last.model, series, last.theta, last.free)
+            fit = _finished(found.refits[0].fit, series)
             continue
         # the moment filter does not see outliers, so they are taken out before it looks again
         tails, alarm = found.refits[0], False
@@ -148,7 +134,19 @@ def search(
             break
         series = without_outliers(fit, series, tails.effect.channel, seed)
         fit = quasi_ml(fit.model, series, fit.theta, fit.free)
+    named = [found for found in rounds if found.equivalent]
+    if tails is None and len(named) > 1:
+        fit, named = look_back(base, named, series, setting)
+        rounds[: len(named)] = named
     return Search(base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm)
+
+
+def _finished(fit: QuasiFit, series: Series) -> QuasiFit:
+    """A refit to the usual tolerance; as it is where its likelihood is on an edge."""
+    try:
+        return quasi_ml(fit.model, series, fit.theta, fit.free)
+    except EngineError:
+        return fit
 
 
 def without_outliers(fit: QuasiFit, series: Series, output: str, seed: int) -> Series:
@@ -187,18 +185,25 @@ def screen_effects(
     alpha: float,
     seed: int,
     progress: Progress,
-    without: str | None = None,
+    outliers: Effect | None = None,
 ) -> Screen:
-    """Every effect of the catalogue tested on a fitted model, but those of kind ``without``."""
+    """Every effect of the catalogue tested on a fitted model.
+
+    With ``outliers`` found and taken out no others are looked for, nor is their channel's noise: what
+    is left of it, smaller outliers and a cut, is no finding of its own.
+    """
     model, theta = fit.model, np.asarray(fit.theta)
     indices = model.free_indices(fit.free)
     projection = Projection(parameter_columns(model, theta, indices, series))
     path = moment_path(model, theta, series)
     errors = None
-    if without != TAILS:
+    if outliers is None:
         errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
     # those of the base model: a change of what an effect itself added is no cause of its own
     effects = [e for e in all_effects(setting, kinds) if e.size.name not in model.parameter_names]
+    if outliers is not None:
+        left = outliers.channel
+        effects = [e for e in effects if e.kind != TAILS and not _noise_of(e, left)]
     tests: list[Test] = []
     for i, effect in enumerate(effects):
         progress("screen", i / len(effects))
@@ -224,6 +229,11 @@ def screen_effects(
     return screen(tests, np.random.default_rng(np.random.SeedSequence(seed)), alpha)
 
 
+def _noise_of(effect: Effect, channel: str) -> bool:
+    """Whether an effect changes the size of a channel's noise."""
+    return effect.kind in ("level", "variance") and effect.channel.partition("->")[0] == channel
+
+
 def _confirmed(test: Test, fit: QuasiFit, series: Series) -> Test:
     """A test of tails that would raise an alarm, judged by the refitted likelihood ratio instead.
 
@@ -232,7 +242,7 @@ def _confirmed(test: Test, fit: QuasiFit, series: Series) -> Test:
     """
     if test.known is None or test.known[1] > TAILS_ALARM:
         return test
-    gain, _ = fit_tails(fit, test.effect.apply(fit.model), series, seed=0)
+    gain, _ = fit_tails(fit, test.effect, series)
     ratio = max(gain, 0.0)
     if ratio >= test.known[0]:
         return test
@@ -289,13 +299,7 @@ def refit_best(
             refits.append(refit(fit, series, score, leading))
         except (EngineError, np.linalg.LinAlgError):
             continue
-    unnamed = [r for r in refits if r.effect.kind == GENERIC]
-    ranked = sorted((r for r in refits if r.effect.kind != GENERIC), key=lambda r: -r.score)
-    equivalent = distinct([r for r in ranked if r.score >= ranked[0].score - MARGIN], series)
-    if equivalent:  # of effects that are the same here, the plainer name leads
-        ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]
-    top = max(unnamed, key=lambda r: r.score) if unnamed else None
-    return Round(seen, tuple(ranked), top, equivalent)
+    return settle(seen, refits, series)
 
 
 def confirmed(found: Round) -> Round:

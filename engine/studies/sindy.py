@@ -38,10 +38,10 @@ CELLS = (
     Cell(BASE.name, "", ratio=0.0),
 )
 SOURCES = (
-    (USUAL_ARM, 11, USUAL),
-    (OTHER_ARM, 12, OTHER),
-    (CLEAN_ARM, 13, CLEAN),
-    (HARD_ARM, 16, HARD),
+    (USUAL_ARM, 21, USUAL),
+    (OTHER_ARM, 22, OTHER),
+    (CLEAN_ARM, 23, CLEAN),
+    (HARD_ARM, 26, HARD),
 )
 DEVELOPMENT_STREAM, DEVELOPMENT_RUNS = 61, 60
 ALARMS = 0.1  # share of clean series in which the careful setting may find something

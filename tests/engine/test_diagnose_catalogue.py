@@ -12,8 +12,8 @@ from engine.diagnose.columns import static_column
 from engine.diagnose.decide import set_of
 from engine.diagnose.hide import hide
 from engine.diagnose.lattice import lattice_step
+from engine.diagnose.rounds import MARGIN
 from engine.diagnose.runs import noise_free
-from engine.diagnose.search import MARGIN
 from engine.diagnose.setting import Setting, setting_for
 from engine.diagnose.spare_inputs import with_inputs
 from engine.moment_filter import moment_filter, moment_path

@@ -10,8 +10,9 @@ import engine
 from engine.diagnose.catalogue import all_effects, make_effect
 from engine.diagnose.columns import Column, Projection
 from engine.diagnose.refits import Refit, cost
+from engine.diagnose.rounds import Round
 from engine.diagnose.screen import make_test, screen
-from engine.diagnose.search import Round, confirmed
+from engine.diagnose.search import confirmed
 from engine.diagnose.setting import Setting
 from engine.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, hidden

@@ -22,7 +22,7 @@ DRAWS = 20  # of a series, where simulations run away
 BETWEEN = (0.3, 0.7)  # of the training part: where times lie
 PERIODS = (20.0, 80.0)  # samples of a hidden harmonic's period
 
-OUTLIER = 4.0  # times the usual noise
+OUTLIER = 3.0  # times the usual noise
 
 
 @dataclass(frozen=True, eq=False)

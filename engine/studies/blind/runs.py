@@ -169,13 +169,13 @@ def _arm(name: str, stream: int, cells: Sequence[Cell]) -> Arm:
     return Arm(f"blind.{name}", partial(work, tuple(cells), stream), {"cells": len(cells)})
 
 
-USUAL_ARM = _arm("usual", 11, USUAL)
-OTHER_ARM = _arm("other", 12, OTHER)
-CLEAN_ARM = _arm("clean", 13, CLEAN)
-OUTSIDE_ARM = _arm("outside", 14, UNLISTED)
-HARD_ARM = _arm("look-alikes", 16, HARD)
+USUAL_ARM = _arm("usual", 21, USUAL)
+OTHER_ARM = _arm("other", 22, OTHER)
+CLEAN_ARM = _arm("clean", 23, CLEAN)
+OUTSIDE_ARM = _arm("outside", 24, UNLISTED)
+HARD_ARM = _arm("look-alikes", 26, HARD)
 BOOTSTRAP_ARM = Arm(
     "blind.bootstrap",
-    partial(work_bootstrap, tuple(BOOTSTRAP), 15),
+    partial(work_bootstrap, tuple(BOOTSTRAP), 25),
     {"cells": len(BOOTSTRAP), "samples": SAMPLES},
 )

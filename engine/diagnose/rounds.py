@@ -1,0 +1,34 @@
+"""A round of the search: what was refitted in it, ranked, and the set that cannot be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from engine.diagnose.refits import Refit, distinct
+from engine.diagnose.screen import Screen
+from engine.series import Series
+
+MARGIN = 2.0  # of the score: a likelihood ratio of e
+GENERIC = "latent"  # the kind of the force that nobody named
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What the screen saw, what was refitted (best first), the unnamed force, the set that remains."""
+
+    screen: Screen
+    refits: tuple[Refit, ...]
+    generic: Refit | None
+    equivalent: tuple[Refit, ...]
+
+
+def settle(screen: Screen, refits: Sequence[Refit], series: Series) -> Round:
+    """Refits ranked by their score; those within MARGIN of the best named one are a set."""
+    unnamed = [r for r in refits if r.effect.kind == GENERIC]
+    ranked = sorted((r for r in refits if r.effect.kind != GENERIC), key=lambda r: -r.score)
+    equivalent = distinct([r for r in ranked if r.score >= ranked[0].score - MARGIN], series)
+    if equivalent:  # of effects that are the same here, the plainer name leads
+        ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]
+    top = max(unnamed, key=lambda r: r.score) if unnamed else None
+    return Round(screen, tuple(ranked), top, equivalent)

@@ -1,0 +1,67 @@
+"""The filter that knows outliers: the moment filter without them, the particle filter with them."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose.catalogue import make_effect
+from engine.diagnose.outlier_filter import outlier_log_terms
+from engine.diagnose.setting import Setting
+from engine.diagnose.tails import fit_tails
+from engine.heavy_tails import with_mixture
+from engine.moment_filter import moment_filter
+from engine.quasi_ml import quasi_ml
+from tests.engine.hidden_effects import DRIVE, hidden
+
+THETA = np.asarray(DRIVE.theta())
+
+
+@pytest.mark.parametrize("channel", ["reading", "speed", "load"])
+def test_without_outliers_it_is_the_moment_filter(channel):
+    series = hidden([], {}, 1)
+    base = moment_filter(DRIVE, THETA[None], series).log_terms
+    shares, ratios = np.array([1e-12, 0.3]), np.array([10.0, 1.0])
+    terms = outlier_log_terms(DRIVE, THETA, series, channel, shares, ratios)
+    np.testing.assert_allclose(terms, np.repeat(base, 2, axis=1), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(("channel", "where"), [("reading", "measurement"), ("speed", "dynamics")])
+def test_with_outliers_it_is_the_particle_filter(channel, where):
+    """Within 1.5 nats of what 2000 particles say."""
+    model = with_mixture(DRIVE, where, channels=[channel])
+    values = {"outlier_share": 0.05, "outlier_ratio": 6.0}
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.uniform(-2.0, 2.0, 20), 20)
+    series = engine.simulate(model, values, 400, rng, u=u, dt=0.1).series
+    base = moment_filter(DRIVE, THETA[None], series).log_likelihood[0]
+    terms = outlier_log_terms(DRIVE, THETA, series, channel, np.array([0.05]), np.array([6.0]))
+    assert terms.sum() > base + 5.0
+    runs = [
+        engine.rbpf(
+            model, model.theta(values), series, 2000, np.random.default_rng(k)
+        ).log_likelihood
+        for k in range(3)
+    ]
+    assert terms.sum() == pytest.approx(np.mean(runs), abs=1.5)
+
+
+def test_one_jump_is_no_heavy_tail():
+    """A pulse in the state's equation gains little as outliers of the sensor."""
+    values = {"pulse_speed": 6.0, "pulse_speed_time": 20.0, "pulse_speed_width": 0.1}
+    series = hidden(["pulse:speed"], values, 3)
+    fit = quasi_ml(DRIVE, series, DRIVE.theta())
+    gain = {
+        name: fit_tails(fit, make_effect(name, Setting(DRIVE)), series)[0]
+        for name in ("heavy-tails:reading", "heavy-tails:speed")
+    }
+    assert gain["heavy-tails:speed"] > gain["heavy-tails:reading"] + 4.0
+
+
+def test_missing_values_are_passed_over():
+    series = hidden([], {}, 4)
+    y = series.y.copy()
+    y[100:140] = np.nan
+    gap = engine.Series(y, series.u, t=series.t)
+    terms = outlier_log_terms(DRIVE, THETA, gap, "reading", np.array([0.1]), np.array([5.0]))
+    assert np.isfinite(terms).all()
+    np.testing.assert_allclose(terms[100:140], 0.0, atol=1e-12)
