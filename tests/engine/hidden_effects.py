@@ -99,7 +99,7 @@ CASES = {
     ),
     "heavy-tails": (
         "reading",
-        {"heavy_tails_reading_share": 0.02, "heavy_tails_reading_ratio": 8.0},
+        {"heavy_tails_reading_share": 0.05, "heavy_tails_reading_ratio": 8.0},
     ),
     "input-offset": ("force", {"input_offset_force": 0.6}),
     "input-deadzone": ("force", {"input_deadzone_force": 0.5}),
