@@ -17,7 +17,11 @@ def wet():
     return flow.round(3), rain.round(5), text
 
 
-REQUEST = {"kind": "diagnose", "model": "local-level", "options": {"effects": ["extra-input", "bias"]}}
+REQUEST = {
+    "kind": "diagnose",
+    "model": "local-level",
+    "options": {"effects": ["extra-input", "bias"]},
+}
 
 
 def test_a_diagnosis_names_it_and_the_extended_model_uses_it(client, ended, wet):
