@@ -104,7 +104,13 @@ def search(
     for k in range(max_effects + 1):
         taken = None if tails is None else tails.effect
         level = alpha if k == 0 else LATER * alpha
-        seen = screen_effects(fit, series, setting, kinds, level, seed + k, progress, taken)
+        try:
+            seen = screen_effects(fit, series, setting, kinds, level, seed + k, progress, taken)
+        except OptionError:
+            if k == 0:
+                raise
+            alarm = False  # all that was asked for is found
+            break
         if k == 0:
             seen = replace(seen, p_value=min(1.0, seen.p_value / SCREENED))
         alarm = seen.p_value <= level

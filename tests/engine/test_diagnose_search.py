@@ -84,3 +84,10 @@ def test_a_further_parameter_must_gain_the_logarithm_of_the_rows():
     assert cost(make_effect("force:speed", setting), series) == 0.0
     assert cost(make_effect("stribeck:speed", setting), series) == pytest.approx(np.log(400))
     assert cost(make_effect("step:reading", setting), series) == pytest.approx(np.log(400))
+
+
+def test_when_all_that_was_asked_for_is_found_the_search_ends():
+    series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
+    found = engine.diagnose(DRIVE, series, effects=["bias:reading"], seed=1)
+    assert [cause.effect for cause in found.causes] == ["bias:reading"]
+    assert found.verdict.value == "named"

@@ -41,8 +41,8 @@ HIDDEN = {  # the first two of each base are hidden at other sizes and lengths t
         "coulomb:v1",
         "input-saturation:force",
         "parameter-drift:k1",
-        "mode:v1",
-        "quadratic:v1",
+        "hysteresis:v1",
+        "rectification:y2",
         "colored:y1",
     ),
 }

@@ -232,7 +232,7 @@ def _outside(table: Table) -> str:
 
 def _bootstrap(table: Table) -> str:
     p, q = table.numbers("p_value"), table.numbers("p_bootstrap")
-    hidden = np.array([bool(text) for text in table.texts("hidden")])
+    hidden = np.array([bool(text) for text in table.texts("hidden")], dtype=bool)
     lines = []
     for label, rows in (("clean", ~hidden), ("LR 40", hidden)):
         n = int(rows.sum())
