@@ -260,6 +260,37 @@ def test_estimation_studies_report_every_run(tmp_path):
     assert np.allclose(curves[:, -1], table.numbers("last.theta"), atol=1e-3)
 
 
+def test_runs_lost_at_the_false_maximum_are_told_and_what_one_would_do_to_the_spreads():
+    def table(theta_3, theta_5, log_likelihood):
+        rows = [
+            {
+                "run": str(run),
+                "outcome": "CONVERGED",
+                "log_likelihood": value,
+                "last.theta_3": three,
+                "last.theta_5": five,
+            }
+            for run, (three, five, value) in enumerate(
+                zip(theta_3, theta_5, log_likelihood, strict=True)
+            )
+        ]
+        return Table(rows, {}, 0.0, 1)
+
+    good = [0.2, 0.4] * 4
+    tables = {
+        "all-five.truth": table([0.3] * 10, [0.3] * 10, [0.0] * 10),
+        "all-five.rbps-em": table(
+            [*good, 1.5, 2.5], [0.3] * 8 + [0.0, 0.01], [0.0] * 8 + [-30.0] * 2
+        ),
+    }
+    text = estimates._about_rbps(tables)
+    assert "2 of 10, of which 2 ended at theta_5 = 0" in text
+    assert "theta_3 is 2.00 there" in text
+    assert f"theta_3 {np.hypot(np.std(good, ddof=1), 1.7 / np.sqrt(69)):.3f}" in text
+    tables["all-five.rbps-em"] = table(good, [0.3] * 8, [0.0] * 8)
+    assert "0 of 8, of which 0" in estimates._about_rbps(tables)
+
+
 def test_a_run_that_fails_is_a_row_and_counts_as_lost():
     arm = em_arms.em_arm("theta-2", "broken", "rts", {"n_iterations": 2})  # not a linear model
     row = arm.work(0, 0)
