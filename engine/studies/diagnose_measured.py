@@ -37,7 +37,7 @@ DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[3] / "shared" 
 POINTS = 300  # of each curve that is kept for the picture
 SHOWN = 8  # candidates in the picture
 STRETCH = 300  # samples of silverbox, half a second, 33 periods of its resonance
-NOTE = "Seconds of tanks and emps were taken while ten other processes used the same two cores.\n"
+NOTE = "Seconds were taken while other work used the same two cores.\n"
 THINNED = 80  # samples of 1 ms of emps that become one
 
 

@@ -10,6 +10,8 @@ from typing import Any
 
 from engine.studies.study import Arm, Row, StudyError, Table
 
+LARGEST = 2**30  # characters of a value
+
 
 class Store:
     """The finished runs of one arm in a directory.
@@ -43,6 +45,7 @@ class Store:
             )
         self.wall, self.workers = meta["wall_seconds"], meta["workers"]
         with self.csv.open(newline="") as file:
+            csv.field_size_limit(LARGEST)  # whole documents are among the values
             lines = list(csv.reader(file))
         if not lines:
             return
