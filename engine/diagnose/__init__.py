@@ -1,7 +1,8 @@
 """Show what a model's simulation gets wrong, name the cause, extend the model, measure the gain.
 
 :func:`diagnose` fits the model to the training part, screens every effect of the catalogue on it,
-refits the best ones, and repeats on the extended model until nothing is left to see. Its verdict is
+refits the best ones, and repeats on the extended model until nothing is left to see. What was found in
+turn is then weighed again, each beside the others. Its verdict is
 
 - ``nothing``: no alarm at the family-wise level alpha;
 - ``named``: in every round with an alarm one effect is left, MARGIN ahead of all others in score,

@@ -42,36 +42,18 @@ from engine.quasi_ml import QuasiFit, quasi_ml
 from engine.series import Series
 
 REFITS = 12  # effects refitted in a round
-
-
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
-
-
 AT_LEAST = 6  # ... unless it is among the first few: large effects bend the scores of others
 
+# of alpha: for the first screen, and for the refits after it, whose maximum between a grid's points is
+# larger than on it; a second effect needs more than a first, as each round is a new chance
+SCREENED, REFITTED, LATER = 0.8, 0.1, 0.2
 
-SCREENED = 0.8  # of alpha, spent on the screen of the first round ...
-
-
-REFITTED = (
-    0.1  # ... and on the refits after it: a maximum between a grid's points is larger than on it
-)
-
-
-LATER = 0.2  # of alpha: a second effect needs more than a first, as each round is a new chance
-
-
-SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")
-
-
+SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")  # by a fitted Q
 SWALLOWED_REFITS = 6
 
-
 OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
-
-
 TAILS_ALARM = 1e-3  # p-value from which outliers are refitted, whatever their rank
-
 
 Progress = Callable[[str, float], Any]
 
