@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import anyio
 import httpx
 import numpy as np
 import pytest
@@ -25,6 +26,9 @@ from service.app import create_app
 from service.settings import Settings
 from service.store import Store
 from service.tables import metadata
+
+# Loaded when first used, which would be in a server's thread; there Python 3.11 may fail to parse it.
+OPEN_FILE = anyio.open_file
 
 ENDED = ("successful", "failed", "dismissed")
 
