@@ -11,13 +11,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from engine.diagnose.catalogue import make_effect
 from engine.diagnose.effect import Effect
 from engine.diagnose.refits import NESTS, TOLERANCE, Refit, cost, free_parameters
 from engine.diagnose.rounds import Round, settle
-from engine.diagnose.setting import Setting
 from engine.diagnose.tails import KIND as TAILS
-from engine.errors import EngineError, OptionError
+from engine.errors import EngineError
 from engine.quasi_ml import QuasiFit, quasi_ml
 from engine.series import Series
 
@@ -25,22 +23,22 @@ RIVALS = 4  # of each round that are refitted again
 
 
 def look_back(
-    base: QuasiFit, rounds: Sequence[Round], series: Series, setting: Setting
+    base: QuasiFit, rounds: Sequence[Round], series: Series
 ) -> tuple[QuasiFit, list[Round]]:
     """The final fit and the rounds (all with a choice), each refitted beside the others' choices."""
     settled = list(rounds)
     final = settled[-1].refits[0].fit
     for i, found in enumerate(settled):
         effects = [other.refits[0].effect for other in settled]
+        before, after = effects[:i], effects[i + 1 :]
         try:
-            without = _together(base, final, [*effects[:i], *effects[i + 1 :]], {}, series)
+            without = _together(base, final, [*before, *after], {}, series)
         except (EngineError, np.linalg.LinAlgError):
             continue
         again = [r for r in found.refits if r.effect.kind == TAILS]  # by another filter
-        for effect, own in _rivals(found, setting):
+        for effect, own in _rivals(found, [other.name for other in (*before, *after)]):
             try:
-                beside = [*effects[:i], effect, *effects[i + 1 :]]
-                fit = _together(base, final, beside, own, series)
+                fit = _together(base, final, [*before, effect, *after], own, series)
             except (EngineError, np.linalg.LinAlgError):
                 continue
             gain = 2.0 * (fit.log_likelihood - without.log_likelihood)
@@ -51,23 +49,23 @@ def look_back(
     return final, settled
 
 
-def _rivals(found: Round, setting: Setting) -> list[tuple[Effect, dict[str, float]]]:
-    """Effects that may be a round's cause, with their own parameters.
+def _rivals(found: Round, taken: Sequence[str]) -> list[tuple[Effect, dict[str, float]]]:
+    """Effects that may be a round's cause, with their own parameters, but those ``taken`` by other rounds.
 
     The choice, the next best, the unnamed force, and plainer kinds that the choice contains.
     """
     named = [r for r in found.refits if r.effect.kind != TAILS]
     refits = [*named[: 1 + RIVALS], *([found.generic] if found.generic else [])]
-    out = [(r.effect, {p.name: r.fit.theta[p.name] for p in r.effect.parameters}) for r in refits]
+    out = {
+        r.effect.name: (r.effect, {p.name: r.fit.theta[p.name] for p in r.effect.parameters})
+        for r in refits
+    }
     chosen = found.refits[0]
-    for kind in NESTS.get(chosen.effect.kind, ()):
-        try:
-            effect = make_effect(f"{kind}:{chosen.effect.channel}", setting)
-        except OptionError:
-            continue
-        if all(effect.name != other.name for other, _ in out):
-            out.append((effect, {effect.size.name: chosen.size}))
-    return out
+    plainer = NESTS.get(chosen.effect.kind, ())
+    for effect in (score.effect for score in found.screen.scores):
+        if effect.kind in plainer and effect.channel == chosen.effect.channel:
+            out.setdefault(effect.name, (effect, {effect.size.name: chosen.size}))
+    return [rival for name, rival in out.items() if name not in taken]
 
 
 def _together(

@@ -124,7 +124,7 @@ def search(
         fit = quasi_ml(fit.model, series, fit.theta, fit.free)
     named = [found for found in rounds if found.equivalent]
     if tails is None and len(named) > 1:
-        fit, named = look_back(base, named, series, setting)
+        fit, named = look_back(base, named, series)
         rounds[: len(named)] = named
     return Search(base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm)
 

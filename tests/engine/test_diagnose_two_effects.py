@@ -5,7 +5,7 @@ import pytest
 
 import engine
 from engine.diagnose.causes import find_causes
-from engine.diagnose.decide import set_of
+from engine.diagnose.decide import cause_of, set_of
 from engine.diagnose.hide import hide
 from tests.engine.hidden_effects import DRIVE, levels
 
@@ -73,3 +73,15 @@ def test_friction_and_drag_are_told_apart_once_both_are_known():
 def test_two_effects_are_found_in_turn(pair):
     """In at least four of five series."""
     assert sum(found_in_turn(pair, seed)[0] for seed in range(5)) >= 4
+
+
+@pytest.mark.parametrize("kinds", [["stribeck:velocity", "drag"], ["stribeck", "coulomb", "drag"]])
+def test_few_effects_asked_for_are_weighed_again_too(kinds):
+    """A rival may be another round's cause, and a plainer kind may not have been asked for."""
+    model, series, theta, free, _ = friction(0)
+    found = find_causes(model, series, theta, free=free, seed=1, effects=kinds)
+    named = [r.refits[0].effect.name for r in found.search.rounds if r.equivalent]
+    assert "drag:velocity" in named
+    assert len(set(named)) == len(named) >= 2
+    assert all(cause_of(r).equivalent for r in found.search.rounds if r.equivalent)
+    assert ("coulomb:velocity" in named) == ("coulomb" in kinds)
