@@ -137,7 +137,10 @@ def _driver(
 def _sensitivity(
     model: MixedModel, theta: Array, k: int, series: Series, path: MomentPath
 ) -> tuple[Array, Array]:
-    """d x_{t+1} / d theta_k and d y_t / d theta_k along the filter's means."""
+    """d x_{t+1} / d theta_k and d y_t / d theta_k along the filter's means.
+
+    Zero for parameters of the noise, whose course in time is what ``variance:...->time`` tests.
+    """
     T, na = len(series), model.na
     step = 1e-4 * parameter_scale(model, theta, k)
     ends = []
