@@ -71,7 +71,7 @@ class Percent:
 
     def __call__(self, stage: str, fraction: float) -> None:
         """Tell the store where something has changed."""
-        if stage == "screen" and fraction == 0.0:
+        if stage == "screen" and self.said != "screen":
             self.round += 1
         done = max(self.done, int(self._percent(stage, min(max(fraction, 0.0), 1.0))))
         if done > self.done or stage != self.said:

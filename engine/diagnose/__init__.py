@@ -31,6 +31,7 @@ from engine.diagnose.decide import cause_of, detectable_of
 from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
 from engine.diagnose.effect import Effect
 from engine.diagnose.gain import Gain, measure_gain, measure_gain_interleaved
+from engine.diagnose.kept import Parts, kept_of
 from engine.diagnose.runs import covariance_of
 from engine.diagnose.search import Search
 from engine.diagnose.spare_inputs import with_inputs
@@ -77,6 +78,7 @@ def diagnose(
     free: Sequence[str] | None = None,
     callback: Callback | None = None,
     bootstrap: int = 0,
+    kept: Parts | None = None,
 ) -> Diagnosis:
     """Diagnose a model on measured data.
 
@@ -86,7 +88,10 @@ def diagnose(
     (default: all); ``callback(stage, fraction)`` may stop the run by raising StopIteration;
     ``bootstrap`` simulated series for a second p-value of the first round, 99 or more, each of which
     takes as long as a fit and a screen. Extra channels of the series become inputs of the model that
-    nothing depends on, until one is found to matter. Raises SeriesError, ModelError, OptionError.
+    nothing depends on, until one is found to matter. Finished parts are put into ``kept``, an empty dict at
+    first, as JSON values; a run that was stopped goes on from them when it is asked the same again with
+    them, and its numbers are those of a run that was never stopped. Raises SeriesError, ModelError,
+    OptionError.
     """
     series.check(model)
     _check_options(series, alpha, max_effects, effects)
@@ -97,6 +102,21 @@ def diagnose(
         test = test.with_extra_inputs().check(model)
     notes = list(check_data(model, series))
     clock = Clock(callback)
+    done = kept_of(
+        kept,
+        model,
+        series,
+        test,
+        {
+            "theta": None if theta is None else model.theta(theta).tolist(),
+            "seed": seed,
+            "alpha": alpha,
+            "effects": None if effects is None else list(effects),
+            "max_effects": max_effects,
+            "free": None if free is None else list(free),
+        },
+        clock.spent,
+    )
     train, held_out = _split(series, test)
 
     causes = find_causes(
@@ -109,6 +129,7 @@ def diagnose(
         effects=effects,
         seed=seed,
         clock=clock,
+        kept=done,
     )
     base, found, notes = causes.base, causes.search, [*notes, *causes.notes]
 
@@ -125,6 +146,7 @@ def diagnose(
             alpha=alpha,
             kinds=effects,
             progress=clock.progress,
+            kept=done,
         )
 
     clock.start("symptoms")

@@ -8,10 +8,12 @@ the data to the smallest p-value, on data of which it knows that nothing is hidd
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from engine.diagnose.kept import NOTHING, Kept
 from engine.diagnose.screen import Screen
 from engine.diagnose.search import Search, refit_swallowed, screen_effects
 from engine.diagnose.setting import Setting
@@ -36,6 +38,7 @@ def bootstrap_p(
     kinds: Sequence[str] | None = None,
     swallowed: bool = False,
     progress: Progress = lambda stage, fraction: None,
+    kept: Kept = NOTHING,
 ) -> float:
     """The share of n simulated series whose screen is as extreme as that of the data.
 
@@ -49,7 +52,8 @@ def bootstrap_p(
     extreme = used = 0
     for k in range(n):
         progress(STAGE, k / n)
-        drawn = _one(base_fit, series, setting, kinds, swallowed, [seed, k])
+        one = partial(_one, base_fit, series, setting, kinds, swallowed, [seed, k])
+        drawn = kept.number(f"bootstrap {k + 1}", one)
         if drawn is not None:
             used += 1
             extreme += drawn <= observed
@@ -67,6 +71,7 @@ def first_round_p(
     alpha: float,
     kinds: Sequence[str] | None,
     progress: Progress,
+    kept: Kept = NOTHING,
 ) -> float:
     """The bootstrap p-value of what a search saw in its first round, begun with the same seed.
 
@@ -86,6 +91,7 @@ def first_round_p(
         kinds=kinds,
         swallowed=swallowed,
         progress=progress,
+        kept=kept,
     )
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from engine.diagnose.decide import verdict_of
 from engine.diagnose.diagnosis import Verdict
+from engine.diagnose.kept import NOTHING, Kept
 from engine.diagnose.search import OUTLYING, Search, search
 from engine.diagnose.setting import Setting, setting_for
 from engine.diagnose.tails import KIND as TAILS
@@ -47,12 +49,13 @@ def find_causes(
     effects: Sequence[str] | None = None,
     seed: int = 0,
     clock: Clock | None = None,
+    kept: Kept = NOTHING,
 ) -> Causes:
     """Name what ``series`` shows beyond ``model``; arguments as in :func:`engine.diagnose.diagnose`."""
     clock = clock or Clock()
     notes = []
     clock.start("fit")
-    base = fit_base(model, series, theta, free)
+    base = kept.fit(model, partial(fit_base, model, series, theta, free))
     if not base.converged:
         notes.append(
             "The estimation of the base model did not settle; its parameters may be far off. "
@@ -70,6 +73,7 @@ def find_causes(
         kinds=effects,
         seed=seed,
         progress=clock.progress,
+        kept=kept,
     )
     verdict = verdict_of(found)
     level = misfit(found.final, series, outliers=has_tails(found))
@@ -128,9 +132,12 @@ class Clock:
     def stop(self) -> None:
         """End the last stage."""
         if self.stage:
-            spent = time.perf_counter() - self.since
-            self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + spent
+            self.spent(time.perf_counter() - self.since)
             self.stage = ""
+
+    def spent(self, seconds: float) -> None:
+        """More seconds for this stage."""
+        self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + seconds
 
     def progress(self, stage: str, fraction: float) -> None:
         """Tell the caller, who may stop the run by raising StopIteration."""

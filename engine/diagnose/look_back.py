@@ -8,10 +8,12 @@ rivals, and the plainer kinds that its choice contains, are refitted in the mode
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from engine.diagnose.effect import Effect
+from engine.diagnose.kept import NOTHING, Kept
 from engine.diagnose.refits import NESTS, TOLERANCE, Refit, cost, free_parameters
 from engine.diagnose.rounds import Round, settle
 from engine.diagnose.tails import KIND as TAILS
@@ -23,7 +25,7 @@ RIVALS = 4  # of each round that are refitted again
 
 
 def look_back(
-    base: QuasiFit, rounds: Sequence[Round], series: Series
+    base: QuasiFit, rounds: Sequence[Round], series: Series, kept: Kept = NOTHING
 ) -> tuple[QuasiFit, list[Round]]:
     """The final fit and the rounds (all with a choice), each refitted beside the others' choices."""
     settled = list(rounds)
@@ -31,14 +33,15 @@ def look_back(
     for i, found in enumerate(settled):
         effects = [other.refits[0].effect for other in settled]
         before, after = effects[:i], effects[i + 1 :]
+        here = kept.within(f"looking back {i + 1}")
         try:
-            without = _together(base, final, [*before, *after], {}, series)
+            without = _together(base, final, [*before, *after], {}, series, here)
         except (EngineError, np.linalg.LinAlgError):
             continue
         again = [r for r in found.refits if r.effect.kind == TAILS]  # by another filter
         for effect, own in _rivals(found, [other.name for other in (*before, *after)]):
             try:
-                fit = _together(base, final, [*before, effect, *after], own, series)
+                fit = _together(base, final, [*before, effect, *after], own, series, here)
             except (EngineError, np.linalg.LinAlgError):
                 continue
             gain = 2.0 * (fit.log_likelihood - without.log_likelihood)
@@ -74,6 +77,7 @@ def _together(
     effects: Sequence[Effect],
     own: Mapping[str, float],
     series: Series,
+    kept: Kept,
 ) -> QuasiFit:
     """The base model with all effects at once, started at what is known of their parameters."""
     model = base.model
@@ -82,6 +86,6 @@ def _together(
     values = {**known.theta.asdict(), **own}
     start = [values.get(p.name, p.default) for p in model.parameters]
     free = [*base.free, *(name for effect in effects for name in free_parameters(effect))]
-    return quasi_ml(
-        model, series, np.clip(start, model.lower, model.upper), free, tolerance=TOLERANCE
-    )
+    start_within = np.clip(start, model.lower, model.upper)
+    fitted = partial(quasi_ml, model, series, start_within, free, tolerance=TOLERANCE)
+    return kept.fit(model, fitted)

@@ -57,7 +57,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class Screen:
-    """All scores, best first; ``p_value`` family-wise; ``vectors`` (n, .) the projected v~ of each.
+    """All scores, best first; ``p_value`` family-wise; ``likenesses`` (n, n) of every two effects.
 
     ``lowest`` (DRAWS,) are the smallest p-values of the multiplier draws.
     """
@@ -65,7 +65,7 @@ class Screen:
     scores: tuple[Score, ...]
     p_value: float
     threshold: float
-    vectors: Array
+    likenesses: Array
     lowest: Array
 
     def family_wise(self, p_value: float) -> float:
@@ -73,10 +73,8 @@ class Screen:
         return (1.0 + float((self.lowest <= p_value).sum())) / (len(self.lowest) + 1.0)
 
     def likeness(self, one: int, other: int) -> float:
-        """|cos| between two effects' projected vectors, by their place in ``scores``."""
-        a, b = self.vectors[one], self.vectors[other]
-        norm = float(np.linalg.norm(a) * np.linalg.norm(b))
-        return abs(float(a @ b)) / norm if norm > 0.0 else 0.0
+        """|cos| between two effects' projected vectors v~, by their place in ``scores``."""
+        return float(self.likenesses[one, other])
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +140,7 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
         score, vector = _score(tests[i], observed[i], effective[i])
         scores.append(score)
         vectors.append(vector)
-    result = Screen(tuple(scores), 1.0, threshold, np.array(vectors), lowest)
+    result = Screen(tuple(scores), 1.0, threshold, _likenesses(np.array(vectors)), lowest)
     return replace(result, p_value=result.family_wise(min(observed)))
 
 
@@ -164,6 +162,19 @@ def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:
         test.degrees,
     )
     return score, test.vector
+
+
+def _likenesses(vectors: Array) -> Array:
+    """|cos| (n, n) between any two of the vectors (n, .), 0 where one of them is zero."""
+    n = len(vectors)
+    norms = [np.linalg.norm(vector) for vector in vectors]
+    out = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i, n):
+            norm = float(norms[i] * norms[j])
+            cosine = abs(float(vectors[i] @ vectors[j])) / norm if norm > 0.0 else 0.0
+            out[i, j] = out[j, i] = cosine
+    return out
 
 
 def _family_p(value: float, draws: Array, degrees: int, effective: float) -> float:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from engine.diagnose.catalogue import all_effects
 from engine.diagnose.columns import Projection, effect_columns, parameter_columns
 from engine.diagnose.effect import Effect
 from engine.diagnose.families import family_test, is_timed
+from engine.diagnose.kept import NOTHING, Kept
 from engine.diagnose.look_back import look_back
 from engine.diagnose.refits import Refit, cost, refit
 from engine.diagnose.rounds import GENERIC, Round, settle
@@ -79,15 +81,21 @@ def search(
     kinds: Sequence[str] | None,
     seed: int,
     progress: Progress,
+    kept: Kept = NOTHING,
 ) -> Search:
-    """Find the effects a series shows beyond ``base``, one after the other."""
+    """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already."""
     fit, rounds, alarm = base, [], False
     tails: Refit | None = None
     for k in range(max_effects + 1):
         taken = None if tails is None else tails.effect
         level = alpha if k == 0 else LATER * alpha
+        here = kept.within(f"round {k + 1}")
+        screened = partial(
+            screen_effects, fit, series, setting, kinds, level, seed + k, progress, taken
+        )
+        progress("screen", 0.0)
         try:
-            seen = screen_effects(fit, series, setting, kinds, level, seed + k, progress, taken)
+            seen = here.screen(all_effects(setting, kinds), screened)
         except OptionError:
             if k == 0:
                 raise
@@ -98,12 +106,12 @@ def search(
         alarm = seen.p_value <= level
         swallowed: list[Refit] = []
         if not alarm and k == 0:
-            seen, swallowed = refit_swallowed(fit, series, seen, progress)
+            seen, swallowed = refit_swallowed(fit, series, seen, progress, here)
             alarm = seen.p_value <= alpha
         if not alarm or k == max_effects:
             rounds.append(Round(seen, (), None, ()))
             break
-        found = refit_best(fit, series, seen, swallowed, progress)
+        found = refit_best(fit, series, seen, swallowed, progress, here)
         if not swallowed:
             found = confirmed(found)
             alarm = found.screen.p_value <= level or not found.refits
@@ -114,17 +122,18 @@ def search(
         if not found.equivalent:
             break
         if found.refits[0].effect.kind != TAILS:
-            fit = _finished(found.refits[0].fit, series)
+            best = found.refits[0].fit
+            fit = here.fit(best.model, partial(_finished, best, series))
             continue
         # the moment filter does not see outliers, so they are taken out before it looks again
         tails, alarm = found.refits[0], False
         if tails.effect.family != "noise" or tails.effect.channel not in model.outputs:
             break
         series = without_outliers(fit, series, tails.effect.channel, seed)
-        fit = quasi_ml(fit.model, series, fit.theta, fit.free)
+        fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))
     named = [found for found in rounds if found.equivalent]
     if tails is None and len(named) > 1:
-        fit, named = look_back(base, named, series)
+        fit, named = look_back(base, named, series, kept)
         rounds[: len(named)] = named
     return Search(base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm)
 
@@ -238,7 +247,7 @@ def _confirmed(test: Test, fit: QuasiFit, series: Series) -> Test:
 
 
 def refit_swallowed(
-    fit: QuasiFit, series: Series, seen: Screen, progress: Progress
+    fit: QuasiFit, series: Series, seen: Screen, progress: Progress, kept: Kept = NOTHING
 ) -> tuple[Screen, list[Refit]]:
     """Refits of effects that a fitted Q can swallow, so that their scores see nothing.
 
@@ -251,7 +260,8 @@ def refit_swallowed(
     for i, score in enumerate(families[:SWALLOWED_REFITS]):
         progress("refit", i / SWALLOWED_REFITS)
         try:
-            refits.append(refit(fit, series, score))
+            once = partial(refit, fit, series, score)
+            refits.append(kept.refit(fit.model, score.effect, once))
         except (EngineError, np.linalg.LinAlgError):
             continue
         p_value = min(p_value, len(families) / REFITTED * score.p_of(refits[-1].gain))
@@ -259,7 +269,12 @@ def refit_swallowed(
 
 
 def refit_best(
-    fit: QuasiFit, series: Series, seen: Screen, done: list[Refit], progress: Progress
+    fit: QuasiFit,
+    series: Series,
+    seen: Screen,
+    done: list[Refit],
+    progress: Progress,
+    kept: Kept = NOTHING,
 ) -> Round:
     """Refit the effects with the largest scores, and the unnamed force where it scores best.
 
@@ -284,7 +299,8 @@ def refit_best(
         progress("refit", i / len(left))
         try:
             leading = max((r.score for r in refits), default=-np.inf)
-            refits.append(refit(fit, series, score, leading))
+            once = partial(refit, fit, series, score, leading)
+            refits.append(kept.refit(fit.model, score.effect, once))
         except (EngineError, np.linalg.LinAlgError):
             continue
     return settle(seen, refits, series)

@@ -1,0 +1,137 @@
+"""A diagnosis that is stopped and goes on, as often as one likes: the same numbers, bit for bit."""
+
+import json
+
+import numpy as np
+import pytest
+
+import engine
+from engine import diagnose
+from engine.data import nile
+from engine.diagnose import catalogue
+from engine.diagnose.hide import hide
+from engine.errors import OptionError
+from engine.series import Series
+from tests.engine.hidden_effects import DRIVE, levels
+
+LEVEL = engine.get_model("local-level")
+
+
+class Stopped(Exception):  # noqa: N818 - nothing has gone wrong
+    """As Ctrl-C would."""
+
+
+class StopsAfter(dict):
+    """Takes so many parts, and stops the run with the last of them."""
+
+    def __init__(self, parts, more):
+        super().__init__(parts)
+        self.left = more
+
+    def __setitem__(self, name, value):
+        assert name not in self, "nothing is computed twice"
+        super().__setitem__(name, value)
+        self.left -= 1
+        if not self.left:
+            raise Stopped
+
+
+def drive(names, values, seed, n=240):
+    rng = np.random.default_rng(seed)
+    return hide(DRIVE, names, values, n, rng, u=levels(rng, n), dt=0.1).series
+
+
+def two_effects():
+    """A second round, and a look back at the first."""
+    values = {"bias_reading": 0.5, "cubic_speed": -2.0}
+    series = drive(["bias:reading", "cubic:speed"], values, seed=5)
+    effects = ["bias:reading", "cubic:speed", "drag:speed", "latent:speed"]
+    return DRIVE, series, {"effects": effects, "seed": 1}
+
+
+def outliers():
+    """Readings are taken out before the second round."""
+    values = {"heavy_tails_reading_share": 0.06, "heavy_tails_reading_ratio": 10.0}
+    series = drive(["heavy-tails:reading"], values, seed=3)
+    return DRIVE, series, {"effects": ["heavy-tails", "bias", "gain"], "seed": 1}
+
+
+def swallowed():
+    """The step is refitted before there is an alarm; the alarm's p-value again by simulation."""
+    return LEVEL, nile(), {"effects": ["step", "pulse"], "seed": 1, "bootstrap": 4}
+
+
+CASES = {"two effects": two_effects, "outliers": outliers, "swallowed, bootstrap": swallowed}
+
+
+def numbers(found):
+    """All that a diagnosis says, but how long it took."""
+    told = found.to_dict()
+    del told["seconds"]
+    told["page"] = [line for line in told["page"].splitlines() if " s in all: " not in line]
+    return json.dumps(told)
+
+
+@pytest.mark.parametrize(
+    ("case", "steps"), [("two effects", 1), ("outliers", 4), ("swallowed, bootstrap", 5)]
+)
+def test_stopped_after_every_few_parts(case, steps):
+    model, series, options = CASES[case]()
+    expected = diagnose(model, series, **options)
+    assert expected.rounds[0].equivalent, "the case is of no use"
+    kept, times = {}, 0
+    while True:
+        parts = StopsAfter(json.loads(json.dumps(kept)), steps)
+        try:
+            found = diagnose(model, series, **options, kept=parts)
+            break
+        except Stopped:
+            kept, times = parts, times + 1
+    assert times == len(parts) // steps
+    assert numbers(found) == numbers(expected)
+    spent = sum(part["seconds"] for part in parts.values() if "seconds" in part)
+    assert sum(found.seconds.values()) > spent, "of all attempts together"
+    kinds = {name.split(": ")[-1].split()[0] for name in parts}
+    assert {"asked", "fit", "screen", "refit"} <= kinds
+    if case == "two effects":
+        assert any(name.startswith("looking back") for name in parts)
+    if "bootstrap" in options:
+        assert "bootstrap 4" in parts
+
+
+def test_what_was_kept_of_another_diagnosis_is_refused():
+    kept, flows = {}, nile()
+    options = {"effects": ["step"], "seed": 1, "kept": kept}
+    diagnose(LEVEL, flows, **options)
+    other = Series(flows.y + 1e-9, t=flows.t, y_names=flows.y_names)
+    faster = engine.MixedModel(**{**vars_of(LEVEL), "measurement": twice})
+    for model, series, more, what in (
+        (LEVEL, other, {}, "another series"),
+        (LEVEL, flows, {"test": flows}, "another test series"),
+        (LEVEL, flows, {"seed": 2}, "other options"),
+        (LEVEL, flows, {"effects": ["step", "pulse"]}, "other options"),
+        (LEVEL, flows, {"theta": {LEVEL.parameter_names[0]: 1.0}}, "other options"),
+        (faster, flows, {}, "another model"),
+    ):
+        with pytest.raises(OptionError, match=f"is of a diagnosis with {what}") as error:
+            diagnose(model, series, **options | more)
+        assert error.value.field == "kept"
+
+
+def test_another_catalogue_is_refused(monkeypatch):
+    kept, flows = {}, nile()
+    options = {"effects": ["step"], "seed": 1, "kept": kept}
+    diagnose(LEVEL, flows, **options)
+    monkeypatch.setitem(catalogue._makers, "new", catalogue._makers["step"])
+    with pytest.raises(OptionError, match="another catalogue"):
+        diagnose(LEVEL, flows, **options)
+
+
+def vars_of(model):
+    return {name: getattr(model, name) for name in model.__dataclass_fields__}
+
+
+def twice(a, u, t, theta):
+    """Another function under the same name."""
+    h, C, R = LEVEL.measurement(a, u, t, theta)
+    return h, 2.0 * np.asarray(C), R
