@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,9 +11,8 @@ import typer
 
 from service.cli.ending import CODES, guarded, wrong
 
-DATA = (
-    "Data files: .csv with a line of column names, .mat or .npz. Several are several experiments."
-)
+KINDS = ".csv with a line of column names, .mat or .npz."
+DATA = f"Data files: {KINDS} Several are several experiments."
 
 app = typer.Typer(
     help=(
@@ -202,10 +202,9 @@ def fit(
         from service.cli.state import Asked
         from service.cli.values import names, numbers, one_of, pairs
 
-        to = {"out": out, "report": report, "plot": plot}
-        paths = {key: str(path.absolute()) for key, path in to.items() if path is not None}
+        paths = _absolute(out=out, report=report, plot=plot)
         if resume is not None:
-            _only_output(ctx)
+            _only_output(ctx, {"iterations"})
             changes: dict[str, Any] = {**paths}
             if _given(ctx, "iterations"):
                 changes["iterations"] = iterations
@@ -243,7 +242,11 @@ def fit(
 
 @app.command(epilog=CODES, short_help="Find out what a model leaves out, and why.")
 def diagnose(
-    data: Annotated[Path, typer.Argument(metavar="DATA", help=DATA, exists=True, dir_okay=False)],
+    ctx: typer.Context,
+    data: Annotated[
+        Path | None,
+        typer.Argument(metavar="DATA", help=f"Data file: {KINDS}", exists=True, dir_okay=False),
+    ] = None,
     model: Model = "",
     effects: Effects = [],  # noqa: B006
     values: Values = [],  # noqa: B006
@@ -296,40 +299,70 @@ def diagnose(
     exit_code: Annotated[
         bool, typer.Option("--exit-code", help="Exit with 3 where the model leaves something out.")
     ] = False,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.state",
+            help="Keep what is finished here.  [beside --out, until the diagnosis has ended]",
+        ),
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.state",
+            help="Go on with an interrupted diagnosis, as if it had never stopped. Only the "
+            "options of output may be given with it.",
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Find out what a model leaves out: what is wrong, the cause, the extension, the gain.
 
     The exit code is 0 whatever is found, unless --exit-code is given. The same seed gives the same
-    answer; an interrupted diagnosis is begun anew.
+    answer. Ctrl-C stops it and keeps what is done; 'rbps diagnose --resume FILE.state' goes on and gives
+    the same answer as a run that was never stopped.
     """
     with guarded(as_json):
-        from service.cli.diagnose import Wanted, run
-        from service.cli.files import Columns
+        from service.cli import diagnose as work
+        from service.cli.references import absolute
         from service.cli.values import names, numbers, pairs
 
-        wanted = Wanted(
-            data=data,
-            model=_model(model),
+        paths = _absolute(out=out, report=report, plot=plot)
+        if resume is not None:
+            _only_output(ctx, {"every", "exit_code"})
+            changes: dict[str, Any] = {**paths}
+            for name, value in (("every", every), ("exit_code", exit_code)):
+                if _given(ctx, name):
+                    changes[name] = value
+            work.resume(resume, changes, as_json, quiet)
+            return
+        if data is None:
+            raise wrong("DATA is missing: name a data file")
+        asked = work.Asked(
+            data=str(data.absolute()),
+            model=absolute(_model(model)),
             effects=effects,
             start=numbers("--set", values),
             fixed=numbers("--fix", fixed),
             free=names(free),
-            columns=Columns(pairs("--map", columns), time, dt, names(extra)),
-            test=test,
+            columns=pairs("--map", columns),
+            time=time,
+            dt=dt,
+            extra=names(extra),
             alpha=alpha,
             consider=names(consider),
             max_effects=max_effects,
             bootstrap=bootstrap,
             seed=seed,
-            out=out,
-            report=report,
-            plot=plot,
             every=every,
             exit_code=exit_code,
+            test=str(test.absolute()) if test else None,
+            out=paths.get("out"),
+            report=paths.get("report"),
+            plot=paths.get("plot"),
         )
-        run(wanted, as_json, quiet)
+        work.diagnose(asked, state, as_json, quiet)
 
 
 @app.command(epilog=CODES, short_help="Simulate a model, with an effect hidden in it if you like.")
@@ -434,14 +467,19 @@ def _given(ctx: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-MAY_CHANGE = frozenset({"iterations", "out", "report", "plot", "resume", "as_json", "quiet"})
+def _absolute(**paths: Path | None) -> dict[str, str]:
+    """Those that are given, as they are understood from any folder."""
+    return {key: str(path.absolute()) for key, path in paths.items() if path is not None}
 
 
-def _only_output(ctx: typer.Context) -> None:
-    """Refuse what would make a resumed estimation another one."""
+MAY_CHANGE = frozenset({"out", "report", "plot", "resume", "as_json", "quiet"})
+
+
+def _only_output(ctx: typer.Context, also: Iterable[str]) -> None:
+    """Refuse what would make a resumed run another one; options of output and ``also`` would not."""
     for parameter in ctx.command.params:
         name = parameter.name or ""
-        if name not in MAY_CHANGE and _given(ctx, name):
+        if name not in MAY_CHANGE.union(also) and _given(ctx, name):
             called = "DATA" if name == "data" else parameter.opts[0]
             raise wrong(f"--resume goes on with what was asked; {called} cannot be given with it")
 

@@ -1,127 +1,224 @@
-"""``rbps diagnose``: what a model leaves out."""
+"""``rbps diagnose``: what a model leaves out, told, and kept until then so that it can be gone on with."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+import os
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+
+import numpy as np
 
 import engine
 from engine.diagnose import Verdict, all_effects, effect_kinds
 from engine.diagnose.report import page
 from engine.diagnose.setting import Setting
 from engine.diagnose.spare_inputs import with_inputs
+from engine.errors import EngineError, OptionError
 from engine.model import MixedModel
 from engine.report import write_report
+from engine.series import Series
 from service import diagnoses, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, Interrupt, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
+from service.cli.state_file import Sealed, StateFile, beside, keep_old, read
 from service.cli.values import figure_folder, free_of, output_path, theta_of
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """The command's arguments."""
+@dataclass
+class Asked(Sealed):
+    """A diagnosis as it was asked for; paths are absolute."""
 
-    data: Path
+    command: ClassVar[str] = "diagnose"
+    result: ClassVar[str] = "diagnosis"
+    data: str
     model: str
-    effects: list[str]
-    start: dict[str, float]
-    fixed: dict[str, float]
-    free: list[str]
-    columns: Columns
-    test: Path | None
-    alpha: float
-    consider: list[str]
-    max_effects: int
-    bootstrap: int
-    seed: int
-    out: Path | None
-    report: Path | None
-    plot: Path | None
-    every: bool
-    exit_code: bool
+    effects: list[str] = field(default_factory=list)
+    start: dict[str, float] = field(default_factory=dict)
+    fixed: dict[str, float] = field(default_factory=dict)
+    free: list[str] = field(default_factory=list)
+    columns: dict[str, str] = field(default_factory=dict)
+    time: str | None = None
+    dt: float | None = None
+    extra: list[str] = field(default_factory=list)
+    test: str | None = None
+    alpha: float = 0.05
+    consider: list[str] = field(default_factory=list)
+    max_effects: int = 3
+    bootstrap: int = 0
+    seed: int = 0
+    out: str | None = None
+    report: str | None = None
+    plot: str | None = None
+    every: bool = False
+    exit_code: bool = False
+    keep: bool = False  # the state file, when there is nothing to go on with any more
+
+    def check(self) -> None:
+        """Refuse to go on where something is not what it was."""
+        super().check()
+        if self.version != version("rbps"):
+            raise wrong(
+                f"--resume: the diagnosis was begun by rbps {self.version}, whose numbers may differ; "
+                "start it anew"
+            )
 
 
-class Steps:
-    """Where ``diagnoses.Percent`` tells how far it is, and where Ctrl-C ends the diagnosis."""
+class Kept(dict[str, Any]):
+    """The finished parts on a state file, and the place where Ctrl-C ends the diagnosis.
 
-    def __init__(self, shown: Meter, interrupt: Interrupt) -> None:
-        self.shown, self.interrupt = shown, interrupt
+    Rows of the file: one, the per cent done.
+    """
 
-    def step(self, k: int, message: str = "") -> None:
-        """Per cent done."""
-        self.shown.at(k, message)
+    def __init__(
+        self, file: StateFile, shown: Meter, parts: dict[str, Any] | None = None, percent: int = 0
+    ) -> None:
+        super().__init__(parts or {})
+        self.file, self.shown, self.percent = file, shown, percent
+        self.interrupt = Interrupt()
+
+    def __setitem__(self, name: str, part: Any) -> None:
+        super().__setitem__(name, part)
+        if self.file.due:
+            self.save()
         self.interrupt.check()
 
+    def step(self, k: int, message: str = "") -> None:
+        """Per cent done; fewer than before while what was kept is gone through."""
+        self.percent = max(self.percent, k)
+        self.shown.at(self.percent, message)
+        self.interrupt.check()
 
-def run(wanted: Wanted, as_json: bool, quiet: bool) -> None:
-    """Diagnose, write the files, print the page."""
-    output_path("--out", wanted.out, (".json",))
-    output_path("--report", wanted.report, (".html", ".htm"))
-    figure_folder("--plot", wanted.plot)
-    if not 0.0 < wanted.alpha < 1.0:
-        raise wrong(f"--alpha {wanted.alpha:g}: a probability between 0 and 1 is needed")
+    def save(self) -> None:
+        """Write the state."""
+        self.file.save(np.array([[self.percent]]), list(self.items()))
+
+
+def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
+    """A new diagnosis; its state goes to ``state`` or beside the output."""
+    path = state or beside(asked.out, f"{Path(asked.data).stem}-diagnosis")
+    asked.keep = state is not None
+    _check_outputs(asked)
+    output_path("--state", path)
     with meter(quiet or as_json) as shown:
-        found, document = _diagnosis(wanted, shown)
-    written = _write(wanted, found, document)
-    if as_json:
-        print(strict_json.dumps(document))
-    else:
-        print(page(found, wanted.every))
-        for path in written:
-            print(f"Written: {path}")
-    if wanted.exit_code and found.verdict is not Verdict.NOTHING:
-        raise SystemExit(Code.FOUND)
+        job = _prepare(asked, shown)
+        in_file = references.in_file(asked.model)
+        files = [Path(name) for name in (asked.data, asked.test) if name]
+        asked.seal([*files, in_file[0]] if in_file else files)
+        aside = keep_old(path)
+        if aside is not None:
+            shown.note(f"an earlier {path.name} is kept as {aside.name}")
+        found, document = _run(job, asked, Kept(StateFile(path, asked), shown))
+    _tell(asked, found, document, as_json)
 
 
-def _diagnosis(wanted: Wanted, shown: Meter) -> tuple[engine.Diagnosis, dict[str, Any]]:
-    base = references.model_of(wanted.model)
-    series, said = series_of(wanted.data, base, wanted.columns)
+def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
+    """Go on with a diagnosis; ``changes`` are members of Asked that may differ."""
+    asked, rows, left = read(path, Asked)
+    for name, value in changes.items():
+        setattr(asked, name, value)
+    asked.check()
+    _check_outputs(asked)
+    with meter(quiet or as_json) as shown:
+        job = _prepare(asked, shown)
+        kept = Kept(StateFile(path, asked), shown, dict(left), int(rows[0, 0]))
+        shown.note(f"going on at {kept.percent} %")
+        found, document = _run(job, asked, kept)
+    _tell(asked, found, document, as_json)
+
+
+def _check_outputs(asked: Asked) -> None:
+    """Refuse what cannot be written, or asked, before any time is spent."""
+    for option, file, suffixes in (
+        ("--out", asked.out, (".json",)),
+        ("--report", asked.report, (".html", ".htm")),
+    ):
+        output_path(option, Path(file) if file else None, suffixes)
+    figure_folder("--plot", Path(asked.plot) if asked.plot else None)
+    if not 0.0 < asked.alpha < 1.0:
+        raise wrong(f"--alpha {asked.alpha:g}: a probability between 0 and 1 is needed")
+
+
+@dataclass(frozen=True)
+class Job:
+    """What ``engine.diagnose`` is given; ``name`` is that of the registered model."""
+
+    name: str
+    model: MixedModel
+    series: Series
+    test: Series | None
+    theta: engine.Theta | None
+    free: list[str] | None
+
+
+def _prepare(asked: Asked, shown: Meter) -> Job:
+    """All that can be wrong is found here."""
+    base = references.model_of(asked.model)
+    columns = Columns(asked.columns, asked.time, asked.dt, asked.extra)
+    series, said = series_of(Path(asked.data), base, columns)
     shown.note(said)
     test = None
-    if wanted.test is not None:
-        test, said = series_of(wanted.test, base, wanted.columns)
+    if asked.test is not None:
+        test, said = series_of(Path(asked.test), base, columns)
         shown.note(said)
-    model = references.with_effects(base, wanted.effects, series)
-    theta = theta_of(model, wanted.start, wanted.fixed)
-    free = free_of(model, wanted.free, list(wanted.fixed))
-    model = _holding(model, wanted.fixed)
-    _check_effects(model, wanted)
-    shown.begin(diagnoses.STEPS)
-    interrupt = Interrupt()
+    model = references.with_effects(base, asked.effects, series)
+    theta = theta_of(model, asked.start, asked.fixed)
+    free = free_of(model, asked.free, list(asked.fixed))
+    model = _holding(model, asked.fixed)
+    _check_effects(model, asked)
+    # without a start, one is searched for
+    return Job(base.name, model, series, test, theta if asked.start else None, free)
+
+
+def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str, Any]]:
+    """The diagnosis and its document; when it is interrupted, what is done is saved."""
+    kept.shown.begin(diagnoses.STEPS, kept.percent)
     try:
-        with interrupt.held():
+        with kept.interrupt.held():
             found = engine.diagnose(
-                model,
-                series,
-                theta if wanted.start else None,  # without a start, one is searched for
-                test,
-                seed=wanted.seed,
-                alpha=wanted.alpha,
-                effects=wanted.consider or None,
-                max_effects=wanted.max_effects,
-                free=free,
-                bootstrap=wanted.bootstrap,
-                callback=diagnoses.Percent(Steps(shown, interrupt)),
+                job.model,
+                job.series,
+                job.theta,
+                job.test,
+                seed=asked.seed,
+                alpha=asked.alpha,
+                effects=asked.consider or None,
+                max_effects=asked.max_effects,
+                free=job.free,
+                bootstrap=asked.bootstrap,
+                callback=diagnoses.Percent(kept),
+                kept=kept,
             )
     except KeyboardInterrupt:
+        kept.save()
         raise Ending(
             Code.INTERRUPTED,
-            "interrupted; a diagnosis keeps nothing to go on from. The same command begins anew and gives "
-            "the same answer; one that looks for less, such as --effects coulomb,bias, ends sooner.",
+            f"interrupted at {kept.percent} %. Go on with\n  {kept.file.again}",
+            state=str(kept.file.path),
+            percent=kept.percent,
         ) from None
-    return found, diagnoses.document(found, base.name, wanted.effects)
+    except EngineError as error:
+        if isinstance(error, OptionError) and error.field == "kept":
+            raise wrong(f"--resume: {error}") from None
+        if not asked.keep:  # from here nothing leads on
+            kept.file.remove()
+        raise
+    if asked.keep:
+        kept.save()
+    else:
+        kept.file.remove()
+    return found, diagnoses.document(found, job.name, asked.effects)
 
 
-def _check_effects(model: MixedModel, wanted: Wanted) -> None:
+def _check_effects(model: MixedModel, asked: Asked) -> None:
     """Refuse effects to look for that are neither a kind nor one of this model's."""
-    extra = tuple(wanted.columns.extra)
+    extra = tuple(asked.extra)
     there = {one.name for one in all_effects(Setting(with_inputs(model, extra), extra=extra))}
-    for name in wanted.consider:
+    for name in asked.consider:
         if name not in there and name not in effect_kinds():
             raise wrong(
                 f"--effects {name}: there is no such effect; 'rbps models NAME --effects' lists them"
@@ -136,16 +233,24 @@ def _holding(model: MixedModel, fixed: dict[str, float]) -> MixedModel:
     return replace(model, parameters=parameters)
 
 
-def _write(wanted: Wanted, found: engine.Diagnosis, document: dict[str, Any]) -> list[Path]:
+def _tell(asked: Asked, found: engine.Diagnosis, document: dict[str, Any], as_json: bool) -> None:
+    """Write the files and print the page."""
     written = []
-    if wanted.out:
-        wanted.out.write_text(strict_json.dumps(document) + "\n", encoding="utf-8")
-        written.append(wanted.out)
-    if wanted.report:
-        rows = {"data": wanted.data.name, "seed": wanted.seed}
+    if asked.out:
+        Path(asked.out).write_text(strict_json.dumps(document) + "\n", encoding="utf-8")
+        written.append(asked.out)
+    if asked.report:
+        about = {"data": Path(asked.data).name, "seed": asked.seed}
         plain = json.loads(strict_json.dumps(document))
-        written.append(write_report(plain, wanted.report, rows))
-    if wanted.plot:
-        found.plot().save(wanted.plot)
-        written.append(wanted.plot)
-    return written
+        written.append(str(write_report(plain, asked.report, about)))
+    if asked.plot:
+        found.plot().save(asked.plot)
+        written.append(asked.plot)
+    if as_json:
+        print(strict_json.dumps(document))
+    else:
+        print(page(found, asked.every))
+        for name in written:
+            print(f"Written: {os.path.relpath(name)}")
+    if asked.exit_code and found.verdict is not Verdict.NOTHING:
+        raise SystemExit(Code.FOUND)

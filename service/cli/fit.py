@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +22,8 @@ from service.cli import references
 from service.cli.ending import Code, Ending, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
-from service.cli.state import Asked, Recorder, keep_old, read
+from service.cli.state import Asked, Recorder
+from service.cli.state_file import StateFile, beside, keep_old, read
 from service.cli.values import figure_folder, free_of, output_path, theta_of
 from service.found import roles
 from service.prepare import Prepared
@@ -38,7 +38,7 @@ from service.schemas import (
 
 def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     """A new estimation; its state goes to ``state`` or beside the output."""
-    path = state or _beside(asked)
+    path = state or beside(asked.out, Path(asked.data[0]).stem)
     asked.keep = state is not None
     _check_outputs(asked)
     output_path("--state", path)
@@ -53,12 +53,12 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
             begun.append(Recorder(path, asked, shown))
             _name_tasks(job, begun[0])
             document = _run(job, asked, begun[0], shown)
-        _tell(job, asked, document, path, as_json)
+        _tell(job, asked, document, begun[0].file, as_json)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
     """Go on with an estimation; ``changes`` are members of Asked that may differ."""
-    asked, rows, finished = read(path)
+    asked, rows, finished = read(path, Asked)
     if "iterations" in changes and (asked.starts > 1 or asked.bootstrap):
         raise wrong("--iterations cannot be changed where there are several starts or a bootstrap")
     for name, value in changes.items():
@@ -80,14 +80,7 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
             shown.note(f"going on after iteration {recorder.k}{within}")
             begun.append(recorder)
             document = _run(job, asked, recorder, shown)
-        _tell(job, asked, document, path, as_json)
-
-
-def _beside(asked: Asked) -> Path:
-    """The state file's name where none is given: beside the output, or in this folder."""
-    if asked.out:
-        return Path(asked.out).with_suffix(".state")
-    return Path(f"{Path(asked.data[0]).stem}.state")
+        _tell(job, asked, document, recorder.file, as_json)
 
 
 def _check_outputs(asked: Asked) -> None:
@@ -146,8 +139,8 @@ def _resumable(asked: Asked) -> Iterator[list[Recorder]]:
         raise Ending(
             Code.INTERRUPTED,
             f"interrupted {where}after {recorder.k} of {asked.iterations} iterations. Go on with\n"
-            f"  {again(recorder.path)}",
-            state=str(recorder.path),
+            f"  {recorder.file.again}",
+            state=str(recorder.file.path),
             iteration=recorder.k,
         ) from None
 
@@ -176,7 +169,7 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
                 return document
             recorder.finish(document)
     except Problem:  # diverged or lost: from here nothing leads on
-        _tidy(asked, recorder.path)
+        _tidy(asked, recorder.file)
         raise
 
 
@@ -184,7 +177,7 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
 
 
 def _tell(
-    job: Prepared, asked: Asked, document: dict[str, Any], state: Path, as_json: bool
+    job: Prepared, asked: Asked, document: dict[str, Any], state: StateFile, as_json: bool
 ) -> None:
     """Write the files and print the estimate."""
     one_run = asked.starts == 1 and not asked.bootstrap
@@ -208,20 +201,15 @@ def _tell(
         return
     print("\n".join(table(job.model, job.series, document)))
     if more:
-        print(f"More iterations: {again(state)} --iterations {2 * asked.iterations}")
+        print(f"More iterations: {state.again} --iterations {2 * asked.iterations}")
     for name in written:
         print(f"Written: {os.path.relpath(name)}")
 
 
-def again(state: Path) -> str:
-    """What to type to go on."""
-    return f"rbps fit --resume {shlex.quote(os.path.relpath(state))}"
-
-
-def _tidy(asked: Asked, state: Path) -> None:
+def _tidy(asked: Asked, state: StateFile) -> None:
     """Remove a state that nobody can go on with, unless it was asked for by name."""
     if not asked.keep:
-        state.unlink(missing_ok=True)
+        state.remove()
 
 
 def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any]) -> list[str]:

@@ -1,44 +1,32 @@
-"""The state file of an estimation: what was asked, what its tasks left, every iteration of the current one.
+"""The state of an estimation: what was asked, what its tasks left, every iteration of the current one.
 
-Tasks are those of ``stages.plan``, one after the other. The file is an .npz archive of one table and JSON
-texts; nothing is pickled. It is written beside itself and
-moved into place, so a file that is there is whole.
+Tasks are those of ``stages.plan``, one after the other.
 """
 
 from __future__ import annotations
 
 import copy
-import hashlib
-import io
 import json
-import os
-import signal
-import time
-import zipfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
-from importlib.metadata import version
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from engine.model import Array, Theta
 from service import strict_json
-from service.cli.ending import Interrupt, wrong
+from service.cli.ending import Interrupt
 from service.cli.meter import Meter
-
-FORMAT = 2
-# At most so much work is lost to a kill, or so many times what it takes to save a large state; Ctrl-C
-# loses the running iteration only.
-SAVE_SECONDS, SAVE_TIMES = 1.0, 20.0
+from service.cli.state_file import Sealed, StateFile
 
 
 @dataclass
-class Asked:
-    """An estimation as it was asked for; paths are absolute, ``sha256`` maps files to digests."""
+class Asked(Sealed):
+    """An estimation as it was asked for; paths are absolute."""
 
+    command: ClassVar[str] = "fit"
+    result: ClassVar[str] = "estimation"
     data: list[str]
     model: str
     effects: list[str] = field(default_factory=list)
@@ -60,28 +48,6 @@ class Asked:
     report: str | None = None
     plot: str | None = None
     keep: bool = False  # the state file, when there is nothing to go on with any more
-    sha256: dict[str, str] = field(default_factory=dict)
-    version: str = ""
-
-    def seal(self, files: list[Path]) -> None:
-        """Note what the files hold now, and who computes."""
-        self.sha256 = {str(file.absolute()): digest(file) for file in files}
-        self.version = version("rbps")
-
-    def check(self) -> None:
-        """Refuse to go on where a file is not what it was."""
-        for name, known in self.sha256.items():
-            if not Path(name).is_file():
-                raise wrong(f"--resume: {name} is gone; the estimation needs it")
-            if digest(Path(name)) != known:
-                raise wrong(
-                    f"--resume: {name} has changed since the estimation began; start it anew"
-                )
-
-
-def digest(file: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 class Recorder:
@@ -95,11 +61,10 @@ class Recorder:
         rows: Array | None = None,
         finished: Sequence[Any] = (),
     ) -> None:
-        self.path, self.asked, self.meter = path, asked, meter
+        self.file, self.asked, self.meter = StateFile(path, asked), asked, meter
         self.done: list[Array] = [] if rows is None else list(rows)
         self.finished = list(finished)  # what the tasks before this one left
         self.names: list[str] = []  # of the tasks, where there are several
-        self._save_at = time.monotonic() + SAVE_SECONDS
         self.interrupt = Interrupt()
 
     @property
@@ -140,7 +105,7 @@ class Recorder:
         """One more row, saved when the last saving is long enough ago."""
         numbers = [it.log_likelihood, it.ess, it.seconds, it.collapsed]
         self.done.append(np.append(it.theta, numbers))
-        if time.monotonic() > self._save_at:
+        if self.file.due:
             self.save()
         said = f"log-likelihood {it.log_likelihood:.2f}"
         self.meter.at(self.steps, f"{self.name}, {said}" if self.names else said)
@@ -158,62 +123,5 @@ class Recorder:
         return copy.deepcopy(self.finished[task])
 
     def save(self) -> None:
-        """Write the state; Ctrl-C waits meanwhile."""
-        began = time.monotonic()
-        with _undisturbed():
-            write(self.path, self.asked, np.array(self.done), self.finished)
-        now = time.monotonic()
-        self._save_at = now + max(SAVE_SECONDS, SAVE_TIMES * (now - began))
-
-
-def write(path: Path, asked: Asked, rows: Array, finished: Sequence[Any] = ()) -> None:
-    """Write a state file in one move."""
-    text = json.dumps({"rbps_state": FORMAT} | asdict(asked))
-    left = np.frombuffer(json.dumps(list(finished)).encode(), dtype=np.uint8)
-    packed = io.BytesIO()
-    np.savez_compressed(packed, asked=np.array(text), rows=np.atleast_2d(rows), left=left)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        beside.write_bytes(packed.getvalue())
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-def read(path: Path) -> tuple[Asked, Array, list[Any]]:
-    """What was asked, the current task's rows (k + 1, n_theta + 4) or (0, 0), and what tasks left."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            told, rows = json.loads(str(stored["asked"])), np.asarray(stored["rows"], dtype=float)
-            left = json.loads(stored["left"].tobytes())
-        known = {one.name for one in fields(Asked)}
-        asked = Asked(**{name: value for name, value in told.items() if name in known})
-    except FileNotFoundError:
-        raise wrong(f"--resume {path}: there is no such file") from None
-    except (ValueError, TypeError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
-        raise wrong(f"--resume {path}: this is not a state file of 'rbps fit'") from error
-    if told.get("rbps_state") != FORMAT or rows.ndim != 2 or not isinstance(left, list):
-        raise wrong(f"--resume {path}: this is not a state file of this version of rbps")
-    return asked, rows if rows.size else np.zeros((0, 0)), left
-
-
-def keep_old(path: Path) -> Path | None:
-    """Move a state file that is in the way aside; where it went."""
-    if not path.exists():
-        return None
-    aside = path.with_name(path.name + "~")
-    os.replace(path, aside)
-    return aside
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Hold Ctrl-C back until the file is written."""
-    came: list[Any] = []
-    before = signal.signal(signal.SIGINT, lambda *signal_: came.append(signal_))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
-        raise KeyboardInterrupt
+        """Write the state."""
+        self.file.save(np.array(self.done), self.finished)

@@ -10,7 +10,9 @@ import pytest
 
 import engine
 from engine.series_files import write_series
-from service.cli import state
+from service.cli import diagnose
+from service.cli.state import Asked
+from service.cli.state_file import read
 from tests.cli.conftest import RBPS
 
 # enough particles that there is time to type within the iterations
@@ -110,7 +112,7 @@ def test_ctrl_c_after_the_iterations_loses_none(folder, terminal, uninterrupted)
     run.type(b"\x03")
     if run.end()[0] == 130:
         assert "interrupted after 30 of 30 iterations" in run.shown
-    asked, rows, _ = state.read(folder / "kept.state")
+    asked, rows, _ = read(folder / "kept.state", Asked)
     assert rows.shape == (31, 9)
     assert asked.data == [str(folder / "data.csv")]
     again = subprocess.run(
@@ -129,7 +131,7 @@ def test_a_killed_run_leaves_its_iterations(folder, uninterrupted):
         time.sleep(0.05)
     run.kill()
     run.wait()
-    asked, rows, _ = state.read(path)
+    asked, rows, _ = read(path, Asked)
     assert asked.iterations == 100000
     assert len(rows) > 1
     theta = uninterrupted["trace"]["theta"]
@@ -137,14 +139,65 @@ def test_a_killed_run_leaves_its_iterations(folder, uninterrupted):
         assert rows[:31, i].tolist() == theta[name][: len(rows)]
 
 
-def test_ctrl_c_while_diagnosing(folder, terminal):
-    run = terminal("diagnose", "data.csv", "-m", "mixed-4")
-    run.until("estimating the model|screening")
-    run.type(b"\x03")
-    code, printed = run.end()
-    assert (code, printed) == (130, "")
-    assert "interrupted; a diagnosis keeps nothing to go on from" in " ".join(run.shown.split())
-    assert "Traceback" not in run.shown
+DIAGNOSE = (
+    *("diagnose", "data.csv", "-m", "mixed-4", "--seed", "2"),
+    *("--effects", "bias,gain,cubic,drag,lag,step,latent,level,variance"),
+)  # fmt: skip
+
+
+def without_times(page):
+    return [line for line in page.splitlines() if " s in all: " not in line]
+
+
+def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, terminal):
+    whole = terminal(*DIAGNOSE)
+    code, expected = whole.end()
+    assert code == 0
+    assert not list(folder.glob("*.state"))
+
+    stages = ("estimating the model", "screening", "estimating the best|comparing", "")
+    at, command = 0, DIAGNOSE
+    for stage in stages:
+        run = terminal(*command)
+        if not stage:
+            break
+        run.until(rf"━.* \d+/100 .*({stage})")
+        run.type(b"\x03")
+        code, printed = run.end()
+        assert (code, printed) == (130, "")
+        assert "Traceback" not in run.shown
+        told = re.search(
+            r"interrupted at (\d+) %. Go on with\s+rbps (diagnose --resume \S+)", run.shown
+        )
+        assert told, run.shown
+        assert int(told[1]) >= at
+        at, command = int(told[1]), told[2].split()
+        assert command[-1] == "data-diagnosis.state"
+    run.until(rf"going on at {at} %")
+    code, page = run.end()
+    assert code == 0
+    assert at > 5
+    assert without_times(page) == without_times(expected)
+    assert not list(folder.glob("*.state"))
+
+
+def test_a_killed_diagnosis_leaves_its_parts(folder):
+    run = subprocess.Popen([*RBPS, *DIAGNOSE, "-q", "--state", "kept.state"], cwd=folder)
+    path, end = folder / "kept.state", time.monotonic() + 60
+    while not path.exists() and run.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    run.kill()
+    run.wait()
+    _, percent, parts = read(path, diagnose.Asked)
+    assert [name for name, _ in parts][:2] == ["asked", "fit mixed-4"]
+    again = [*RBPS, "diagnose", "--resume", "kept.state", "--json", "--report", "out.html"]
+    for _ in range(2):  # what is kept by name stays, and shows the result once more
+        found = subprocess.run(again, cwd=folder, capture_output=True, check=True)
+        assert json.loads(found.stdout)["diagnosis"]["model"] == "mixed-4"
+    _, after, more = read(path, diagnose.Asked)
+    assert len(more) >= len(parts)
+    assert after[0, 0] > percent[0, 0]
+    assert "mixed-4" in (folder / "out.html").read_text()
 
 
 def test_plain_lines_where_the_terminal_is_dumb_or_none(folder):

@@ -3,10 +3,13 @@
 # ruff: noqa: E501 - a table
 
 import json
+from importlib.metadata import version
 
 import numpy as np
 import pytest
 
+from service.cli import diagnose
+from service.cli.state_file import read, write
 from tests.cli.test_commands import MINE, QUICK
 
 LEVEL = ("-m", "local-level")
@@ -48,6 +51,10 @@ WRONG = {
     "not a state": (("fit", "--resume", "flows.csv"), "--resume flows.csv: this is not a state file"),
     "no state": (("fit", "--resume", "none.state"), "--resume none.state: there is no such file"),
     "a pickle": (("fit", "--resume", "evil.state"), "--resume evil.state: this is not a state file"),
+    "a diagnosis' state": (("fit", "--resume", "other.state"), "'rbps diagnose --resume other.state'"),
+    "no state to diagnose": (("diagnose", "--resume", "flows.csv"), "not a state file of 'rbps diagnose'"),
+    "resume a diagnosis with a seed": (("diagnose", "--resume", "any.state", "--seed", "2"), "--seed cannot be given with it"),
+    "nothing to diagnose": (("diagnose", "-m", "local-level"), "DATA is missing"),
     "resume with another seed": (("fit", "--resume", "any.state", "--seed", "2"), "--seed cannot be given with it"),
     "resume with data": (("fit", "flows.csv", "--resume", "any.state"), "DATA cannot be given with it"),
     "no extra column": (("diagnose", "flows.csv", *LEVEL, "--extra", "rain"), "--extra rain: flows.csv has no column 'rain'"),
@@ -74,6 +81,7 @@ def folder(tmp_path):
     (tmp_path / "flows.xlsx").write_bytes(b"PK")
     (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "broken.py").write_text("import engine\noops\n")
+    write(tmp_path / "other.state", diagnose.Asked(data="flows.csv", model="m"), np.zeros((1, 1)))
     with (tmp_path / "evil.state").open("wb") as stream:
         np.savez(stream, asked=np.array([{}], dtype=object), rows=np.zeros((1, 7)))
     return tmp_path
@@ -135,6 +143,28 @@ def test_a_model_that_changed_since(rbps, folder):
     result = rbps("fit", "--resume", "data.state")
     assert result.exit_code == 2
     assert "mine.py has changed since the estimation began" in result.stderr
+
+
+def test_a_diagnosis_of_data_or_by_a_version_that_changed_since(rbps, folder):
+    asked = ("diagnose", "flows.csv", *LEVEL, "--effects", "step", "--state", "kept.state")
+    assert rbps(*asked).exit_code == 0
+    state, rows, parts = read(folder / "kept.state", diagnose.Asked)
+    state.version = "0.0.1"
+    write(folder / "old.state", state, rows, parts)
+    told = rbps("diagnose", "--resume", "old.state")
+    assert (told.exit_code, "begun by rbps 0.0.1, whose numbers may differ" in told.stderr) == (
+        2,
+        True,
+    )
+    parts[0][1]["other options"] = "0"
+    state.version = version("rbps")
+    write(folder / "odd.state", state, rows, parts)
+    told = rbps("diagnose", "--resume", "odd.state")
+    assert (told.exit_code, "of a diagnosis with other options" in told.stderr) == (2, True)
+    with (folder / "flows.csv").open("a") as stream:
+        stream.write("40,5\n")
+    told = rbps("diagnose", "--resume", "kept.state")
+    assert (told.exit_code, "changed since the diagnosis began" in told.stderr) == (2, True)
 
 
 def test_figures_without_matplotlib_are_refused_before_the_work(rbps, folder, monkeypatch):

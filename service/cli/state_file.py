@@ -1,0 +1,161 @@
+"""State files: what was asked of a command, and what is done of it.
+
+The file is an .npz archive of one table and JSON texts; nothing is pickled. It is written beside
+itself and moved into place, so a file that is there is whole.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import shlex
+import signal
+import time
+import zipfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from engine.model import Array
+from service.cli.ending import wrong
+
+FORMAT = 2
+# At most so much work is lost to a kill, or so many times what it takes to save a large state; Ctrl-C
+# loses the running step only.
+SAVE_SECONDS, SAVE_TIMES = 1.0, 20.0
+
+
+@dataclass(kw_only=True)
+class Sealed:
+    """A request with the digests of the files it names: {absolute path: SHA-256}."""
+
+    command: ClassVar[str]
+    result: ClassVar[str]  # what the command makes, for messages
+    sha256: dict[str, str] = field(default_factory=dict)
+    version: str = ""
+
+    def seal(self, files: Sequence[Path]) -> None:
+        """Note what the files hold now, and who computes."""
+        self.sha256 = {str(file.absolute()): digest(file) for file in files}
+        self.version = version("rbps")
+
+    def check(self) -> None:
+        """Refuse to go on where a file is not what it was."""
+        for name, known in self.sha256.items():
+            if not Path(name).is_file():
+                raise wrong(f"--resume: {name} is gone; the {self.result} needs it")
+            if digest(Path(name)) != known:
+                raise wrong(
+                    f"--resume: {name} has changed since the {self.result} began; start it anew"
+                )
+
+
+Asked = TypeVar("Asked", bound=Sealed)
+
+
+def digest(file: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+class StateFile:
+    """Where a running command saves its state, now and then."""
+
+    def __init__(self, path: Path, asked: Sealed) -> None:
+        self.path, self.asked = path, asked
+        self._save_at = time.monotonic() + SAVE_SECONDS
+
+    @property
+    def due(self) -> bool:
+        """Whether the last saving is long enough ago."""
+        return time.monotonic() > self._save_at
+
+    def save(self, rows: Array, left: Sequence[Any]) -> None:
+        """Write the state; Ctrl-C waits meanwhile."""
+        began = time.monotonic()
+        with _undisturbed():
+            write(self.path, self.asked, rows, left)
+        now = time.monotonic()
+        self._save_at = now + max(SAVE_SECONDS, SAVE_TIMES * (now - began))
+
+    def remove(self) -> None:
+        """Remove a state that nobody can go on with."""
+        self.path.unlink(missing_ok=True)
+
+    @property
+    def again(self) -> str:
+        """What to type to go on."""
+        return f"rbps {self.asked.command} --resume {shlex.quote(os.path.relpath(self.path))}"
+
+
+def write(path: Path, asked: Sealed, rows: Array, left: Sequence[Any] = ()) -> None:
+    """Write a state file in one move."""
+    text = json.dumps({"rbps_state": FORMAT, "command": asked.command} | asdict(asked))
+    packed_left = np.frombuffer(json.dumps(list(left)).encode(), dtype=np.uint8)
+    packed = io.BytesIO()
+    np.savez_compressed(packed, asked=np.array(text), rows=np.atleast_2d(rows), left=packed_left)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        beside.write_bytes(packed.getvalue())
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def read(path: Path, kind: type[Asked]) -> tuple[Asked, Array, list[Any]]:
+    """What was asked of the command, its rows (k, n) or (0, 0), and what else it left."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            told, rows = json.loads(str(stored["asked"])), np.asarray(stored["rows"], dtype=float)
+            left = json.loads(stored["left"].tobytes())
+        other = told.get("command", kind.command)
+        if other != kind.command:
+            raise wrong(
+                f"--resume {path}: this is a state file of 'rbps {other}'; go on with "
+                f"'rbps {other} --resume {path}'"
+            )
+        known = {one.name for one in fields(kind)}
+        asked = kind(**{name: value for name, value in told.items() if name in known})
+    except FileNotFoundError:
+        raise wrong(f"--resume {path}: there is no such file") from None
+    except (ValueError, TypeError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise wrong(
+            f"--resume {path}: this is not a state file of 'rbps {kind.command}'"
+        ) from error
+    if told.get("rbps_state") != FORMAT or rows.ndim != 2 or not isinstance(left, list):
+        raise wrong(f"--resume {path}: this is not a state file of this version of rbps")
+    return asked, rows if rows.size else np.zeros((0, 0)), left
+
+
+def beside(out: str | None, otherwise: str) -> Path:
+    """The state file's name where none is given: beside the output, or in this folder."""
+    return Path(out).with_suffix(".state") if out else Path(f"{otherwise}.state")
+
+
+def keep_old(path: Path) -> Path | None:
+    """Move a state file that is in the way aside; where it went."""
+    if not path.exists():
+        return None
+    aside = path.with_name(path.name + "~")
+    os.replace(path, aside)
+    return aside
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Hold Ctrl-C back until the file is written."""
+    came: list[Any] = []
+    before = signal.signal(signal.SIGINT, lambda *signal_: came.append(signal_))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt
