@@ -18,9 +18,10 @@ import sys
 import threading
 import time
 import traceback
+from importlib.metadata import version
 from multiprocessing import connection, parent_process
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from sqlalchemy.exc import SQLAlchemyError
@@ -68,7 +69,8 @@ def run(store: Store, attempt: Attempt) -> None:
         request = store.document(attempt.job, "request")
         job = load(json.loads(request or b"null"))
         progress = StoredProgress(store, attempt)
-        result = stages.run(job, attempt.task, progress)
+        kept = StoredParts(store, attempt)
+        result = stages.run(job, attempt.task, progress, kept)
         progress.flush()
         told = store.finish(attempt, result, str(result.get("message", "")))
         log.info(_ENDS[told], attempt.task, extra={"job": attempt.job_id})
@@ -130,9 +132,35 @@ class StoredProgress:
             message,
         )
         if not mine:
-            log.info("leaves: the task is not its own any more", extra={"job": self.attempt.job_id})
-            raise SystemExit(0)
+            _leave(self.attempt)
         self._pending, self._written = {}, time.monotonic()
+
+
+class StoredParts(dict[str, Any]):
+    """What attempts at a diagnosis have finished, on the store; see ``engine.diagnose``.
+
+    Parts of another version of this software are left alone: its numbers may differ.
+    """
+
+    def __init__(self, store: Store, attempt: Attempt) -> None:
+        self.store, self.attempt, self.version = store, attempt, version("rbps")
+        known = [json.loads(text) for text in store.kept(attempt.job)]
+        super().__init__({one["name"]: one["part"] for one in known if one["by"] == self.version})
+        self.written = len(known)
+        if self:
+            log.info("goes on with %d finished parts", len(self), extra={"job": attempt.job_id})
+
+    def __setitem__(self, name: str, part: Any) -> None:
+        super().__setitem__(name, part)
+        text = json.dumps({"by": self.version, "name": name, "part": part})
+        if not self.store.keep(self.attempt, self.written, text):
+            _leave(self.attempt)
+        self.written += 1
+
+
+def _leave(attempt: Attempt) -> NoReturn:
+    log.info("leaves: the task is not its own any more", extra={"job": attempt.job_id})
+    raise SystemExit(0)
 
 
 def _problem(error: Exception, job: str) -> Problem:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import MutableMapping, Sequence
 from typing import Any, Protocol
 
 import engine
@@ -24,7 +24,12 @@ SAYS = {
 }
 
 
-def diagnose(job: Prepared, request: DiagnoseRequest, progress: Progress) -> dict[str, Any]:
+def diagnose(
+    job: Prepared,
+    request: DiagnoseRequest,
+    progress: Progress,
+    kept: MutableMapping[str, Any] | None = None,
+) -> dict[str, Any]:
     """The diagnosis as JSON; its page is among it."""
     options = request.options
     found = engine.diagnose(
@@ -38,6 +43,7 @@ def diagnose(job: Prepared, request: DiagnoseRequest, progress: Progress) -> dic
         max_effects=options.max_effects,
         free=job.free,
         callback=Percent(progress),
+        kept=kept,
     )
     return document(found, request.model.name, request.model.effects)
 

@@ -11,6 +11,7 @@ often it was interrupted, changes nothing.
 
 from __future__ import annotations
 
+from collections.abc import MutableMapping
 from typing import Any
 
 import numpy as np
@@ -48,15 +49,20 @@ def steps(job: Prepared) -> int:
     return diagnoses.STEPS if isinstance(job.request, DiagnoseRequest) else len(job.series)
 
 
-def run(job: Prepared, task: int, progress: Progress) -> dict[str, Any]:
-    """What one task leaves; what the last leaves is the job's result."""
+def run(
+    job: Prepared, task: int, progress: Progress, kept: MutableMapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """What one task leaves; what the last leaves is the job's result.
+
+    ``kept`` is what earlier attempts at a diagnosis have finished, and where this one puts it.
+    """
     match job.request:
         case SmoothRequest():
             return kinds.smooth(job, job.request, progress)
         case SimulateRequest():
             return kinds.simulate(job, job.request, progress)
         case DiagnoseRequest():
-            return diagnoses.diagnose(job, job.request, progress)
+            return diagnoses.diagnose(job, job.request, progress, kept)
     before = first = 0
     stages = iter(plan(job.request))
     role, n = next(stages)

@@ -31,6 +31,7 @@ from service.strict_json import dumps, finite
 from service.tables import connect, documents, iterations, jobs, pulse, tasks
 
 ENDED = ("successful", "failed", "dismissed")
+KEPT = "kept-"  # names of documents that serve an attempt's successor
 
 
 @dataclass(frozen=True)
@@ -185,6 +186,16 @@ class Store:
             )
         return None if body is None else zlib.decompress(body)
 
+    def kept(self, seq: int) -> list[str]:
+        """What attempts have kept, in order, see ``keep``."""
+        query = (
+            select(documents.c.body)
+            .where(documents.c.job == seq, documents.c.name.startswith(KEPT))
+            .order_by(documents.c.name)
+        )
+        with self._read.begin() as sql:
+            return [zlib.decompress(body).decode() for body in sql.scalars(query)]
+
     def rows(self, seq: int, task: int = 0, after: int = -1) -> tuple[list[int], Array]:
         """Iterations k > after of a task: [k, ...] and (n, n_theta + 4), see ``iterations.row``."""
         query = (
@@ -306,6 +317,14 @@ class Store:
             sql.execute(update(jobs).where(jobs.c.seq == attempt.job).values(progress))
         return True
 
+    def keep(self, attempt: Attempt, n: int, text: str) -> bool:
+        """Write the n-th text for a later attempt at the job's only task; they go when the job ends."""
+        with self._engine.begin() as sql:
+            if not _mine(sql, attempt, state="running"):
+                return False
+            _put(sql, attempt.job, f"{KEPT}{n:08d}", text)
+        return True
+
     def finish(self, attempt: Attempt, result: Any, message: str = "") -> bool:
         """The task is done. The last task of a stage starts the next; that of all ends the job."""
         with self._engine.begin() as sql:
@@ -388,6 +407,8 @@ def _mine(sql: Connection, attempt: Attempt, **values: Any) -> bool:
 
 
 def _end(sql: Connection, seq: int, status: str, now: float, **values: Any) -> None:
+    left_over = and_(documents.c.job == seq, documents.c.name.startswith(KEPT))
+    sql.execute(delete(documents).where(left_over))
     sql.execute(
         update(tasks)
         .where(tasks.c.job == seq, tasks.c.state.in_(("queued", "running")))
@@ -420,5 +441,5 @@ def _lose(sql: Connection, seq: int, task: int, losses: int, cause: str, allowed
         .where(tasks.c.job == seq, tasks.c.task == task)
         .values(state="queued", token=None, lease_until=None, losses=losses + 1)
     )
-    message = f"{cause}; goes on from its last iteration (restart {losses + 1} of {allowed})"
+    message = f"{cause}; goes on where it was (restart {losses + 1} of {allowed})"
     sql.execute(update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message))

@@ -83,7 +83,8 @@ iterations = Table(
     Column("row", LargeBinary, nullable=False),
 )
 
-# Large JSON, compressed: the request, the result, and "task-i", what task i leaves to later stages.
+# Large JSON, compressed: the request, the result, "task-i", what task i leaves to later stages, and
+# "kept-n", what a running diagnosis has finished.
 documents = Table(
     "documents",
     metadata,

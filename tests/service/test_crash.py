@@ -2,13 +2,17 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
+
+import engine
 
 
 @pytest.fixture
@@ -54,6 +58,43 @@ def test_a_killed_service_leaves_no_worker_and_is_taken_up_again(
     job = ended(again.client, url)
     assert job["status"] == "successful", job["message"]
     assert without_seconds(again.client.get(f"{url}/results").json()) == expected
+
+
+@pytest.fixture
+def diagnosis():
+    """Some seconds of screens and refits."""
+    model = engine.get_model("linear-2")
+    y = engine.simulate(model, None, 300, np.random.default_rng(3)).y
+    y[150:] += 4.0
+    options = {"effects": ["step", "bias", "gain", "cubic", "drag", "latent", "pulse"], "seed": 1}
+    series = [{"y": y.tolist(), "dt": 1.0}]
+    return {"kind": "diagnose", "model": "linear-2", "series": series, "options": options}
+
+
+def without_times(results):
+    found = results["diagnosis"]
+    del found["seconds"]
+    found["page"] = [line for line in found["page"].splitlines() if " s in all: " not in line]
+    return found
+
+
+def test_a_diagnosis_goes_on_with_what_a_killed_worker_had_finished(
+    spawn, catch, wait, ended, diagnosis
+):
+    service = spawn()
+    url, worker = catch(service, diagnosis, iterations=31)  # per cent: refits of the first round
+    os.kill(worker, signal.SIGKILL)
+    wait(service.client, url, lambda job: "goes on where it was (restart 1" in job["message"])
+    job = ended(service.client, url)
+    assert job["status"] == "successful", job["message"]
+    log = (service.state / "log").read_text()
+    kept = re.search(r"goes on with (\d+) finished parts", log)
+    assert kept, log[-2000:]
+    assert int(kept[1]) >= 3
+    whole = service.client.post("/jobs", json=diagnosis).headers["location"]
+    assert ended(service.client, whole)["status"] == "successful"
+    results = [service.client.get(f"{one}/results").json() for one in (url, whole)]
+    assert without_times(results[0]) == without_times(results[1])
 
 
 def test_a_worker_that_always_dies_fails_the_job(

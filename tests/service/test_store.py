@@ -30,6 +30,21 @@ def test_an_attempt_that_lost_its_task_cannot_write(store):
     assert not store.finish(second, {"mine": 3})
 
 
+def test_what_an_attempt_keeps_is_there_for_the_next_and_goes_with_the_job(store):
+    store.create("diagnose", "linear-2", {}, 100)
+    first = store.claim("one", 10.0)
+    assert store.keep(first, 0, "0")
+    assert store.keep(first, 1, '{"at": NaN}')
+    assert store.lost(first, "killed", 2)
+    second = store.claim("two", 10.0)
+    assert not store.keep(first, 2, "late")
+    assert store.keep(second, 2, "2")
+    assert store.kept(second.job) == ["0", '{"at": NaN}', "2"]
+    assert store.finish(second, {"mine": 2})
+    assert store.kept(second.job) == []
+    assert store.document(second.job, "result") == b'{"mine":2}'
+
+
 def test_stages_follow_each_other_whoever_runs_them(store, estimation):
     """Two attempts at once, one lost and taken up again: each stage once, in order."""
     request = estimation(method="rts-em", iterations=3, starts=2, bootstrap=2)
