@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from engine.diagnose.adoption import in_full, in_short
 from engine.diagnose.curves import named, rounded
 from engine.diagnose.latex import to_latex
 from engine.diagnose.plain import plain
@@ -101,9 +102,11 @@ def _gain(gain: Gain, outputs: list[str]) -> dict[str, Any]:
     """Its numbers, where the squared error of the free run went, and curves on the held-out rows.
 
     ``budget`` splits the mean square error before into shares: ``noise`` of the measurement,
-    ``left`` after the extension, and ``gone``; the three add up to 1.
+    ``left`` after the extension, and ``gone``; the three add up to 1. ``decision`` says why it is adopted or
+    not, ``in_short`` beside the numbers.
     """
     document = gain.to_dict()
+    document["decision"] = {"in_short": in_short(gain), "in_full": in_full(gain)}
     document["budget"] = [
         {
             "output": o.output,

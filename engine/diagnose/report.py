@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from engine.diagnose.adoption import in_full, in_short
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
 from engine.errors import EngineError
 from engine.report.asked import asked_first
@@ -95,7 +96,7 @@ def gain_line(gain: Gain) -> str:
             f"; free run of {output.output} {with_unit(output.rmse_before, output.unit)} rms before, "
             f"{with_unit(output.rmse_after, output.unit)} after"
         )
-    return text + (". Adopted." if gain.adopt else ". NOT adopted: it does worse there.")
+    return f"{text}. {in_short(gain)}"
 
 
 def _wrong(d: Diagnosis) -> Iterator[str]:
@@ -217,11 +218,7 @@ def _gain(gain: Gain | None) -> Iterator[str]:
         yield from _wrapped(text + ".", "  - ")
     for note in gain.notes:
         yield from _wrapped(note, "  - ")
-    yield (
-        "  Adopted."
-        if gain.adopt
-        else "  Not adopted: the extended model does worse on these data."
-    )
+    yield from _wrapped(in_full(gain), "  ")
 
 
 def _testable(d: Diagnosis, every: bool) -> Iterator[str]:

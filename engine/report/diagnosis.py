@@ -190,13 +190,14 @@ def _gain_at_a_glance(gain: Document | None) -> Html:
         parts.append(tag("p", f"Error of simulated {o['output']} on held-out data: ", big))
     if not parts:
         parts.append(tag("p", f"Log-density on held-out data: {_signed(gain['log_density'])}"))
-    return join([*parts, _adopted(gain)])
+    return join([*parts, _adopted(gain, "in_short")])
 
 
-def _adopted(gain: Document) -> Html:
-    if gain["adopt"]:
-        return tag("p", "Adopted.", class_="good")
-    return tag("p", "Not adopted: it does worse on held-out data.", class_="bad")
+def _adopted(gain: Document, how: str) -> Html:
+    """The decision with its reason; documents of before there were reasons have none."""
+    said = "Adopted." if gain["adopt"] else "Not adopted: it does worse on held-out data."
+    said = gain["decision"][how] if "decision" in gain else said
+    return tag("p", said, class_="good" if gain["adopt"] else "bad")
 
 
 def _hero(symptoms: Document, units: Document, draw: Drawer) -> list[Html]:
@@ -376,8 +377,7 @@ def _gain(d: Document, units: Document, draw: Drawer) -> list[object]:
     parts: list[object] = [
         tag(
             "p",
-            f"On {gain['samples']} samples ({gain['how']}) that neither the choice of the extension nor its "
-            "estimation has seen.",
+            f"On {gain['samples']} samples ({gain['how']}) that {_unseen(gain)}.",
         ),
         facts(
             [
@@ -402,9 +402,15 @@ def _gain(d: Document, units: Document, draw: Drawer) -> list[object]:
     if rows:
         head = ("", "rms before", "rms after", "difference (95 %)", "fit")
         parts.append(table(head, rows, "numbers"))
-    parts += [_budget(gain), _adopted(gain), bullets(gain["notes"])]
+    parts += [_budget(gain), _adopted(gain, "in_full"), bullets(gain["notes"])]
     parts.append(grid(_held_out(gain, units, draw)))
     return parts
+
+
+def _unseen(gain: Document) -> str:
+    if gain["how"].endswith(("out of the fit", "in turn")):
+        return "the estimation of the extension has not seen; its choice has seen most of them"
+    return "neither the choice of the extension nor its estimation has seen"
 
 
 def _signed(value: float | None) -> str:

@@ -109,6 +109,33 @@ def test_an_extension_that_predicts_worse_is_not_adopted():
     assert gain.log_density < 0.0
 
 
+def test_why_an_extension_is_adopted_or_not():
+    """Each sentence for numbers that call for it."""
+    from engine.diagnose.adoption import in_full, in_short
+    from engine.diagnose.gain import Gain
+    from engine.diagnose.simulation_gain import OutputGain
+
+    def output(name, before, after, low, high):
+        ends = (low, high)
+        return OutputGain(name, "m", before, after, ends, ends, after - before, ends, 0, 0, 0, None)
+
+    def gain(p_gain, adopt=True, outputs=(), log_density=-0.2):
+        return Gain("rows", 100, log_density, 0.0, 0.1, p_gain, 1.0 - p_gain, outputs, adopt)
+
+    better, worse = output("x", 4.0, 3.0, -1.5, -0.5), output("y", 1.0, 2.0, 0.5, 1.5)
+    same = output("z", 1.0, 0.9, -0.3, 0.1)
+    assert in_short(gain(0.01)) == "Adopted."
+    assert "significantly better" in in_full(gain(0.01))
+    assert "though not in free runs of y" in in_full(gain(0.01, outputs=(worse, better)))
+    assert in_short(gain(0.6, outputs=(better, same))).endswith("better in free run of x.")
+    assert in_full(gain(0.6, outputs=(better, same))).endswith("25 % of the error of x is gone.")
+    assert "p = 0.4 of no loss, p = 0.6 of no gain" in in_full(gain(0.6))
+    assert in_short(gain(0.6, outputs=(same,))).endswith("not significantly worse there.")
+    assert in_full(gain(0.5, log_density=float("nan"))).endswith("significantly worse on them.")
+    for words in (in_short, in_full):
+        assert words(gain(0.99, adopt=False)).lower().startswith("not adopted")
+
+
 def test_the_scored_terms_are_those_of_the_whole_filter():
     series = simulate(LINEAR, None, 200, np.random.default_rng(6)).series
     base, extended = fits(LINEAR, "force:z", series.part(0, 150))
