@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.base_model import BaseModel
-from engine.e_steps import EStep
+from engine.e_steps import EStep, Expect
 from engine.em import EmResult, iterate
 from engine.errors import OptionError
 from engine.kernels.backward import pick
@@ -51,6 +51,14 @@ def guarded_ps_em(
     the particles is below; 0 never does. ``collapsed`` of the result counts ignored rows too. Raises
     OptionError for any model but mixed-4.
     """
+    expect = guarded_step(model, series, n_particles, guard)
+    return iterate(
+        model, expect, theta0, free, n_iterations, seed, None, None, m_step, tolerance=None
+    )
+
+
+def guarded_step(model: MixedModel, series: Series, n_particles: int, guard: float) -> Expect:
+    """The E step of :func:`guarded_ps_em`. Raises OptionError for any model but mixed-4."""
     if model.name != mixed_4.MODEL.name:
         raise OptionError(f"model '{model.name}': only mixed-4 is compiled here", "model")
     y, T, M = np.array(series.y), len(series), n_particles
@@ -66,9 +74,7 @@ def guarded_ps_em(
         )
         return EStep(Squares(model, *pasts), log_likelihood, float(M), lost / T)
 
-    return iterate(
-        model, expect, theta0, free, n_iterations, seed, None, None, m_step, tolerance=None
-    )
+    return expect
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 
@@ -18,13 +18,13 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 
 def make_runs(
     arm: Arm,
-    runs: int,
+    runs: int | Sequence[int],
     directory: Path,
     seed: int = 0,
     workers: int | None = None,
     fresh: bool = False,
 ) -> Table:
-    """Make runs 0 .. runs - 1 of an arm, except those that are on disk; return all there are.
+    """Make runs 0 .. runs - 1 of an arm, or those named, except what is on disk; return all there are.
 
     ``workers`` processes (default: all cores), each with one thread; 1 stays in this process.
     """
@@ -33,9 +33,10 @@ def make_runs(
         for suffix in (".csv", ".json"):
             (directory / f"{arm.name}{suffix}").unlink(missing_ok=True)
     store = Store(directory, arm, seed)
-    missing = [run for run in range(runs) if run not in store.rows]
+    wanted = range(runs) if isinstance(runs, int) else runs
+    missing = [run for run in wanted if run not in store.rows]
     if missing:
-        progress = Progress(arm.name, runs, runs - len(missing))
+        progress = Progress(arm.name, len(wanted), len(wanted) - len(missing))
         last = time.monotonic()
 
         def keep(run: int, row: Row) -> None:
@@ -91,6 +92,9 @@ def make_study(
         )
         for arm, n in study.arms.items()
     }
+    for arm, choose in study.selected.items():
+        chosen = list(choose(tables))[:runs]
+        tables[arm.name] = make_runs(arm, chosen, directory, seed, workers, fresh)
     text = f"# {study.title}\n\n{study.report(tables).strip()}\n"
     (directory / f"{study.name}.md").write_text(text)
     study.plot(tables, directory / f"{study.name}.png")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -71,16 +71,20 @@ Tables: TypeAlias = Mapping[str, Table]
 
 @dataclass(frozen=True)
 class Study:
-    """A table or figure: the arms it needs with their number of runs, its report and its plot."""
+    """A table or figure: the arms it needs with their number of runs, its report and its plot.
+
+    ``selected`` arms are made afterwards, for the runs that a function of the other arms' tables names.
+    """
 
     name: str
     title: str
     arms: Mapping[Arm, int]
     report: Callable[[Tables], str]
     plot: Callable[[Tables, Path], None]
+    selected: Mapping[Arm, Callable[[Tables], Sequence[int]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        names = [arm.name for arm in self.arms]
+        names = [arm.name for arm in (*self.arms, *self.selected)]
         if len(set(names)) < len(names):
             raise StudyError(f"study '{self.name}' names an arm twice")
 

@@ -91,6 +91,22 @@ def test_more_runs_than_asked_for_are_used_and_none_is_made_twice(tmp_path):
     assert made == [0, 1, 2]
 
 
+def test_selected_arms_are_made_for_the_runs_that_other_arms_tables_name(tmp_path):
+    first, later = (Arm(name, partial(draw, name), {}) for name in ("first", "later"))
+    study = Study(
+        "chosen",
+        "Chosen",
+        {first: 4},
+        lambda tables: str(len(tables["later"])),
+        lambda tables, path: None,
+        {later: lambda tables: [run for run in range(len(tables["first"])) if run % 2]},
+    )
+    assert make_study(study, tmp_path, workers=1) == "# Chosen\n\n2\n"
+    assert make_runs(later, 0, tmp_path, workers=1).texts("run") == ["1", "3"]
+    with pytest.raises(StudyError, match="twice"):
+        Study("x", "X", {first: 1}, str, lambda *_: None, {first: lambda tables: []})
+
+
 def test_shared_runs_count_once_in_the_time_of_all_studies(tmp_path):
     named = [Arm(name, partial(draw, name), {}) for name in "abc"]
     for arm, seconds, workers in zip(named, (600.0, 1200.0, 80.0), (2, 1, 2), strict=True):
