@@ -521,7 +521,7 @@ def _testable(d: Document) -> list[object]:
     return [
         tag("p", said, class_="hint"),
         table(head, [rows[name] for name in first]),
-        _folded(f"{len(rest)} more effects", table(head, rest)),
+        _folded(f"{len(rest)} more effects", table(head, rest) if rest else Html("")),
     ]
 
 

@@ -103,7 +103,11 @@ table.numbers td { white-space: nowrap; }
   th { white-space: normal; }
 }
 @media print {
-  .answer, .figure, tr { break-inside: avoid; } h3, h4 { break-after: avoid; }
+  .answer, .facts, .figure, .formulas, tr, table.numbers { break-inside: avoid; }
+  h2, h3, h4, summary, .hint { break-after: avoid; } p, li { orphans: 3; widows: 3; }
+  .verdict, .answer, .formulas code, .budget, .bar, .key i, .swatch { print-color-adjust: exact; }
+  details::details-content { content-visibility: visible; block-size: auto; }
+  summary { list-style: none; color: inherit; font-weight: 600; }
   .answers { grid-template-columns: repeat(4, 1fr); }
   .figures, .figures.small { grid-template-columns: 1fr 1fr; }
   .chart-svg text { font-size: 15px; } .figures.small .chart-svg text { font-size: 13px; }
@@ -132,7 +136,7 @@ th { font-size: .82rem; color: var(--muted); font-weight: 600; }
 footer { margin-top: 2.5rem; padding-top: .8rem; border-top: 1px solid var(--line); color: var(--muted);
   font-size: .85rem; }
 @page { margin: 14mm; }
-@media print { body { max-width: none; padding: 0; font-size: 10pt; } h2 { break-after: avoid; } }
+@media print { body { max-width: none; padding: 0; font-size: 10pt; } }
 """
 
 

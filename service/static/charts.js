@@ -26,12 +26,18 @@
 // (with Shift by ten), Home and End, + and - zoom around it, 0 shows all. Buttons in the legend hide curves.
 
 const HEIGHT = 220;
-const PAPER = 640; // width of a printed page without its margins, CSS pixels
+const PAPER = 680; // width of a printed page, A4 or letter, without its margins of 14 mm, CSS pixels
+const GAP = 26; // between its two columns
 const live = new Set();
+let printing = false;
 
 document.addEventListener("themechange", () => live.forEach((one) => one.redraw()));
-addEventListener("beforeprint", () => live.forEach((one) => one.fit(one.paper())));
-addEventListener("afterprint", () => live.forEach((one) => one.fit()));
+for (const event of ["beforeprint", "afterprint"]) {
+  addEventListener(event, () => {
+    printing = event === "beforeprint";
+    live.forEach((one) => one.fit());
+  });
+}
 
 export function chart(element, options) {
   return new Chart(element, options);
@@ -182,16 +188,14 @@ class Chart {
     this.explain();
   }
 
-  width() {
-    return Math.max(200, Math.floor(this.frame.clientWidth || 600));
-  }
-
   // On paper there are two columns of charts, and the wide ones.
-  paper() {
-    return this.element.matches(".figures > :not(.wide), .mapping *") ? PAPER / 2 : PAPER;
+  width() {
+    if (!printing) return Math.max(200, Math.floor(this.frame.clientWidth || 600));
+    return this.element.matches(".figures > :not(.wide), .mapping *") ? (PAPER - GAP) / 2 : PAPER;
   }
 
-  fit(width = this.width()) {
+  fit() {
+    const width = this.width();
     const height = this.options.height ?? HEIGHT;
     if (this.plot && (this.plot.width !== width || this.plot.height !== height)) this.plot.setSize({ width, height });
   }

@@ -1,5 +1,7 @@
 """Narrow screens, paper, and curves too long to draw all their points, in a real Chromium."""
 
+import re
+
 import httpx
 import pytest
 
@@ -83,6 +85,41 @@ def test_paper_shows_whole_curves(visit, diagnosis):
     eventually(page, lambda: page.evaluate(cut) == 0)
     assert wider_than_the_screen(page) == 0
     assert not page.is_visible("#repeat")
+
+
+HEADING = re.compile(rb"/Title ([^\n]+)\n/Dest \[(\d+) 0 R /XYZ [-.\d]+ ([-.\d]+)")
+LEAST = 90  # points from a heading's top to the edge of the paper, margin included: itself and more
+TALLEST = 990  # CSS pixels of what a page of A4 takes
+
+
+def check_printed(page):
+    """Folded parts are open on paper, nothing that must be whole is cut, no heading ends a page."""
+    folded = "[...document.querySelectorAll('details > :not(summary)')].map(one => one.checkVisibility())"
+    assert page.evaluate(folded)
+    assert not any(page.evaluate(folded))
+    printed = page.pdf(format="A4", prefer_css_page_size=True, outline=True, tagged=True)
+    headings = HEADING.findall(printed)
+    assert len({number for _, number, _ in headings}) >= 3  # pages
+    feet = [title for title, _, top in headings if float(top) < LEAST]
+    assert feet == []
+    page.set_viewport_size({"width": 688, "height": 1000})  # A4 without its margins
+    page.emulate_media(media="print")
+    assert all(page.evaluate(folded))
+    whole = "[...document.querySelectorAll('.figure, .chart, .answer, .facts, table.numbers, tr')]"
+    assert page.evaluate(f"{whole}.every(one => getComputedStyle(one).breakInside == 'avoid')")
+    assert page.evaluate(f"Math.max(...{whole}.map(one => one.clientHeight))") < TALLEST
+    page.emulate_media(media="screen")
+    assert not any(page.evaluate(folded))
+
+
+def test_paper_opens_what_is_folded_and_cuts_nothing(visit, diagnosis, tmp_path):
+    page = visit(f"/jobs/{diagnosis}")
+    page.wait_for_selector("#results .u-wrap canvas")
+    check_printed(page)
+    with page.expect_download() as kept:
+        page.click("#report")
+    kept.value.save_as(tmp_path / "report.html")
+    check_printed(visit("", address=(tmp_path / "report.html").as_uri()))
 
 
 def test_zoom_into_100_000_samples(visit, long):
