@@ -29,11 +29,11 @@ def make_runs(
     ``workers`` processes (default: all cores), each with one thread; 1 stays in this process.
     """
     workers = workers or os.cpu_count() or 1
-    if fresh:
+    wanted = range(runs) if isinstance(runs, int) else runs
+    if fresh and wanted:
         for suffix in (".csv", ".json"):
             (directory / f"{arm.name}{suffix}").unlink(missing_ok=True)
     store = Store(directory, arm, seed)
-    wanted = range(runs) if isinstance(runs, int) else runs
     missing = [run for run in wanted if run not in store.rows]
     if missing:
         progress = Progress(arm.name, len(wanted), len(wanted) - len(missing))

@@ -307,6 +307,42 @@ def test_runs_lost_at_the_false_maximum_are_told_and_what_one_would_do_to_the_sp
     assert "0 of 8, of which 0" in estimates._about_rbps(tables)
 
 
+def test_what_runs_lost_by_gradient_steps_would_do_to_the_reported_figures():
+    def table(thetas, log_likelihood):
+        rows = [
+            {
+                "run": str(run),
+                "outcome": "CONVERGED",
+                "log_likelihood": value,
+                **{f"last.theta_{k}": end for k, end in enumerate(theta, start=1)},
+            }
+            for run, (theta, value) in enumerate(zip(thetas, log_likelihood, strict=True))
+        ]
+        return Table(rows, {}, 0.0, 1)
+
+    good = [(1.0 + d, 1.0 + d, 0.3 + d, 0.9 + d, 0.3 + d) for d in (-0.02, 0.02)] * 4
+    far = (1.0, 1.0, 0.3, 0.93, 0.0)
+    tables = {
+        "all-five.truth": table([*good, far], [0.0] * 9),
+        "all-five.gradient-step": table([*good, far], [0.0] * 8 + [-50.0]),
+    }
+    text = estimates._about_gradient(tables)
+    sd = np.std([theta[4] for theta in good], ddof=1)
+    assert "lost is 1 of 9" in text
+    assert "theta = (1.00, 1.00, 0.30, 0.93, 0.00)" in text
+    assert f"theta_5 is {0.3 / sd:.0f} standard deviations" in text
+    assert f"more than {0.03 / sd:.1f}. " in text
+    wide = [f"{np.hypot(sd, 0.3 * np.sqrt(k / 69)):.3f}" for k in (1, 2, 3)]
+    assert f"spread of theta_5 {', '.join(wide)} (reported 0.057)" in text
+    assert (
+        f"mean {', '.join(f'{0.3 - 0.3 * k / 69:.3f}' for k in (1, 2, 3))} (reported 0.309)" in text
+    )
+    tables["all-five.gradient-step"] = table(good, [0.0] * 8)
+    assert "lost is 0 of 8" in estimates._about_gradient(tables)
+    tables["all-five.gradient-step"] = table([], [])
+    assert estimates._about_gradient(tables) == ""
+
+
 def test_a_run_that_fails_is_a_row_and_counts_as_lost():
     arm = em_arms.em_arm("theta-2", "broken", "rts", {"n_iterations": 2})  # not a linear model
     row = arm.work(0, 0)
