@@ -1,4 +1,4 @@
-// Curves with bands, on uPlot (a classic script that base.html loads; this file imports nothing).
+// Curves with bands, on uPlot (a classic script that base.html loads).
 //
 //   const c = chart(element, {
 //     title, xLabel, yLabel,           texts; a unit belongs into the label: "time [s]"
@@ -22,8 +22,10 @@
 //   c.update({x, series, ...})         new data or options; keeps the zoom if the user has zoomed
 //   c.destroy()
 //
-// Mouse: drag zooms, with Shift it moves what is shown, double click shows all. Keyboard: the chart takes the focus; arrow keys move the cursor
+// Mouse: drag zooms, with Shift it moves what is shown, double click shows all. Fingers: see touch.js. Keyboard: the chart takes the focus; arrow keys move the cursor
 // (with Shift by ten), Home and End, + and - zoom around it, 0 shows all. Buttons in the legend hide curves.
+
+import { fingers } from "/static/touch.js";
 
 const HEIGHT = 220;
 const PAPER = 680; // width of a printed page, A4 or letter, without its margins of 14 mm, CSS pixels
@@ -184,6 +186,7 @@ class Chart {
       this.data(),
       this.frame,
     );
+    fingers(this.plot, (middle, width) => this.zoom(middle, width));
     this.describe();
     this.explain();
   }

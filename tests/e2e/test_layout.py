@@ -185,3 +185,65 @@ def test_drag_zooms_and_with_shift_moves(visit, long):
     page.keyboard.up("Shift")
     eventually(page, lambda: len(asked) > 1)
     assert middle() > first  # what was to the right came in
+
+
+def test_fingers_zoom_and_scroll(visit, long):
+    page = visit(f"/jobs/{long}", viewport=PHONE, has_touch=True, is_mobile=True)
+    page.wait_for_selector("#results .u-wrap canvas")
+    asked = []
+    page.on("request", lambda request: asked.append(request.url) if "charts?" in request.url else 0)
+    screen = page.context.new_cdp_session(page)
+
+    def touch(kind, points):
+        said = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]
+        screen.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": said})
+
+    def move(*ways):
+        """Fingers go from a point of the chart to another, in parts of its width and in pixels down."""
+        box = page.locator(".u-over").first.bounding_box()
+
+        def points(part):
+            return [
+                (
+                    box["x"] + (a + part * (b - a)) * box["width"],
+                    box["y"] + 0.5 * box["height"] + part * downwards,
+                )
+                for (a, b), downwards in ways
+            ]
+
+        touch("touchStart", points(0.0))
+        for step in range(1, 9):
+            touch("touchMove", points(step / 8))
+        touch("touchEnd", [])
+
+    def shown():
+        """From and to of the last part asked for: what is shown, and half as much on either side."""
+        return [float(part.split("=")[1]) for part in asked[-1].split("?")[1].split("&")]
+
+    page.locator(".u-over").first.scroll_into_view_if_needed()
+    before = page.evaluate("scrollY")
+    move(((0.5, 0.5), -150))
+    eventually(page, lambda: page.evaluate("scrollY") > before + 50)
+    page.wait_for_timeout(500)
+    assert asked == []  # up and down is the page's
+    page.evaluate("before => scrollTo(0, before)", before)
+
+    move(((0.4, 0.6), 0))
+    eventually(page, lambda: page.is_visible(".chart-all") and asked)
+    low, high = shown()
+    assert low == pytest.approx(30_000, abs=3_000)
+    assert high == pytest.approx(70_000, abs=3_000)
+
+    del asked[:]
+    move(((0.45, 0.1), 0), ((0.55, 0.9), 0))  # apart
+    eventually(page, lambda: asked and shown()[1] - shown()[0] < (high - low) / 6)
+    page.wait_for_timeout(500)
+    inner = shown()
+    assert sum(inner) / 2 == pytest.approx((low + high) / 2, rel=0.05)
+    move(((0.05, 0.75), 0), ((0.2, 0.9), 0))  # together to the right
+    eventually(page, lambda: shown()[0] < inner[0] - 0.2 * (inner[1] - inner[0]))
+    page.wait_for_timeout(
+        1000
+    )  # Chromium takes a tap right after two fingers for a part of their gesture
+    page.locator(".chart-all").first.tap()
+    page.wait_for_selector(".chart-all", state="hidden")
