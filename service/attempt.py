@@ -67,7 +67,9 @@ def run(store: Store, attempt: Attempt) -> None:
     """Compute the task and write its result or the reason for its failure."""
     try:
         request = store.document(attempt.job, "request")
-        job = load(json.loads(request or b"null"))
+        if request is None:  # removed by its owner since the task was claimed
+            _leave(attempt)
+        job = load(json.loads(request))
         progress = StoredProgress(store, attempt)
         kept = StoredParts(store, attempt)
         result = stages.run(job, attempt.task, progress, kept)

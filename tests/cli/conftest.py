@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import json
+import logging
 import os
 import pty
 import re
@@ -21,7 +22,17 @@ RBPS = [sys.executable, "-c", "from service.cli.commands import main; main()"]
 
 
 @pytest.fixture
-def rbps(tmp_path, monkeypatch):
+def logging_as_before():
+    """A command that serves logs to the stderr it finds, which is closed when the test has read it."""
+    root = logging.getLogger()
+    level, handlers = root.level, root.handlers[:]
+    yield
+    root.handlers[:] = handlers
+    root.setLevel(level)
+
+
+@pytest.fixture
+def rbps(tmp_path, monkeypatch, logging_as_before):
     """rbps("fit", ...) -> result with exit_code, stdout, stderr; runs in a folder of its own."""
     monkeypatch.chdir(tmp_path)
 
