@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from engine.diagnose.gain import LOSS, Gain
-from engine.words import listed, percent, probability
+from engine.diagnose.gain import LOSS, MATTERS, Gain
+from engine.words import listed, number, percent, probability
 
 
 def in_short(gain: Gain) -> str:
@@ -18,10 +18,14 @@ def in_short(gain: Gain) -> str:
         return "NOT adopted: it does worse there."
     if gain.p_value <= LOSS:
         return "Adopted."
+    ahead = "not significantly worse one step ahead"
+    if gain.log_density > 0.0:
+        ahead = "better one step ahead, though not significantly"
+    elif gain.p_loss < LOSS:
+        ahead = "hardly worse one step ahead"
     better, _ = _runs(gain)
-    if not better:
-        return "Adopted: one step ahead it is not significantly worse there."
-    return f"Adopted: one step ahead no worse than chance allows, and better in free run of {listed(better)}."
+    runs = f", and better in free run of {listed(better)}" if better else ""
+    return f"Adopted: {ahead}{runs}."
 
 
 def in_full(gain: Gain) -> str:
@@ -33,11 +37,12 @@ def in_full(gain: Gain) -> str:
         but = f", though not in free runs of {listed(worse)}" if worse else ""
         return f"Adopted: it does significantly better on data that it has not seen{but}."
     reasons = []
-    if math.isfinite(gain.log_density):
-        reasons.append(
-            f"one step ahead the change is within chance ({probability(gain.p_loss)} of no loss, "
-            f"{probability(gain.p_value)} of no gain)"
-        )
+    if gain.log_density > 0.0:
+        reasons.append(f"one step ahead its gain is within chance ({probability(gain.p_value)})")
+    elif gain.p_loss < LOSS:
+        reasons.append(f"one step ahead its loss is below {number(MATTERS)} in all")
+    elif math.isfinite(gain.log_density):
+        reasons.append(f"one step ahead its loss is within chance ({probability(gain.p_loss)})")
     gone = [
         f"{percent(1.0 - o.rmse_after / o.rmse_before)} of the error of {o.output}"
         for o in gain.outputs

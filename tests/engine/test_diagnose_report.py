@@ -127,10 +127,18 @@ def test_why_an_extension_is_adopted_or_not():
     assert in_short(gain(0.01)) == "Adopted."
     assert "significantly better" in in_full(gain(0.01))
     assert "though not in free runs of y" in in_full(gain(0.01, outputs=(worse, better)))
-    assert in_short(gain(0.6, outputs=(better, same))).endswith("better in free run of x.")
+    assert in_short(gain(0.6, outputs=(better, same))).endswith(
+        "ahead, and better in free run of x."
+    )
     assert in_full(gain(0.6, outputs=(better, same))).endswith("25 % of the error of x is gone.")
-    assert "p = 0.4 of no loss, p = 0.6 of no gain" in in_full(gain(0.6))
-    assert in_short(gain(0.6, outputs=(same,))).endswith("not significantly worse there.")
+    assert "its loss is within chance (p = 0.4)" in in_full(gain(0.6))
+    assert "its gain is within chance (p = 0.3)" in in_full(gain(0.3, log_density=2.0))
+    assert in_short(gain(0.6, outputs=(same,))) == (
+        "Adopted: not significantly worse one step ahead."
+    )
+    assert "hardly worse" in in_short(gain(0.99))
+    assert "its loss is below 1 in all" in in_full(gain(0.99))
+    assert "better one step ahead, though not" in in_short(gain(0.3, log_density=2.0))
     assert in_full(gain(0.5, log_density=float("nan"))).endswith("significantly worse on them.")
     for words in (in_short, in_full):
         assert words(gain(0.99, adopt=False)).lower().startswith("not adopted")
