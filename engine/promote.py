@@ -33,11 +33,12 @@ def promote(model: MixedModel, names: Sequence[str]) -> MixedModel:
     out = np.array([linear.index(name) for name in moved])
     stay = np.array([i for i in range(nz) if i not in out], dtype=int)
     order = np.concatenate([np.arange(na), na + out, na + stay])
+    rows = order[:, None]
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         f, A, Q = model.transition(a[:, :na], u, t, dt, theta)
         f = f + _times(A[..., out], a[:, na:])
-        return f[:, order], A[..., order, :][..., stay], Q[..., order, :][..., order]
+        return f[:, order], A[..., rows, stay], Q[..., rows, order]
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
         h, C, R = model.observation(a[:, :na], u, t, theta)

@@ -9,7 +9,8 @@ turn is then weighed again, each beside the others. Its verdict is
   and nothing is left to see after it;
 - ``set``: in some round several effects, or the unnamed force with them, cannot be told apart;
 - ``unknown``: the unnamed force explains as much as any named effect, or something is left that
-  no further effect explains, or the model is far from the data whatever is added.
+  no further effect explains, or what was found in turn looks like patches on one cause that is not
+  in the catalogue, or the model is far from the data whatever is added.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.decide import verdict_of
+from engine.diagnose.decide import PATCHES, patchwork, verdict_of
 from engine.diagnose.diagnosis import Verdict
 from engine.diagnose.kept import NOTHING, Kept
 from engine.diagnose.search import OUTLYING, Search, search
@@ -75,7 +75,13 @@ def find_causes(
         progress=clock.progress,
         kept=kept,
     )
-    verdict = verdict_of(found)
+    verdict = verdict_of(found, alpha)
+    if patchwork(found, alpha):
+        notes.append(
+            "The effects found in turn look like patches on one cause that is not in the catalogue: "
+            f"more than {PATCHES} are needed, or one of them is a property of the noise, or something is "
+            "still left to see. Register the effect you suspect and diagnose again."
+        )
     level = misfit(found.final, series, outliers=has_tails(found))
     if level > MISFIT:
         notes.append(

@@ -14,17 +14,33 @@ from engine.diagnose.tails import KIND as TAILS
 
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
+PATCHES = 2  # effects in turn that are trusted; more stand for something else
 SHOWN = 5  # look-alikes listed at most
 
 
-def verdict_of(search: Search) -> Verdict:
+def verdict_of(search: Search, alpha: float) -> Verdict:
     """The verdict: see the rules in :mod:`engine.diagnose`."""
     named = [r for r in search.rounds if r.equivalent]
     if not named:
         return Verdict.UNKNOWN if search.alarm_left else Verdict.NOTHING
-    if search.alarm_left or any(unnamed_is_better(r) for r in named):
+    if search.alarm_left or any(unnamed_is_better(r) for r in named) or patchwork(search, alpha):
         return Verdict.UNKNOWN
     return Verdict.NAMED if all(len(set_of(r)) == 1 for r in named) else Verdict.SET
+
+
+def patchwork(search: Search, alpha: float) -> bool:
+    """Whether the effects found in turn look like patches on one cause that is not in the catalogue.
+
+    So they do where more than two are needed; where one of two is a property of the noise, which is
+    how the rest of a cause looks that another effect explains in part; or where something is still
+    seen at ``alpha`` after two of them. Outliers hide others and are no part of that.
+    """
+    found = [r.refits[0].effect for r in search.rounds if r.equivalent]
+    effects = [effect for effect in found if effect.kind != TAILS]
+    last = search.rounds[-1]
+    left = not last.equivalent and last.screen.p_value <= alpha
+    noise = any(effect.family == "noise" for effect in effects)
+    return len(found) > 1 and (left or len(effects) > PATCHES or (len(effects) > 1 and noise))
 
 
 def unnamed_is_better(found: Round) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effect import Split, on_base, per_point
+from engine.diagnose.effect import Split, on_base
 from engine.model import Array, Gaussian, MixedModel
 
 
@@ -68,18 +68,23 @@ def beside(
     noise. Nothing passes between them and the model's states yet.
     """
     f, A, Q = step
-    nx, k = f.shape[1], len(block)
-    A_all = np.zeros((*A.shape[:-2], nx + k, A.shape[-1] + k))
-    A_all[..., :nx, :-k] = A
-    A_all = per_point(A_all, M, *(entry for row in block for entry in row))
-    Q_all = np.zeros((*Q.shape[:-2], nx + k, nx + k))
+    (nx, nz), k = A.shape[-2:], len(block)
+    entries = [entry for row in block for entry in row]
+    A_all = _zeros(A, M, (nx + k, nz + k), entries)
+    A_all[..., :nx, :nz] = A
+    Q_all = _zeros(Q, M, (nx + k, nx + k), [noise])
     Q_all[..., :nx, :nx] = Q
-    Q_all = per_point(Q_all, M, noise)
     for i, row in enumerate(block):
         Q_all[..., nx + i, nx + i] = noise
         for j, entry in enumerate(row):
-            A_all[..., nx + i, A.shape[-1] + j] = entry
+            A_all[..., nx + i, nz + j] = entry
     return np.concatenate([f, np.zeros((M, k))], axis=1), A_all, Q_all
+
+
+def _zeros(matrix: Array, M: int, shape: tuple[int, int], entries: Sequence[Any]) -> Array:
+    """Zeros of a shape, per point where the matrix or one of the entries is."""
+    common = matrix.ndim == 2 and all(np.ndim(entry) == 0 for entry in entries)
+    return np.zeros(shape if common else (M, *shape))
 
 
 def add_memory(
@@ -96,7 +101,8 @@ def add_memory(
     (M,); ``observe(a, memory, u, t, base, own)`` returns h, C, R. p(a_1) must be Gaussian.
     """
     na, nx = model.na, model.nx
-    order = [*range(na), nx, *range(na, nx)]
+    order = np.array([*range(na), nx, *range(na, nx)])
+    rows = order[:, None]
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         f, A, Q, memory = step(a[:, :na], a[:, na], u, t, dt, *split(theta))
@@ -104,7 +110,7 @@ def add_memory(
         A = np.concatenate([A, np.zeros((*A.shape[:-2], 1, model.nz))], axis=-2)
         Q_all = np.zeros((*Q.shape[:-2], nx + 1, nx + 1))
         Q_all[..., :nx, :nx] = Q
-        return f[:, order], A[..., order, :], Q_all[..., order, :][..., order]
+        return f[:, order], A[..., order, :], Q_all[..., rows, order]
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
         return observe(a[:, :na], a[:, na], u, t, *split(theta))

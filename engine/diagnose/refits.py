@@ -51,7 +51,7 @@ NESTS = {  # a kind with a width of its own, and plainer ones it becomes at the 
 NEEDED = 2.0  # of the score, that the wider kind must be ahead
 
 
-SAME = 2.0  # total difference of log-densities below which two refits say the same
+SAME = 0.5  # sum of squared differences of log-densities below which two refits say the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def distinct(refits: Sequence[Refit], series: Series) -> tuple[Refit, ...]:
     for i in sorted(range(len(refits)), key=lambda i: _plainness(refits[i])):
         rank = _plainness(refits[i])
         if not any(
-            rank > _plainness(refits[j]) and np.abs(terms[i] - terms[j]).sum() < SAME for j in kept
+            rank > _plainness(refits[j]) and ((terms[i] - terms[j]) ** 2).sum() < SAME for j in kept
         ):
             kept.append(i)
     return tuple(refits[i] for i in sorted(kept))
@@ -144,10 +144,9 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
     start = np.clip(start, extended.lower, extended.upper)
     sought = _sought(effect)
     free = [*fit.free, *free_parameters(effect)]
-    start = _best_start(extended, series, start, n)
+    start, zero = _best_start(extended, series, start, null, n)
     if sought:
         start = _best_row(extended, series, start, sought[0], effect)
-    zero = float(log_likelihoods(extended, [series], null[None])[0])
     target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
     found = quasi_ml(extended, series, start, free, tolerance=TOLERANCE, target=target)
     if sought and found.log_likelihood > target:
@@ -180,13 +179,15 @@ def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Se
     return Refit(effect, found, gain, gain - cost(effect, series))
 
 
-def _best_start(extended: MixedModel, series: Series, start: Array, n: int) -> Array:
-    """The best of a few sizes around the one-step estimate, which may overshoot."""
+def _best_start(
+    extended: MixedModel, series: Series, start: Array, null: Array, n: int
+) -> tuple[Array, float]:
+    """The best of a few sizes around the one-step estimate, which may overshoot; log-likelihood at null."""
     sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01]) * start[n]
     starts = np.repeat(start[None], len(sizes), axis=0)
     starts[:, n] = np.clip(sizes, extended.lower[n], extended.upper[n])
-    values = log_likelihoods(extended, [series], starts)
-    return np.asarray(starts[int(np.argmax(values))])
+    values = log_likelihoods(extended, [series], np.concatenate([null[None], starts]))
+    return np.asarray(starts[int(np.argmax(values[1:]))]), float(values[0])
 
 
 def _best_row(

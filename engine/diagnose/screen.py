@@ -88,8 +88,21 @@ class Test:
     at: tuple[tuple[float, ...], ...]
     vector: Array  # v~ of the best column
     degrees: int = 1  # columns that are tested together, as the two of a harmonic
-    tries: int = 1  # places the one column was chosen from, for a single time step
+    tries: int = 1  # places that this one was chosen from
     known: tuple[float, float] | None = None  # statistic and p-value, where they are not of scores
+
+    def best_of(self, tries: int) -> Test:
+        """The best place alone, as chosen from so many."""
+        best = int(np.argmax(self.statistics(self.s.sum(axis=1))))
+        own = slice(best * self.degrees, (best + 1) * self.degrees)
+        return replace(
+            self,
+            s=self.s[own],
+            norm=self.norm[own],
+            rho=self.rho[own],
+            at=(self.at[best],),
+            tries=tries,
+        )
 
     def statistics(self, totals: Array) -> Array:
         """Statistics (..., n / degrees) from sums over time (..., n) of s~, one-sided if it must be."""
@@ -122,7 +135,7 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
         if test.known is not None:
             observed.append(test.known[1])
             drawn.append(rng.random(DRAWS))
-        elif test.tries > 1:  # one time step: a random sign changes nothing, so Bonferroni
+        elif test.tries > 1:  # the best of many places, nearly independent: Bonferroni
             observed.append(min(1.0, test.tries * float(chi2.sf(found.max(), test.degrees))))
             drawn.append(rng.random(DRAWS))
         elif single:  # the limiting distribution resolves smaller p-values than the draws

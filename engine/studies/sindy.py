@@ -22,7 +22,7 @@ from engine.studies.blind.cells import CLEAN, HARD, OTHER, USUAL, USUAL_ROWS, Ce
 from engine.studies.blind.figures import Rate, rate
 from engine.studies.blind.hidden import draw
 from engine.studies.blind.report import BLIND
-from engine.studies.blind.runs import CLEAN_ARM, HARD_ARM, OTHER_ARM, USUAL_ARM
+from engine.studies.blind.runs import CLEAN_ARM, HARD_ARM, OTHER_ARM, STREAMS, USUAL_ARM
 from engine.studies.blind.sizes import fit_base, size
 from engine.studies.plots import axes, save
 from engine.studies.report import made_with, markdown
@@ -38,10 +38,10 @@ CELLS = (
     Cell(BASE.name, "", ratio=0.0),
 )
 SOURCES = (
-    (USUAL_ARM, 21, USUAL),
-    (OTHER_ARM, 22, OTHER),
-    (CLEAN_ARM, 23, CLEAN),
-    (HARD_ARM, 26, HARD),
+    (USUAL_ARM, STREAMS["usual"], USUAL),
+    (OTHER_ARM, STREAMS["other"], OTHER),
+    (CLEAN_ARM, STREAMS["clean"], CLEAN),
+    (HARD_ARM, STREAMS["look-alikes"], HARD),
 )
 DEVELOPMENT_STREAM, DEVELOPMENT_RUNS = 61, 60
 ALARMS = 0.1  # share of clean series in which the careful setting may find something

@@ -165,17 +165,30 @@ def work_bootstrap(cells: Sequence[Cell], stream: int, seed: int, run: int) -> R
     }
 
 
-def _arm(name: str, stream: int, cells: Sequence[Cell]) -> Arm:
-    return Arm(f"blind.{name}", partial(work, tuple(cells), stream), {"cells": len(cells)})
+# Streams of random numbers: other ones whenever the diagnosis was changed after series of these were seen.
+STREAMS = {
+    "usual": 31,
+    "other": 32,
+    "clean": 33,
+    "outside": 34,
+    "bootstrap": 35,
+    "look-alikes": 36,
+}
 
 
-USUAL_ARM = _arm("usual", 21, USUAL)
-OTHER_ARM = _arm("other", 22, OTHER)
-CLEAN_ARM = _arm("clean", 23, CLEAN)
-OUTSIDE_ARM = _arm("outside", 24, UNLISTED)
-HARD_ARM = _arm("look-alikes", 26, HARD)
+def _arm(name: str, cells: Sequence[Cell]) -> Arm:
+    stream = STREAMS[name]
+    settings = {"cells": len(cells), "stream": stream}
+    return Arm(f"blind.{name}", partial(work, tuple(cells), stream), settings)
+
+
+USUAL_ARM = _arm("usual", USUAL)
+OTHER_ARM = _arm("other", OTHER)
+CLEAN_ARM = _arm("clean", CLEAN)
+OUTSIDE_ARM = _arm("outside", UNLISTED)
+HARD_ARM = _arm("look-alikes", HARD)
 BOOTSTRAP_ARM = Arm(
     "blind.bootstrap",
-    partial(work_bootstrap, tuple(BOOTSTRAP), 25),
-    {"cells": len(BOOTSTRAP), "samples": SAMPLES},
+    partial(work_bootstrap, tuple(BOOTSTRAP), STREAMS["bootstrap"]),
+    {"cells": len(BOOTSTRAP), "samples": SAMPLES, "stream": STREAMS["bootstrap"]},
 )

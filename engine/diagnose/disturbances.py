@@ -1,0 +1,76 @@
+"""What one disturbance at one time would explain, for all times, and from it for all frequencies.
+
+The disturbance smoother (de Jong 1989; Harvey, Koopman 1992): with L_t = F_t (I - K_t H_t),
+r_{t-1} = H_t' S_t^{-1} nu_t + L_t' r_t and N likewise, a disturbance that adds b_t to x_{t+1} and e_t
+to y_t scores b_t' r_t + e_t' (S_t^{-1} nu_t - (F_t K_t)' r_t). A course c_t of disturbances scores
+sum c_t score_t: one pass backward serves every course there is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.model import Array
+from engine.moment_filter import MomentPath
+from engine.quasi_ml import whitening
+from engine.series import Series
+
+
+def pulse_scores(path: MomentPath, series: Series, b: Array, e: Array) -> tuple[Array, Array]:
+    """Scores (T,) of a unit disturbance (b_t, e_t) at each time alone, and their information (T,).
+
+    ``b`` (T-1, nx), ``e`` (T, ny).
+    """
+    T, _, nx = path.H.shape
+    root = whitening(path.S, series.observed)
+    nu = np.nan_to_num(path.innovations)
+    scores, information = np.zeros(T), np.zeros(T)
+    r, N = np.zeros(nx), np.zeros((nx, nx))
+    for t in range(T - 1, -1, -1):
+        precision = root[t].T @ root[t]
+        F = path.F[t] if t < T - 1 else np.zeros((nx, nx))
+        gain = F @ path.K[t]
+        scores[t] = e[t] @ (precision @ nu[t] - gain.T @ r)
+        information[t] = e[t] @ (precision + gain.T @ N @ gain) @ e[t]
+        if t < T - 1:
+            scores[t] += b[t] @ r
+            information[t] += b[t] @ N @ b[t] - 2.0 * e[t] @ gain.T @ N @ b[t]
+        L = F @ (np.eye(nx) - path.K[t] @ path.H[t])
+        r = path.H[t].T @ precision @ nu[t] + L.T @ r
+        N = path.H[t].T @ precision @ path.H[t] + L.T @ N @ L
+    return scores, information
+
+
+def best_frequencies(
+    path: MomentPath, series: Series, b: Array, e: Array, frequencies: Array, most: int
+) -> Array:
+    """Places (n <= ``most``) of the frequencies at which a harmonic promises to explain most.
+
+    The score of exp(i w t) is the Fourier sum of the pulses' scores; its information is taken from
+    the mean filter's response, which is near enough to choose peaks by.
+    """
+    scores, _ = pulse_scores(path, series, b, e)
+    t = series.t - series.t[0]
+    sums = np.concatenate(
+        [np.exp(-2j * np.pi * np.outer(some, t)) @ scores for some in _blocks(frequencies)]
+    )
+    promise = np.abs(sums) ** 2 / _response(path, series, b, e, frequencies)
+    padded = np.concatenate([[-np.inf], promise, [-np.inf]])
+    peaks = np.flatnonzero((promise >= padded[:-2]) & (promise >= padded[2:]))
+    return np.asarray(np.sort(peaks[np.argsort(-promise[peaks])[:most]]))
+
+
+def _blocks(frequencies: Array) -> list[Array]:
+    return [frequencies[i : i + 200] for i in range(0, len(frequencies), 200)]
+
+
+def _response(path: MomentPath, series: Series, b: Array, e: Array, frequencies: Array) -> Array:
+    """|S^{-1/2} g|^2 of the mean filter for g_t = g exp(i w t) driven by (b, e), per frequency."""
+    F, H, K, S = (x.mean(axis=0) for x in (path.F, path.H, path.K, path.S))
+    b, e = b.mean(axis=0), e.mean(axis=0)
+    step = float(np.median(series.steps))
+    turn = np.exp(2j * np.pi * frequencies * step)[:, None, None] * np.eye(len(F))
+    x = np.linalg.solve(turn - F @ (np.eye(len(F)) - K @ H), (b - F @ K @ e)[:, None])
+    g = (H @ x)[:, :, 0] + e
+    power = np.einsum("ki,ij,kj->k", g.conj(), np.linalg.pinv(S, hermitian=True), g).real
+    return np.asarray(np.maximum(power, 1e-12 * power.max() + 1e-300))

@@ -1,0 +1,60 @@
+"""One backward pass scores a disturbance at every time, and with it every course of disturbances."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose.catalogue import make_effect
+from engine.diagnose.columns import Projection, parameter_columns
+from engine.diagnose.disturbances import pulse_scores
+from engine.diagnose.families import family_test, grid
+from engine.diagnose.setting import setting_for
+from engine.moment_filter import moment_filter, moment_path
+from engine.quasi_ml import quasi_ml
+from tests.engine.hidden_effects import DRIVE, DT, hidden, levels
+
+
+def drive(n, seed=1):
+    rng = np.random.default_rng(seed)
+    return engine.simulate(DRIVE, None, n, rng, u=levels(rng, n), dt=DT).series
+
+
+@pytest.mark.parametrize("channel", ["speed", "reading"])
+def test_pulse_scores_are_derivatives_of_the_likelihood(channel):
+    series = drive(60)
+    theta = np.asarray(DRIVE.theta())
+    path = moment_path(DRIVE, theta, series)
+    b, e = np.zeros((59, 2)), np.zeros((60, 1))
+    if channel == "speed":
+        b[:, 0] = DT
+    else:
+        e[:, 0] = 1.0
+    scores, information = pulse_scores(path, series, b, e)
+    effect = make_effect(f"pulse:{channel}", setting_for(DRIVE, series, DRIVE.theta()))
+    extended = effect.apply(DRIVE)
+    size = 1e-4
+    for row in (1, 17, 40):
+        both = [[*theta, s, series.t[row], *effect.probes[0][1:]] for s in (-size, 0.0, size)]
+        low, at, high = moment_filter(extended, np.array(both), series).log_likelihood
+        assert scores[row] == pytest.approx((high - low) / (2.0 * size), rel=1e-4)
+        assert information[row] == pytest.approx(-(high - 2.0 * at + low) / size**2, rel=1e-2)
+
+
+@pytest.mark.parametrize("n", [400, 3000])
+def test_a_harmonic_is_found_at_any_frequency_and_length(n):
+    """A frequency between those of a grid of 400 is lost on a long record."""
+    frequency = 0.7371
+    values = {"harmonic_speed": 4.0 / np.sqrt(n), "harmonic_speed_frequency": frequency}
+    series = hidden(["harmonic:speed"], values, seed=4, n=n)
+    fit = quasi_ml(DRIVE, series)
+    effect = make_effect("harmonic:speed", setting_for(DRIVE, series, fit.theta))
+    theta = np.asarray(fit.theta)
+    indices = DRIVE.free_indices(fit.free)
+    columns = parameter_columns(DRIVE, theta, indices, series)
+    path = moment_path(DRIVE, theta, series)
+    found = family_test(effect, DRIVE, theta, series, path, Projection(columns))
+    assert found is not None
+    assert found.tries == len(grid(effect, series))
+    statistic = float(found.statistics(found.s.sum(axis=1)).max())
+    assert statistic > 2.0 * np.log(found.tries) + 9.0
+    assert abs(found.at[0][1] - frequency) < 0.5 / (n * DT)

@@ -1,0 +1,51 @@
+"""When several effects found in turn are trusted, and when they are patches on something else."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from engine.diagnose.catalogue import make_effect
+from engine.diagnose.decide import patchwork, verdict_of
+from engine.diagnose.refits import Refit
+from engine.diagnose.rounds import Round
+from engine.diagnose.search import Search
+from engine.diagnose.setting import Setting
+from tests.engine.hidden_effects import DRIVE
+
+DRAG, BIAS, STEP = "drag:speed", "bias:reading", "step:reading"
+LEVEL, OUTLIERS = "level:reading", "heavy-tails:reading"
+
+
+def searched(*names, left=0.6, alarm=False):
+    """A search that found effects in turn, the last screen's p-value being ``left``."""
+    rounds = []
+    for name in names:
+        refit = Refit(make_effect(name, Setting(DRIVE)), None, 50.0, 50.0)
+        rounds.append(Round(SimpleNamespace(p_value=0.002), (refit,), None, (refit,)))
+    rounds.append(Round(SimpleNamespace(p_value=left), (), None, ()))
+    return Search(None, None, tuple(rounds), alarm)
+
+
+@pytest.mark.parametrize(
+    ("names", "left", "verdict"),
+    [
+        ([], 0.6, "nothing"),
+        ([DRAG], 0.6, "named"),
+        ([LEVEL], 0.02, "named"),
+        ([DRAG, BIAS], 0.6, "named"),
+        ([DRAG, BIAS], 0.02, "unknown"),  # quiet enough to stop, not to be sure of both
+        ([DRAG, LEVEL], 0.6, "unknown"),  # the rest of what drag explains in part
+        ([DRAG, BIAS, STEP], 0.6, "unknown"),
+        ([OUTLIERS, STEP], 0.6, "named"),  # outliers had hidden the step
+        ([OUTLIERS, STEP, BIAS], 0.6, "named"),
+    ],
+)
+def test_more_than_two_effects_or_noise_beside_another_are_not_trusted(names, left, verdict):
+    search = searched(*names, left=left)
+    assert verdict_of(search, alpha=0.05).value == verdict
+    assert patchwork(search, 0.05) == (verdict == "unknown")
+
+
+def test_an_alarm_that_nothing_explains_is_unknown():
+    assert verdict_of(searched(DRAG, alarm=True), alpha=0.05).value == "unknown"
+    assert verdict_of(searched(alarm=True), alpha=0.05).value == "unknown"
