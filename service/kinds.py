@@ -103,10 +103,20 @@ def describe(
         except ModelError as error:
             message += f" No standard errors: {error}"
     if errors is not None and options.intervals == "likelihood-ratio":
-        progress.step(done, "intervals")
+        names = list(errors.names)
+
+        def sought(name: str) -> None:
+            progress.step(done, f"intervals, {names.index(name) + 1} of {len(names)}: {name}")
+
         try:
             intervals = engine.likelihood_intervals(
-                model, theta, job.series, errors=errors, seed=options.seed, exact=exact
+                model,
+                theta,
+                job.series,
+                errors=errors,
+                seed=options.seed,
+                exact=exact,
+                callback=sought,
             )
         except ModelError as error:
             message += f" Intervals are symmetric: {error}"

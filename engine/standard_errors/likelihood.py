@@ -25,9 +25,10 @@ fall enough in between.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,12 +96,14 @@ def likelihood_intervals(
     replicates: int = 4,
     seed: int = 0,
     exact: bool = False,
+    callback: Callable[[str], Any] | None = None,
 ) -> LikelihoodIntervals:
     """Likelihood-ratio intervals of confidence ``level`` about an estimate.
 
     ``errors`` are the standard errors there, computed first if not given. Each slope is averaged over
     ``replicates`` smoothers; some eight slopes are needed for each parameter. ``exact`` uses the Kalman
-    smoother (linear Gaussian models). Raises OptionError; ModelError where the data hold no information
+    smoother (linear Gaussian models). ``callback(name)`` is told of each parameter before its interval is
+    sought, and may stop the run by raising. Raises OptionError; ModelError where the data hold no information
     on a parameter, or the likelihood is not finite near the estimate.
     """
     if not 0.0 < level < 1.0:
@@ -119,6 +122,8 @@ def likelihood_intervals(
     values, spread = (np.full((len(theta), 2), np.nan) for _ in range(2))
     maximum = np.array(theta)
     for k, index in enumerate(indices):
+        if callback is not None:
+            callback(errors.names[k])
         at, slopes, outermost = march.profile(k, fall)
         values[index], maximum[index] = ends(at, slopes.mean(axis=0), theta[index], fall, outermost)
         spread[index] = _jackknife(at, slopes, theta[index], fall, outermost)

@@ -14,12 +14,21 @@ from service.cli.ending import CODES, guarded, wrong
 KINDS = ".csv with a line of column names, .mat or .npz."
 DATA = f"Data files: {KINDS} Several are several experiments."
 
+TRY = """A first try, with data that are simulated:
+
+\b
+  rbps simulate -m oscillator --with coulomb:velocity=1 \\
+      --excite drive=steps:1:2 -n 500 --dt 0.02 -o run.csv
+  rbps fit run.csv -m oscillator --no-standard-errors
+  rbps diagnose run.csv -m oscillator --report run.html
+"""
+
 app = typer.Typer(
     help=(
         "Estimate the parameters of a state-space model from measured data, and find out what "
         "the model leaves out."
     ),
-    epilog=CODES,
+    epilog=f"{TRY}\n{CODES}",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -153,7 +162,11 @@ def fit(
     ] = None,
     seed: Seed = 0,
     standard_errors: Annotated[
-        bool, typer.Option("--standard-errors/--no-standard-errors", help="They take a while.")
+        bool,
+        typer.Option(
+            "--standard-errors/--no-standard-errors",
+            help="And intervals; they may take longer than the iterations.",
+        ),
     ] = True,
     starts: Annotated[
         int,

@@ -3,6 +3,8 @@
 import csv
 import json
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -70,6 +72,23 @@ def test_help_names_commands_and_exit_codes(rbps):
         assert word in shown.stdout
     for command in ("models", "fit", "diagnose", "simulate", "serve"):
         assert "Exit codes: 0 done; 1" in " ".join(rbps(command, "--help").stdout.split())
+
+
+def test_the_first_try_that_help_shows_works(rbps, tmp_path):
+    shown = re.sub(r"\\\n", " ", rbps("--help").stdout)
+    commands = [
+        shlex.split(line)[1:] for line in re.findall(r"^ +(rbps \w.*)", shown, re.MULTILINE)
+    ]
+    quicker = {
+        "simulate": ["-n", "100"],
+        "fit": ["-n", "2", "--particles", "10"],
+        "diagnose": ["--effects", "coulomb,bias"],
+    }
+    assert [command[0] for command in commands] == list(quicker)
+    for command in commands:
+        result = rbps(*command, *quicker[command[0]])
+        assert result.exit_code == 0, result.output
+    assert "oscillator" in (tmp_path / "run.html").read_text()
 
 
 def test_help_does_not_wait_for_the_engine():

@@ -64,8 +64,9 @@ def test_other_parameters_are_maximised_over():
     model = scalar_linear.MODEL
     series = engine.simulate(model, None, 150, np.random.default_rng(1)).series
     best = quasi_ml(model, series)
-    found = engine.likelihood_intervals(model, best.theta, series, exact=True)
-
+    told = []
+    found = engine.likelihood_intervals(model, best.theta, series, exact=True, callback=told.append)
+    assert told == list(model.parameter_names)
     for k, name in enumerate(model.parameter_names):
         others = [other for other in model.parameter_names if other != name]
         for end in found.values[k]:
