@@ -25,16 +25,19 @@ NILE_PUBLISHED = {"r": 15099.0, "q": 1469.1}  # Durbin and Koopman, variances of
 
 
 def main() -> None:
-    """Start a service, estimate twice, and leave nothing running."""
+    """Start a service, estimate twice, diagnose once, and leave nothing running."""
     with tempfile.TemporaryDirectory(prefix="rbps-demo-") as state, service(state) as url:
         print(f"Service: {url}\n")
         mixed(url)
         nile(url)
+        diagnosis(url)
     print(
         "The service has stopped. Where to look next:\n"
-        "  make serve         the same service, to stay; its calls: /openapi.json and README.md\n"
-        "  service/demo.py    the requests made here\n"
-        "  engine/models/     the models, one short file each: start your own from one of them"
+        "  make serve             the same service, to stay: its pages are at http://127.0.0.1:8000, its\n"
+        "                         calls in /openapi.json and README.md\n"
+        "  .venv/bin/rbps --help  the same from the shell\n"
+        "  service/demo.py        the requests made here\n"
+        "  engine/models/         the models, one short file each: start your own from one of them"
     )
 
 
@@ -72,7 +75,7 @@ def mixed(url: str) -> None:
     truth = model.theta().asdict()
     start = {"theta_1": 0.7, "theta_2": 0.5, "theta_3": 0.2, "theta_4": 0.9, "theta_5": 0.4}
     print("1. mixed-4 (paper, eq. (35)): 200 samples simulated, five parameters to find")
-    found = estimate(
+    found = results(
         url,
         {
             "kind": "estimate",
@@ -87,16 +90,14 @@ def mixed(url: str) -> None:
 
 def nile(url: str) -> None:
     """The Nile at Aswan, 1871-1970, against the published maximum-likelihood estimates."""
-    with files("engine.data").joinpath("nile.csv").open(encoding="utf-8") as stream:
-        flows = [[float(row["flow"])] for row in csv.DictReader(stream)]
     start = {"r": 10000.0, "q": 5000.0, "level": 1120.0}
     print("2. local-level: the Nile's yearly flows 1871-1970, measured")
-    found = estimate(
+    found = results(
         url,
         {
             "kind": "estimate",
             "model": "local-level",
-            "series": [{"y": flows, "dt": 1.0}],
+            "series": [flows()],
             "parameters": {"start": start, "free": ["r", "q"]},
             "options": {"method": "rts-em", "iterations": 300},
         },
@@ -105,7 +106,25 @@ def nile(url: str) -> None:
     print("   (published with a first level that is not known at all; here it is known to +- r)\n")
 
 
-def estimate(url: str, request: dict[str, Any]) -> dict[str, Any]:
+def diagnosis(url: str) -> None:
+    """What that model leaves out of the Nile's flows: the dam at Aswan."""
+    print("3. local-level: what does this model leave out of the Nile's flows?")
+    found = results(url, {"kind": "diagnose", "model": "local-level", "series": [flows()]})
+    verdict = found["diagnosis"]["page"].partition("\n\n")[0]
+    print("\n".join(f"   {line}" for line in verdict.splitlines()[2:]))
+    for name, value in found["diagnosis"]["causes"][0]["parameters"].items():
+        print(f"   {name} = {value:.5g}")
+    print()
+
+
+def flows() -> dict[str, list[list[float]] | list[float]]:
+    """The Nile's yearly flows as a series; times are years."""
+    with files("engine.data").joinpath("nile.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    return {"y": [[float(row["flow"])] for row in rows], "t": [float(row["year"]) for row in rows]}
+
+
+def results(url: str, request: dict[str, Any]) -> dict[str, Any]:
     """POST /jobs, follow the progress, return the results."""
     job = call(f"{url}/jobs", request)
     here = f"{url}/jobs/{job['jobID']}"
@@ -138,7 +157,8 @@ def show(job: dict[str, Any]) -> None:
     text = f"   [{'#' * done:<25}] {job['iteration']:3d} of {job['iterations']}"
     text += f"  {job['status']:<10}"
     text += "" if likelihood is None else f"  log-likelihood {likelihood:.1f}"
-    print(("\r" if sys.stdout.isatty() else "") + text, end="", flush=True)
+    said = job["message"][:40] if job["status"] == "running" else ""
+    print(f"\r{text}  {said:<40}" if sys.stdout.isatty() else text, end="", flush=True)
 
 
 def table(
