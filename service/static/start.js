@@ -134,6 +134,7 @@ async function example() {
   const file = new File([await answer.blob()], "nile.csv", { type: "text/csv" });
   if (model.name !== "local-level") await model.choose({ name: "local-level" });
   await data.take([file]);
+  await data.useTime("year");
   announce("The Nile flows are loaded and the model local-level is chosen.");
   by("go").focus();
 }

@@ -99,6 +99,7 @@ def test_diagnose_and_go_on_with_the_extension(visit):
     ready(page)
     page.click("#example")
     page.wait_for_selector("#channels .u-wrap canvas")
+    assert page.input_value("#time") == "year"
     page.check('input[value="diagnose"]')
     page.click("#options summary")
     page.fill("#diagnose-effects", "step, pulse")
@@ -107,6 +108,7 @@ def test_diagnose_and_go_on_with_the_extension(visit):
     page.wait_for_selector("#status.successful")
     page.wait_for_selector("#extended:visible")
     assert "step" in page.inner_text("#results")
+    assert "1899" in page.inner_text("#results")  # the dam at Aswan
     page.click("#extended")
     ready(page)
     assert "step:flow" in page.inner_text("#effects")
@@ -156,6 +158,7 @@ def test_a_column_that_the_model_does_not_use_is_asked_about(visit, tmp_path):
 def test_wrong_input_is_said_beside_its_field(visit, tmp_path):
     page = visit("/")
     ready(page)
+    assert page.is_hidden("#parameters")
     page.click("#go")
     beside = page.locator('[data-field="model"] .field-error')
     assert beside.inner_text() == "choose a model"

@@ -67,6 +67,11 @@ export class DataCard {
     this.showChannels();
   }
 
+  async useTime(column) {
+    by("time").value = column;
+    await this.look();
+  }
+
   // Look at the first file again, with the chosen column as time.
   async look() {
     const [first] = this.files;
