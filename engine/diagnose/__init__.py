@@ -5,8 +5,8 @@ refits the best ones, and repeats on the extended model until nothing is left to
 turn is then weighed again, each beside the others. Its verdict is
 
 - ``nothing``: no alarm at the family-wise level alpha;
-- ``named``: in every round with an alarm one effect is left, MARGIN ahead of all others in score,
-  and nothing is left to see after it;
+- ``named``: in every round with an alarm one effect is left, MARGIN ahead of all others in score and
+  UNNAMED_MARGIN ahead of the unnamed force, and nothing is left to see after it;
 - ``set``: in some round several effects, or the unnamed force with them, cannot be told apart;
 - ``unknown``: the unnamed force explains as much as any named effect, or something is left that
   no further effect explains, or what was found in turn looks like patches on one cause that is not

@@ -78,8 +78,8 @@ def find_causes(
     verdict = verdict_of(found, alpha)
     if patchwork(found, alpha):
         notes.append(
-            "The effects found in turn look like patches on one cause that is not in the catalogue: "
-            f"more than {PATCHES} are needed, or one of them is a property of the noise, or something is "
+            "What was found looks like patches on one cause that is not in the catalogue: more than "
+            f"{PATCHES} effects are needed, or one of them is a property of the noise, or something is "
             "still left to see. Register the effect you suspect and diagnose again."
         )
     level = misfit(found.final, series, outliers=has_tails(found))

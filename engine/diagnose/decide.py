@@ -7,7 +7,7 @@ import numpy as np
 from engine.diagnose.columns import UNTESTABLE
 from engine.diagnose.diagnosis import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.refits import Refit
-from engine.diagnose.rounds import GENERIC, MARGIN, Round
+from engine.diagnose.rounds import GENERIC, MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.screen import Screen
 from engine.diagnose.search import Search
 from engine.diagnose.tails import KIND as TAILS
@@ -33,14 +33,16 @@ def patchwork(search: Search, alpha: float) -> bool:
 
     So they do where more than two are needed; where one of two is a property of the noise, which is
     how the rest of a cause looks that another effect explains in part; or where something is still
-    seen at ``alpha`` after two of them. Outliers hide others and are no part of that.
+    seen at ``alpha`` after two effects or after noise. Outliers hide others and are no part of that.
     """
     found = [r.refits[0].effect for r in search.rounds if r.equivalent]
     effects = [effect for effect in found if effect.kind != TAILS]
+    noise = any(effect.family == "noise" for effect in effects)
     last = search.rounds[-1]
     left = not last.equivalent and last.screen.p_value <= alpha
-    noise = any(effect.family == "noise" for effect in effects)
-    return len(found) > 1 and (left or len(effects) > PATCHES or (len(effects) > 1 and noise))
+    if len(effects) > PATCHES or (noise and len(effects) > 1):
+        return True
+    return left and (noise or len(found) > 1)
 
 
 def unnamed_is_better(found: Round) -> bool:
@@ -52,7 +54,7 @@ def set_of(found: Round) -> tuple[str, ...]:
     """Names of the effects that cannot be told apart, the best first."""
     names = [r.effect.name for r in found.equivalent]
     generic = found.generic
-    if generic is not None and generic.score >= found.refits[0].score - MARGIN:
+    if generic is not None and generic.score >= found.refits[0].score - UNNAMED_MARGIN:
         names.append(generic.effect.name)
     return tuple(names)
 

@@ -10,6 +10,7 @@ from engine.diagnose.screen import Screen
 from engine.series import Series
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e
+UNNAMED_MARGIN = 6.0  # over a force that nobody named, which is always possible
 GENERIC = "latent"  # the kind of the force that nobody named
 
 

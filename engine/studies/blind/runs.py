@@ -18,6 +18,7 @@ from engine.diagnose.causes import Causes, find_causes
 from engine.diagnose.decide import set_of
 from engine.diagnose.gain import joined
 from engine.diagnose.refits import Refit, held_out_terms, refit
+from engine.diagnose.rounds import Round
 from engine.diagnose.screen import Score
 from engine.errors import EngineError
 from engine.quasi_ml import QuasiFit
@@ -32,6 +33,7 @@ RIVALS = 4  # that it refits at most, besides those that the search did
 AGAIN_RATIOS = (0.0, 100.0)
 AGAIN_ROWS = 1000  # longest series that is diagnosed with another seed too ...
 AGAIN_EACH = 3  # ... one in so many of each cell
+SHOWN = 4  # refits of each round whose scores are kept
 SAMPLES = 19  # of the parametric bootstrap
 
 
@@ -55,6 +57,7 @@ def work(cells: Sequence[Cell], stream: int, seed: int, run: int) -> Row:
         "size_true": np.nan,
         "seconds": np.nan,
         "again": "",
+        "evidence": "",
         "note": "",
     }
     try:
@@ -96,8 +99,16 @@ def outcome(found: Causes) -> Row:
         "causes": " ".join(r.refits[0].effect.name for r in named),
         "set": " ".join(set_of(named[0])) if named else "",
         "p_value": found.search.rounds[0].screen.p_value,
+        "evidence": " | ".join(_evidence(r) for r in found.search.rounds),
         "size": named[0].refits[0].size if named else np.nan,
     }
+
+
+def _evidence(found: Round) -> str:
+    """p-value of a round, and the scores of the best refits and of the unnamed force."""
+    refits = [*found.refits[:SHOWN], *([found.generic] if found.generic else [])]
+    scores = (f"{r.effect.name} {r.score:.1f}" for r in refits)
+    return " ".join([f"p {found.screen.p_value:.3g}", *scores])
 
 
 def _said(found: Causes) -> str:
@@ -167,12 +178,12 @@ def work_bootstrap(cells: Sequence[Cell], stream: int, seed: int, run: int) -> R
 
 # Streams of random numbers: other ones whenever the diagnosis was changed after series of these were seen.
 STREAMS = {
-    "usual": 31,
-    "other": 32,
-    "clean": 33,
-    "outside": 34,
-    "bootstrap": 35,
-    "look-alikes": 36,
+    "usual": 41,
+    "other": 42,
+    "clean": 43,
+    "outside": 44,
+    "bootstrap": 45,
+    "look-alikes": 46,
 }
 
 
