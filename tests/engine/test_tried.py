@@ -46,6 +46,7 @@ def tables():
         tried.REFERENCE: table(n, good, [0.0] * 10),
         tried.PAPERS: table(n, [*good[:6], 0.0, -0.01, 0.0, 3.1], [0.0] * 6 + [-30.0] * 4),
         tried.GRADIENT: table(n, [*good[:9], 0.02], [0.0] * 9 + [-30.0]),
+        tried.PS_GUARDED: table(n, [0.1] * 10, [0.0] * 10),
         tried.PS_GRADIENT: table(n, good, [0.0] * 10),
         FALSE_MAXIMUM.name: table(
             [6, 7, 8, 9], [0.0, 0.0, 0.0, 0.3], [-30.0] * 3 + [0.0], curvature=0.9, gain=0.2,
@@ -90,12 +91,20 @@ def test_the_report_counts_rescued_and_lost_runs():
     assert cells(text, "500 | ") == ["500", "0 of 10", "0"]
 
 
+def test_ps_em_is_shown_with_both_m_steps():
+    text = tried.report(tables())
+    assert cells(text, "M step: to the maximum (10 runs)")[5] == "0.100 ± 0.000"
+    assert cells(text, "M step: one gradient step (10 runs)")[5].startswith("0.32")
+    assert cells(text, "reported | 0.965")[5] == "0.064 ± 0.285"
+
+
 def test_settings_without_runs_are_left_out():
     some = tables()
     some[tried.PS_GRADIENT] = Table([], {}, 0.0, 1)
     some[next(iter(tried.TRIED)).name] = Table([], {}, 0.0, 1)
     text = tried.report(some)
     assert "PS-EM with" not in text
+    assert "PS-EM, which" not in text
     assert next(iter(tried.TRIED.values())) not in text
     assert "| systematic" in text
 
