@@ -153,6 +153,9 @@ def _maxima(tables: Tables) -> str:
                 f"{table.numbers('gain')[k]:.1f}",
             ]
         )
+    lines = [
+        [cell.replace("nan ± nan", "-").replace("nan", "-") for cell in line] for line in lines
+    ]
     head = [
         "run",
         "theta (mean of the last 60 iterates)",
