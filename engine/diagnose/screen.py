@@ -235,8 +235,11 @@ def make_test(
             continue
         s = np.array([c.s for _, c in columns])
         v = np.array([c.v for _, c in columns])
-        before = (v**2).sum(axis=1)
-        s, v = projection(s, v)
+        with np.errstate(over="ignore", invalid="ignore"):
+            before = (v**2).sum(axis=1)
+            s, v = projection(s, v)
+            lost = ~np.isfinite(before + (v**2).sum(axis=1) + s.sum(axis=1) ** 2)
+        s[lost], v[lost], before[lost] = 0.0, 0.0, 0.0  # a filter that runs away shows nothing
         rho = np.divide((v**2).sum(axis=1), before, out=np.zeros(len(before)), where=before > 0.0)
         v[rho <= UNTESTABLE] = 0.0
         if degrees > 1:

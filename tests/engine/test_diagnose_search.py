@@ -91,3 +91,23 @@ def test_when_all_that_was_asked_for_is_found_the_search_ends():
     found = engine.diagnose(DRIVE, series, effects=["bias:reading"], seed=1)
     assert [cause.effect for cause in found.causes] == ["bias:reading"]
     assert found.verdict.value == "named"
+
+
+def test_a_column_too_large_to_square_shows_nothing_and_spoils_nothing():
+    """As a filter leaves it that runs away."""
+    rng = np.random.default_rng(1)
+    v = rng.standard_normal((2, 50))
+    v[1] *= 1e200
+    z = rng.standard_normal(50)
+    lost, sound = all_effects(Setting(DRIVE), ["bias", "gain"])
+    nuisance = Projection([Column(z, np.ones(50))])
+    tests = [
+        make_test(effect, [[((), Column(column * z, column))]], nuisance)
+        for effect, column in ((lost, v[1]), (sound, v[0]))
+    ]
+    seen = screen(tests, rng, alpha=0.05)
+    found = {score.effect.name: score for score in seen.scores}
+    assert found[lost.name].statistic == 0.0
+    assert not np.isfinite(found[lost.name].se)
+    assert found[sound.name].statistic > 0.0
+    assert np.isfinite(seen.likenesses).all()
