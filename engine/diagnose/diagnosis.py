@@ -33,7 +33,7 @@ class Verdict(Enum):
             "nothing": "These data show nothing that the model leaves out.",
             "named": "The model leaves something out, and the data say what.",
             "set": "The model leaves something out; these data cannot tell several causes apart.",
-            "unknown": "The model leaves something out, but none of the known causes explains it.",
+            "unknown": "The model leaves something out, and no known cause settles what it is.",
         }[self.value]
 
 

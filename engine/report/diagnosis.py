@@ -159,7 +159,7 @@ def _place(region: Document) -> str:
 
 def _cause_at_a_glance(d: Document) -> Html:
     if d["verdict"] == "unknown":
-        said = tag("p", tag("b", "Unknown"), ": something acts that no known effect explains.")
+        said = tag("p", tag("b", "Unknown"), ": something acts that no known effect settles.")
         names = listed([cause["title"] for cause in d["causes"]])
         return join([said, tag("p", f"Closest: {names}", class_="hint") if names else ""])
     if not d["causes"]:
