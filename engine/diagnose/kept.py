@@ -13,6 +13,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import astuple, dataclass
+from importlib.metadata import version
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,7 +30,6 @@ from engine.series import Series
 
 Part = TypeVar("Part")
 Parts = MutableMapping[str, Any]
-
 
 ASKED = "asked"  # the part that says which diagnosis the others belong to
 
@@ -114,6 +114,7 @@ def kept_of(
         "another test series": _digest(None if test is None else _data(test)),
         "other options": _digest(options),
         "another catalogue": _digest(effect_kinds()),
+        "another version of rbps": _digest(version("rbps")),
     }
     if ASKED not in parts:
         parts[ASKED] = asked
@@ -125,14 +126,20 @@ def kept_of(
 
 
 def _digest(what: Any) -> str:
-    return hashlib.sha256(json.dumps(what, sort_keys=True, default=list).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(what, sort_keys=True, default=_plain).encode()).hexdigest()
+
+
+def _plain(what: Any) -> Any:
+    """NumPy's numbers and arrays, and other sequences, as JSON has them."""
+    return what.tolist() if isinstance(what, np.generic | np.ndarray) else list(what)
 
 
 def _identity(model: MixedModel, series: Series) -> list[Any]:
     """Names, parameters, and a likelihood, which tells of functions that have changed."""
     value = moment_filter(model, np.asarray(model.theta())[None], series).log_likelihood[0]
     channels = [
-        dict(names) for names in (model.nonlinear, model.linear, model.inputs, model.outputs)
+        list(names.items())
+        for names in (model.nonlinear, model.linear, model.inputs, model.outputs)
     ]
     parameters = [astuple(p) for p in model.parameters]
     return [model.name, channels, parameters, model.equations, model.kinematic, f"{value:.9g}"]

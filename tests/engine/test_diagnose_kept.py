@@ -9,6 +9,7 @@ import engine
 from engine import diagnose
 from engine.data import nile
 from engine.diagnose import catalogue
+from engine.diagnose import kept as keeping
 from engine.diagnose.hide import hide
 from engine.errors import OptionError
 from engine.series import Series
@@ -116,6 +117,23 @@ def test_what_was_kept_of_another_diagnosis_is_refused():
         with pytest.raises(OptionError, match=f"is of a diagnosis with {what}") as error:
             diagnose(model, series, **options | more)
         assert error.value.field == "kept"
+
+
+def test_numbers_of_numpy_ask_for_the_same():
+    kept = {}
+    diagnose(LEVEL, nile(), effects=["step"], seed=np.int64(1), kept=kept)
+    known = json.loads(json.dumps(kept))
+    diagnose(LEVEL, nile(), effects=["step"], seed=1, kept=known)
+    assert known == kept
+
+
+def test_what_another_version_kept_is_refused(monkeypatch):
+    kept = {}
+    options = {"effects": ["step"], "seed": 1, "kept": kept}
+    diagnose(LEVEL, nile(), **options)
+    monkeypatch.setattr(keeping, "version", lambda name: "0.0.1")
+    with pytest.raises(OptionError, match="another version of rbps"):
+        diagnose(LEVEL, nile(), **options)
 
 
 def test_another_catalogue_is_refused(monkeypatch):
