@@ -18,6 +18,8 @@ def in_short(gain: Gain) -> str:
         return "NOT adopted: it does worse there."
     if gain.p_value <= LOSS:
         return "Adopted."
+    if not math.isfinite(gain.log_density):
+        return "Adopted: held-out data cannot tell."
     ahead = "not significantly worse one step ahead"
     if gain.log_density > 0.0:
         ahead = "better one step ahead, though not significantly"
@@ -49,7 +51,7 @@ def in_full(gain: Gain) -> str:
         if o.output in better
     ]
     if gone:
-        reasons.append(f"in free run {listed(gone)} is gone")
+        reasons.append(f"in free run {listed(gone)} {'is' if len(gone) == 1 else 'are'} gone")
     because = f" Here it does not: {listed(reasons)}." if reasons else ""
     return (
         "Adopted. The data it was found on call for it; held-out data refuse it only where it does "

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from engine.diagnose.adoption import in_full, in_short
+from engine.diagnose.rounds import UNNAMED_MARGIN
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
 from engine.errors import EngineError
 from engine.report.asked import asked_first
@@ -160,7 +161,8 @@ def unnamed(d: Diagnosis) -> UnnamedForce | None:
     for found in d.rounds:
         if found.generic is None:
             continue
-        beaten = bool(found.refits) and found.refits[0].score - found.generic.score > 4.0
+        least = found.generic.score + UNNAMED_MARGIN
+        beaten = bool(found.refits) and found.refits[0].score > least
         if d.verdict.value == "unknown" or not beaten:
             generic = found.generic
     if generic is None:

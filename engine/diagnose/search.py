@@ -6,8 +6,8 @@ Otherwise the best effects are refitted together with all parameters, and ranked
     score = 2 (log-likelihood gained) - log T (own parameters - 1).
 
 An alarm counts where the likelihood ratio of some refit confirms it. Effects within MARGIN of the best
-are an equivalence set. The unnamed slow force is refitted in every round: where it explains clearly
-more than any named effect, the cause is not in the catalogue.
+are an equivalence set. The unnamed slow force is refitted in every round, and belongs to the set within
+UNNAMED_MARGIN: where it explains as much as any named effect, the cause is not in the catalogue.
 """
 
 from __future__ import annotations

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from engine.data import nile
-from engine.diagnose import diagnose, extend
+from engine.diagnose import diagnose, extend, make_effect
+from engine.diagnose.decide import set_of
 from engine.diagnose.diagnosis import Verdict
 from engine.diagnose.gain import (
     diebold_mariano,
@@ -19,7 +21,10 @@ from engine.diagnose.gain import (
 )
 from engine.diagnose.latex import to_latex
 from engine.diagnose.plain import plain
-from engine.diagnose.setting import setting_for
+from engine.diagnose.refits import Refit
+from engine.diagnose.report import unnamed
+from engine.diagnose.rounds import UNNAMED_MARGIN, Round
+from engine.diagnose.setting import Setting, setting_for
 from engine.diagnose.simulation_gain import bootstrap_means
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
@@ -140,8 +145,28 @@ def test_why_an_extension_is_adopted_or_not():
     assert "its loss is below 1 in all" in in_full(gain(0.99))
     assert "better one step ahead, though not" in in_short(gain(0.3, log_density=2.0))
     assert in_full(gain(0.5, log_density=float("nan"))).endswith("significantly worse on them.")
+    assert in_short(gain(0.5, log_density=float("nan"))) == "Adopted: held-out data cannot tell."
+    both = (better, output("w", 1.0, 0.5, -0.7, -0.3))
+    assert in_full(gain(0.6, outputs=both)).endswith(" and 50 % of the error of w are gone.")
     for words in (in_short, in_full):
         assert words(gain(0.99, adopt=False)).lower().startswith("not adopted")
+
+
+def test_the_unnamed_force_is_shown_where_the_set_holds_it():
+    series = simulate(LINEAR, None, 60, np.random.default_rng(3)).series
+    forced = make_effect("latent:z", Setting(LINEAR))
+    fit = quasi_ml(forced.apply(LINEAR), series, max_iterations=1)
+    best = Refit(make_effect("bias:y", Setting(LINEAR)), fit, 50.0, 50.0)
+    for behind, shown in ((UNNAMED_MARGIN - 0.5, True), (UNNAMED_MARGIN + 0.5, False)):
+        generic = Refit(forced, fit, 50.0 - behind, 50.0 - behind)
+        found = Round(None, (best,), generic, (best,))
+        said = SimpleNamespace(
+            rounds=(found,),
+            verdict=SimpleNamespace(value="set" if shown else "named"),
+            symptoms=SimpleNamespace(series=series),
+        )
+        assert ("latent:z" in set_of(found)) == shown
+        assert (unnamed(said) is not None) == shown
 
 
 def test_the_scored_terms_are_those_of_the_whole_filter():
