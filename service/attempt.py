@@ -26,6 +26,7 @@ from typing import Any, NoReturn
 import numpy as np
 from sqlalchemy.exc import SQLAlchemyError
 
+from engine.diagnose.kept import ASKED
 from engine.errors import EngineError
 from engine.model import Array, Theta
 from service import stages
@@ -141,13 +142,19 @@ class StoredProgress:
 class StoredParts(dict[str, Any]):
     """What attempts at a diagnosis have finished, on the store; see ``engine.diagnose``.
 
-    Parts of another version of this software are left alone: its numbers may differ.
+    Parts of another version of this software are left alone: its numbers may differ. So are those from
+    before the diagnosis was begun anew, with an ``ASKED``.
     """
 
     def __init__(self, store: Store, attempt: Attempt) -> None:
         self.store, self.attempt, self.version = store, attempt, version("rbps")
         known = [json.loads(text) for text in store.kept(attempt.job)]
-        super().__init__({one["name"]: one["part"] for one in known if one["by"] == self.version})
+        super().__init__()
+        for one in known:
+            if one["name"] == ASKED:
+                self.clear()
+            if one["by"] == self.version:
+                super().__setitem__(one["name"], one["part"])
         self.written = len(known)
         if self:
             log.info("goes on with %d finished parts", len(self), extra={"job": attempt.job_id})

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import MutableMapping, Sequence
+from functools import partial
 from typing import Any, Protocol
 
 import engine
 from engine.diagnose import Diagnosis
+from engine.errors import OptionError
 from service.kinds import Progress
 from service.prepare import Prepared
 from service.schemas import DiagnoseRequest
@@ -19,6 +21,7 @@ SAYS = {
     "search": "looking for effects",
     "screen": "screening effects",
     "refit": "estimating the best of them",
+    "bootstrap": "asking the same of simulated data",
     "symptoms": "comparing simulation and prediction with the data",
     "gain": "measuring the gain on held-out data",
 }
@@ -30,9 +33,13 @@ def diagnose(
     progress: Progress,
     kept: MutableMapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The diagnosis as JSON; its page is among it."""
+    """The diagnosis as JSON; its page is among it.
+
+    What was ``kept`` before the model or the catalogue changed, with a plug-in, is not used.
+    """
     options = request.options
-    found = engine.diagnose(
+    ask = partial(
+        engine.diagnose,
         job.model,
         job.series[0],
         job.theta if request.parameters.start else None,
@@ -45,6 +52,13 @@ def diagnose(
         callback=Percent(progress),
         kept=kept,
     )
+    try:
+        found = ask()
+    except OptionError as error:
+        if kept is None or error.field != "kept":
+            raise
+        kept.clear()
+        found = ask()
     return document(found, request.model.name, request.model.effects)
 
 
@@ -89,4 +103,6 @@ class Percent:
             left = 0.5 ** max(self.round, 0)
             part = 0.6 * fraction if stage == "screen" else 0.6 + 0.4 * fraction
             return FIT + SEARCH * (1.0 - left + 0.5 * left * part)
+        if stage == "bootstrap":
+            return FIT + SEARCH + (AFTER["symptoms"] - FIT - SEARCH) * fraction
         return AFTER.get(stage, FIT if stage == "search" else 0.0)

@@ -1,12 +1,16 @@
 """The job kind diagnose, and extended models in every other kind."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import engine
 from engine.data import nile
 from engine.diagnose import extend
+from service import diagnoses
 from service.diagnoses import Percent
+from service.prepare import load
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +126,23 @@ def test_too_few_measurements_fail_with_the_reason(client, ended):
     assert "30" in job["message"]
 
 
+def test_what_was_kept_of_a_model_that_has_changed_since_is_not_used():
+    flows = nile()
+    document = {
+        "kind": "diagnose",
+        "model": "local-level",
+        "series": [{"y": flows.y.tolist(), "t": flows.t.tolist()}],
+        "options": {"effects": ["step"], "seed": 1},
+    }
+    job, silent = load(document), SimpleNamespace(step=lambda k, message="": None)
+    kept = {}
+    expected = diagnoses.diagnose(job, job.request, silent, kept)["diagnosis"]
+    stale = {"asked": kept["asked"] | {"another model": "0"}, "fit local-level": "not read"}
+    found = diagnoses.diagnose(job, job.request, silent, stale)["diagnosis"]
+    assert found["causes"] == expected["causes"]
+    assert stale.keys() == kept.keys()
+
+
 def test_progress_only_goes_forward():
     told = []
 
@@ -136,9 +157,11 @@ def test_progress_only_goes_forward():
         for stage in ("screen", "refit"):
             for k in range(10):
                 percent(stage, k / 10)
+    percent("bootstrap", 0.5)
     percent("symptoms", 0.0)
     percent("gain", 0.0)
     steps = [k for k, _ in told]
     assert steps == sorted(steps)
-    assert 70 < steps[-3] < 92
-    assert len({message for _, message in told}) == 6
+    assert 70 < steps[-4] < 90
+    assert steps[-3:] == [91, 92, 95]
+    assert len({message for _, message in told}) == 7

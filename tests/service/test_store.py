@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from service import stages
+from service.attempt import StoredParts
 from service.prepare import load
 from service.store import KeyReused
 
@@ -43,6 +44,25 @@ def test_what_an_attempt_keeps_is_there_for_the_next_and_goes_with_the_job(store
     assert store.finish(second, {"mine": 2})
     assert store.kept(second.job) == []
     assert store.document(second.job, "result") == b'{"mine":2}'
+
+
+def test_parts_of_another_version_or_of_before_it_was_begun_anew_are_left_alone(store, monkeypatch):
+    store.create("diagnose", "linear-2", {}, 100)
+    first = store.claim("one", 10.0)
+    parts = StoredParts(store, first)
+    parts["asked"], parts["fit"], parts["screen"] = "one model", 1, 2
+    assert dict(StoredParts(store, first)) == parts == {"asked": "one model", "fit": 1, "screen": 2}
+    parts.clear()  # the model has changed
+    parts["asked"], parts["fit"] = "another model", 3
+    assert dict(StoredParts(store, first)) == {"asked": "another model", "fit": 3}
+    monkeypatch.setattr("service.attempt.version", lambda name: "0.0.1")
+    newer = StoredParts(store, first)
+    assert newer == {}
+    newer["asked"] = "this version's"
+    assert dict(StoredParts(store, first)) == {"asked": "this version's"}
+    store.lost(first, "killed", 2)
+    with pytest.raises(SystemExit):
+        newer["fit"] = 4
 
 
 def test_stages_follow_each_other_whoever_runs_them(store, estimation):
