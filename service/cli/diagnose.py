@@ -22,11 +22,11 @@ from engine.report import write_report
 from engine.series import Series
 from service import diagnoses, strict_json
 from service.cli import references
-from service.cli.ending import Code, Ending, Interrupt, wrong
+from service.cli.ending import Code, Ending, Interrupt, about_file, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
 from service.cli.state_file import Sealed, StateFile, beside, keep_old, read
-from service.cli.values import figure_folder, free_of, output_path, theta_of
+from service.cli.values import check_outputs, free_of, output_path, theta_of
 
 
 @dataclass
@@ -102,7 +102,7 @@ def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> No
     """A new diagnosis; its state goes to ``state`` or beside the output."""
     path = state or beside(asked.out, f"{Path(asked.data).stem}-diagnosis")
     asked.keep = state is not None
-    _check_outputs(asked)
+    _check(asked)
     output_path("--state", path)
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
@@ -112,8 +112,9 @@ def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> No
         aside = keep_old(path)
         if aside is not None:
             shown.note(f"an earlier {path.name} is kept as {aside.name}")
-        found, document = _run(job, asked, Kept(StateFile(path, asked), shown))
-    _tell(asked, found, document, as_json)
+        kept = Kept(StateFile(path, asked), shown)
+        found, document = _run(job, asked, kept)
+    _tell(asked, found, document, kept, as_json)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
@@ -122,23 +123,18 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     for name, value in changes.items():
         setattr(asked, name, value)
     asked.check()
-    _check_outputs(asked)
+    _check(asked)
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
         kept = Kept(StateFile(path, asked), shown, dict(left), int(rows[0, 0]))
         shown.note(f"going on at {kept.percent} %")
         found, document = _run(job, asked, kept)
-    _tell(asked, found, document, as_json)
+    _tell(asked, found, document, kept, as_json)
 
 
-def _check_outputs(asked: Asked) -> None:
+def _check(asked: Asked) -> None:
     """Refuse what cannot be written, or asked, before any time is spent."""
-    for option, file, suffixes in (
-        ("--out", asked.out, (".json",)),
-        ("--report", asked.report, (".html", ".htm")),
-    ):
-        output_path(option, Path(file) if file else None, suffixes)
-    figure_folder("--plot", Path(asked.plot) if asked.plot else None)
+    check_outputs(asked.out, asked.report, asked.plot)
     if not 0.0 < asked.alpha < 1.0:
         raise wrong(f"--alpha {asked.alpha:g}: a probability between 0 and 1 is needed")
 
@@ -207,10 +203,6 @@ def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str
         if not asked.keep:  # from here nothing leads on
             kept.file.remove()
         raise
-    if asked.keep:
-        kept.save()
-    else:
-        kept.file.remove()
     return found, diagnoses.document(found, job.name, asked.effects)
 
 
@@ -233,8 +225,37 @@ def _holding(model: MixedModel, fixed: dict[str, float]) -> MixedModel:
     return replace(model, parameters=parameters)
 
 
-def _tell(asked: Asked, found: engine.Diagnosis, document: dict[str, Any], as_json: bool) -> None:
-    """Write the files and print the page."""
+def _tell(
+    asked: Asked,
+    found: engine.Diagnosis,
+    document: dict[str, Any],
+    kept: Kept,
+    as_json: bool,
+) -> None:
+    """Write the files and print the page; the state goes once they are there, unless asked for by name."""
+    try:
+        written = _write(asked, found, document)
+    except OSError as error:
+        kept.save()
+        raise wrong(
+            f"{about_file(error)}. What was found is kept; once that is mended:\n  {kept.file.again}"
+        ) from None
+    if asked.keep:
+        kept.save()
+    else:
+        kept.file.remove()
+    if as_json:
+        print(strict_json.dumps(document))
+    else:
+        print(page(found, asked.every))
+        for name in written:
+            print(f"Written: {os.path.relpath(name)}")
+    if asked.exit_code and found.verdict is not Verdict.NOTHING:
+        raise SystemExit(Code.FOUND)
+
+
+def _write(asked: Asked, found: engine.Diagnosis, document: dict[str, Any]) -> list[str]:
+    """Write the files that were asked for; their paths. Raises OSError."""
     written = []
     if asked.out:
         Path(asked.out).write_text(strict_json.dumps(document) + "\n", encoding="utf-8")
@@ -246,11 +267,4 @@ def _tell(asked: Asked, found: engine.Diagnosis, document: dict[str, Any], as_js
     if asked.plot:
         found.plot().save(asked.plot)
         written.append(asked.plot)
-    if as_json:
-        print(strict_json.dumps(document))
-    else:
-        print(page(found, asked.every))
-        for name in written:
-            print(f"Written: {os.path.relpath(name)}")
-    if asked.exit_code and found.verdict is not Verdict.NOTHING:
-        raise SystemExit(Code.FOUND)
+    return written

@@ -78,6 +78,11 @@ def wrong(message: str) -> Ending:
     return Ending(Code.WRONG, message)
 
 
+def about_file(error: OSError) -> str:
+    """Which file could not be used, and why."""
+    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
+
+
 @contextmanager
 def guarded(as_json: bool) -> Iterator[None]:
     """Turn every exception into a message on stderr (and JSON on stdout) and an exit code."""
@@ -90,8 +95,7 @@ def guarded(as_json: bool) -> Iterator[None]:
     except BrokenPipeError:
         raise  # typer's to handle: whoever read our output has left
     except OSError as error:
-        what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        _leave(wrong(what), as_json)
+        _leave(wrong(about_file(error)), as_json)
     except MemoryError:
         _leave(Ending(Code.FAILED, "the computation needs more memory than there is"), as_json)
     except Exception as error:  # noqa: BLE001 - a user's model may raise anything

@@ -24,7 +24,7 @@ from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
 from service.cli.state import Asked, Recorder
 from service.cli.state_file import StateFile, beside, keep_old, read
-from service.cli.values import figure_folder, free_of, output_path, theta_of
+from service.cli.values import check_outputs, free_of, output_path, theta_of
 from service.found import roles
 from service.prepare import Prepared
 from service.problems import Problem
@@ -40,7 +40,7 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     """A new estimation; its state goes to ``state`` or beside the output."""
     path = state or beside(asked.out, Path(asked.data[0]).stem)
     asked.keep = state is not None
-    _check_outputs(asked)
+    check_outputs(asked.out, asked.report, asked.plot)
     output_path("--state", path)
     in_file = references.in_file(asked.model)
     with _resumable(asked) as begun:
@@ -64,7 +64,7 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     for name, value in changes.items():
         setattr(asked, name, value)
     asked.check()
-    _check_outputs(asked)
+    check_outputs(asked.out, asked.report, asked.plot)
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
@@ -81,16 +81,6 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
             begun.append(recorder)
             document = _run(job, asked, recorder, shown)
         _tell(job, asked, document, recorder.file, as_json)
-
-
-def _check_outputs(asked: Asked) -> None:
-    """Refuse what cannot be written before any time is spent."""
-    for option, file, suffixes in (
-        ("--out", asked.out, (".json",)),
-        ("--report", asked.report, (".html", ".htm")),
-    ):
-        output_path(option, Path(file) if file else None, suffixes)
-    figure_folder("--plot", Path(asked.plot) if asked.plot else None)
 
 
 def _prepare(asked: Asked, shown: Meter) -> Prepared:
@@ -179,11 +169,9 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
 def _tell(
     job: Prepared, asked: Asked, document: dict[str, Any], state: StateFile, as_json: bool
 ) -> None:
-    """Write the files and print the estimate."""
+    """Write the files and print the estimate; a state that is of no more use goes once they are there."""
     one_run = asked.starts == 1 and not asked.bootstrap
     more = one_run and document["outcome"] == "iterations-used-up"
-    if not more:
-        _tidy(asked, state)
     written = []
     if asked.out:
         Path(asked.out).write_text(strict_json.dumps(document) + "\n", encoding="utf-8")
@@ -196,6 +184,8 @@ def _tell(
     if asked.plot:
         figures(job, document).save(asked.plot)
         written.append(asked.plot)
+    if not more:
+        _tidy(asked, state)
     if as_json:
         print(strict_json.dumps(document))
         return

@@ -115,7 +115,7 @@ def read(path: Path, kind: type[Asked]) -> tuple[Asked, Array, list[Any]]:
         with np.load(path, allow_pickle=False) as stored:
             told, rows = json.loads(str(stored["asked"])), np.asarray(stored["rows"], dtype=float)
             left = json.loads(stored["left"].tobytes())
-        other = told.get("command", kind.command)
+        other = told.get("command", "fit")  # the first that had one, and did not say so
         if other != kind.command:
             raise wrong(
                 f"--resume {path}: this is a state file of 'rbps {other}'; go on with "

@@ -83,6 +83,8 @@ def output_path(option: str, path: Path | None, suffixes: Sequence[str] = ()) ->
         raise wrong(f"{option} {shown}: there is no folder {path.absolute().parent}")
     if path.is_dir():
         raise wrong(f"{option} {shown}: this is a folder; a file is needed")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise wrong(f"{option} {shown}: nothing can be written into {path.absolute().parent}")
 
 
 def figure_folder(option: str, path: Path | None) -> None:
@@ -93,6 +95,13 @@ def figure_folder(option: str, path: Path | None) -> None:
         raise wrong(f"{option} {os.path.relpath(path)}: this is a file; a folder is needed")
     with about(option):
         axes(1, 1, (1.0, 1.0))
+
+
+def check_outputs(out: str | None, report: str | None, plot: str | None) -> None:
+    """Refuse ``--out``, ``--report`` and ``--plot`` that cannot be written before any time is spent."""
+    output_path("--out", Path(out) if out else None, (".json",))
+    output_path("--report", Path(report) if report else None, (".html", ".htm"))
+    figure_folder("--plot", Path(plot) if plot else None)
 
 
 def one_of(option: str, value: str, choices: Sequence[str]) -> str:

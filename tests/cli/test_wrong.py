@@ -2,14 +2,18 @@
 
 # ruff: noqa: E501 - a table
 
+import errno
 import json
+import os
+import re
 from importlib.metadata import version
 
 import numpy as np
 import pytest
 
+from engine.diagnose import causes
 from service.cli import diagnose
-from service.cli.state_file import read, write
+from service.cli.state_file import FORMAT, read, write
 from tests.cli.test_commands import MINE, QUICK
 
 LEVEL = ("-m", "local-level")
@@ -52,6 +56,7 @@ WRONG = {
     "no state": (("fit", "--resume", "none.state"), "--resume none.state: there is no such file"),
     "a pickle": (("fit", "--resume", "evil.state"), "--resume evil.state: this is not a state file"),
     "a diagnosis' state": (("fit", "--resume", "other.state"), "'rbps diagnose --resume other.state'"),
+    "an estimation's state of before": (("diagnose", "--resume", "before.state"), "'rbps fit --resume before.state'"),
     "no state to diagnose": (("diagnose", "--resume", "flows.csv"), "not a state file of 'rbps diagnose'"),
     "resume a diagnosis with a seed": (("diagnose", "--resume", "any.state", "--seed", "2"), "--seed cannot be given with it"),
     "nothing to diagnose": (("diagnose", "-m", "local-level"), "DATA is missing"),
@@ -82,6 +87,10 @@ def folder(tmp_path):
     (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "broken.py").write_text("import engine\noops\n")
     write(tmp_path / "other.state", diagnose.Asked(data="flows.csv", model="m"), np.zeros((1, 1)))
+    told = json.dumps({"rbps_state": FORMAT, "data": ["flows.csv"], "model": "m"})  # no command yet
+    none = np.frombuffer(b"[]", np.uint8)
+    with (tmp_path / "before.state").open("wb") as stream:
+        np.savez(stream, asked=told, rows=np.zeros((1, 7)), left=none)
     with (tmp_path / "evil.state").open("wb") as stream:
         np.savez(stream, asked=np.array([{}], dtype=object), rows=np.zeros((1, 7)))
     return tmp_path
@@ -165,6 +174,37 @@ def test_a_diagnosis_of_data_or_by_a_version_that_changed_since(rbps, folder):
         stream.write("40,5\n")
     told = rbps("diagnose", "--resume", "kept.state")
     assert (told.exit_code, "changed since the diagnosis began" in told.stderr) == (2, True)
+
+
+def test_a_folder_that_cannot_be_written_into_is_refused_before_the_work(rbps, folder, monkeypatch):
+    able = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK and able(path, mode))
+    for command in ("fit", "diagnose"):
+        told = rbps(command, "flows.csv", *LEVEL)
+        assert told.exit_code == 2
+        assert re.search(r"--state flows.*\.state: nothing can be written into", told.stderr)
+
+
+def test_a_diagnosis_whose_report_cannot_be_written_is_not_lost(rbps, folder, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    asked = ("diagnose", "flows.csv", *LEVEL, "--effects", "step", "--report", "out.html")
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(diagnose, "write_report", full)
+        told = rbps(*asked)
+    assert told.exit_code == 2
+    assert "No space left on device. What was found is kept" in told.stderr
+    command = told.stderr.splitlines()[-1].split()
+    assert command[1:] == ["diagnose", "--resume", "flows-diagnosis.state"]
+
+    def again(*arguments):
+        raise AssertionError("this was done before")
+
+    monkeypatch.setattr(causes, "fit_base", again)
+    assert rbps(*command[1:]).exit_code == 0
+    assert (folder / "out.html").exists()
+    assert not (folder / "flows-diagnosis.state").exists()
 
 
 def test_figures_without_matplotlib_are_refused_before_the_work(rbps, folder, monkeypatch):
