@@ -245,7 +245,12 @@ class DiagnoseOptions(_Strict):
     effects: list[Annotated[str, Field(max_length=200)]] | None = Field(
         default=None, min_length=1, max_length=500, description="kinds or names; null means all"
     )
-    max_effects: int = Field(default=3, ge=1, le=10, description="found in turn at most")
+    max_effects: int = Field(
+        default=3,
+        ge=1,
+        le=10,
+        description="found in turn at most; more than two mean an unknown cause",
+    )
     seed: Seed = 0
 
 

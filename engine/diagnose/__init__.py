@@ -83,16 +83,16 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose a model on measured data.
 
-    ``theta`` start values (default: the model's defaults); ``test`` held-out data (default: the last
-    fifth of ``series``); ``alpha`` family-wise error; ``effects`` kinds or names to consider (default: the
-    whole catalogue); ``max_effects`` found in turn at most; ``free`` parameters that are estimated
-    (default: all); ``callback(stage, fraction)`` may stop the run by raising StopIteration;
-    ``bootstrap`` simulated series for a second p-value of the first round, 99 or more, each of which
-    takes as long as a fit and a screen. Extra channels of the series become inputs of the model that
-    nothing depends on, until one is found to matter. Finished parts are put into ``kept``, an empty dict at
-    first, as JSON values; a run that was stopped goes on from them when it is asked the same again with
-    them, and its numbers are those of a run that was never stopped. Raises SeriesError, ModelError,
-    OptionError.
+    ``theta`` start values (default: the model's defaults); ``test`` held-out data (default: the last fifth of
+    ``series``); ``alpha`` family-wise error; ``effects`` kinds or names to consider (default: the whole
+    catalogue); ``max_effects`` found in turn at most, of which more than two, beside outliers, make the verdict
+    ``unknown``; ``free`` parameters that are estimated (default: all); ``callback(stage, fraction)`` may stop
+    the run by raising StopIteration; ``bootstrap`` simulated series for a second p-value of the first round, 99
+    or more, each of which takes as long as a fit and a screen. Extra channels of the series become inputs of
+    the model that nothing depends on, until one is found to matter. Finished parts are put into ``kept``, an
+    empty dict at first, as JSON values; a run that was stopped goes on from them when the same version is asked
+    the same again with them, and its numbers are those of a run that was never stopped. Raises SeriesError,
+    ModelError, OptionError.
     """
     series.check(model)
     _check_options(series, alpha, max_effects, effects)

@@ -44,8 +44,9 @@ def pulse_scores(path: MomentPath, series: Series, b: Array, e: Array) -> tuple[
 def best_frequencies(
     path: MomentPath, series: Series, b: Array, e: Array, frequencies: Array, most: int
 ) -> Array:
-    """Places (n <= ``most``) of the frequencies at which a harmonic promises to explain most.
+    """Places (n <= ``most``) of the ``frequencies`` (m,) in Hz at which a harmonic promises to explain most.
 
+    ``b`` (T-1, nx), ``e`` (T, ny) as in :func:`pulse_scores`; n places in ascending order.
     The score of exp(i w t) is the Fourier sum of the pulses' scores; its information is taken from
     the mean filter's response, which is near enough to choose peaks by.
     """

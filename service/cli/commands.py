@@ -292,7 +292,13 @@ def diagnose(
         typer.Option("--effects", metavar="EFFECT,...", help="Look for these only.  [all]"),
     ] = [],  # noqa: B006
     max_effects: Annotated[
-        int, typer.Option(metavar="N", min=1, max=10, help="Found in turn at most.")
+        int,
+        typer.Option(
+            metavar="N",
+            min=1,
+            max=10,
+            help="Found in turn at most; more than two mean an unknown cause.",
+        ),
     ] = 3,
     bootstrap: Annotated[
         int,
