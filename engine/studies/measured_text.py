@@ -30,8 +30,8 @@ error both models are alike, 0.67 V: nothing that simulates better was found."""
     "silverbox": """\
 `unknown`, with the largest error of the model found first and rightly named; it is not what the data set
 is known for. More than two effects in turn are not trusted as names, and here something is left even
-after the third. An exact discretisation with a held input is wrong by 20 mV here, since the true input is not held between the
-samples (nine per period of the resonance): `hold:drive` says so. An offset of the
+after the third. An exact discretisation with a held input is wrong by 20 mV here, since the true input
+is not held between the samples (nine per period of the resonance): `hold:drive` says so. An offset of the
 sensor and a correction of the linear core's damping follow (with omega and zeta it makes all of the
 core's coefficients free). Together they take the free run from 25 to 4 mV on the test part, as good as
 a fit by simulation error of the same model: likelihood and simulation agree, where they were 10 and
