@@ -33,7 +33,8 @@ def patchwork(search: Search, alpha: float) -> bool:
 
     So they do where more than two are needed; where one of two is a property of the noise, which is
     how the rest of a cause looks that another effect explains in part; or where something is still
-    seen at ``alpha`` after two effects or after noise. Outliers hide others and are no part of that.
+    seen at ``alpha`` after two effects or after noise. Outliers, which hide others, count in the last
+    rule only.
     """
     found = [r.refits[0].effect for r in search.rounds if r.equivalent]
     effects = [effect for effect in found if effect.kind != TAILS]

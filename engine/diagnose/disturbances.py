@@ -9,11 +9,14 @@ sum c_t score_t: one pass backward serves every course there is.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.model import Array
 from engine.moment_filter import MomentPath
 from engine.quasi_ml import whitening
 from engine.series import Series
+
+BLOCK = 1_000_000  # numbers held at once where times are irregular
 
 
 def pulse_scores(path: MomentPath, series: Series, b: Array, e: Array) -> tuple[Array, Array]:
@@ -51,18 +54,29 @@ def best_frequencies(
     the mean filter's response, which is near enough to choose peaks by.
     """
     scores, _ = pulse_scores(path, series, b, e)
-    t = series.t - series.t[0]
-    sums = np.concatenate(
-        [np.exp(-2j * np.pi * np.outer(some, t)) @ scores for some in _blocks(frequencies)]
-    )
+    sums = _fourier_sums(scores, series, frequencies)
     promise = np.abs(sums) ** 2 / _response(path, series, b, e, frequencies)
     padded = np.concatenate([[-np.inf], promise, [-np.inf]])
     peaks = np.flatnonzero((promise >= padded[:-2]) & (promise >= padded[2:]))
     return np.asarray(np.sort(peaks[np.argsort(-promise[peaks])[:most]]))
 
 
-def _blocks(frequencies: Array) -> list[Array]:
-    return [frequencies[i : i + 200] for i in range(0, len(frequencies), 200)]
+def _fourier_sums(scores: Array, series: Series, frequencies: Array) -> NDArray[np.complex128]:
+    """Sums (m,) of scores_t exp(-2 pi i f (t - t_1)) at equally spaced frequencies (m,)."""
+    if series.dt is not None:
+        from scipy.signal import czt  # here, as it takes longer to load than most of the engine
+
+        first, step = frequencies[0], frequencies[1] - frequencies[0]
+        turn = 2j * np.pi * series.dt
+        return np.asarray(czt(scores, len(frequencies), np.exp(-turn * step), np.exp(turn * first)))
+    t = series.t - series.t[0]
+    rows = max(1, BLOCK // len(t))
+    return np.concatenate(
+        [
+            np.exp(-2j * np.pi * np.outer(frequencies[i : i + rows], t)) @ scores
+            for i in range(0, len(frequencies), rows)
+        ]
+    )
 
 
 def _response(path: MomentPath, series: Series, b: Array, e: Array, frequencies: Array) -> Array:

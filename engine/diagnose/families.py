@@ -20,6 +20,7 @@ GRID = 400  # times tried at most
 STEP_GRID = 1000  # for a step, as one sample off it leaves another footprint
 CHUNK = 50  # columns held in memory at once; even, as a harmonic has two
 FINER = 2.0  # frequencies per cycle over the whole record
+MOST_IRREGULAR = 4000  # of them where steps are not equal
 PEAKS = 20  # of them tested exactly
 EDGE = 0.04  # share of the record at each end in which no step can be told from the start
 TIMED = ("step", "parameter-step", "parameter-drift", "harmonic", "pulse")
@@ -61,7 +62,10 @@ def grid(effect: Effect, series: Series) -> Array:
     if effect.kind == "harmonic":
         length, step = float(t[-1] - t[0]), float(np.median(series.steps))
         first, last = 1.5 / length, 0.48 / step
-        return np.asarray(np.linspace(first, last, max(2, int((last - first) * length * FINER))))
+        wanted = (last - first) * length * FINER
+        if series.dt is None:  # where long gaps make the record long, not fine
+            wanted = min(wanted, FINER * T, MOST_IRREGULAR)
+        return np.asarray(np.linspace(first, last, max(2, int(wanted))))
     first, last = int(EDGE * T) + 2, T - int(EDGE * T) - 3
     most = STEP_GRID if effect.kind == "step" else GRID
     n = max(2, min(most, last - first + 1))
@@ -80,7 +84,7 @@ def _gates(
     if effect.kind == "pulse":
         scores, information = pulse_scores(path, series, b, e)
         explained = np.divide(scores**2, information, where=information > 0.0, out=0.0 * scores)
-        row = 1 + int(np.argmax(explained[1:-2]))
+        row = 1 + int(np.argmax(explained[1:-1]))
         gate = np.zeros((len(series), 1))
         gate[row] = 1.0
         tries = int(series.observed.any(axis=1).sum())

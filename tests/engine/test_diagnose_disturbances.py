@@ -6,7 +6,7 @@ import pytest
 import engine
 from engine.diagnose.catalogue import make_effect
 from engine.diagnose.columns import Projection, parameter_columns
-from engine.diagnose.disturbances import pulse_scores
+from engine.diagnose.disturbances import best_frequencies, pulse_scores
 from engine.diagnose.families import family_test, grid
 from engine.diagnose.setting import setting_for
 from engine.moment_filter import moment_filter, moment_path
@@ -58,3 +58,46 @@ def test_a_harmonic_is_found_at_any_frequency_and_length(n):
     statistic = float(found.statistics(found.s.sum(axis=1)).max())
     assert statistic > 2.0 * np.log(found.tries) + 9.0
     assert abs(found.at[0][1] - frequency) < 0.5 / (n * DT)
+
+
+def test_frequencies_are_found_alike_on_equal_and_on_written_out_times():
+    """By the chirp z-transform, and by sums."""
+    series = drive(300)
+    written = engine.Series(
+        series.y,
+        series.u,
+        t=series.t * (1.0 + 1e-7 * np.sin(np.arange(300))),
+        y_names=series.y_names,
+    )
+    assert series.dt is not None
+    assert written.dt is None
+    path = moment_path(DRIVE, np.asarray(DRIVE.theta()), series)
+    e = np.ones((300, 1))
+    frequencies = np.linspace(0.05, 4.8, 250)
+    both = [
+        best_frequencies(path, s, np.zeros((299, 2)), e, frequencies, 10) for s in (series, written)
+    ]
+    assert len(both[0]) == 10
+    np.testing.assert_array_equal(*both)
+
+
+def test_a_gap_between_two_sessions_does_not_make_the_frequencies_endless():
+    t = np.concatenate([np.arange(50) * DT, 1e6 + np.arange(50) * DT])
+    series = engine.Series(np.zeros((100, 1)), np.zeros((100, 1)), t=t)
+    effect = make_effect("harmonic:speed", setting_for(DRIVE, series, DRIVE.theta()))
+    assert len(grid(effect, series)) == 200
+
+
+def test_a_pulse_is_found_on_any_row_but_the_first_and_the_last():
+    base = drive(120)
+    for row in (1, 60, 118):
+        y = base.y.copy()
+        y[row] += 5.0
+        series = engine.Series(y, base.u, dt=DT, y_names=base.y_names, u_names=base.u_names)
+        fit = quasi_ml(DRIVE, base)
+        theta = np.asarray(fit.theta)
+        effect = make_effect("pulse:reading", setting_for(DRIVE, series, fit.theta))
+        path = moment_path(DRIVE, theta, series)
+        found = family_test(effect, DRIVE, theta, series, path, Projection([]))
+        assert found is not None
+        assert found.at[0][0] == pytest.approx(series.t[row])
