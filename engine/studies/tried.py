@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.registry import get_model
 from engine.studies import em_arms as arms
 from engine.studies.em_arms import em_arm
 from engine.studies.estimates import CAPTURED, HOW, REPORTED_II, rows
@@ -235,7 +236,7 @@ def _why(tables: Tables) -> str:
     table = tables[FALSE_MAXIMUM.name]
     there = captured(table)
     angle = table.numbers("se.theta_5")
-    at_bound = there & ~np.isfinite(angle)
+    at_bound = there & (_iterates(table, "theta_4", None) < CAPTURED)
     curved = table.numbers("curvature") > CLEAR * table.numbers("curvature_se")
     maxima = there & curved & (table.numbers("gain") < ARRIVED)
     rest = int((there & ~maxima & ~at_bound).sum())
@@ -245,14 +246,15 @@ def _why(tables: Tables) -> str:
         f"of {len(table)} are at theta_5 = 0 too (or theta_4 = 0), so that 50 particles are not what leads "
         f"there. {int(maxima.sum())} of these points are local maxima of the likelihood itself: it is curved "
         f"downwards in every direction, by more than {CLEAR:g} standard errors, and less than {ARRIVED:g} nats "
-        f"are within reach. {int(at_bound.sum())} is at the bound theta_4 = 0. Of the other {rest} the "
+        f"are within reach. At the bound theta_4 = 0: {int(at_bound.sum())}. Of the other {rest} the "
         "flattest direction is not decided, or EM has not arrived. "
     )
-    if (there & ~at_bound).any():
-        inner = angle[there & ~at_bound]
+    inner = angle[there & ~at_bound & np.isfinite(angle)]
+    if inner.size:
+        truth = get_model("mixed-4").theta()["theta_5"]
         text += (
             f"In theta_5 all of them are narrow, with a standard error of {inner.min():.4f} to "
-            f"{inner.max():.4f}, and far from the truth, 0.315. "
+            f"{inner.max():.4f}, and far from the truth, {truth:g}. "
         )
     return (
         f"{text.strip()}\n\n"

@@ -119,11 +119,12 @@ def test_the_report_tells_maxima_from_slopes():
     rows[1]["curvature"] = 0.1  # not clear
     rows[2]["gain"] = 9.0  # has not arrived
     rows[3]["se.theta_5"] = rows[3]["curvature"] = float("nan")  # at a bound
+    rows[3]["last.theta_4"] = 0.0
     rows[4]["se.theta_5"] = 0.006
     text = tried.report(some)
     assert "5 of 6 are at theta_5 = 0" in text
     assert " 2 of these points are local maxima" in text
-    assert "1 is at the bound" in text
+    assert "At the bound theta_4 = 0: 1." in text
     assert "Of the other 2 the" in text
     assert "0.0040 to 0.0060" in text
 
