@@ -196,7 +196,7 @@ def test_a_killed_diagnosis_leaves_its_parts(folder):
         assert json.loads(found.stdout)["diagnosis"]["model"] == "mixed-4"
     _, after, more = read(path, diagnose.Asked)
     assert len(more) >= len(parts)
-    assert after[0, 0] > percent[0, 0]
+    assert after[0, 0] >= percent[0, 0]  # it may have been killed near its end
     assert "mixed-4" in (folder / "out.html").read_text()
 
 
