@@ -141,7 +141,13 @@ DEVELOP = Arm(
 JUDGE = Arm(
     "sindy.judged",
     judge,
-    {"base": BASE.name, "N": USUAL_ROWS, "most right": str(MOST_RIGHT), "careful": str(CAREFUL)},
+    {
+        "base": BASE.name,
+        "N": USUAL_ROWS,
+        "most right": str(MOST_RIGHT),
+        "careful": str(CAREFUL),
+        "streams": " ".join(str(stream) for _, stream, _ in SOURCES),
+    },
 )
 
 ABOUT = f"""\
