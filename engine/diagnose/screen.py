@@ -29,6 +29,7 @@ from engine.diagnose.effect import Effect
 from engine.model import Array
 
 DRAWS = 499  # multiplier draws
+SEEN = 10  # draws above a value, from which their count is its p-value
 CLEARLY_HEAVIER = 2.5  # a tail than chi2: in 499 draws of chi2 the 95 % point scatters by a fifth
 
 
@@ -143,8 +144,10 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
             observed.append(min(1.0, factor * float(chi2.sf(found.max(), test.degrees))))
             drawn.append(np.minimum(1.0, factor * chi2.sf(draws, test.degrees)))
         else:
-            observed.append(_family_p(float(found.max()), draws, test.degrees, effective[-1]))
-            drawn.append(_family_p_all(draws))
+            maxima = np.concatenate([[found.max()], draws])
+            p_values = _family_p(maxima, draws, test.degrees, effective[-1])
+            observed.append(float(p_values[0]))
+            drawn.append(p_values[1:])
     lowest = np.min(drawn, axis=0)
     threshold = float(chi2.isf(max(float(np.quantile(lowest, alpha)), 1e-12), 1))
     order = sorted(range(len(tests)), key=lambda i: observed[i])
@@ -190,12 +193,14 @@ def _likenesses(vectors: Array) -> Array:
     return out
 
 
-def _family_p(value: float, draws: Array, degrees: int, effective: float) -> float:
-    """p of a maximum over a family: from the draws, beyond them by the tail they show."""
-    count = float((draws >= value).sum())
-    if count >= 10.0:
-        return (1.0 + count) / (len(draws) + 1.0)
-    return float(min(1.0, effective * chi2.sf(value, degrees)))
+def _family_p(values: Array, draws: Array, degrees: int, effective: float) -> Array:
+    """p (n,) of maxima over a family: from the draws, beyond the last of them by the tail they show.
+
+    Data and draws go by the same rule, so that its error is in both.
+    """
+    count = (draws >= values[:, None]).sum(axis=1)
+    beyond = np.minimum(1.0, effective * chi2.sf(values, degrees))
+    return np.asarray(np.where(count >= SEEN, (1.0 + count) / (len(draws) + 1.0), beyond))
 
 
 def _heavier(draws: Array, test: Test, tail: float) -> float:
@@ -212,12 +217,6 @@ def _effective(draws: Array, test: Test) -> float:
     """n such that n chi2.sf is the tail of the family's maximum at the draws' 95 % point."""
     edge = float(np.quantile(draws, 0.95))
     return 0.05 / max(float(chi2.sf(edge, test.degrees)), 1e-300)
-
-
-def _family_p_all(draws: Array) -> Array:
-    """Each draw's p-value among the draws themselves."""
-    ranks = np.argsort(np.argsort(-draws)) + 1.0
-    return np.asarray(ranks / (len(draws) + 1.0))
 
 
 def make_test(

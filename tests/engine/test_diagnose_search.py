@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, kstest
 
 import engine
 from engine.diagnose.catalogue import all_effects, make_effect
@@ -111,3 +111,21 @@ def test_a_column_too_large_to_square_shows_nothing_and_spoils_nothing():
     assert not np.isfinite(found[lost.name].se)
     assert found[sound.name].statistic > 0.0
     assert np.isfinite(seen.likenesses).all()
+
+
+def test_family_wise_p_values_of_clean_tests_are_uniform():
+    """Families of several columns beside single ones: data and draws must go by the same rule."""
+    rng = np.random.default_rng(8)
+    effects = list(all_effects(Setting(DRIVE), ["stribeck", "deadzone", "force", "cubic"]))[:12]
+    found = []
+    for _ in range(150):
+        z = rng.standard_normal(200)
+        tests = []
+        for effect in effects:
+            columns = rng.standard_normal((4 if effect.parameters[1:] else 1, 200))
+            tests.append(
+                make_test(effect, [[((), Column(v * z, v)) for v in columns]], Projection([]))
+            )
+        found.append(screen(tests, rng, alpha=0.05).p_value)
+    assert kstest(found, "uniform").pvalue > 0.01
+    assert sum(p <= 0.1 for p in found) <= 26  # 15 are expected

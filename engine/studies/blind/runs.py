@@ -178,12 +178,12 @@ def work_bootstrap(cells: Sequence[Cell], stream: int, seed: int, run: int) -> R
 
 # Streams of random numbers: other ones whenever the diagnosis was changed after series of these were seen.
 STREAMS = {
-    "usual": 41,
-    "other": 42,
-    "clean": 43,
-    "outside": 44,
-    "bootstrap": 45,
-    "look-alikes": 46,
+    "usual": 51,
+    "other": 52,
+    "clean": 53,
+    "outside": 54,
+    "bootstrap": 55,
+    "look-alikes": 56,
 }
 
 
