@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from engine.errors import ModelError
 from engine.kernels.moments import gaussian_update, sigma_points, slopes, transform
-from engine.model import Array, Gaussian, MixedModel
+from engine.model import Array, Gaussian, MixedModel, stacked
 from engine.series import Series
 
 
@@ -80,12 +80,11 @@ class Thetas:
     def record(self, copies: int) -> Any:
         """The record with each varying field repeated for ``copies`` rows per parameter vector."""
         if copies not in self.repeated:  # the same at every time step
-            self.repeated[copies] = self.model.record(
-                [
-                    np.repeat(column, copies) if varies else float(column[0])
-                    for column, varies in zip(self.thetas.T, self.varies, strict=True)
-                ]
-            )
+            fields: list[Any] = self.thetas[0].tolist()
+            for i in np.flatnonzero(self.varies):
+                fields[i] = np.repeat(self.thetas[:, i], copies)
+                fields[i].setflags(write=False)  # a model may remember what belongs to it
+            self.repeated[copies] = self.model.record(fields)
         return self.repeated[copies]
 
     def evaluate(self, call: Any, a: Array) -> tuple[Array, Array, Array]:
@@ -122,6 +121,7 @@ class Thetas:
         )
 
 
+@np.errstate(all="ignore")
 def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
     """Filter a series with each of the parameter vectors ``thetas`` (K, n_theta)."""
     run = FilterSteps(model, Thetas(model, thetas), series)
@@ -137,6 +137,7 @@ def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFil
     return MomentFiltered(innovations, S, terms)
 
 
+@np.errstate(all="ignore")
 def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
     """Filter a series with one parameter vector and keep the moments and slopes.
 
@@ -215,10 +216,8 @@ class FilterSteps:
         na = self.model.na
         a, z, V, offsets = sigma_points(m, P, na)
         rows = a.reshape(a.shape[0] * a.shape[1], na)
-        with np.errstate(all="ignore"):
-            f, A, Q = self.thetas.evaluate(call, rows)
-        A, Q = (x[None] if x.ndim == 2 else x for x in (A, Q))
-        mean, cov, cross = transform(f, A, Q, z, V, offsets, na)
+        f, A, Q = self.thetas.evaluate(call, rows)
+        mean, cov, cross = transform(f, stacked(A), stacked(Q), z, V, offsets, na)
         return mean, cov, cross
 
 

@@ -33,16 +33,16 @@ def promote(model: MixedModel, names: Sequence[str]) -> MixedModel:
     out = np.array([linear.index(name) for name in moved])
     stay = np.array([i for i in range(nz) if i not in out], dtype=int)
     order = np.concatenate([np.arange(na), na + out, na + stay])
-    rows = order[:, None]
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         f, A, Q = model.transition(a[:, :na], u, t, dt, theta)
-        f = f + _times(A[..., out], a[:, na:])
-        return f[:, order], A[..., rows, stay], Q[..., rows, order]
+        f = f + _times(A.take(out, -1), a[:, na:])
+        A, Q = A.take(order, -2).take(stay, -1), Q.take(order, -2).take(order, -1)
+        return f.take(order, 1), A, Q
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
         h, C, R = model.observation(a[:, :na], u, t, theta)
-        return h + _times(C[..., out], a[:, na:]), C[..., stay], R
+        return h + _times(C.take(out, -1), a[:, na:]), C.take(stay, -1), R
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         start = model.start(theta)

@@ -181,8 +181,8 @@ def derivatives(
             d_S = f.S[:, 2::2] - f.S[:, 1::2]
             root = whitening(f.S[:, 0], one.observed)
             z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None]).reshape(n, -1)
-            E = np.einsum("tij,tkjl,tml->ktim", root, d_S / distances[:, None, None], root)
-            E = E.reshape(n, -1)
+            E = root[:, None] @ (d_S / distances[:, None, None]) @ root[:, None].swapaxes(-1, -2)
+            E = E.swapaxes(0, 1).reshape(n, -1)
             H += z @ z.T + 0.5 * E @ E.T
     if not (np.isfinite(g).all() and np.isfinite(H).all()):
         value = -np.inf
