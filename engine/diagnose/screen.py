@@ -182,15 +182,9 @@ def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:
 
 def _likenesses(vectors: Array) -> Array:
     """|cos| (n, n) between any two of the vectors (n, .), 0 where one of them is zero."""
-    n = len(vectors)
-    norms = [np.linalg.norm(vector) for vector in vectors]
-    out = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i, n):
-            norm = float(norms[i] * norms[j])
-            cosine = abs(float(vectors[i] @ vectors[j])) / norm if norm > 0.0 else 0.0
-            out[i, j] = out[j, i] = cosine
-    return out
+    norms = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit = np.divide(vectors, norms, out=np.zeros_like(vectors), where=norms > 0.0)
+    return np.asarray(np.abs(unit @ unit.T))
 
 
 def _family_p(values: Array, draws: Array, degrees: int, effective: float) -> Array:

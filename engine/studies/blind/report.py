@@ -44,6 +44,8 @@ truth is the right answer here, and no method that knows the data only can do be
 part of the figures at the top.
 """
 
+LEVELS = (0.05, 0.1, 0.2, 0.5)  # of p-values on clean series
+
 
 def report(tables: Tables) -> str:
     """Everything."""
@@ -208,7 +210,17 @@ def _clean(table: Table) -> str:
                     f"{seconds:.1f}",
                 ]
             )
-    return markdown(["model", "N", "false alarms", "what", "seconds"], lines)
+    return markdown(["model", "N", "false alarms", "what", "seconds"], lines) + _levels(table)
+
+
+def _levels(table: Table) -> str:
+    """How often the first round's p-value is small where nothing is hidden."""
+    p = table.numbers("p_value")
+    shares = [f"{level:g}: {f.Rate(int((p <= level).sum()), len(p))}" for level in LEVELS]
+    return (
+        "\nThe p-values these verdicts rest on, of the first round; the shares of series at or below "
+        f"{'; '.join(shares)}.\n"
+    )
 
 
 def _outside(table: Table) -> str:
