@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -18,15 +16,15 @@ from engine.diagnose.setting import Setting
 from engine.diagnose.spare_inputs import with_inputs
 from engine.errors import EngineError, OptionError
 from engine.model import MixedModel
-from engine.report import write_report
 from engine.series import Series
 from service import diagnoses, strict_json
 from service.cli import references
-from service.cli.ending import Code, Ending, Interrupt, about_file, wrong
+from service.cli.ending import Code, Ending, Interrupt, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
+from service.cli.outputs import check_outputs, not_written, output_path, say_written, write_outputs
 from service.cli.state_file import Sealed, StateFile, beside, keep_old, read
-from service.cli.values import check_outputs, free_of, output_path, theta_of
+from service.cli.values import free_of, theta_of
 
 
 @dataclass
@@ -134,7 +132,7 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
 
 def _check(asked: Asked) -> None:
     """Refuse what cannot be written, or asked, before any time is spent."""
-    check_outputs(asked.out, asked.report, asked.plot)
+    check_outputs(asked)
     if not 0.0 < asked.alpha < 1.0:
         raise wrong(f"--alpha {asked.alpha:g}: a probability between 0 and 1 is needed")
 
@@ -234,12 +232,10 @@ def _tell(
 ) -> None:
     """Write the files and print the page; the state goes once they are there, unless asked for by name."""
     try:
-        written = _write(asked, found, document)
+        written = write_outputs(asked, document, [asked.data], asked.seed, found.plot)
     except OSError as error:
         kept.save()
-        raise wrong(
-            f"{about_file(error)}. What was found is kept; once that is mended:\n  {kept.file.again}"
-        ) from None
+        raise not_written(error, kept.file.again) from None
     if asked.keep:
         kept.save()
     else:
@@ -248,23 +244,6 @@ def _tell(
         print(strict_json.dumps(document))
     else:
         print(page(found, asked.every))
-        for name in written:
-            print(f"Written: {os.path.relpath(name)}")
+        say_written(written)
     if asked.exit_code and found.verdict is not Verdict.NOTHING:
         raise SystemExit(Code.FOUND)
-
-
-def _write(asked: Asked, found: engine.Diagnosis, document: dict[str, Any]) -> list[str]:
-    """Write the files that were asked for; their paths. Raises OSError."""
-    written = []
-    if asked.out:
-        Path(asked.out).write_text(strict_json.dumps(document) + "\n", encoding="utf-8")
-        written.append(asked.out)
-    if asked.report:
-        about = {"data": Path(asked.data).name, "seed": asked.seed}
-        plain = json.loads(strict_json.dumps(document))
-        written.append(str(write_report(plain, asked.report, about)))
-    if asked.plot:
-        found.plot().save(asked.plot)
-        written.append(asked.plot)
-    return written

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,16 +13,16 @@ from engine import plots, words
 from engine.errors import ModelError
 from engine.free_run import free_run
 from engine.model import MixedModel
-from engine.report import write_report
 from engine.series import Series
 from service import stages, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
+from service.cli.outputs import check_outputs, not_written, output_path, say_written, write_outputs
 from service.cli.state import Asked, Recorder
 from service.cli.state_file import StateFile, beside, keep_old, read
-from service.cli.values import check_outputs, free_of, output_path, theta_of
+from service.cli.values import free_of, theta_of
 from service.found import roles
 from service.prepare import Prepared
 from service.problems import Problem
@@ -40,7 +38,7 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     """A new estimation; its state goes to ``state`` or beside the output."""
     path = state or beside(asked.out, Path(asked.data[0]).stem)
     asked.keep = state is not None
-    check_outputs(asked.out, asked.report, asked.plot)
+    check_outputs(asked)
     output_path("--state", path)
     in_file = references.in_file(asked.model)
     with _resumable(asked) as begun:
@@ -53,7 +51,7 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
             begun.append(Recorder(path, asked, shown))
             _name_tasks(job, begun[0])
             document = _run(job, asked, begun[0], shown)
-        _tell(job, asked, document, begun[0].file, as_json)
+        _tell(job, asked, document, begun[0], as_json)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
@@ -64,7 +62,7 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     for name, value in changes.items():
         setattr(asked, name, value)
     asked.check()
-    check_outputs(asked.out, asked.report, asked.plot)
+    check_outputs(asked)
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
@@ -80,7 +78,7 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
             shown.note(f"going on after iteration {recorder.k}{within}")
             begun.append(recorder)
             document = _run(job, asked, recorder, shown)
-        _tell(job, asked, document, recorder.file, as_json)
+        _tell(job, asked, document, recorder, as_json)
 
 
 def _prepare(asked: Asked, shown: Meter) -> Prepared:
@@ -167,33 +165,27 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
 
 
 def _tell(
-    job: Prepared, asked: Asked, document: dict[str, Any], state: StateFile, as_json: bool
+    job: Prepared, asked: Asked, document: dict[str, Any], recorder: Recorder, as_json: bool
 ) -> None:
     """Write the files and print the estimate; a state that is of no more use goes once they are there."""
     one_run = asked.starts == 1 and not asked.bootstrap
     more = one_run and document["outcome"] == "iterations-used-up"
-    written = []
-    if asked.out:
-        Path(asked.out).write_text(strict_json.dumps(document) + "\n", encoding="utf-8")
-        written.append(asked.out)
-    if asked.report:
-        about = {"data": ", ".join(Path(name).name for name in asked.data), "seed": asked.seed}
-        written.append(
-            str(write_report(json.loads(strict_json.dumps(document)), asked.report, about))
+    try:
+        written = write_outputs(
+            asked, document, asked.data, asked.seed, lambda: figures(job, document)
         )
-    if asked.plot:
-        figures(job, document).save(asked.plot)
-        written.append(asked.plot)
+    except OSError as error:
+        recorder.save()
+        raise not_written(error, recorder.file.again) from None
     if not more:
-        _tidy(asked, state)
+        _tidy(asked, recorder.file)
     if as_json:
         print(strict_json.dumps(document))
         return
     print("\n".join(table(job.model, job.series, document)))
     if more:
-        print(f"More iterations: {state.again} --iterations {2 * asked.iterations}")
-    for name in written:
-        print(f"Written: {os.path.relpath(name)}")
+        print(f"More iterations: {recorder.file.again} --iterations {2 * asked.iterations}")
+    say_written(written)
 
 
 def _tidy(asked: Asked, state: StateFile) -> None:

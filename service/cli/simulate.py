@@ -19,7 +19,8 @@ from service import kinds, strict_json
 from service.cli import references
 from service.cli.ending import wrong
 from service.cli.files import Columns, inputs_of
-from service.cli.values import about, figure_folder, output_path
+from service.cli.outputs import figure_folder, output_path
+from service.cli.values import about
 from service.prepare import Prepared
 from service.schemas import ModelReference, SimulateOptions, SimulateRequest
 

@@ -1,15 +1,12 @@
-"""What the options of names, numbers and paths stand for."""
+"""What the options of names and numbers stand for."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 from engine.errors import EngineError
 from engine.model import MixedModel, Theta
-from engine.plots import axes
 from service.cli.ending import wrong
 
 
@@ -70,38 +67,6 @@ def free_of(model: MixedModel, free: list[str], fixed: Sequence[str]) -> list[st
     if not left:
         raise wrong("--fix: no parameter is left to estimate")
     return left
-
-
-def output_path(option: str, path: Path | None, suffixes: Sequence[str] = ()) -> None:
-    """Refuse a file that cannot be written before hours are spent on its content."""
-    if path is None:
-        return
-    shown = os.path.relpath(path)
-    if suffixes and path.suffix.lower() not in suffixes:
-        raise wrong(f"{option} {shown}: the ending must be {' or '.join(suffixes)}")
-    if not path.absolute().parent.is_dir():
-        raise wrong(f"{option} {shown}: there is no folder {path.absolute().parent}")
-    if path.is_dir():
-        raise wrong(f"{option} {shown}: this is a folder; a file is needed")
-    if not os.access(path.absolute().parent, os.W_OK):
-        raise wrong(f"{option} {shown}: nothing can be written into {path.absolute().parent}")
-
-
-def figure_folder(option: str, path: Path | None) -> None:
-    """Refuse a folder for figures that cannot be, or figures without matplotlib."""
-    if path is None:
-        return
-    if path.exists() and not path.is_dir():
-        raise wrong(f"{option} {os.path.relpath(path)}: this is a file; a folder is needed")
-    with about(option):
-        axes(1, 1, (1.0, 1.0))
-
-
-def check_outputs(out: str | None, report: str | None, plot: str | None) -> None:
-    """Refuse ``--out``, ``--report`` and ``--plot`` that cannot be written before any time is spent."""
-    output_path("--out", Path(out) if out else None, (".json",))
-    output_path("--report", Path(report) if report else None, (".html", ".htm"))
-    figure_folder("--plot", Path(plot) if plot else None)
 
 
 def one_of(option: str, value: str, choices: Sequence[str]) -> str:

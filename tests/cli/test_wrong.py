@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from engine.diagnose import causes
-from service.cli import diagnose
+from service.cli import diagnose, outputs
 from service.cli.state_file import FORMAT, read, write
 from tests.cli.test_commands import MINE, QUICK
 
@@ -191,7 +191,7 @@ def test_a_diagnosis_whose_report_cannot_be_written_is_not_lost(rbps, folder, mo
 
     asked = ("diagnose", "flows.csv", *LEVEL, "--effects", "step", "--report", "out.html")
     with monkeypatch.context() as meanwhile:
-        meanwhile.setattr(diagnose, "write_report", full)
+        meanwhile.setattr(outputs, "write_report", full)
         told = rbps(*asked)
     assert told.exit_code == 2
     assert "No space left on device. What was found is kept" in told.stderr
@@ -205,6 +205,22 @@ def test_a_diagnosis_whose_report_cannot_be_written_is_not_lost(rbps, folder, mo
     assert rbps(*command[1:]).exit_code == 0
     assert (folder / "out.html").exists()
     assert not (folder / "flows-diagnosis.state").exists()
+
+
+def test_an_estimation_whose_report_cannot_be_written_is_not_lost(rbps, folder, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(outputs, "write_report", full)
+        told = rbps("fit", "flows.csv", *LEVEL, *QUICK, "--report", "out.html")
+    assert told.exit_code == 2
+    assert "No space left on device. What was found is kept" in told.stderr
+    command = told.stderr.splitlines()[-1].split()
+    assert command[1:] == ["fit", "--resume", "flows.state"]
+    told = rbps(*command[1:])
+    assert (told.exit_code, "going on after iteration" in told.stderr) == (0, True)
+    assert (folder / "out.html").exists()
 
 
 def test_figures_without_matplotlib_are_refused_before_the_work(rbps, folder, monkeypatch):

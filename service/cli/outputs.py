@@ -1,0 +1,88 @@
+"""The files that commands write: refused before any time is spent, written when all is done."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from engine import plots
+from engine.report import write_report
+from service import strict_json
+from service.cli.ending import Ending, about_file, wrong
+from service.cli.values import about
+
+
+class Wanted(Protocol):
+    """``--out``, ``--report`` and ``--plot`` as they were given."""
+
+    out: str | None
+    report: str | None
+    plot: str | None
+
+
+def check_outputs(wanted: Wanted) -> None:
+    """Refuse ``--out``, ``--report`` and ``--plot`` that cannot be written before any time is spent."""
+    output_path("--out", Path(wanted.out) if wanted.out else None, (".json",))
+    output_path("--report", Path(wanted.report) if wanted.report else None, (".html", ".htm"))
+    figure_folder("--plot", Path(wanted.plot) if wanted.plot else None)
+
+
+def write_outputs(
+    wanted: Wanted,
+    document: dict[str, Any],
+    data: Sequence[str],
+    seed: int,
+    figures: Callable[[], plots.Figures],
+) -> list[str]:
+    """Write what was asked for; the paths. ``figures`` are made where ``--plot`` asks. Raises OSError."""
+    written = []
+    text = strict_json.dumps(document)
+    if wanted.out:
+        Path(wanted.out).write_text(text + "\n", encoding="utf-8")
+        written.append(wanted.out)
+    if wanted.report:
+        about_run = {"data": ", ".join(Path(name).name for name in data), "seed": seed}
+        written.append(str(write_report(json.loads(text), wanted.report, about_run)))
+    if wanted.plot:
+        figures().save(wanted.plot)
+        written.append(wanted.plot)
+    return written
+
+
+def not_written(error: OSError, again: str) -> Ending:
+    """A file could not be written; the command ``again`` writes it without computing anew."""
+    return wrong(f"{about_file(error)}. What was found is kept; once that is mended:\n  {again}")
+
+
+def say_written(written: Sequence[str]) -> None:
+    """A line for each file."""
+    for name in written:
+        print(f"Written: {os.path.relpath(name)}")
+
+
+def output_path(option: str, path: Path | None, suffixes: Sequence[str] = ()) -> None:
+    """Refuse a file that cannot be written before hours are spent on its content."""
+    if path is None:
+        return
+    shown = os.path.relpath(path)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise wrong(f"{option} {shown}: the ending must be {' or '.join(suffixes)}")
+    if not path.absolute().parent.is_dir():
+        raise wrong(f"{option} {shown}: there is no folder {path.absolute().parent}")
+    if path.is_dir():
+        raise wrong(f"{option} {shown}: this is a folder; a file is needed")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise wrong(f"{option} {shown}: nothing can be written into {path.absolute().parent}")
+
+
+def figure_folder(option: str, path: Path | None) -> None:
+    """Refuse a folder for figures that cannot be, or figures without matplotlib."""
+    if path is None:
+        return
+    if path.exists() and not path.is_dir():
+        raise wrong(f"{option} {os.path.relpath(path)}: this is a file; a folder is needed")
+    with about(option):
+        plots.axes(1, 1, (1.0, 1.0))
