@@ -21,7 +21,7 @@ from engine.studies.guarded_em import guarded_ps_em
 from engine.studies.problems import PROBLEMS, Problem, log_likelihood, model_named
 from engine.studies.realisation import METHOD, realisation, stream
 from engine.studies.study import Arm, Row
-from engine.studies.varied_em import varied_em, varied_ps_em
+from engine.studies.varied_em import varied_em
 
 POINTS = 100  # iterates kept of a trace, evenly spaced
 AVERAGED = 0.2  # share of the iterations, the last ones, over which the iterates are averaged
@@ -33,7 +33,6 @@ METHODS: dict[str, Callable[..., EmResult]] = {
     "rbps-varied": varied_em,
     "ps": ps_em,
     "ps-guarded": guarded_ps_em,
-    "ps-varied": varied_ps_em,
     "rts": rts_em,
 }
 PAPER: dict[str, Mapping[str, Any]] = {
@@ -210,7 +209,7 @@ GRADIENT_ALL_FIVE = em_arm(
     "all-five", "gradient-step", "rbps-varied", {"n_iterations": 1000, "m_step_iterations": 1}
 )
 PS_GRADIENT_ALL_FIVE = em_arm(
-    "all-five", "ps-em-gradient-step", "ps-varied", {"n_iterations": 1000, "m_step_iterations": 1}
+    "all-five", "ps-em-gradient-step", "ps-guarded", {"n_iterations": 1000, "m_step_iterations": 1}
 )
 DEFAULT_ALL_FIVE = em_arm("all-five", "default")
 TRUTH_ALL_FIVE = em_arm("all-five", "truth", at_truth=True)

@@ -27,6 +27,7 @@ from engine.models import mixed_4
 from engine.rbpf import COLLAPSED
 from engine.series import Series
 from engine.studies.guarded import GUARD
+from engine.studies.stopped import stopping
 
 NX = 4
 Q = float(mixed_4.Q[0, 0])  # Q = 0.01 I and R = 0.1 I in eq. (35)
@@ -44,21 +45,25 @@ def guarded_ps_em(
     *,
     guard: float = GUARD,
     m_step: str = "bfgs",
+    m_step_iterations: int = 0,
 ) -> EmResult:
     """As :func:`engine.ps_em` with the paper's settings, but for the check; N = M = ``n_particles``.
 
     ``guard``: a measurement is ignored, all weights equal, where the sum of exp(-e' R^{-1} e / 2) over
-    the particles is below; 0 never does. ``collapsed`` of the result counts ignored rows too. Raises
-    OptionError for any model but mixed-4.
+    the particles is below; 0 never does. ``collapsed`` of the result counts ignored rows too.
+    ``m_step_iterations`` of BFGS in each M step; 0 goes to the maximum by ``m_step``. Raises OptionError,
+    also for any model but mixed-4.
     """
-    expect = guarded_step(model, series, n_particles, guard)
+    expect = _guarded_step(model, series, n_particles, guard)
+    if m_step_iterations:
+        expect = stopping(expect, model, model.free_indices(free), m_step_iterations)
+        m_step = "scoring"
     return iterate(
         model, expect, theta0, free, n_iterations, seed, None, None, m_step, tolerance=None
     )
 
 
-def guarded_step(model: MixedModel, series: Series, n_particles: int, guard: float) -> Expect:
-    """The E step of :func:`guarded_ps_em`. Raises OptionError for any model but mixed-4."""
+def _guarded_step(model: MixedModel, series: Series, n_particles: int, guard: float) -> Expect:
     if model.name != mixed_4.MODEL.name:
         raise OptionError(f"model '{model.name}': only mixed-4 is compiled here", "model")
     y, T, M = np.array(series.y), len(series), n_particles
