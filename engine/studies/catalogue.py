@@ -9,6 +9,7 @@ from engine.studies import (
     poster,
     sindy,
     states,
+    table_ii,
     tried,
     uncertainty,
 )
@@ -23,7 +24,7 @@ STUDIES: dict[str, Study] = {
         estimates.TABLE_I,
         estimates.FIGURE_1,
         lost.FIGURE_1_SMALL,
-        estimates.TABLE_II,
+        table_ii.TABLE_II,
         tried.TABLE_II_TRIED,
         lost.LOST_RUNS,
         poster.POSTER_LINEAR,

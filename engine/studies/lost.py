@@ -55,9 +55,9 @@ def judge(table: Table, reference: Table) -> Judged:
 def not_lost(table: Table, reference: Table) -> Table:
     """The rows of a table whose runs are not lost."""
     judged = judge(table, reference)
-    keep = {run for run, lost in zip(judged.runs, judged.lost, strict=True) if not lost}
-    rows = [row for row in table.rows if int(row["run"]) in keep]
-    return Table(rows, table.settings, table.wall, table.workers)
+    return table.of_runs(
+        run for run, lost in zip(judged.runs, judged.lost, strict=True) if not lost
+    )
 
 
 def summary(cases: list[tuple[str, Table, Table]]) -> str:

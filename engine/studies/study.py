@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -48,6 +48,11 @@ class Table:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def of_runs(self, runs: Iterable[float]) -> Table:
+        """The rows of some of the runs."""
+        chosen = {int(run) for run in runs}
+        return replace(self, rows=[row for row in self.rows if int(row["run"]) in chosen])
 
     def numbers(self, column: str) -> Array:
         """A column as floats (n,); NaN where a run has no number there."""

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from engine.registry import get_model
 from engine.studies import em_arms as arms
 from engine.studies.em_arms import em_arm
-from engine.studies.estimates import CAPTURED, HOW, REPORTED_II, rows
 from engine.studies.estimates import COLUMNS as VERDICTS
+from engine.studies.estimates import HOW, rows
 from engine.studies.false_maximum import FALSE_MAXIMUM, OPTIONS
 from engine.studies.lost import ALL_FIVE, RULE, judge, not_lost, summary
 from engine.studies.plots import axes, save
 from engine.studies.report import made_with, markdown
 from engine.studies.statistics import mean, spread
 from engine.studies.study import Arm, Study, Table, Tables
+from engine.studies.table_ii import CAPTURED, REPORTED_II
 
 PAPERS, REFERENCE = arms.RBPS_ALL_FIVE.name, arms.TRUTH_ALL_FIVE.name
 GRADIENT, PS_GRADIENT = arms.GRADIENT_ALL_FIVE.name, arms.PS_GRADIENT_ALL_FIVE.name
@@ -69,11 +70,6 @@ def _iterates(table: Table, name: str, iteration: int | None) -> NDArray[np.floa
     return np.array([row[round(k)] for row, k in zip(kept, at, strict=True)])
 
 
-def _some(table: Table, runs: list[int]) -> Table:
-    chosen = [row for row in table.rows if int(row["run"]) in set(runs)]
-    return Table(chosen, table.settings, table.wall, table.workers)
-
-
 def _settings(tables: Tables) -> str:
     """One line per setting made: what became of the runs lost with the paper's, and of all 70 if made."""
     reference, lost = tables[REFERENCE], lost_with_papers_settings(tables)
@@ -87,7 +83,7 @@ def _settings(tables: Tables) -> str:
         table = tables[name]
         if not len(table):
             continue
-        those = _some(table, lost)
+        those = table.of_runs(lost)
         full = len(table) > len(those)
         kept = not_lost(those, reference)
         everything = spread(table.numbers("last.theta_5"))
@@ -197,7 +193,7 @@ def _about(tables: Tables, verdicts: list[list[str]]) -> str:
     reference, lost = tables[REFERENCE], lost_with_papers_settings(tables)
     table = tables[GRADIENT]
     still = judge(table, reference).lost
-    freed = len(not_lost(_some(table, lost), reference))
+    freed = len(not_lost(table.of_runs(lost), reference))
     ours = [row for row in verdicts if row[0].startswith("RBPS-EM") and "all runs" in row[0]]
     agree = sum(row[-1] == "agrees" for row in ours)
     borderline = sum("borderline" in row[-1] for row in ours)

@@ -124,10 +124,11 @@ def report(tables: Tables) -> str:
         for label, problem, arm, parameter in CASES
     ]
     exact = tables["table-I.exact"]
-    kept = [row for row in exact.rows if float(row["theta.theta"]) > MIRRORED]
-    upright = Table(kept, exact.settings, exact.wall, exact.workers)
+    upright = exact.of_runs(exact.numbers("run")[exact.numbers("theta.theta") > MIRRORED])
     lines.insert(1, ["... not mirrored", *case(upright, "table-I", "theta")])
-    about = ABOUT_TABLE_I.format(mirrored=len(exact) - len(kept), runs=len(exact), below=MIRRORED)
+    about = ABOUT_TABLE_I.format(
+        mirrored=len(exact) - len(upright), runs=len(exact), below=MIRRORED
+    )
     within = f"within {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %"
     head = [
         "problem",

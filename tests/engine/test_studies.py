@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from engine.studies import em_arms, estimates, lost, states, uncertainty
+from engine.studies import em_arms, estimates, lost, states, table_ii, uncertainty
 from engine.studies.__main__ import main
 from engine.studies.catalogue import ALIASES, STUDIES
 from engine.studies.problems import PROBLEMS
@@ -299,12 +299,12 @@ def test_runs_lost_at_the_false_maximum_are_told_and_what_one_would_do_to_the_sp
             [*good, 1.5, 2.5], [0.3] * 8 + [0.0, 0.01], [0.0] * 8 + [-30.0] * 2
         ),
     }
-    text = estimates._about_rbps(tables)
+    text = table_ii._about_rbps(tables)
     assert "2 of 10, of which 2 ended at theta_5 = 0" in text
     assert "theta_3 is 2.00 there" in text
     assert f"theta_3 {np.hypot(np.std(good, ddof=1), 1.7 / np.sqrt(69)):.3f}" in text
     tables["all-five.rbps-em"] = table(good, [0.3] * 8, [0.0] * 8)
-    assert "0 of 8, of which 0" in estimates._about_rbps(tables)
+    assert "0 of 8, of which 0" in table_ii._about_rbps(tables)
 
 
 def test_what_runs_lost_by_gradient_steps_would_do_to_the_reported_figures():
@@ -326,7 +326,7 @@ def test_what_runs_lost_by_gradient_steps_would_do_to_the_reported_figures():
         "all-five.truth": table([*good, far], [0.0] * 9),
         "all-five.gradient-step": table([*good, far], [0.0] * 8 + [-50.0]),
     }
-    text = estimates._about_gradient(tables)
+    text = table_ii._about_gradient(tables)
     sd = np.std([theta[4] for theta in good], ddof=1)
     assert "lost is 1 of 9" in text
     assert "theta = (1.00, 1.00, 0.30, 0.93, 0.00)" in text
@@ -338,9 +338,9 @@ def test_what_runs_lost_by_gradient_steps_would_do_to_the_reported_figures():
         f"mean {', '.join(f'{0.3 - 0.3 * k / 69:.3f}' for k in (1, 2, 3))} (reported 0.309)" in text
     )
     tables["all-five.gradient-step"] = table(good, [0.0] * 8)
-    assert "lost is 0 of 8" in estimates._about_gradient(tables)
+    assert "lost is 0 of 8" in table_ii._about_gradient(tables)
     tables["all-five.gradient-step"] = table([], [])
-    assert estimates._about_gradient(tables) == ""
+    assert table_ii._about_gradient(tables) == ""
 
 
 def test_a_run_that_fails_is_a_row_and_counts_as_lost():
