@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,9 +9,28 @@ from typing import Annotated, Any
 import typer
 
 from service.cli.ending import CODES, guarded, wrong
-
-KINDS = ".csv with a line of column names, .mat or .npz."
-DATA = f"Data files: {KINDS} Several are several experiments."
+from service.cli.options import (
+    DATA,
+    KINDS,
+    Columns,
+    Effects,
+    Fixed,
+    Free,
+    Json,
+    Model,
+    Out,
+    Plot,
+    Quiet,
+    Report,
+    Seed,
+    Step,
+    TimeColumn,
+    Values,
+    absolute_paths,
+    given,
+    model_named,
+    only_output,
+)
 
 TRY = """A first try, with data that are simulated:
 
@@ -35,60 +53,6 @@ app = typer.Typer(
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-
-Model = Annotated[
-    str,
-    typer.Option(
-        "--model", "-m", metavar="MODEL",
-        help="A registered model (see 'rbps models'), or path/to/file.py:name for your own.",
-    ),
-]  # fmt: skip
-Effects = Annotated[
-    list[str],
-    typer.Option("--with", metavar="EFFECT", help="Add an effect, such as coulomb:velocity."),
-]
-Values = Annotated[
-    list[str], typer.Option("--set", metavar="NAME=VALUE", help="Start value of a parameter.")
-]
-Fixed = Annotated[
-    list[str], typer.Option("--fix", metavar="NAME=VALUE", help="Hold a parameter at a value.")
-]
-Free = Annotated[
-    list[str],
-    typer.Option("--free", metavar="NAME,...", help="Estimate these parameters only.  [all]"),
-]
-Columns = Annotated[
-    list[str],
-    typer.Option(
-        "--map", metavar="CHANNEL=COLUMN",
-        help="Column of an output or input.  [the column of the channel's name]",
-    ),
-]  # fmt: skip
-TimeColumn = Annotated[
-    str | None,
-    typer.Option("--time", metavar="COLUMN", help="Column of times in seconds.  [t or time]"),
-]
-Step = Annotated[
-    float | None,
-    typer.Option("--dt", metavar="SECONDS", help="Time step, where no column has the times.  [1]"),
-]
-Seed = Annotated[
-    int, typer.Option(metavar="N", min=0, help="The same seed gives the same numbers.")
-]
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", metavar="FILE.json", help="Write the result as JSON."),
-]
-Report = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.html", help="Write a report, one file that opens anywhere."),
-]
-Plot = Annotated[
-    Path | None,
-    typer.Option(metavar="FOLDER", help="Write figures as SVG and PNG (needs rbps[plot])."),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 
 
 def _version(asked: bool) -> None:
@@ -215,11 +179,11 @@ def fit(
         from service.cli.state import Asked
         from service.cli.values import names, numbers, one_of, pairs
 
-        paths = _absolute(out=out, report=report, plot=plot)
+        paths = absolute_paths(out=out, report=report, plot=plot)
         if resume is not None:
-            _only_output(ctx, {"iterations"})
+            only_output(ctx, {"iterations"})
             changes: dict[str, Any] = {**paths}
-            if _given(ctx, "iterations"):
+            if given(ctx, "iterations"):
                 changes["iterations"] = iterations
             work.resume(resume, changes, as_json, quiet)
             return
@@ -230,7 +194,7 @@ def fit(
         one_of("--method", method, ("rbps-em", "ps-em", "rts-em"))
         asked = Asked(
             data=[str(path.absolute()) for path in data],
-            model=absolute(_model(model)),
+            model=absolute(model_named(model)),
             effects=effects,
             start=numbers("--set", values),
             fixed=numbers("--fix", fixed),
@@ -347,12 +311,12 @@ def diagnose(
         from service.cli.references import absolute
         from service.cli.values import names, numbers, pairs
 
-        paths = _absolute(out=out, report=report, plot=plot)
+        paths = absolute_paths(out=out, report=report, plot=plot)
         if resume is not None:
-            _only_output(ctx, {"every", "exit_code"})
+            only_output(ctx, {"every", "exit_code"})
             changes: dict[str, Any] = {**paths}
             for name, value in (("every", every), ("exit_code", exit_code)):
-                if _given(ctx, name):
+                if given(ctx, name):
                     changes[name] = value
             work.resume(resume, changes, as_json, quiet)
             return
@@ -360,7 +324,7 @@ def diagnose(
             raise wrong("DATA is missing: name a data file")
         asked = work.Asked(
             data=str(data.absolute()),
-            model=absolute(_model(model)),
+            model=absolute(model_named(model)),
             effects=effects,
             start=numbers("--set", values),
             fixed=numbers("--fix", fixed),
@@ -441,7 +405,7 @@ def simulate(
 
         run(
             Wanted(
-                model=_model(model),
+                model=model_named(model),
                 effects=numbers("--with", effects),
                 values=numbers("--set", values),
                 samples=samples,
@@ -473,34 +437,6 @@ def serve(
         from service.cli.serve import run
 
         run(host, port)
-
-
-def _model(reference: str) -> str:
-    if not reference:
-        raise wrong("--model is missing: 'rbps models' lists the models there are")
-    return reference
-
-
-def _given(ctx: typer.Context, name: str) -> bool:
-    source = ctx.get_parameter_source(name)
-    return source is not None and source.name == "COMMANDLINE"
-
-
-def _absolute(**paths: Path | None) -> dict[str, str]:
-    """Those that are given, as they are understood from any folder."""
-    return {key: str(path.absolute()) for key, path in paths.items() if path is not None}
-
-
-MAY_CHANGE = frozenset({"out", "report", "plot", "resume", "as_json", "quiet"})
-
-
-def _only_output(ctx: typer.Context, also: Iterable[str]) -> None:
-    """Refuse what would make a resumed run another one; options of output and ``also`` would not."""
-    for parameter in ctx.command.params:
-        name = parameter.name or ""
-        if name not in MAY_CHANGE.union(also) and _given(ctx, name):
-            called = "DATA" if name == "data" else parameter.opts[0]
-            raise wrong(f"--resume goes on with what was asked; {called} cannot be given with it")
 
 
 def main() -> None:

@@ -1,0 +1,96 @@
+"""Options that several commands take, and what can be asked of all options."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.ending import wrong
+
+KINDS = ".csv with a line of column names, .mat or .npz."
+DATA = f"Data files: {KINDS} Several are several experiments."
+MAY_CHANGE = frozenset({"out", "report", "plot", "resume", "as_json", "quiet"})
+
+Model = Annotated[
+    str,
+    typer.Option(
+        "--model", "-m", metavar="MODEL",
+        help="A registered model (see 'rbps models'), or path/to/file.py:name for your own.",
+    ),
+]  # fmt: skip
+Effects = Annotated[
+    list[str],
+    typer.Option("--with", metavar="EFFECT", help="Add an effect, such as coulomb:velocity."),
+]
+Values = Annotated[
+    list[str], typer.Option("--set", metavar="NAME=VALUE", help="Start value of a parameter.")
+]
+Fixed = Annotated[
+    list[str], typer.Option("--fix", metavar="NAME=VALUE", help="Hold a parameter at a value.")
+]
+Free = Annotated[
+    list[str],
+    typer.Option("--free", metavar="NAME,...", help="Estimate these parameters only.  [all]"),
+]
+Columns = Annotated[
+    list[str],
+    typer.Option(
+        "--map", metavar="CHANNEL=COLUMN",
+        help="Column of an output or input.  [the column of the channel's name]",
+    ),
+]  # fmt: skip
+TimeColumn = Annotated[
+    str | None,
+    typer.Option("--time", metavar="COLUMN", help="Column of times in seconds.  [t or time]"),
+]
+Step = Annotated[
+    float | None,
+    typer.Option("--dt", metavar="SECONDS", help="Time step, where no column has the times.  [1]"),
+]
+Seed = Annotated[
+    int, typer.Option(metavar="N", min=0, help="The same seed gives the same numbers.")
+]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", metavar="FILE.json", help="Write the result as JSON."),
+]
+Report = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.html", help="Write a report, one file that opens anywhere."),
+]
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="FOLDER", help="Write figures as SVG and PNG (needs rbps[plot])."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+
+
+def model_named(reference: str) -> str:
+    """The reference, or an error where there is none."""
+    if not reference:
+        raise wrong("--model is missing: 'rbps models' lists the models there are")
+    return reference
+
+
+def given(ctx: typer.Context, name: str) -> bool:
+    """Whether an option was typed."""
+    source = ctx.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def absolute_paths(**paths: Path | None) -> dict[str, str]:
+    """Those that are given, as they are understood from any folder."""
+    return {key: str(path.absolute()) for key, path in paths.items() if path is not None}
+
+
+def only_output(ctx: typer.Context, also: Iterable[str]) -> None:
+    """Refuse what would make a resumed run another one; options of output and ``also`` would not."""
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
+        if name not in MAY_CHANGE.union(also) and given(ctx, name):
+            called = "DATA" if name == "data" else parameter.opts[0]
+            raise wrong(f"--resume goes on with what was asked; {called} cannot be given with it")
