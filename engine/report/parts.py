@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from engine.report.chart import POINTS, TIMES, Chart
 from engine.report.html import Html, join, tag
 from engine.report.svg import svg_element
-from engine.words import number, tidy
+from engine.words import number, probability, tidy
 
 Document = Mapping[str, Any]
 
@@ -143,3 +143,30 @@ def equations(lines: Iterable[str], added: Iterable[str] = ()) -> Html:
     old = [tag("code", line) for line in lines]
     new = [tag("code", line, class_="added") for line in added]
     return tag("div", *old, *new, class_="formulas") if old or new else Html("")
+
+
+def capital(title: str) -> str:
+    """With a capital letter first."""
+    return title[:1].upper() + title[1:]
+
+
+def p_value(value: float | None) -> str:
+    """``p = 0.012``, also of a number that is not there."""
+    return probability(float("nan") if value is None else value)
+
+
+def signed(value: float | None) -> str:
+    """A number with its sign."""
+    return f"+{number(value)}" if value is not None and value > 0.0 else number(value)
+
+
+def adopted(gain: Document, how: str) -> Html:
+    """The decision with its reason; documents of before there were reasons have none."""
+    said = "Adopted." if gain["adopt"] else "Not adopted: it does worse on held-out data."
+    said = gain["decision"][how] if "decision" in gain else said
+    return tag("p", said, class_="good" if gain["adopt"] else "bad")
+
+
+def folded(title: str, body: Html) -> Html:
+    """What can be unfolded; nothing where there is nothing."""
+    return tag("details", tag("summary", title), body) if body else Html("")
