@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import ModelError
-from engine.kernels.moments import gaussian_update, sigma_points, slopes, transform
+from engine.kernels.moments import (
+    gaussian_update,
+    observe,
+    predict,
+    sigma_points,
+    slopes,
+    transform,
+)
 from engine.model import Array, Gaussian, MixedModel, stacked
 from engine.series import Series
 
@@ -87,25 +94,26 @@ class Thetas:
             self.repeated[copies] = self.model.record(fields)
         return self.repeated[copies]
 
-    def evaluate(self, call: Any, a: Array) -> tuple[Array, Array, Array]:
-        """``call(a, record)`` for all rows a (K S, na), each S rows with their own theta."""
+    def evaluate(self, function: Any, a: Array, *at: Any) -> tuple[Array, Array, Array]:
+        """``function(a, *at, record)`` for all rows a (K S, na), each S rows with their own theta."""
         S = len(a) // self.K
-        if self.batched is not False:
+        if self.batched:
+            together: tuple[Array, Array, Array] = function(a, *at, self.record(S))
+            return together
+        each = self._each(function, a, at, S)
+        if self.batched is None:
             try:
-                together: tuple[Array, Array, Array] = call(a, self.record(S))
-            except Exception:
-                if self.batched:
-                    raise
+                self.batched = self._same(function(a, *at, self.record(S)), each)
+            except Exception:  # noqa: BLE001 - a user's function may raise anything
                 self.batched = False
-            else:
-                if self.batched is None:
-                    self.batched = self._same(together, self._each(call, a, S))
-                if self.batched:
-                    return together
-        return self._each(call, a, S)
+        return each
 
-    def _each(self, call: Any, a: Array, S: int) -> tuple[Array, Array, Array]:
-        parts = [call(a[k * S : (k + 1) * S], record) for k, record in enumerate(self.records)]
+    def _each(
+        self, function: Any, a: Array, at: tuple[Any, ...], S: int
+    ) -> tuple[Array, Array, Array]:
+        parts = [
+            function(a[k * S : (k + 1) * S], *at, record) for k, record in enumerate(self.records)
+        ]
         value = np.concatenate([p[0] for p in parts])
         matrices = []
         for i in (1, 2):
@@ -128,12 +136,14 @@ def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFil
     T, K, ny = len(series), run.thetas.K, model.ny
     innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
     m, P = run.start()
+    a, z, V, offsets = sigma_points(m, P, model.na)
+    rows = a.reshape(K * a.shape[1], model.na)  # the kernels overwrite the points in place
     for t in range(T):
-        y_mean, S[t], cross = run.predict_y(t, m, P)
-        innovations[t] = series.y[t] - y_mean
-        m, P, terms[t] = gaussian_update(m, P, y_mean, S[t], cross, series.y[t])
+        observe(
+            t, *run.observation(t, rows), a, z, V, offsets, m, P, series.y, innovations, S, terms
+        )
         if t < T - 1:
-            m, P, _ = run.predict_x(t, m, P)
+            predict(*run.transition(t, rows), a, z, V, offsets, m, P)
     return MomentFiltered(innovations, S, terms)
 
 
@@ -195,29 +205,32 @@ class FilterSteps:
         starts = [first_moments(self.model, theta) for theta in self.thetas.thetas]
         return np.array([m for m, _ in starts]), np.array([P for _, P in starts])
 
+    def observation(self, t: int, a: Array) -> tuple[Array, Array, Array]:
+        """h (K S, ny), C and R (1 or K S, ., .) at the points a (K S, na)."""
+        h, C, R = self.thetas.evaluate(self.model.observation, a, self.series.u[t], self.times[t])
+        return h, stacked(C), stacked(R)
+
+    def transition(self, t: int, a: Array) -> tuple[Array, Array, Array]:
+        """f (K S, nx), A and Q (1 or K S, ., .) at the points a (K S, na)."""
+        f, A, Q = self.thetas.evaluate(
+            self.model.transition, a, self.series.u[t], self.times[t], self.steps[t]
+        )
+        return f, stacked(A), stacked(Q)
+
     def predict_y(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
         """Mean, covariance and cross-covariance with x of y_t."""
-
-        def call(a: Array, record: Any) -> tuple[Array, Array, Array]:
-            return self.model.observation(a, self.series.u[t], self.times[t], record)
-
-        return self._through(call, m, P)
+        return self._through(self.observation, t, m, P)
 
     def predict_x(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
         """Mean, covariance and cross-covariance with x_t of x_{t+1}."""
+        return self._through(self.transition, t, m, P)
 
-        def call(a: Array, record: Any) -> tuple[Array, Array, Array]:
-            u = self.series.u[t]
-            return self.model.transition(a, u, self.times[t], self.steps[t], record)
-
-        return self._through(call, m, P)
-
-    def _through(self, call: Any, m: Array, P: Array) -> tuple[Array, Array, Array]:
+    def _through(self, function: Any, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
         na = self.model.na
         a, z, V, offsets = sigma_points(m, P, na)
         rows = a.reshape(a.shape[0] * a.shape[1], na)
-        f, A, Q = self.thetas.evaluate(call, rows)
-        mean, cov, cross = transform(f, stacked(A), stacked(Q), z, V, offsets, na)
+        f, A, Q = function(t, rows)
+        mean, cov, cross = transform(f, A, Q, z, V, offsets, na)
         return mean, cov, cross
 
 

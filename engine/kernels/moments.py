@@ -181,6 +181,33 @@ def gaussian_update(m, P, y_mean, S, cross, y):
 
 
 @njit(cache=True, error_model="numpy")
+def observe(t, h, C, R, a, z, V, offsets, m, P, y, innovations, S, log_p):
+    """Row t of y: :func:`transform`, :func:`gaussian_update`, and the new :func:`sigma_points`, in place.
+
+    h, C, R at the points a, ... of m, P, which are updated; rows t of ``innovations`` (T, K, ny), ``S``
+    (T, K, ny, ny) and ``log_p`` (T, K) are filled.
+    """
+    na = a.shape[2]
+    y_mean, S_t, cross = transform(h, C, R, z, V, offsets, na)
+    m_new, P_new, log_p_t = gaussian_update(m, P, y_mean, S_t, cross, y[t])
+    innovations[t], S[t], log_p[t] = y[t] - y_mean, S_t, log_p_t
+    _renew(m_new, P_new, a, z, V, offsets, m, P)
+
+
+@njit(cache=True, error_model="numpy")
+def predict(f, A, Q, a, z, V, offsets, m, P):
+    """One step ahead: :func:`transform` and the new :func:`sigma_points`, in place."""
+    m_new, P_new, _ = transform(f, A, Q, z, V, offsets, a.shape[2])
+    _renew(m_new, P_new, a, z, V, offsets, m, P)
+
+
+@njit(cache=True, error_model="numpy")
+def _renew(m_new, P_new, a, z, V, offsets, m, P):
+    m[:], P[:] = m_new, P_new
+    a[:], z[:], V[:], offsets[:] = sigma_points(m, P, a.shape[2])
+
+
+@njit(cache=True, error_model="numpy")
 def slopes(cross, P):
     """J (n, nx) with J P = cross: the regression of the transformed variable on x."""
     n, nx = cross.shape
