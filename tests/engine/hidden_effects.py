@@ -88,7 +88,8 @@ CASES = {
     "level": ("reading", {"level_reading": 0.4}),
     "variance": ("reading->speed", {"variance_reading_speed": 2.0}),
     "correlation": ("speed,load", {"correlation_speed_load": 0.9}),
-    "colored": ("reading", {"colored_reading": 0.01, "colored_reading_time": 0.3}),
+    # neither as quick as white noise nor as slow as the speed's answer to its own
+    "colored": ("reading", {"colored_reading": 0.01, "colored_reading_time": 0.12}),
     "latent": (
         "speed,oscillating",
         {
