@@ -1,5 +1,8 @@
 """The blind benchmark's own parts: cells that exist, sizes that were made, rows that say what happened."""
 
+import csv
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from engine.studies.blind.cells import BOOTSTRAP, CLEAN, HARD, HIDDEN, OTHER, UN
 from engine.studies.blind.hidden import draw
 from engine.studies.blind.outside import play
 from engine.studies.blind.report import BLIND
+from engine.studies.blind.rules import Rule, decided
 from engine.studies.blind.runs import work
 from engine.studies.blind.sizes import size
 
@@ -60,3 +64,79 @@ def test_a_row_tells_what_was_hidden_and_what_was_said():
     assert row["verdict"] in ("nothing", "named", "set", "unknown")
     assert figures.exact(row) is (row["verdict"] == "named" and row["causes"] == "step:y")
     assert np.isfinite([row["score_truth"], row["gain_truth"], row["ratio_truth"]]).all()
+
+
+def answered(verdict, causes, among, evidence, hidden="step:y"):
+    return {
+        "hidden": hidden,
+        "verdict": verdict,
+        "causes": causes,
+        "set": among,
+        "evidence": evidence,
+        "score_truth": 1.0,
+        "score_rival": 0.0,
+    }
+
+
+SET = answered(
+    "set", "step:y", "step:y ramp:y latent:a", "p 0.01 step:y 20 ramp:y 18.5 latent:a 15 | p 0.5"
+)
+LEFT_OVER = answered("unknown", "colored:y", "colored:y", "p 0.01 colored:y 20 latent:a 9 | p 0.04")
+
+
+@pytest.mark.parametrize(
+    ("row", "rule", "verdict", "among"),
+    [
+        (SET, Rule(), "set", "step:y ramp:y latent:a"),
+        (SET, Rule(margin=1.0), "set", "step:y latent:a"),
+        (SET, Rule(unnamed=4.0), "set", "step:y ramp:y"),
+        (SET, Rule(margin=1.0, unnamed=4.0), "named", "step:y"),
+        (LEFT_OVER, Rule(), "unknown", "colored:y"),
+        (LEFT_OVER, Rule(left=False), "named", "colored:y"),
+        ({**LEFT_OVER, "evidence": "p 0.01 colored:y 20 | p 0.005"}, Rule(left=False), "unknown",
+         "colored:y"),
+        ({**LEFT_OVER, "evidence": "p 0.01 colored:y 20 latent:a 21 | p 0.04"}, Rule(left=False),
+         "unknown", "colored:y"),
+        (answered("nothing", "", "", "p 0.3"), Rule(0.0, 0.0, False), "nothing", ""),
+    ],
+)  # fmt: skip
+def test_another_rule_makes_another_answer_of_the_same_evidence(row, rule, verdict, among):
+    found = decided(row, rule)
+    assert (found["verdict"], found["set"]) == (verdict, among)
+
+
+def test_the_rule_as_it_is_changes_no_row_of_the_benchmark():
+    for name in ("usual", "other", "outside", "clean"):
+        for row in rows_of(name):
+            assert decided(row, Rule()) == row
+
+
+def rows_of(name):
+    path = Path("tests/benchmarks/results") / f"blind.{name}.csv"
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_share_has_an_interval_over_its_series():
+    rows = [{**SET, "verdict": "named", "causes": "step:y"}] * 30 + [SET] * 10
+    share = figures.oracle_share(rows)
+    assert share.value == pytest.approx(0.75)
+    low, high = share.interval
+    assert low < 0.66 < 0.84 < high  # a binomial share of 40: 0.75 +- 0.13
+    assert high - low == pytest.approx(4.0 * np.sqrt(0.75 * 0.25 / 40), rel=0.15)
+    assert str(figures.oracle_share([])) == "-"
+
+
+@pytest.mark.parametrize(
+    ("row", "text"),
+    [
+        (answered("nothing", "", "", "p 0.3"), "nothing"),
+        (SET, "set with ramp:y, latent:a"),
+        ({**SET, "hidden": "bias:y"}, "set: step:y"),
+        (answered("named", "ramp:y", "ramp:y", ""), "named: ramp:y"),
+        (answered("named", "step:y ramp:a", "step:y", ""), "named: right, then ramp:a"),
+        ({**LEFT_OVER, "hidden": "colored:y"}, "unknown: right, then the force without a name"),
+    ],
+)
+def test_a_miss_is_told(row, text):
+    assert figures.miss(row) == text

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.model import Array
 from engine.studies.statistics import wilson
 from engine.studies.study import Row, Table
 
 TIE = 0.1  # of the score: a pulse on an integrator is a step of its reading
 ALARMS = ("named", "set", "unknown")
+RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
@@ -92,12 +94,61 @@ def same_again(row: Row) -> bool:
     return f"{row['verdict']} {row['causes']}".strip() == row["again"]
 
 
-def gain_share(table: Table) -> float:
+@dataclass(frozen=True)
+class Share:
+    """A sum as a share of another over the same series, with a bootstrap interval of 95 % over them."""
+
+    parts: Array
+    wholes: Array
+
+    @property
+    def value(self) -> float:
+        """The share, NaN of nothing."""
+        total = float(self.wholes.sum())
+        return float(self.parts.sum()) / total if total > 0.0 else np.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Percentiles over resampled series."""
+        n = len(self.parts)
+        picks = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
+        shares = self.parts[picks].sum(axis=1) / self.wholes[picks].sum(axis=1)
+        low, high = np.nanpercentile(shares, [2.5, 97.5])
+        return float(low), float(high)
+
+    def __str__(self) -> str:
+        if not np.isfinite(self.value):
+            return "-"
+        low, high = self.interval
+        return f"{100 * self.value:.0f} % ({100 * low:.0f}-{100 * high:.0f} %)"
+
+
+def oracle_share(rows: Sequence[Row]) -> Share:
+    """Exact names as a share of the oracle's."""
+    return Share(
+        np.array([float(exact(row)) for row in rows]),
+        np.array([float(oracle_right(row)) for row in rows]),
+    )
+
+
+def gain_share(table: Table) -> Share:
     """Held-out log-density gained by what was found, as a share of the true extension's."""
     gain, truth = table.numbers("gain"), table.numbers("gain_truth")
     both = np.isfinite(gain) & np.isfinite(truth)
-    total = float(truth[both].sum())
-    return float(gain[both].sum()) / total if total > 0.0 else np.nan
+    return Share(gain[both], truth[both])
+
+
+def miss(row: Row) -> str:
+    """What came out in place of the exact name."""
+    if not alarm(row):
+        return "nothing"
+    names = [name for name in str(row["causes"]).split() if name != row["hidden"]]
+    among = [name for name in str(row["set"]).split() if name != row["hidden"]]
+    if row["verdict"] == "set" and in_set(row) and among:
+        return f"set with {', '.join(among)}"
+    if str(row["causes"]).split()[:1] == [row["hidden"]]:
+        return f"{row['verdict']}: right, then {', '.join(names) or 'the force without a name'}"
+    return f"{row['verdict']}: {', '.join(names or among) or 'no name'}"
 
 
 def chosen(table: Table, **values: object) -> list[Row]:
