@@ -135,7 +135,7 @@ def test_a_share_has_an_interval_over_its_series():
         ({**SET, "hidden": "bias:y"}, "set: step:y"),
         (answered("named", "ramp:y", "ramp:y", ""), "named: ramp:y"),
         (answered("named", "step:y ramp:a", "step:y", ""), "named: right, then ramp:a"),
-        ({**LEFT_OVER, "hidden": "colored:y"}, "unknown: right, then the force without a name"),
+        ({**LEFT_OVER, "hidden": "colored:y"}, "unknown: right with something left"),
     ],
 )
 def test_a_miss_is_told(row, text):

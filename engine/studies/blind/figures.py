@@ -147,7 +147,8 @@ def miss(row: Row) -> str:
     if row["verdict"] == "set" and in_set(row) and among:
         return f"set with {', '.join(among)}"
     if str(row["causes"]).split()[:1] == [row["hidden"]]:
-        return f"{row['verdict']}: right, then {', '.join(names) or 'the force without a name'}"
+        more = f", then {', '.join(names)}" if names else " with something left"
+        return f"{row['verdict']}: right{more}"
     return f"{row['verdict']}: {', '.join(names or among) or 'no name'}"
 
 

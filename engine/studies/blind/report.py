@@ -216,7 +216,17 @@ def _missed(rows: Sequence[Row]) -> str:
         ]
         for (base, hidden), some in sorted(missed.items())
     ]
-    return markdown(["model", "hidden", "missed", "what came out", "the oracle", "LR here"], lines)
+    table = markdown(["model", "hidden", "missed", "what came out", "the oracle", "LR here"], lines)
+    known = [row for row in rows if f.oracle_right(row) and not f.exact(row)]
+    ends = Counter(str(row["verdict"]) for row in known)
+    hedged = sum(row["verdict"] == "set" and f.in_set(row) for row in known)
+    quiet = [float(row["ratio_truth"]) for row in known if row["verdict"] == "nothing"]
+    weak = f" (LR {min(quiet):.0f} to {max(quiet):.0f} in these series)" if quiet else ""
+    return (
+        f"{table}\nOf the {len(known)} that the oracle knows, {ends['nothing']} raised no alarm{weak}, {hedged} "
+        f"are a set with the truth in it, {ends['unknown']} end in `unknown`, {ends['named']} have a wrong "
+        "name or one too many.\n"
+    )
 
 
 def _most(counts: Counter[str]) -> str:
