@@ -223,9 +223,9 @@ def _missed(rows: Sequence[Row]) -> str:
     quiet = [float(row["ratio_truth"]) for row in known if row["verdict"] == "nothing"]
     weak = f" (LR {min(quiet):.0f} to {max(quiet):.0f} in these series)" if quiet else ""
     return (
-        f"{table}\nOf the {len(known)} that the oracle knows, {ends['nothing']} raised no alarm{weak}, {hedged} "
-        f"are a set with the truth in it, {ends['unknown']} end in `unknown`, {ends['named']} have a wrong "
-        "name or one too many.\n"
+        f"{table}\nOf the {len(known)} that the oracle knows, {ends['nothing']} raised no alarm{weak}, "
+        f"{hedged} are a set with the truth in it, {ends['unknown']} end in `unknown`, {ends['named']} have a "
+        "wrong name or one too many.\n"
     )
 
 
