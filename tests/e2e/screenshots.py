@@ -12,7 +12,7 @@ from PIL import Image
 import engine
 from tests.e2e.browser import PATIENCE, browser, chromium, service
 
-FOLDER = Path(__file__).parents[2] / "docs" / "screenshots"
+FOLDER = Path(__file__).parents[1] / "benchmarks" / "results" / "screenshots"
 WIDTH = 1280  # px
 
 
