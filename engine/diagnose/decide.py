@@ -15,6 +15,7 @@ from engine.diagnose.tails import KIND as TAILS
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
 PATCHES = 2  # effects in turn that are trusted; more stand for something else
+LEFT = 0.2  # of alpha: a p-value of at most this says that something is left; alpha would fail true names
 SHOWN = 5  # look-alikes listed at most
 
 
@@ -33,14 +34,14 @@ def patchwork(search: Search, alpha: float) -> bool:
 
     So they do where more than two are needed; where one of two is a property of the noise, which is
     how the rest of a cause looks that another effect explains in part; or where something is still
-    seen at ``alpha`` after two effects or after noise. Outliers, which hide others, count in the last
-    rule only.
+    seen, at ``LEFT * alpha``, after two effects or after noise. Outliers, which hide others, count in
+    the last rule only.
     """
     found = [r.refits[0].effect for r in search.rounds if r.equivalent]
     effects = [effect for effect in found if effect.kind != TAILS]
     noise = any(effect.family == "noise" for effect in effects)
     last = search.rounds[-1]
-    left = not last.equivalent and last.screen.p_value <= alpha
+    left = not last.equivalent and last.screen.p_value <= LEFT * alpha
     if len(effects) > PATCHES or (noise and len(effects) > 1):
         return True
     return left and (noise or len(found) > 1)

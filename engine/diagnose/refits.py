@@ -113,8 +113,12 @@ def _plainness(found: Refit) -> int:
 
 def cost(effect: Effect, series: Series) -> float:
     """What an effect's further parameters must gain before they count: log T each (Schwarz 1978)."""
-    further = len(effect.parameters) - 1 - len(effect.held)
-    return further * float(np.log(len(series)))
+    return further_parameters(effect) * float(np.log(len(series)))
+
+
+def further_parameters(effect: Effect) -> int:
+    """How many parameters are estimated beside the size."""
+    return len(effect.parameters) - 1 - len(effect.held)
 
 
 def _sought(effect: Effect) -> list[str]:

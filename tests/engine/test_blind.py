@@ -78,10 +78,14 @@ def answered(verdict, causes, among, evidence, hidden="step:y"):
     }
 
 
-SET = answered(
+SET = {"base": "linear-2", "rows": 1000.0} | answered(
     "set", "step:y", "step:y ramp:y latent:a", "p 0.01 step:y 20 ramp:y 18.5 latent:a 15 | p 0.5"
 )
-LEFT_OVER = answered("unknown", "colored:y", "colored:y", "p 0.01 colored:y 20 latent:a 9 | p 0.04")
+SERVO = {"base": "servo", "rows": 1000.0}
+NOISE = SERVO | answered(
+    "named", "colored:y", "colored:y", "p 0.01 colored:y 20 latent:a 9 | p 0.04"
+)
+LEFT_OVER = NOISE | {"verdict": "unknown", "evidence": "p 0.01 colored:y 20 latent:a 9 | p 0.008"}
 
 
 @pytest.mark.parametrize(
@@ -91,13 +95,15 @@ LEFT_OVER = answered("unknown", "colored:y", "colored:y", "p 0.01 colored:y 20 l
         (SET, Rule(margin=1.0), "set", "step:y latent:a"),
         (SET, Rule(unnamed=4.0), "set", "step:y ramp:y"),
         (SET, Rule(margin=1.0, unnamed=4.0), "named", "step:y"),
+        (NOISE, Rule(), "named", "colored:y"),
+        (NOISE, Rule(left=0.05), "unknown", "colored:y"),
         (LEFT_OVER, Rule(), "unknown", "colored:y"),
-        (LEFT_OVER, Rule(left=False), "named", "colored:y"),
-        ({**LEFT_OVER, "evidence": "p 0.01 colored:y 20 | p 0.005"}, Rule(left=False), "unknown",
+        (LEFT_OVER, Rule(left=0.005), "named", "colored:y"),
+        ({**LEFT_OVER, "evidence": "p 0.01 colored:y 20 | p 0.004"}, Rule(left=0.005), "unknown",
          "colored:y"),
-        ({**LEFT_OVER, "evidence": "p 0.01 colored:y 20 latent:a 21 | p 0.04"}, Rule(left=False),
+        ({**LEFT_OVER, "evidence": "p 0.01 colored:y 20 latent:a 21 | p 0.008"}, Rule(left=0.005),
          "unknown", "colored:y"),
-        (answered("nothing", "", "", "p 0.3"), Rule(0.0, 0.0, False), "nothing", ""),
+        (answered("nothing", "", "", "p 0.3"), Rule(0.0, 0.0, 0.005), "nothing", ""),
     ],
 )  # fmt: skip
 def test_another_rule_makes_another_answer_of_the_same_evidence(row, rule, verdict, among):
@@ -119,12 +125,12 @@ def rows_of(name):
 
 def test_a_share_has_an_interval_over_its_series():
     rows = [{**SET, "verdict": "named", "causes": "step:y"}] * 30 + [SET] * 10
-    share = figures.oracle_share(rows)
+    share = figures.share_of(rows, figures.oracle_right)
     assert share.value == pytest.approx(0.75)
     low, high = share.interval
     assert low < 0.66 < 0.84 < high  # a binomial share of 40: 0.75 +- 0.13
     assert high - low == pytest.approx(4.0 * np.sqrt(0.75 * 0.25 / 40), rel=0.15)
-    assert str(figures.oracle_share([])) == "-"
+    assert str(figures.share_of([], figures.oracle_right)) == "-"
 
 
 @pytest.mark.parametrize(
@@ -140,3 +146,16 @@ def test_a_share_has_an_interval_over_its_series():
 )
 def test_a_miss_is_told(row, text):
     assert figures.miss(row) == text
+
+
+def test_the_likelihood_alone_takes_no_account_of_further_parameters():
+    row = {
+        "base": "structure",
+        "rows": 1000.0,
+        "hidden": "coulomb:v1",
+        "ratio_truth": 40.0,
+        "evidence": "p 0.01 coulomb:v1 40 deadzone:v1 34 latent:v1 90 | p 0.5",
+    }
+    assert not figures.likeliest(row)  # the dead zone's width costs log 1000 = 6.9
+    assert figures.likeliest({**row, "evidence": "p 0.01 coulomb:v1 40 deadzone:v1 33 | p 0.5"})
+    assert figures.likeliest({**row, "evidence": "p 0.3"})

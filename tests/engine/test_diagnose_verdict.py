@@ -40,9 +40,10 @@ def searched(*names, left=0.6, alarm=False, unnamed=None):
         ([DRAG], 0.6, "named"),
         ([DRAG], 0.02, "named"),
         ([LEVEL], 0.6, "named"),
-        ([LEVEL], 0.02, "unknown"),
+        ([LEVEL], 0.02, "named"),  # one true noise in fifty has as much left
+        ([LEVEL], 0.008, "unknown"),
         ([DRAG, BIAS], 0.6, "named"),
-        ([DRAG, BIAS], 0.02, "unknown"),  # quiet enough to stop, not to be sure of both
+        ([DRAG, BIAS], 0.008, "unknown"),  # quiet enough to stop, not to be sure of both
         ([DRAG, LEVEL], 0.6, "unknown"),  # the rest of what drag explains in part
         ([DRAG, BIAS, STEP], 0.6, "unknown"),
         ([OUTLIERS, STEP], 0.6, "named"),  # outliers had hidden the step

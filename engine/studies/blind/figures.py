@@ -5,16 +5,23 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
+from engine.diagnose.catalogue import make_effect
+from engine.diagnose.effect import Effect
+from engine.diagnose.refits import further_parameters
+from engine.diagnose.rounds import GENERIC
 from engine.model import Array
+from engine.studies.blind.bases import typical
 from engine.studies.statistics import wilson
 from engine.studies.study import Row, Table
 
 TIE = 0.1  # of the score: a pulse on an integrator is a step of its reading
 ALARMS = ("named", "set", "unknown")
 RESAMPLES = 2000
+ANY_ROWS = 1000  # an effect's family and number of parameters do not depend on them
 
 
 @dataclass(frozen=True)
@@ -85,8 +92,39 @@ def right_equation(row: Row) -> bool:
 
 
 def oracle_right(row: Row) -> bool:
-    """Whether the likelihood alone prefers the truth, or something that predicts the very same."""
+    """Whether refitted likelihoods less costs prefer the truth, or something that predicts the very same."""
     return float(row["score_truth"]) >= float(row["score_rival"]) - TIE
+
+
+def likeliest(row: Row) -> bool:
+    """Whether the truth has the largest refitted likelihood of all, whatever further parameters cost.
+
+    Its rivals are those kept in the row, the best of the first round with costs: with more of them it
+    could only be right less often.
+    """
+    T = float(row["rows"])
+    rivals = [
+        score + further_parameters(effect_of(row, name)) * float(np.log(T))
+        for name, score in scores(str(row["evidence"]).split("|")[0])[1].items()
+        if name != row["hidden"] and name.partition(":")[0] != GENERIC
+    ]
+    return float(row["ratio_truth"]) >= max(rivals, default=-np.inf) - TIE
+
+
+def effect_of(row: Row, name: str) -> Effect:
+    """The effect that a row names."""
+    return _effect(str(row["base"]), name)
+
+
+@cache
+def _effect(base: str, name: str) -> Effect:
+    return make_effect(name, typical(base, ANY_ROWS))
+
+
+def scores(evidence: str) -> tuple[float, dict[str, float]]:
+    """p-value of a round, and the scores by name."""
+    words = evidence.split()
+    return float(words[1]), dict(zip(words[2::2], map(float, words[3::2]), strict=True))
 
 
 def same_again(row: Row) -> bool:
@@ -123,11 +161,11 @@ class Share:
         return f"{100 * self.value:.0f} % ({100 * low:.0f}-{100 * high:.0f} %)"
 
 
-def oracle_share(rows: Sequence[Row]) -> Share:
-    """Exact names as a share of the oracle's."""
+def share_of(rows: Sequence[Row], oracle: Callable[[Row], bool]) -> Share:
+    """Exact names as a share of an oracle's."""
     return Share(
         np.array([float(exact(row)) for row in rows]),
-        np.array([float(oracle_right(row)) for row in rows]),
+        np.array([float(oracle(row)) for row in rows]),
     )
 
 
