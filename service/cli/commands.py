@@ -176,8 +176,9 @@ def fit(
     """
     with guarded(as_json):
         from service.cli import fit as work
+        from service.cli.experiment import told
         from service.cli.state import Asked
-        from service.cli.values import names, numbers, one_of, pairs
+        from service.cli.values import one_of
 
         paths = absolute_paths(out=out, report=report, plot=plot)
         if resume is not None:
@@ -189,30 +190,18 @@ def fit(
             return
         if not data:
             raise wrong("DATA is missing: name one or more data files")
-        from service.cli.references import absolute
-
         one_of("--method", method, ("rbps-em", "ps-em", "rts-em"))
+        model = model_named(model)
         asked = Asked(
             data=[str(path.absolute()) for path in data],
-            model=absolute(model_named(model)),
-            effects=effects,
-            start=numbers("--set", values),
-            fixed=numbers("--fix", fixed),
-            free=names(free),
-            columns=pairs("--map", columns),
-            time=time,
-            dt=dt,
+            **told(model, effects, values, fixed, free, columns, time, dt, seed, paths),
             method=method,
             particles=particles,
             trajectories=trajectories,
             iterations=iterations,
-            seed=seed,
             standard_errors=standard_errors,
             starts=starts,
             bootstrap=bootstrap,
-            out=paths.get("out"),
-            report=paths.get("report"),
-            plot=paths.get("plot"),
         )
         work.fit(asked, state, as_json, quiet)
 
@@ -308,8 +297,8 @@ def diagnose(
     """
     with guarded(as_json):
         from service.cli import diagnose as work
-        from service.cli.references import absolute
-        from service.cli.values import names, numbers, pairs
+        from service.cli.experiment import told
+        from service.cli.values import names
 
         paths = absolute_paths(out=out, report=report, plot=plot)
         if resume is not None:
@@ -322,28 +311,18 @@ def diagnose(
             return
         if data is None:
             raise wrong("DATA is missing: name a data file")
+        model = model_named(model)
         asked = work.Asked(
             data=str(data.absolute()),
-            model=absolute(model_named(model)),
-            effects=effects,
-            start=numbers("--set", values),
-            fixed=numbers("--fix", fixed),
-            free=names(free),
-            columns=pairs("--map", columns),
-            time=time,
-            dt=dt,
+            **told(model, effects, values, fixed, free, columns, time, dt, seed, paths),
             extra=names(extra),
+            test=str(test.absolute()) if test else None,
             alpha=alpha,
             consider=names(consider),
             max_effects=max_effects,
             bootstrap=bootstrap,
-            seed=seed,
             every=every,
             exit_code=exit_code,
-            test=str(test.absolute()) if test else None,
-            out=paths.get("out"),
-            report=paths.get("report"),
-            plot=paths.get("plot"),
         )
         work.diagnose(asked, state, as_json, quiet)
 

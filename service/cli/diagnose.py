@@ -20,41 +20,29 @@ from engine.series import Series
 from service import diagnoses, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, Interrupt, wrong
+from service.cli.experiment import Experiment
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
 from service.cli.outputs import check_outputs, not_written, output_path, say_written, write_outputs
-from service.cli.state_file import Sealed, StateFile, beside, keep_old, read
+from service.cli.state_file import StateFile, beside, keep_old, read
 from service.cli.values import free_of, theta_of
 
 
-@dataclass
-class Asked(Sealed):
-    """A diagnosis as it was asked for; paths are absolute."""
+@dataclass(kw_only=True)
+class Asked(Experiment):
+    """A diagnosis as it was asked for."""
 
     command: ClassVar[str] = "diagnose"
     result: ClassVar[str] = "diagnosis"
     data: str
-    model: str
-    effects: list[str] = field(default_factory=list)
-    start: dict[str, float] = field(default_factory=dict)
-    fixed: dict[str, float] = field(default_factory=dict)
-    free: list[str] = field(default_factory=list)
-    columns: dict[str, str] = field(default_factory=dict)
-    time: str | None = None
-    dt: float | None = None
     extra: list[str] = field(default_factory=list)
     test: str | None = None
     alpha: float = 0.05
     consider: list[str] = field(default_factory=list)
     max_effects: int = 3
     bootstrap: int = 0
-    seed: int = 0
-    out: str | None = None
-    report: str | None = None
-    plot: str | None = None
     every: bool = False
     exit_code: bool = False
-    keep: bool = False  # the state file, when there is nothing to go on with any more
 
     def check(self) -> None:
         """Refuse to go on where something is not what it was."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,37 +17,25 @@ import numpy as np
 from engine.model import Array, Theta
 from service import strict_json
 from service.cli.ending import Interrupt
+from service.cli.experiment import Experiment
 from service.cli.meter import Meter
-from service.cli.state_file import Sealed, StateFile
+from service.cli.state_file import StateFile
 
 
-@dataclass
-class Asked(Sealed):
-    """An estimation as it was asked for; paths are absolute."""
+@dataclass(kw_only=True)
+class Asked(Experiment):
+    """An estimation as it was asked for."""
 
     command: ClassVar[str] = "fit"
     result: ClassVar[str] = "estimation"
     data: list[str]
-    model: str
-    effects: list[str] = field(default_factory=list)
-    start: dict[str, float] = field(default_factory=dict)
-    fixed: dict[str, float] = field(default_factory=dict)
-    free: list[str] = field(default_factory=list)
-    columns: dict[str, str] = field(default_factory=dict)
-    time: str | None = None
-    dt: float | None = None
     method: str = "rbps-em"
     particles: int = 50
     trajectories: int | None = None
     iterations: int = 100
-    seed: int = 0
     standard_errors: bool = True
     starts: int = 1
     bootstrap: int = 0
-    out: str | None = None
-    report: str | None = None
-    plot: str | None = None
-    keep: bool = False  # the state file, when there is nothing to go on with any more
 
 
 class Recorder:
