@@ -16,6 +16,7 @@ from engine.moment_filter import FilterSteps, Thetas
 from engine.series import Series
 
 
+@np.errstate(all="ignore")
 def outlier_log_terms(
     model: MixedModel, theta: Array, series: Series, channel: str, shares: Array, ratios: Array
 ) -> Array:
