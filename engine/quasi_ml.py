@@ -34,7 +34,10 @@ DAMPING = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class QuasiFit:
-    """The maximum: ``theta``, ``log_likelihood``, ``information`` (n, n) of the free parameters ``free``."""
+    """The maximum: ``theta``, ``log_likelihood``, ``information`` (n, n) of the free parameters ``free``.
+
+    ``given_up`` tells that the search was left before its end, as it was not expected to reach its target.
+    """
 
     model: MixedModel
     theta: Theta
@@ -43,16 +46,24 @@ class QuasiFit:
     information: Array
     iterations: int
     converged: bool
+    given_up: bool = False
 
     @property
-    def standard_errors(self) -> Array:
-        """Of the free parameters (n,), from the information; inf where there is none."""
+    def covariance(self) -> Array:
+        """Of the free parameters (n, n), from the information; inf where there is none."""
         H = self.information
         with np.errstate(divide="ignore", invalid="ignore"):
             d = np.where(np.diag(H) > 0.0, 1.0 / np.sqrt(np.diag(H)), 0.0)
         scaled = H * d[:, None] * d[None, :] + np.diag(np.where(d > 0.0, DAMPING, 1.0))
-        variance = np.diag(np.linalg.pinv(scaled, hermitian=True)) * d**2
-        return np.asarray(np.where(d > 0.0, np.sqrt(np.maximum(variance, 0.0)), np.inf))
+        covariance = np.linalg.pinv(scaled, hermitian=True) * d[:, None] * d[None, :]
+        unknown = np.flatnonzero(d == 0.0)
+        covariance[unknown, unknown] = np.inf
+        return np.asarray(covariance)
+
+    @property
+    def standard_errors(self) -> Array:
+        """Of the free parameters (n,), from the information; inf where there is none."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
 def quasi_ml(
@@ -67,7 +78,7 @@ def quasi_ml(
     """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
 
     The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
-    where even twice what is expected would not reach ``target``; then ``converged`` is False.
+    where even twice what is expected would not reach ``target``; then ``given_up`` is True.
     Raises ModelError where the likelihood is not finite at the start.
     """
     listed = as_series_list(series, model)
@@ -80,7 +91,7 @@ def quasi_ml(
         raise ModelError(
             f"model '{model.name}': the likelihood is not finite at the start values; choose others"
         )
-    converged, iterations, damping = False, 0, DAMPING
+    converged, given_up, iterations, damping = False, False, 0, DAMPING
     while iterations < max_iterations:
         iterations += 1
         x = theta[indices]
@@ -90,6 +101,7 @@ def quasi_ml(
             converged = True
             break
         if iterations > PATIENCE and value + expected < target:
+            given_up = True
             break
         moved, there = _step(model, listed, theta, indices, direction, value, expected)
         if moved is None:
@@ -106,7 +118,14 @@ def quasi_ml(
             converged = True
             break
     return QuasiFit(
-        model, Theta(theta, model.parameter_names), float(value), names, H, iterations, converged
+        model,
+        Theta(theta, model.parameter_names),
+        float(value),
+        names,
+        H,
+        iterations,
+        converged,
+        given_up,
     )
 
 

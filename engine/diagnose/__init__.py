@@ -10,7 +10,8 @@ turn is then weighed again, each beside the others. Its verdict is
 - ``set``: in some round several effects, or the unnamed force with them, cannot be told apart;
 - ``unknown``: the unnamed force explains as much as any named effect, or something is left that
   no further effect explains, or what was found in turn looks like patches on one cause that is not
-  in the catalogue, or the model is far from the data whatever is added.
+  in the catalogue, or the model is far from the data whatever is added, or something contradicts the
+  name: its size may as well be zero, or the particle filter sees no gain.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from engine.diagnose.catalogue import (
     make_effect,
     register_effect,
 )
-from engine.diagnose.causes import Callback, Clock, find_causes
+from engine.diagnose.causes import Callback, Clock, find_causes, has_tails
+from engine.diagnose.contradictions import particle_word
 from engine.diagnose.decide import cause_of, detectable_of
 from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
 from engine.diagnose.effect import Effect
@@ -37,11 +39,9 @@ from engine.diagnose.runs import covariance_of
 from engine.diagnose.search import Search
 from engine.diagnose.spare_inputs import with_inputs
 from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
-from engine.diagnose.tails import KIND as TAILS
 from engine.errors import OptionError, SeriesError
 from engine.model import MixedModel, ThetaLike
 from engine.quasi_ml import QuasiFit
-from engine.rbpf import rbpf
 from engine.series import Series
 
 __all__ = [
@@ -63,8 +63,6 @@ __all__ = [
 
 HELD_OUT = 0.2  # share of the series kept back where no test series is given
 LEAST = 30  # measured rows without which nothing can be said
-PARTICLES = 500  # for the particle filter's word on the final model
-REPEATS = 4
 
 
 def diagnose(
@@ -132,7 +130,8 @@ def diagnose(
         clock=clock,
         kept=done,
     )
-    base, found, notes = causes.base, causes.search, [*notes, *causes.notes]
+    base, found, verdict = causes.base, causes.search, causes.verdict
+    notes.extend(causes.notes)
 
     p_bootstrap = None
     if bootstrap:
@@ -144,7 +143,6 @@ def diagnose(
             found,
             bootstrap,
             seed,
-            alpha=alpha,
             kinds=effects,
             progress=clock.progress,
             kept=done,
@@ -162,11 +160,14 @@ def diagnose(
             gain = measure_gain_interleaved(base, found.final, series, seed=seed)
         else:
             gain = measure_gain(base, found.final, held_out, history, seed)
-        notes.extend(_particle_check(base, found, train, seed))
+        if model.na:
+            text, contradicts = _particle_word(base, found, train, seed)
+            notes.append(text)
+            verdict = Verdict.UNKNOWN if contradicts else verdict
     clock.stop()
     return Diagnosis(
         model=model,
-        verdict=causes.verdict,
+        verdict=verdict,
         causes=tuple(cause_of(r) for r in named),
         p_value=found.rounds[0].screen.p_value,
         base_theta=base.theta,
@@ -216,28 +217,12 @@ def _check_options(
         raise SeriesError(f"only {rows} rows hold a measurement; a diagnosis needs {LEAST}")
 
 
-def _particle_check(base: QuasiFit, found: Search, series: Series, seed: int) -> list[str]:
-    """What the particle filter says of the gain that the moment filter found."""
-    if base.model.na == 0:
-        return []
-    means, variances = [], []
-    for fit in (base, found.final):
-        values = [
-            rbpf(
-                fit.model, fit.theta, series, PARTICLES, np.random.default_rng([seed, k])
-            ).log_likelihood
-            for k in range(REPEATS)
-        ]
-        means.append(float(np.mean(values)))
-        variances.append(float(np.var(values, ddof=1)) / REPEATS)
-    gain, error = means[1] - means[0], float(np.sqrt(sum(variances)))
-    if any(r.refits[0].effect.kind == TAILS for r in found.rounds if r.refits):
-        return [f"Log-likelihood gained by the particle filter: {gain:.1f} +- {error:.1f}."]
-    moment = found.final.log_likelihood - base.log_likelihood
-    text = (
-        f"Log-likelihood gained: {moment:.1f} by the moment filter, {gain:.1f} +- {error:.1f} by the "
-        f"particle filter ({PARTICLES} particles, {REPEATS} runs)."
-    )
-    if abs(gain - moment) > 3.0 + 2.0 * error and gain < 0.5 * moment:
-        text += " They disagree: the filter's density is far from Gaussian here; trust the second."
-    return [text]
+def _particle_word(base: QuasiFit, found: Search, series: Series, seed: int) -> tuple[str, bool]:
+    """What the particle filter says of what was gained, and whether it contradicts the moment filter."""
+    final = found.final
+    moment = final.log_likelihood - base.log_likelihood
+    before, after = (base.model, base.theta), (final.model, final.theta)
+    text, contradicts = particle_word(before, after, moment, series, seed)
+    return text, contradicts and not has_tails(
+        found
+    )  # outliers were judged by a filter of their own

@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.calibration import Question, screen_of_simulated
 from engine.diagnose.kept import NOTHING, Kept
 from engine.diagnose.screen import Screen
-from engine.diagnose.search import Search, refit_swallowed, screen_effects
+from engine.diagnose.search import Search
 from engine.diagnose.setting import Setting
-from engine.errors import EngineError
-from engine.quasi_ml import QuasiFit, quasi_ml
+from engine.quasi_ml import QuasiFit
 from engine.series import Series
-from engine.simulate import simulate
 
 STAGE = "bootstrap"
 
@@ -42,17 +41,18 @@ def bootstrap_p(
 ) -> float:
     """The share of n simulated series whose screen is as extreme as that of the data.
 
-    ``screen`` is what :func:`engine.diagnose.search.screen_effects` found on ``series`` at ``base_fit``,
+    ``screen`` is what :func:`engine.diagnose.screening.screen_effects` found on ``series`` at ``base_fit``,
     over the effects ``kinds`` of ``setting``; the same effects are asked of every simulated series.
-    With ``swallowed`` the screen includes :func:`engine.diagnose.search.refit_swallowed`, which is then
+    With ``swallowed`` the screen includes :func:`engine.diagnose.refitting.refit_swallowed`, which is then
     repeated too. Each series has the inputs, times and missing values of the data. Runs that are
     lost (no simulation or no filter) are left out; p = (1 + as extreme) / (1 + runs not lost).
     """
-    observed = _smallest(screen, swallowed)
+    observed = screen.p_value if swallowed else screen.smallest
+    question = Question(base_fit, series, setting, kinds)
     extreme = used = 0
     for k in range(n):
         progress(STAGE, k / n)
-        one = partial(_one, base_fit, series, setting, kinds, swallowed, [seed, k])
+        one = partial(_one, question, swallowed, [seed, k])
         drawn = kept.number(f"bootstrap {k + 1}", one)
         if drawn is not None:
             used += 1
@@ -68,19 +68,17 @@ def first_round_p(
     n: int,
     seed: int,
     *,
-    alpha: float,
     kinds: Sequence[str] | None,
     progress: Progress,
     kept: Kept = NOTHING,
 ) -> float:
-    """The bootstrap p-value of what a search saw in its first round, begun with the same seed.
+    """The bootstrap p-value of what a search saw in its first round.
 
     Refits have a part in every simulated series only where they had one in the data: they take most
     of the time.
     """
     seen = search.rounds[0].screen
-    alone = screen_effects(base_fit, series, setting, kinds, alpha, seed, _silent)
-    swallowed = seen.p_value < alone.p_value
+    swallowed = seen.p_value < seen.family_wise(seen.smallest)
     return bootstrap_p(
         base_fit,
         series,
@@ -95,40 +93,10 @@ def first_round_p(
     )
 
 
-def _one(
-    fit: QuasiFit,
-    series: Series,
-    setting: Setting,
-    kinds: Sequence[str] | None,
-    swallowed: bool,
-    seed: list[int],
-) -> float | None:
+def _one(question: Question, swallowed: bool, seed: list[int]) -> float | None:
     """The smallest p-value on one series drawn from the fit; None where the run was lost."""
-    rng = np.random.default_rng(seed)
-    try:
-        y = simulate(fit.model, fit.theta, len(series), rng, u=series.u, t=series.t).y
-        drawn = Series(
-            np.where(series.observed, y, np.nan),
-            series.u,
-            t=series.t,
-            y_names=series.y_names,
-            u_names=series.u_names,
-        )
-        refitted = quasi_ml(fit.model, drawn, fit.theta, fit.free)
-        seen = screen_effects(
-            refitted, drawn, setting, kinds, 0.05, int(rng.integers(2**31)), _silent
-        )
-        if swallowed:
-            seen, _ = refit_swallowed(refitted, drawn, seen, _silent)
-    except (EngineError, np.linalg.LinAlgError):
+    drawn = screen_of_simulated(question, np.random.default_rng(seed), swallowed)
+    if drawn is None:
         return None
-    return _smallest(seen, swallowed)
-
-
-def _smallest(screen: Screen, swallowed: bool) -> float:
-    """Of the effects' own p-values, or the family-wise one where refits have a part in it."""
-    return screen.p_value if swallowed else min(score.p_value for score in screen.scores)
-
-
-def _silent(stage: str, fraction: float) -> None:
-    """Progress is told per series, not within one."""
+    seen, refitted = drawn
+    return min(seen.p_value, refitted) if swallowed else seen.smallest

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.contradictions import undetermined
 from engine.diagnose.decide import PATCHES, patchwork, verdict_of
 from engine.diagnose.diagnosis import Verdict
 from engine.diagnose.kept import NOTHING, Kept
@@ -82,6 +83,10 @@ def find_causes(
             f"{PATCHES} effects are needed, or one of them is a property of the noise, or something is "
             "still left to see. Register the effect you suspect and diagnose again."
         )
+    against = undetermined([r for r in found.rounds if r.equivalent])
+    if against:
+        notes.extend(against)
+        verdict = Verdict.UNKNOWN
     level = misfit(found.final, series, outliers=has_tails(found))
     if level > MISFIT:
         notes.append(

@@ -97,7 +97,8 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
             continue
         # close in score and yet not in the set: the plainer name was kept for the same thing
         same = refit is not None and refit.score >= best.score - MARGIN
-        ruled_out = not same and other.name not in set_of(found)
+        followed = refit is not None and not refit.fit.given_up  # only then can it be ruled out
+        ruled_out = followed and not same and other.name not in set_of(found)
         difference = best.effect.look_alikes.get(other.kind, "")
         if same and other.name not in set_of(found):
             difference = "says the same in other words here"
@@ -115,7 +116,7 @@ def detectable_of(seen: Screen) -> tuple[Detectable, ...]:
         if score.effect.kind in (GENERIC, TAILS):
             continue  # a detector, and a test whose power is not in its size
         testable = bool(np.isfinite(score.se) and score.rho > UNTESTABLE)
-        smallest = (np.sqrt(seen.threshold) + POWER) * score.se
+        smallest = (np.sqrt(seen.threshold * score.boldness) + POWER) * score.se
         out.append(
             Detectable(
                 score.effect.name,

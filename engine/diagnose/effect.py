@@ -30,7 +30,8 @@ class Effect:
     first, with units; ``extend`` the extension; ``probes`` values of the other parameters at which
     the screen looks (one row each); ``look_alikes`` kinds that leave similar traces, with what
     tells them apart; ``one_sided`` whether only a positive size makes sense (a variance); ``held`` those
-    of its parameters that are a reference, not to be estimated; ``readings(y, size)`` what it does to a
+    of its parameters that are a reference, not to be estimated; ``zero`` the one of them that is the zero of
+    its channel, where nothing but the unit says what that is; ``readings(y, size)`` what it does to a
     channel's finished readings (T,), where the extension only stands for that (rounding as noise).
     """
 
@@ -46,6 +47,7 @@ class Effect:
     one_sided: bool = False
     held: tuple[str, ...] = ()
     readings: Callable[[Array, float], Array] | None = None
+    zero: str | None = None
 
     @property
     def name(self) -> str:

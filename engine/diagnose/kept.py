@@ -53,6 +53,10 @@ class Kept:
         """The same parts, named by where in the diagnosis they belong."""
         return Kept(self.parts, self.spent, f"{where}: ")
 
+    def further(self, what: str) -> Kept:
+        """The same parts, for what is done with a part that was kept before."""
+        return Kept(self.parts, self.spent, f"{self.where}{what}: ")
+
     def fit(self, model: MixedModel, compute: Callable[[], QuasiFit]) -> QuasiFit:
         """A fit of ``model``."""
         return self._part(f"fit {model.name}", compute, _of_fit, lambda kept: _fit(kept, model))
@@ -72,6 +76,17 @@ class Kept:
     def number(self, name: str, compute: Callable[[], float | None]) -> float | None:
         """One number, or that there is none."""
         return self._part(name, compute, _itself, _itself)
+
+    def numbers(self, name: str, compute: Callable[[], Array | None]) -> Array | None:
+        """An array, or that there is none."""
+
+        def numbers_of(row: Array | None) -> Any:
+            return None if row is None else _of_array(row)
+
+        def made_of(kept: Any) -> Array | None:
+            return None if kept is None else _array(kept)
+
+        return self._part(name, compute, numbers_of, made_of)
 
     def _part(
         self,
@@ -162,6 +177,7 @@ def _of_fit(fit: QuasiFit) -> dict[str, Any]:
         "information": _of_array(fit.information),
         "iterations": int(fit.iterations),
         "converged": bool(fit.converged),
+        "given_up": bool(fit.given_up),
     }
 
 
@@ -174,6 +190,7 @@ def _fit(kept: Mapping[str, Any], model: MixedModel) -> QuasiFit:
         _array(kept["information"]),
         kept["iterations"],
         kept["converged"],
+        kept["given_up"],
     )
 
 
@@ -188,6 +205,8 @@ def _of_screen(screen: Screen) -> dict[str, Any]:
         "threshold": float(screen.threshold),
         "likenesses": _of_array(screen.likenesses),
         "lowest": _of_array(screen.lowest),
+        "simulated": int(screen.simulated),
+        "share": float(screen.share),
     }
 
 
@@ -199,18 +218,21 @@ def _screen(kept: Mapping[str, Any], effects: Sequence[Effect]) -> Screen:
         kept["threshold"],
         _array(kept["likenesses"]),
         _array(kept["lowest"]),
+        kept["simulated"],
+        kept["share"],
     )
 
 
 def _of_score(score: Score) -> list[Any]:
     numbers = (score.statistic, score.size, score.se, score.p_value, score.rho)
     at = [float(value) for value in score.at]
-    return [score.effect.name, *map(float, numbers), at, float(score.tests), int(score.degrees)]
+    more = (float(score.tests), int(score.degrees), float(score.boldness))
+    return [score.effect.name, *map(float, numbers), at, *more]
 
 
 def _score(kept: Sequence[Any], named: Mapping[str, Effect]) -> Score:
-    name, statistic, size, se, p_value, rho, at, tests, degrees = kept
-    return Score(named[name], statistic, size, se, p_value, rho, tuple(at), tests, degrees)
+    name, statistic, size, se, p_value, rho, at, *more = kept
+    return Score(named[name], statistic, size, se, p_value, rho, tuple(at), *more)
 
 
 def _of_array(array: Array) -> dict[str, Any]:

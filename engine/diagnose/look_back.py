@@ -14,18 +14,27 @@ import numpy as np
 
 from engine.diagnose.effect import Effect
 from engine.diagnose.kept import NOTHING, Kept
-from engine.diagnose.refits import NESTS, TOLERANCE, Refit, cost, free_parameters
+from engine.diagnose.likeness import NESTS
+from engine.diagnose.refits import TOLERANCE, Refit, cost, free_parameters
 from engine.diagnose.rounds import Round, settle
+from engine.diagnose.setting import Setting
 from engine.diagnose.tails import KIND as TAILS
 from engine.errors import EngineError
 from engine.quasi_ml import QuasiFit, quasi_ml
 from engine.series import Series
 
-RIVALS = 4  # of each round that are refitted again
+RIVALS = 3  # of each round that are refitted again
+ITERATIONS = (
+    25  # of each of these refits: where noise is small, thousands of nats are climbed slowly
+)
 
 
 def look_back(
-    base: QuasiFit, rounds: Sequence[Round], series: Series, kept: Kept = NOTHING
+    base: QuasiFit,
+    rounds: Sequence[Round],
+    series: Series,
+    setting: Setting,
+    kept: Kept = NOTHING,
 ) -> tuple[QuasiFit, list[Round]]:
     """The final fit and the rounds (all with a choice), each refitted beside the others' choices."""
     settled = list(rounds)
@@ -41,12 +50,13 @@ def look_back(
         again = [r for r in found.refits if r.effect.kind == TAILS]  # by another filter
         for effect, own in _rivals(found, [other.name for other in (*before, *after)]):
             try:
-                fit = _together(base, final, [*before, effect, *after], own, series, here)
+                among = [*before, effect, *after]
+                fit = _together(base, final, among, own, series, here)
             except (EngineError, np.linalg.LinAlgError):
                 continue
             gain = 2.0 * (fit.log_likelihood - without.log_likelihood)
             again.append(Refit(effect, fit, gain, gain - cost(effect, series)))
-        weighed = settle(found.screen, again, series)
+        weighed = settle(found.screen, again, series, setting)
         if weighed.refits:
             settled[i], final = weighed, weighed.refits[0].fit
     return final, settled
@@ -87,5 +97,5 @@ def _together(
     start = [values.get(p.name, p.default) for p in model.parameters]
     free = [*base.free, *(name for effect in effects for name in free_parameters(effect))]
     start_within = np.clip(start, model.lower, model.upper)
-    fitted = partial(quasi_ml, model, series, start_within, free, tolerance=TOLERANCE)
+    fitted = partial(quasi_ml, model, series, start_within, free, ITERATIONS, TOLERANCE)
     return kept.fit(model, fitted)

@@ -1,57 +1,24 @@
-"""Effects estimated together with the model's parameters, ranked, and told apart."""
+"""Effects estimated together with the model's parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.diagnose.effect import Effect
 from engine.diagnose.families import grid, is_timed
-from engine.diagnose.screen import (
-    Score,
-)
+from engine.diagnose.screen import Score
 from engine.diagnose.tails import KIND as TAILS
-from engine.diagnose.tails import (
-    fit_tails,
-)
+from engine.diagnose.tails import fit_tails
+from engine.errors import EngineError
 from engine.model import Array, MixedModel
 from engine.moment_filter import moment_filter
 from engine.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.series import Series
 
 TOLERANCE = 0.02  # of a log-likelihood: refits are compared, the best one is then finished
-
-
-HOPELESS = 10.0  # of the score behind the best refit, from which another one is given up
-
-
-PLAIN = (
-    "bias",
-    "step",
-    "force",
-    "input-offset",
-    "coulomb",
-    "cubic",
-    "quantisation",
-)  # plainer names first
-
-
-NESTS = {  # a kind with a width of its own, and plainer ones it becomes at the end of its range
-    "stribeck": ("coulomb",),
-    "deadzone": ("coulomb", "coupling", "linear"),
-    "saturation": ("coulomb", "coupling", "linear"),
-    "pole": ("linear", "coupling"),
-    "mode": ("linear", "coupling", "pole"),
-    "variance": ("level",),
-}
-
-
-NEEDED = 2.0  # of the score, that the wider kind must be ahead
-
-
-SAME = 0.5  # sum of squared differences of log-densities below which two refits say the same
+HOPELESS = 10.0  # of the score behind the best refit, from which another one is left for later
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,40 +42,6 @@ class Refit:
     def standard_error(self) -> float:
         """Its standard error."""
         return float(self.fit.standard_errors[self.fit.free.index(self.effect.size.name)])
-
-
-def distinct(refits: Sequence[Refit], series: Series) -> tuple[Refit, ...]:
-    """The refits without those that say the same in other words.
-
-    A pulse on an integrator is a step of its reading: where two refits predict alike at every
-    sample, the plainer kind (see PLAIN) stands for both.
-    """
-    refits = [r for r in refits if not _merely_wider(r, refits)]
-    terms = [held_out_terms(r.fit, series) for r in refits]
-    kept: list[int] = []
-    for i in sorted(range(len(refits)), key=lambda i: _plainness(refits[i])):
-        rank = _plainness(refits[i])
-        if not any(
-            rank > _plainness(refits[j]) and ((terms[i] - terms[j]) ** 2).sum() < SAME for j in kept
-        ):
-            kept.append(i)
-    return tuple(refits[i] for i in sorted(kept))
-
-
-def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
-    """Whether a plainer effect at the same place does as well."""
-    effect = found.effect
-    return any(
-        other.effect.kind in NESTS.get(effect.kind, ())
-        and other.effect.channel in (effect.channel, effect.channel.partition("->")[0])
-        and found.score < other.score + NEEDED
-        for other in others
-    )
-
-
-def _plainness(found: Refit) -> int:
-    kind = found.effect.kind
-    return PLAIN.index(kind) if kind in PLAIN else len(PLAIN)
 
 
 def cost(effect: Effect, series: Series) -> float:
@@ -135,7 +68,8 @@ def free_parameters(effect: Effect) -> list[str]:
 def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) -> Refit:
     """Maximum likelihood of the extended model, started at the score's one-step estimate.
 
-    Given up early where its score will stay far below ``best``, the score of another refit.
+    Given up early where its score seems to stay far below ``best``, the score of another refit; see
+    :func:`taken_up`.
     """
     effect = score.effect
     extended = effect.apply(fit.model)
@@ -158,8 +92,41 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
         if not np.array_equal(moved, found.theta):
             again = quasi_ml(extended, series, moved, free, tolerance=TOLERANCE)
             found = max(found, again, key=lambda one: one.log_likelihood)
-    gain = 2.0 * (found.log_likelihood - zero)
-    return Refit(effect, found, gain, gain - cost(effect, series))
+    return _with_zero(_weighed(effect, found, zero, series), zero, series)
+
+
+def taken_up(refit: Refit, series: Series) -> Refit:
+    """A refit that was given up, followed to its maximum."""
+    known = refit.fit
+    null = known.log_likelihood - 0.5 * refit.gain
+    found = quasi_ml(known.model, series, known.theta, known.free, tolerance=TOLERANCE)
+    return _with_zero(_weighed(refit.effect, found, null, series), null, series)
+
+
+def _weighed(effect: Effect, fit: QuasiFit, null: float, series: Series) -> Refit:
+    """A refit with its gain over the log-likelihood ``null`` without the effect."""
+    gain = 2.0 * (fit.log_likelihood - null)
+    return Refit(effect, fit, gain, gain - cost(effect, series))
+
+
+def _with_zero(refit: Refit, null: float, series: Series) -> Refit:
+    """The refit with the zero of its channel estimated too, where the data tell it.
+
+    Nothing says that the zero of a unit is that of the physics, unless the model declares it: drag about
+    20 m/s is not drag. One more parameter counts as any other.
+    """
+    effect, known = refit.effect, refit.fit
+    if effect.zero is None or known.given_up or not refit.score > 0.0:
+        return refit
+    freed = replace(effect, held=tuple(name for name in effect.held if name != effect.zero))
+    try:
+        found = quasi_ml(
+            known.model, series, known.theta, [*known.free, effect.zero], tolerance=TOLERANCE
+        )
+    except (EngineError, np.linalg.LinAlgError):
+        return refit
+    again = _weighed(freed, found, null, series)
+    return again if again.score > refit.score else refit
 
 
 def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> Refit:

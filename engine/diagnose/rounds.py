@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from engine.diagnose.refits import Refit, distinct
+from engine.diagnose.likeness import distinct
+from engine.diagnose.refits import Refit
 from engine.diagnose.screen import Screen
+from engine.diagnose.setting import Setting
 from engine.series import Series
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e
@@ -24,12 +26,13 @@ class Round:
     equivalent: tuple[Refit, ...]
 
 
-def settle(screen: Screen, refits: Sequence[Refit], series: Series) -> Round:
+def settle(screen: Screen, refits: Sequence[Refit], series: Series, setting: Setting) -> Round:
     """Refits ranked by their score; those within MARGIN of the best named one are a set."""
     unnamed = [r for r in refits if r.effect.kind == GENERIC]
     ranked = sorted((r for r in refits if r.effect.kind != GENERIC), key=lambda r: -r.score)
-    equivalent = distinct([r for r in ranked if r.score >= ranked[0].score - MARGIN], series)
-    if equivalent:  # of effects that are the same here, the plainer name leads
+    within = [r for r in ranked if r.score >= ranked[0].score - MARGIN]
+    equivalent = distinct(within, series, setting)
+    if equivalent:  # of effects that are the same here, the name that stands for them leads
         ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]
     top = max(unnamed, key=lambda r: r.score) if unnamed else None
     return Round(screen, tuple(ranked), top, equivalent)

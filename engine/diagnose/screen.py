@@ -50,17 +50,21 @@ class Score:
     at: tuple[float, ...]
     tests: float = 1.0  # independent chi2 tests that the maximum over its family amounts to
     degrees: int = 1
+    boldness: float = 1.0  # the logarithm of a p-value over what it should be
 
     def p_of(self, value: float) -> float:
         """The p-value of a value of this statistic, such as a refitted likelihood ratio."""
-        return float(min(1.0, self.tests * chi2.sf(value, self.degrees)))
+        p_value = min(1.0, self.tests * float(chi2.sf(value, self.degrees)))
+        return float(p_value ** (1.0 / self.boldness))
 
 
 @dataclass(frozen=True, eq=False)
 class Screen:
     """All scores, best first; ``p_value`` family-wise; ``likenesses`` (n, n) of every two effects.
 
-    ``lowest`` (DRAWS,) are the smallest p-values of the multiplier draws.
+    ``lowest`` (DRAWS,) are the smallest p-values of the multiplier draws; ``simulated`` the number of
+    series by which p-values were calibrated, see :mod:`engine.diagnose.calibration`, 0 where they were not.
+    Where the screen is one of several chances of an alarm, it has this ``share`` of the error.
     """
 
     scores: tuple[Score, ...]
@@ -68,10 +72,27 @@ class Screen:
     threshold: float
     likenesses: Array
     lowest: Array
+    simulated: int = 0
+    share: float = 1.0
+
+    @property
+    def smallest(self) -> float:
+        """The smallest p-value of a single test."""
+        return min(score.p_value for score in self.scores)
 
     def family_wise(self, p_value: float) -> float:
         """How probable so small a p-value is among all of these tests."""
-        return (1.0 + float((self.lowest <= p_value).sum())) / (len(self.lowest) + 1.0)
+        drawn = (1.0 + float((self.lowest <= p_value).sum())) / (len(self.lowest) + 1.0)
+        return min(1.0, drawn / self.share)
+
+    def sharing(self, share: float) -> Screen:
+        """The same screen as one of several chances, with a share of the family-wise error."""
+        one = replace(self, share=share)
+        return replace(one, p_value=one.family_wise(one.smallest))
+
+    def family_wise_at(self, boldness: float) -> float:
+        """The family-wise p-value of what was seen, if all p-values were so bold."""
+        return self.family_wise(self.smallest ** (1.0 / boldness))
 
     def likeness(self, one: int, other: int) -> float:
         """|cos| between two effects' projected vectors v~, by their place in ``scores``."""
@@ -157,7 +178,7 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
         scores.append(score)
         vectors.append(vector)
     result = Screen(tuple(scores), 1.0, threshold, _likenesses(np.array(vectors)), lowest)
-    return replace(result, p_value=result.family_wise(min(observed)))
+    return replace(result, p_value=result.family_wise(result.smallest))
 
 
 def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:

@@ -51,6 +51,20 @@ class Setting:
         """States whose equations may be wrong: all but those that hold by definition."""
         return [name for name in self.states if name not in self.model.kinematic]
 
+    def is_rate(self, state: str) -> bool:
+        """Whether a state is the rate of another one, as a velocity is."""
+        return any(rate == state for rate in self._rates)
+
+    def has_rate(self, state: str) -> bool:
+        """Whether another state is this one's rate, as a position has."""
+        return state in self.model.kinematic
+
+    @property
+    def _rates(self) -> list[str]:
+        F, states = _structure(self.model), list(self.states)
+        rows = [states.index(name) for name in self.model.kinematic]
+        return [states[j] for i in rows for j in np.flatnonzero(F[i]) if i != j]
+
     def rate(self, target: str, divided_by: str = "") -> str:
         """Unit of what enters a state's equation per second, divided by another unit."""
         unit = f"{self.unit(target)}/s"
