@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Self, TypeAlias
 
@@ -95,12 +95,23 @@ class BaseModel:
         return namedtuple("theta", self.parameter_names)  # noqa: PYI024 - fields are dynamic
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: all but the record's type, which is made anew where it is needed."""
-        return {name: value for name, value in vars(self).items() if name != "_record"}
+        """What is pickled: the model's fields, not what was found out from them."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def record(self, theta: Sequence[Any] | Array) -> Any:
         """Theta as the record handed to the model's functions."""
         return self._record(*(theta.tolist() if isinstance(theta, np.ndarray) else theta))
+
+    def records(self, thetas: Array, copies: int = 1) -> Any:
+        """The parameter vectors (K, n_theta) as the record of K ``copies`` rows, ``copies`` of each in turn.
+
+        Fields that are the same in all rows are numbers, the others arrays (K copies,).
+        """
+        fields: list[Any] = thetas[0].tolist()
+        for i in np.flatnonzero((thetas != thetas[0]).any(axis=0)):
+            fields[i] = np.repeat(thetas[:, i], copies)
+            fields[i].setflags(write=False)  # a model may remember what belongs to it
+        return self.record(fields)
 
     def theta(self, values: ThetaLike = None) -> Theta:
         """A full parameter vector from None (defaults), {name: value} or (n_theta,) values.

@@ -26,7 +26,7 @@ def condition_on_trajectories(smoothed: Smoothed, points: Points | None = None) 
     filtered = smoothed.filtered
     model, series = filtered.model, filtered.series
     if points is None:
-        points = Points(model, series, smoothed.a, filtered.theta)
+        points = Points(model, series, smoothed.a)
     record = model.record(filtered.theta)
     T = points.T
     f, A, Q = points.transition(record)

@@ -4,8 +4,8 @@
     y_t     = h(x_t, u_t, theta) + s(x_t, u_t, theta) e_t
 
 v and e have any densities that can be drawn and evaluated. A model is a few plain NumPy functions,
-called with all particles of one time step, or with those of all time steps where it can take them
-(u is then (nu, K), t (K,)):
+called with all particles of one time step, or with those of all time steps where it takes them
+(u is then (nu, K), t (K,); see :mod:`engine.model` for what may be written):
 
     dynamics(x, u, t, dt, theta) -> f, g     f (K, nx) or a list of rows; g (nx, nx), (K, nx, nx) or None = I
     measurement(x, u, t, theta)  -> h, s     h (K, ny) or a list of rows; s (ny, ny), (K, ny, ny) or None = I
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -29,6 +30,7 @@ from engine.kernels.gaussian import psd_cholesky_many
 from engine.model import Array, Density, Gaussian, MixedModel, Parameter, as_matrix, as_rows
 from engine.particle import as_nonlinear
 from engine.simulate import through
+from engine.statespace.evaluation import ModelFunction
 
 Noise: TypeAlias = Callable[[Any], Density]
 
@@ -69,10 +71,20 @@ class NonlinearModel(BaseModel):
         self, x: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array | None]:
         """F (K, nx) and g, of which None stands for the unit matrix."""
-        f, g = self.dynamics(x, u, t, dt, theta)
-        K, nx = x.shape[0], self.nx
-        f = as_rows(f, K, nx, "dynamics: f")
-        return f, None if g is None else as_matrix(g, K, nx, nx, "dynamics: g")
+        f, g = self.transitions(x, u, t, dt, theta)
+        return f, g
+
+    @cached_property
+    def transitions(self) -> ModelFunction:
+        """``transition``, with what is known of the calls that ``dynamics`` takes."""
+
+        def regular(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
+            f, g = self.dynamics(x, u, t, dt, theta)
+            K, nx = x.shape[0], self.nx
+            f = as_rows(f, K, nx, "dynamics: f")
+            return f, None if g is None else as_matrix(g, K, nx, nx, "dynamics: g")
+
+        return ModelFunction(regular, self.name, "dynamics", (self.lower, self.upper))
 
     def log_transition(self, x_next: Array, f: Array, g: Array | None, theta: Any) -> Array:
         """log p(x_{t+1} | x_t) for x_next (..., nx), f (..., nx) and g as ``transition`` gives them."""
@@ -84,10 +96,20 @@ class NonlinearModel(BaseModel):
 
     def output(self, x: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array | None]:
         """h (K, ny) and s, of which None stands for the unit matrix."""
-        h, s = self.measurement(x, u, t, theta)
-        K, ny = x.shape[0], self.ny
-        h = as_rows(h, K, ny, "measurement: h")
-        return h, None if s is None else as_matrix(s, K, ny, ny, "measurement: s")
+        h, s = self.observations(x, u, t, 0.0, theta)
+        return h, s
+
+    @cached_property
+    def observations(self) -> ModelFunction:
+        """``output``, likewise; its dt has no meaning."""
+
+        def regular(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
+            h, s = self.measurement(x, u, t, theta)
+            K, ny = x.shape[0], self.ny
+            h = as_rows(h, K, ny, "measurement: h")
+            return h, None if s is None else as_matrix(s, K, ny, ny, "measurement: s")
+
+        return ModelFunction(regular, self.name, "measurement", (self.lower, self.upper))
 
     def log_measurement(self, y: Array, x: Array, u: Any, t: Any, theta: Any) -> Array:
         """log p(y_t | x_t) for x (K, nx), y (ny,) or (K, ny) -> (K,)."""
