@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Self, TypeAlias
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -93,6 +94,16 @@ class BaseModel:
     @cached_property
     def _record(self) -> Any:
         return namedtuple("theta", self.parameter_names)  # noqa: PYI024 - fields are dynamic
+
+    @cached_property
+    def checked(self) -> WeakSet[Any]:
+        """Series on which the model's functions were checked; see :mod:`engine.model_check`."""
+        return WeakSet()
+
+    @cached_property
+    def derived(self) -> dict[str, Any]:
+        """Other forms of the model, made once."""
+        return {}
 
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled: the model's fields, not what was found out from them."""

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from engine import display, plots
 from engine.errors import OptionError, SeriesError
 from engine.model import Array, MixedModel, Theta, ThetaLike
+from engine.model_check import check_start
 from engine.series import Series
 from engine.simulate import check_finite, noise, propagate
 
@@ -107,6 +108,7 @@ def free_run(
     """
     series.check(model, measured=initial_rows > 0)
     vector = model.theta(theta)
+    check_start(model, vector, series)
     record = model.record(vector)
     x1, spread = first_state(model, vector)
     given = [("a1", a1, slice(0, model.na)), ("z1", z1, slice(model.na, model.nx))]

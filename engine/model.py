@@ -41,6 +41,7 @@ from engine.base_model import Parameter as Parameter
 from engine.base_model import Theta as Theta
 from engine.base_model import ThetaLike as ThetaLike
 from engine.errors import EngineError, ModelError
+from engine.statespace.declared import check_declared
 from engine.statespace.evaluation import ModelFunction
 
 
@@ -64,7 +65,12 @@ class Gaussian:
     def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
         m = np.atleast_1d(np.asarray(mean, dtype=float))
         object.__setattr__(self, "mean", m)
-        object.__setattr__(self, "cov", np.asarray(cov, dtype=float).reshape(m.size, m.size))
+        P = np.asarray(cov, dtype=float)
+        if m.ndim != 1 or P.size != m.size**2:
+            raise ModelError(
+                f"a Gaussian with mean {m.shape} needs cov ({m.size}, {m.size}); it has {P.shape}"
+            )
+        object.__setattr__(self, "cov", P.reshape(m.size, m.size))
 
     def sample(self, rng: np.random.Generator, n: int) -> Array:
         """Draw (n, na)."""
@@ -92,7 +98,8 @@ class MixedModel(BaseModel):
 
     ``nonlinear`` (a), ``linear`` (z), ``inputs`` (u) and ``outputs`` (y) map names to units.
     ``equations`` are lines of text for people. ``kinematic`` names states whose equation holds by
-    definition, as q' = v does: a diagnosis adds nothing to it.
+    definition, as q' = v does: a diagnosis adds nothing to it. Raises ModelError for names, bounds or
+    defaults that cannot be used.
     """
 
     name: str
@@ -111,6 +118,17 @@ class MixedModel(BaseModel):
     def __post_init__(self) -> None:
         for name in ("parameters", "equations", "kinematic"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
+        check_declared(
+            self.name,
+            {
+                "nonlinear states": self.nonlinear,
+                "linear states": self.linear,
+                "inputs": self.inputs,
+                "outputs": self.outputs,
+            },
+            ("nonlinear states", "linear states"),
+            self.parameters,
+        )
         unknown = [name for name in self.kinematic if name not in {**self.nonlinear, **self.linear}]
         if unknown:
             raise ModelError(
@@ -210,8 +228,15 @@ class Start:
     def linear(self, a: Array) -> tuple[Array, Array]:
         """z_{1|0} (M, nz); P_{1|0} (nz, nz) or (M, nz, nz) at a_1 = a (M, na)."""
         M, nz = a.shape[0], self.nz
-        z = self.z1(a) if callable(self.z1) else self.z1
-        P = self.P1(a) if callable(self.P1) else self.P1
+        try:
+            z = self.z1(a) if callable(self.z1) else self.z1
+            P = self.P1(a) if callable(self.P1) else self.P1
+        except EngineError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"initial: z1 or P1 as a function of a_1 {a.shape} raised {type(error).__name__}: {error}"
+            ) from error
         return as_rows(z, M, nz, "initial: z1"), as_matrix(P, M, nz, nz, "initial: P1")
 
 

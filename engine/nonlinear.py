@@ -25,14 +25,19 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from engine.base_model import BaseModel
-from engine.errors import ModelError
+from engine.errors import EngineError, ModelError
 from engine.kernels.gaussian import psd_cholesky_many
-from engine.model import Array, Density, Gaussian, MixedModel, Parameter, as_matrix, as_rows
+from engine.model import Array, Density, Gaussian, MixedModel, Parameter, Theta, as_matrix, as_rows
+from engine.model_check import TIMES
 from engine.particle import as_nonlinear
+from engine.series import Series
 from engine.simulate import through
+from engine.statespace.declared import check_declared
 from engine.statespace.evaluation import ModelFunction
 
 Noise: TypeAlias = Callable[[Any], Density]
+
+DRAWS = 3  # of each density, to look at
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,10 @@ class NonlinearModel(BaseModel):
     inputs: Mapping[str, str] = field(default_factory=dict)
     description: str = ""
     equations: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        channels = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
+        check_declared(self.name, channels, ("states",), self.parameters)
 
     @property
     def nx(self) -> int:
@@ -116,6 +125,48 @@ class NonlinearModel(BaseModel):
         h, s = self.output(x, u, t, theta)
         e, log_scale = _unscale(y - h, s, self.name, "s")
         return np.asarray(self.measurement_noise(theta).log_density(e) - log_scale)
+
+
+def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
+    """As :func:`engine.model_check.check_start`, for a general model and its densities."""
+    if series in model.checked:
+        return
+    record = model.record(theta)
+    for name, n in (("initial", model.nx), ("process_noise", model.nx), ("measurement_noise", model.ny)):
+        try:
+            density = getattr(model, name)(record)
+            values = np.asarray(density.sample(np.random.default_rng(0), DRAWS), dtype=float)
+            log_p = np.asarray(density.log_density(values), dtype=float)
+            alone = [float(np.squeeze(density.log_density(v[None]))) for v in values]
+        except EngineError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"model '{model.name}': {name} raised {type(error).__name__}: {error}"
+            ) from error
+        for what, got, shape in (("draws", values, (DRAWS, n)), ("log density", log_p, (DRAWS,))):
+            if got.shape != shape or not np.isfinite(got).all():
+                raise ModelError(
+                    f"model '{model.name}', {name}: {what} {got.tolist()} of shape {got.shape}; finite "
+                    f"numbers {shape} are needed"
+                )
+        if not np.allclose(log_p, alone, rtol=1e-9, atol=1e-9):
+            raise ModelError(
+                f"model '{model.name}', {name}: the log density of a row depends on the other rows; use "
+                "axis=1 in sums over its components"
+            )
+        if name == "initial":
+            x = values
+    for i in np.unique(np.linspace(0, len(series) - 2, TIMES).astype(int)):
+        u, t = series.u[i], float(series.t[i])
+        f, g = model.transition(x, u, t, float(series.steps[i]), record)
+        h, s = model.output(x, u, t, record)
+        for name, value in (("f", f), ("g", g), ("h", h), ("s", s)):
+            if value is not None and not np.isfinite(value).reshape(len(value), -1).any(axis=0).all():
+                raise ModelError(
+                    f"model '{model.name}': {name} is not finite at the start values, t = {t:g} s"
+                )
+    model.checked.add(series)
 
 
 def as_general(model: MixedModel) -> NonlinearModel:

@@ -12,6 +12,7 @@ from engine import plots
 from engine.errors import ModelError, OptionError
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.model import Array, MixedModel, ThetaLike
+from engine.model_check import check_start
 from engine.series import Series
 from engine.statespace.evaluation import repeated_if_refuted
 
@@ -63,7 +64,9 @@ def simulate(
         )
     blank = np.zeros((n_samples, model.ny))
     frame = Series(blank, u, dt=dt, t=t).check(model)
-    record = model.record(model.theta(theta))
+    values = model.theta(theta)
+    check_start(model, values, frame)
+    record = model.record(values)
     a1 = model.start(record).density.sample(rng, 1)
     z1, P1 = model.start(record).linear(a1)
     z1 = z1 + noise(P1, z1.shape, rng)

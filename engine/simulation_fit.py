@@ -19,7 +19,9 @@ from engine import display, plots
 from engine.errors import ModelError
 from engine.free_run import FreeRun, first_state, free_run, output_scale, run_rows
 from engine.model import Array, MixedModel, Theta, ThetaLike
+from engine.model_check import check_start
 from engine.series import Series, as_series_list
+from engine.statespace.evaluation import repeated_if_refuted
 
 STEP = 1e-5  # finite-difference step as a share of a parameter's scale
 FLAT = 1e-4  # a direction this much weaker than the strongest is lost in the differences
@@ -89,6 +91,7 @@ class SimulationFit:
         )
 
 
+@repeated_if_refuted
 def fit_simulation(
     model: MixedModel,
     series: Series | Sequence[Series],
@@ -112,6 +115,8 @@ def fit_simulation(
     """
     began = time.perf_counter()
     listed = as_series_list(series, model)
+    for one in listed:
+        check_start(model, model.theta(theta0), one)
     problem = _Problem(model, listed, model.theta(theta0), model.free_indices(free))
     problem.look_for_silent()
     tried = [

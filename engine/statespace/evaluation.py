@@ -6,9 +6,9 @@ allows it is about rows: row i of what a function returns depends on row i of it
 ``if t > 5``, ``math.cos(theta.w)``, ``np.diag([1e-4, theta.q])``, ``np.linalg.norm(u)``. Here, and nowhere
 else, it is decided which calls a function takes:
 
-- When rows first differ in times or parameters, the call is compared with calls of single rows, with
-  the same rows in another order, and with rows drawn and scattered at random, whose number fits no
-  matrix by chance. The 2nd, 4th, 8th, ... call is looked at again.
+- When rows first differ in times or parameters, the call is compared with calls of single rows, and
+  with the same rows in another order; likewise a call of rows scattered at random, some of them seen
+  at other times, whose number fits no matrix by chance. The 2nd, 4th, 8th, ... call is looked at again.
 - A function that fails is called for each time and parameter vector by itself from then on, which is
   slower and always right. Where results were handed out before the failure was seen, what was made
   of them is made again: see :func:`repeated_if_refuted`.
@@ -38,6 +38,7 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 SINGLE_ROWS = 6  # that a call is compared with
+SEEN = 60  # states of earlier looks that are mixed with those of a new one
 NUMBERS = (23, 29, 31, 37, 41, 43, 47, 53, 59, 61)  # of scattered rows: a size no matrix has
 SPREADS = (0.1, 0.01)  # tried one after the other where a model has no values farther out
 NUMERIC = (ArithmeticError, ValueError)  # what a calculation may meet at a trial of its parameters
@@ -72,6 +73,7 @@ class ModelFunction:
         self.model, self.name = model, name
         self._verdicts: dict[Kind | None, _Verdict] = {None: _Verdict()}
         self._reuses = False  # whether it returns memory of its own, and writes there again
+        self._seen = np.empty((0, 0))  # states of earlier looks
         # the last record, what differs in it, the number of its rows (0: any), the verdict on it
         self._theta, self._kind, self._M = None, None, 0
         self._verdict = self._verdicts[None]
@@ -220,8 +222,9 @@ class ModelFunction:
             agrees = self._like(rows, kind, together, company, order[:SINGLE_ROWS])
             if not identical(raw, together):
                 self._reuses = True
-            if agrees and first:
-                agrees = self._agrees_when_spread(rows, kind, together, rng)
+            agrees = agrees and self._agrees_when_spread(rows, kind, together, rng)
+            new = rows.a[order[:SINGLE_ROWS]]
+            self._seen = np.concatenate([new, self._seen])[:SEEN] if len(self._seen) else new
         return together if agrees else None
 
     def _agrees_when_spread(
@@ -234,6 +237,8 @@ class ModelFunction:
         singles = np.arange(SINGLE_ROWS)
         for share in SPREADS:
             drawn = rows.spread(kind, n, self._bounds, share, rng)
+            if len(self._seen):  # a condition may hold at some times and not at others
+                drawn.a[::2] = self._seen[rng.integers(0, len(self._seen), len(drawn.a[::2]))]
             if any(self._alone(drawn, kind, i) is None for i in singles):
                 continue
             try:
