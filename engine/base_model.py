@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Self, TypeAlias
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,13 +95,34 @@ class BaseModel:
     def _record(self) -> Any:
         return namedtuple("theta", self.parameter_names)  # noqa: PYI024 - fields are dynamic
 
+    @cached_property
+    def checked(self) -> WeakSet[Any]:
+        """Series on which the model's functions were checked; see :mod:`engine.model_check`."""
+        return WeakSet()
+
+    @cached_property
+    def derived(self) -> dict[str, Any]:
+        """Other forms of the model, made once."""
+        return {}
+
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: all but the record's type, which is made anew where it is needed."""
-        return {name: value for name, value in vars(self).items() if name != "_record"}
+        """What is pickled: the model's fields, not what was found out from them."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def record(self, theta: Sequence[Any] | Array) -> Any:
         """Theta as the record handed to the model's functions."""
         return self._record(*(theta.tolist() if isinstance(theta, np.ndarray) else theta))
+
+    def records(self, thetas: Array, copies: int = 1) -> Any:
+        """The parameter vectors (K, n_theta) as the record of K ``copies`` rows, ``copies`` of each in turn.
+
+        Fields that are the same in all rows are numbers, the others arrays (K copies,).
+        """
+        fields: list[Any] = thetas[0].tolist()
+        for i in np.flatnonzero((thetas != thetas[0]).any(axis=0)):
+            fields[i] = np.repeat(thetas[:, i], copies)
+            fields[i].setflags(write=False)  # a model may remember what belongs to it
+        return self.record(fields)
 
     def theta(self, values: ThetaLike = None) -> Theta:
         """A full parameter vector from None (defaults), {name: value} or (n_theta,) values.

@@ -16,8 +16,10 @@ from engine.kernels.conditional import smooth_along
 from engine.model import Array
 from engine.points import Points
 from engine.rb_ffbsi import Smoothed
+from engine.statespace.evaluation import repeated_if_refuted
 
 
+@repeated_if_refuted
 def condition_on_trajectories(smoothed: Smoothed, points: Points | None = None) -> Smoothed:
     """Replace the moments of Algorithm 3 by those of z given each whole trajectory.
 
@@ -26,7 +28,7 @@ def condition_on_trajectories(smoothed: Smoothed, points: Points | None = None) 
     filtered = smoothed.filtered
     model, series = filtered.model, filtered.series
     if points is None:
-        points = Points(model, series, smoothed.a, filtered.theta)
+        points = Points(model, series, smoothed.a)
     record = model.record(filtered.theta)
     T = points.T
     f, A, Q = points.transition(record)

@@ -90,7 +90,7 @@ def rbps_step(
                 draws = rb_ffbsi_linear(filtered, n_trajectories, rng, condition=False)
             else:
                 draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
-            points = Points(model, one, draws.a, theta)
+            points = Points(model, one, draws.a)
             if smoother != "algorithm-3":
                 draws = condition_on_trajectories(draws, points)
             smoothed.append((Moments(draws.a, draws.z, draws.cov, draws.cross), points))
@@ -112,7 +112,7 @@ def rts_step(model: MixedModel, listed: Sequence[Series]) -> Expect:
         smoothed, log_likelihood = [], 0.0
         for one in listed:
             k = kalman_smoother(model, theta, one)
-            points = Points(linear, one, np.zeros((len(one), 1, 0)), theta)
+            points = Points(linear, one, np.zeros((len(one), 1, 0)))
             moments = Moments(points.a, k.x[:, None], k.P[:, None], k.M[:, None])
             smoothed.append((moments, points))
             log_likelihood += k.log_likelihood

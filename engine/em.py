@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,7 +25,7 @@ from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.outcome import Outcome
 from engine.proposals import Proposal
 from engine.series import Series, as_series_list
-from engine.warm_start import FAR, moment_maximum
+from engine.warm_start import FAR, WarmStart
 
 
 @dataclass(frozen=True)
@@ -166,10 +165,13 @@ def rbps_em(
         recover=recover,
     )
     indices = model.free_indices(free)
-    ahead = partial(moment_maximum, model, listed, indices) if warm_start else None
-    return iterate(
+    ahead = WarmStart(model, listed, indices) if warm_start else None
+    result = iterate(
         model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance, ahead
     )
+    if ahead is not None and ahead.note:
+        result = replace(result, message=f"{result.message} {ahead.note}")
+    return result
 
 
 def rts_em(

@@ -16,7 +16,15 @@ class EngineError(ValueError):
 
 
 class ModelError(EngineError):
-    """A model returned something that no algorithm can use."""
+    """A model returned something that no algorithm can use.
+
+    ``placed``: the message names function, time and shapes already. ``numeric``: a calculation failed
+    at the values it was given, as it may at a trial of the parameters, and not the model as such.
+    """
+
+    def __init__(self, message: str, *, placed: bool = False, numeric: bool = False) -> None:
+        super().__init__(message)
+        self.placed, self.numeric = placed, numeric
 
 
 class SeriesError(EngineError):

@@ -17,6 +17,7 @@ from engine.q_function import GaussianTerm
 from engine.rb_ffbsi import Smoothed
 
 BLOCK = 2**17  # numbers in an array of points; what fits the cache keeps time linear in T
+FEW = 3  # time steps at which it is asked first whether a parameter is used
 STEP = 1e-5  # of a parameter's size, for differences of the model's functions
 
 
@@ -294,32 +295,46 @@ class _Forbidden:
 def dependence(model: MixedModel, theta: Theta, points: Points) -> list[NDArray[np.bool_]]:
     """Which parameters enter initial, dynamics and measurement: three (n_theta,) masks.
 
-    Each parameter in turn is replaced by something that cannot be used: a function that still
-    returns does not need it. A model that cannot be evaluated in one call for all times may
-    branch on u or t in ways a few points do not show, so everything is then assumed.
+    Parameters are replaced by something that cannot be used: a function that still returns, at all
+    points, does not need them. A function that is not evaluated at all points in one call would be
+    asked too often; there everything is assumed.
     """
-    n = len(model.parameters)
-    depends = [np.ones(n, dtype=bool) for _ in range(3)]
-    if not points.stacked:
-        return depends
-    a, u, t = points.a[0], points.series.u[0], float(points.series.t[0])
-    dt = float(points.series.steps[0])
-    calls: tuple[Callable[[Any], Any], ...] = (
-        partial(_evaluate_start, model, a),
-        partial(model.transition, a, u, t, dt),
-        partial(model.observation, a, u, t),
-    )
-    for k in range(n):
-        values: list[Any] = theta.tolist()
+    record = model.record(theta)
+    start = partial(_evaluate_start, model, points.a[0])
+    masks = [_used(start, start, model, theta)]
+    for transition, function in ((True, model.transitions), (False, model.observations)):
+        n = points.T - transition
+        every = points.arguments(np.arange(n), transition)
+        if not function.takes(*every, record):
+            masks.append(np.ones(len(model.parameters), dtype=bool))
+            continue
+        few = points.arguments(np.unique(np.linspace(0, n - 1, FEW).astype(int)), transition)
+        masks.append(
+            _used(partial(function.once, *few), partial(function.once, *every), model, theta)
+        )
+    return masks
+
+
+def _used(
+    first: Callable[[Any], Any], then: Callable[[Any], Any], model: MixedModel, theta: Theta
+) -> NDArray[np.bool_]:
+    """Which parameters a call needs: tried ``first`` on a part of it, one by one, ``then`` on all."""
+    used = np.array([_fails(first, model, theta, [k]) for k in range(len(theta))], dtype=bool)
+    unused = np.flatnonzero(~used)
+    if unused.size and _fails(then, model, theta, unused):
+        used[unused] = [_fails(then, model, theta, [k]) for k in unused]
+    return used
+
+
+def _fails(call: Callable[[Any], Any], model: MixedModel, theta: Theta, which: Any) -> bool:
+    values: list[Any] = theta.tolist()
+    for k in which:
         values[k] = _Forbidden()
-        record = model.record(values)
-        for mask, call in zip(depends, calls, strict=True):
-            try:
-                call(record)
-            except Exception:  # noqa: BLE001 - whatever a use of the value leads to
-                continue
-            mask[k] = False
-    return depends
+    try:
+        call(model.record(values))
+    except Exception:  # noqa: BLE001 - whatever a use of the value leads to
+        return True
+    return False
 
 
 def _evaluate_start(model: MixedModel, a: Array, record: Any) -> None:

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from engine import display, plots
 from engine.errors import OptionError, SeriesError
 from engine.model import Array, MixedModel, Theta, ThetaLike
+from engine.model_check import check_start
 from engine.series import Series
 from engine.simulate import check_finite, noise, propagate
 
@@ -107,6 +108,7 @@ def free_run(
     """
     series.check(model, measured=initial_rows > 0)
     vector = model.theta(theta)
+    check_start(model, vector, series)
     record = model.record(vector)
     x1, spread = first_state(model, vector)
     given = [("a1", a1, slice(0, model.na)), ("z1", z1, slice(model.na, model.nx))]
@@ -146,44 +148,16 @@ def first_state(model: MixedModel, theta: Theta) -> tuple[Array, Array]:
 
 
 def run_rows(
-    model: MixedModel, thetas: Array, series: Series, x1: Array, at_once: bool
+    model: MixedModel, thetas: Array, series: Series, x1: Array
 ) -> tuple[Array, Array]:
     """Noise-free runs of K parameter vectors (K, n_theta) from K first states (K, nx).
 
-    Returns y (T, K, ny) and x (T, K, nx). ``at_once`` hands the parameters to the model as arrays
-    (K,), which makes K runs cost about as much as one; see :func:`takes_rows`.
+    Returns y (T, K, ny) and x (T, K, nx). K runs cost about as much as one where the model's functions
+    take arrays of parameters.
     """
     na = model.na
-    if at_once:
-        record = model.record(list(np.ascontiguousarray(thetas.T)))
-        y, a, z = propagate(model, record, series, x1[:, :na], x1[:, na:])
-        return y, np.concatenate((a, z), axis=2)
-    distinct, which = np.unique(thetas, axis=0, return_inverse=True)
-    y = np.empty((len(series), thetas.shape[0], model.ny))
-    x = np.empty((len(series), thetas.shape[0], model.nx))
-    for i, theta in enumerate(distinct):
-        rows = np.flatnonzero(which.ravel() == i)
-        out = propagate(model, model.record(theta), series, x1[rows, :na], x1[rows, na:])
-        y[:, rows], x[:, rows] = out[0], np.concatenate(out[1:], axis=2)
-    return y, x
-
-
-def takes_rows(model: MixedModel, thetas: Array, series: Series, x1: Array) -> bool:
-    """Whether the model's functions work element by element on arrays of parameters.
-
-    Plain NumPy functions mostly do. Tried on the first 100 samples against separate runs, so a
-    model that does not is found out and run one parameter vector at a time.
-    """
-    part = series.part(0, min(len(series), 100))
-    try:
-        y, x = run_rows(model, thetas, part, x1, at_once=True)
-    except Exception:  # noqa: BLE001 - a function not written for arrays may raise anything
-        return False
-    y_each, x_each = run_rows(model, thetas, part, x1, at_once=False)
-    return all(
-        np.allclose(one, other, rtol=1e-9, atol=1e-12, equal_nan=True)
-        for one, other in ((y, y_each), (x, x_each))
-    )
+    y, a, z = propagate(model, model.records(thetas), series, x1[:, :na], x1[:, na:])
+    return y, np.concatenate((a, z), axis=2)
 
 
 def _fit_first_state(
@@ -250,25 +224,14 @@ def _bands(
     x = np.tile(x1, (K, 1))
     if bands.start is not None:
         x += noise(np.asarray(bands.start, dtype=float), x.shape, rng)
-    thetas = np.tile(np.asarray(theta), (1 if bands.covariance is None else K, 1))
+    thetas = np.tile(np.asarray(theta), (K, 1))
     if bands.covariance is not None:
         thetas += noise(np.asarray(bands.covariance, dtype=float), thetas.shape, rng)
         thetas = np.clip(thetas, model.lower, model.upper)
     noises = {"process": bands.process, "measurement": bands.measurement}
-    if len(thetas) == 1:
-        record = model.record(thetas[0])
-        y, _, _ = propagate(model, record, series, x[:, :na], x[:, na:], rng, **noises)
-    elif takes_rows(model, thetas, series, x):
-        record = model.record(list(np.ascontiguousarray(thetas.T)))
-        y, _, _ = propagate(model, record, series, x[:, :na], x[:, na:], rng, **noises)
-    else:
-        y = np.empty((len(series), K, model.ny))
-        for i in range(K):
-            one = slice(i, i + 1)
-            out = propagate(
-                model, model.record(thetas[i]), series, x[one, :na], x[one, na:], rng, **noises
-            )
-            y[:, one] = out[0]
+    y, _, _ = propagate(
+        model, model.records(thetas), series, x[:, :na], x[:, na:], rng, **noises
+    )
     y = np.sort(np.where(np.isnan(y), np.inf, y), axis=1)
     tail = 0.5 * (1.0 - bands.level)
     low, high = int(np.floor(tail * (K - 1))), int(np.ceil((1.0 - tail) * (K - 1)))

@@ -13,6 +13,7 @@ import numpy as np
 from engine import plots
 from engine.errors import ModelError
 from engine.model import Array, Gaussian, MixedModel, Theta, ThetaLike
+from engine.model_check import check_start
 from engine.series import Series
 
 
@@ -112,7 +113,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     Raises ModelError where the model is not linear Gaussian in x = (a, z) at this theta.
     """
     theta = model.theta(theta)
-    series.check(model)
+    check_start(model, theta, series.check(model))
     record = model.record(theta)
     T, nx = len(series), model.nx
     x_p, x_f = np.empty((T, nx)), np.empty((T, nx))

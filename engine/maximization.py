@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from engine.base_model import Array, BaseModel
 from engine.errors import OptionError
 from engine.expectation import parameter_scale
+from engine.statespace.evaluation import repeated_if_refuted
 
 STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
 GAIN = 1e-7  # an expected gain in Q (nats) below this is not worth a step
@@ -32,6 +33,7 @@ class Objective(Protocol):
         """Value, gradient (n,) and a non-negative scoring matrix (n, n) in the free parameters."""
 
 
+@repeated_if_refuted
 def maximize(q: Objective, theta: Array, free: NDArray[np.intp], method: str = "scoring") -> Array:
     """The maximiser of Q over the free parameters, started at theta. Raises OptionError.
 

@@ -52,8 +52,7 @@ class MixingProposal:
         )
         if self.informed:
             g, log_q = self._draw_informed(inner)
-            root = np.where(self.mask, np.sqrt(self.scale(g))[:, None], 1.0)
-            inner.model = _scaled(self.model, root)
+            inner.roots = np.where(self.mask, np.sqrt(self.scale(g))[:, None], 1.0)
         else:  # what s does shows in the next y only: cover its whole prior
             u = (step.rng.permutation(M) + step.rng.random(M)) / M
             g = self.mean + ndtri(u)
@@ -85,17 +84,6 @@ class MixingProposal:
         g = self.mean + ndtri(below + (self.edges[k + 1] - below) * rng.random(M))
         log_q = _log_normal(g - self.mean) + np.log(p[np.arange(M), k] / share[k])
         return g, log_q
-
-
-def _scaled(model: MixedModel, root: Array) -> MixedModel:
-    """The model with R scaled for each particle, also where several points of each are asked for."""
-
-    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
-        h, C, R = model.observation(a, u, t, theta)
-        each = np.tile(root, (len(a) // len(root), 1))
-        return h, C, R * each[:, :, None] * each[:, None, :]
-
-    return replace(model, measurement=measurement)
 
 
 def _log_normal(r: Array) -> Array:

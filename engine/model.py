@@ -40,7 +40,9 @@ from engine.base_model import BaseModel
 from engine.base_model import Parameter as Parameter
 from engine.base_model import Theta as Theta
 from engine.base_model import ThetaLike as ThetaLike
-from engine.errors import ModelError
+from engine.errors import EngineError, ModelError
+from engine.statespace.declared import check_declared
+from engine.statespace.evaluation import ModelFunction
 
 
 class Density(Protocol):
@@ -63,7 +65,12 @@ class Gaussian:
     def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
         m = np.atleast_1d(np.asarray(mean, dtype=float))
         object.__setattr__(self, "mean", m)
-        object.__setattr__(self, "cov", np.asarray(cov, dtype=float).reshape(m.size, m.size))
+        P = np.asarray(cov, dtype=float)
+        if m.ndim != 1 or P.size != m.size**2:
+            raise ModelError(
+                f"a Gaussian with mean {m.shape} needs cov ({m.size}, {m.size}); it has {P.shape}"
+            )
+        object.__setattr__(self, "cov", P.reshape(m.size, m.size))
 
     def sample(self, rng: np.random.Generator, n: int) -> Array:
         """Draw (n, na)."""
@@ -91,7 +98,8 @@ class MixedModel(BaseModel):
 
     ``nonlinear`` (a), ``linear`` (z), ``inputs`` (u) and ``outputs`` (y) map names to units.
     ``equations`` are lines of text for people. ``kinematic`` names states whose equation holds by
-    definition, as q' = v does: a diagnosis adds nothing to it.
+    definition, as q' = v does: a diagnosis adds nothing to it. Raises ModelError for names, bounds or
+    defaults that cannot be used.
     """
 
     name: str
@@ -110,6 +118,17 @@ class MixedModel(BaseModel):
     def __post_init__(self) -> None:
         for name in ("parameters", "equations", "kinematic"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
+        check_declared(
+            self.name,
+            {
+                "nonlinear states": self.nonlinear,
+                "linear states": self.linear,
+                "inputs": self.inputs,
+                "outputs": self.outputs,
+            },
+            ("nonlinear states", "linear states"),
+            self.parameters,
+        )
         unknown = [name for name in self.kinematic if name not in {**self.nonlinear, **self.linear}]
         if unknown:
             raise ModelError(
@@ -131,33 +150,69 @@ class MixedModel(BaseModel):
         """Number of states, na + nz."""
         return self.na + self.nz
 
-    # ---- evaluation with shapes made regular; ``theta`` is a record ------------------------
+    # ---- evaluation with regular shapes; ``theta`` is a record -----------------------------
+    #
+    # Rows of a (M, na) may have times and parameters of their own: u (nu, M), t (M,), dt (M,), and
+    # arrays (M,) in theta. Whatever the user's function takes of these, the result is right; see
+    # :mod:`engine.statespace.evaluation`.
 
     def transition(
         self, a: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array, Array]:
-        """F (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx)."""
-        f, A, Q = self.dynamics(a, u, t, dt, theta)
-        M, nx, nz = a.shape[0], self.nx, self.nz
-        return (
-            as_rows(f, M, nx, "dynamics: f"),
-            as_matrix(A, M, nx, nz, "dynamics: A"),
-            as_matrix(Q, M, nx, nx, "dynamics: Q"),
-        )
+        """F (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
+        f, A, Q = self.transitions(a, u, t, dt, theta)
+        return f, A, Q
 
     def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
-        """H (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny)."""
-        h, C, R = self.measurement(a, u, t, theta)
-        M, ny, nz = a.shape[0], self.ny, self.nz
-        return (
-            as_rows(h, M, ny, "measurement: h"),
-            as_matrix(C, M, ny, nz, "measurement: C"),
-            as_matrix(R, M, ny, ny, "measurement: R"),
-        )
+        """H (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
+        h, C, R = self.observations(a, u, t, 0.0, theta)
+        return h, C, R
+
+    @cached_property
+    def transitions(self) -> ModelFunction:
+        """``transition``, with what is known of the calls that ``dynamics`` takes."""
+
+        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+            f, A, Q = self.dynamics(a, u, t, dt, theta)
+            M, nx, nz = a.shape[0], self.nx, self.nz
+            return (
+                as_rows(f, M, nx, "dynamics: f"),
+                as_matrix(A, M, nx, nz, "dynamics: A"),
+                as_matrix(Q, M, nx, nx, "dynamics: Q"),
+            )
+
+        return ModelFunction(regular, self.name, "dynamics", (self.lower, self.upper))
+
+    @cached_property
+    def observations(self) -> ModelFunction:
+        """``observation``, likewise; its dt has no meaning."""
+
+        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+            h, C, R = self.measurement(a, u, t, theta)
+            M, ny, nz = a.shape[0], self.ny, self.nz
+            return (
+                as_rows(h, M, ny, "measurement: h"),
+                as_matrix(C, M, ny, nz, "measurement: C"),
+                as_matrix(R, M, ny, ny, "measurement: R"),
+            )
+
+        return ModelFunction(regular, self.name, "measurement", (self.lower, self.upper))
 
     def start(self, theta: Any) -> Start:
-        """The initial density p(a_1) N(z_1; z_{1|0}(a_1), P_{1|0}(a_1)), report, eq. (1f)."""
-        density, z1, P1 = self.initial(theta)
+        """The initial density p(a_1) N(z_1; z_{1|0}(a_1), P_{1|0}(a_1)), report, eq. (1f).
+
+        Raises ModelError naming the model where the user's function fails.
+        """
+        try:
+            density, z1, P1 = self.initial(theta)
+        except EngineError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"model '{self.name}': initial raised {type(error).__name__}: {error}",
+                placed=True,
+                numeric=isinstance(error, (ArithmeticError, ValueError)),
+            ) from error
         return Start(density, z1, P1, self.nz)
 
 
@@ -173,8 +228,15 @@ class Start:
     def linear(self, a: Array) -> tuple[Array, Array]:
         """z_{1|0} (M, nz); P_{1|0} (nz, nz) or (M, nz, nz) at a_1 = a (M, na)."""
         M, nz = a.shape[0], self.nz
-        z = self.z1(a) if callable(self.z1) else self.z1
-        P = self.P1(a) if callable(self.P1) else self.P1
+        try:
+            z = self.z1(a) if callable(self.z1) else self.z1
+            P = self.P1(a) if callable(self.P1) else self.P1
+        except EngineError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"initial: z1 or P1 as a function of a_1 {a.shape} raised {type(error).__name__}: {error}"
+            ) from error
         return as_rows(z, M, nz, "initial: z1"), as_matrix(P, M, nz, nz, "initial: P1")
 
 

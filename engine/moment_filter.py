@@ -26,6 +26,7 @@ from engine.kernels.moments import (
 )
 from engine.model import Array, Gaussian, MixedModel, stacked
 from engine.series import Series
+from engine.statespace.evaluation import repeated_if_refuted
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,66 +70,22 @@ class MomentPath:
 
 
 class Thetas:
-    """K parameter vectors as one record; parameters equal in all copies stay plain numbers.
-
-    ``batched`` tells whether the model's functions take arrays in the record's fields; where they do
-    not, each copy is evaluated on its own.
-    """
+    """K parameter vectors (K, n_theta) and their records."""
 
     def __init__(self, model: MixedModel, thetas: Array) -> None:
         self.model = model
         self.thetas = np.atleast_2d(np.asarray(thetas, dtype=float))
         self.K = len(self.thetas)
-        self.varies = (self.thetas != self.thetas[0]).any(axis=0)
-        self.records = [model.record(row) for row in self.thetas] if self.K > 1 else []
-        self.batched: bool | None = None if self.varies.any() else True
-        self.repeated: dict[int, Any] = {}
+        self._records: dict[int, Any] = {}
 
     def record(self, copies: int) -> Any:
-        """The record with each varying field repeated for ``copies`` rows per parameter vector."""
-        if copies not in self.repeated:  # the same at every time step
-            fields: list[Any] = self.thetas[0].tolist()
-            for i in np.flatnonzero(self.varies):
-                fields[i] = np.repeat(self.thetas[:, i], copies)
-                fields[i].setflags(write=False)  # a model may remember what belongs to it
-            self.repeated[copies] = self.model.record(fields)
-        return self.repeated[copies]
-
-    def evaluate(self, function: Any, a: Array, *at: Any) -> tuple[Array, Array, Array]:
-        """``function(a, *at, record)`` for all rows a (K S, na), each S rows with their own theta."""
-        S = len(a) // self.K
-        if self.batched:
-            together: tuple[Array, Array, Array] = function(a, *at, self.record(S))
-            return together
-        each = self._each(function, a, at, S)
-        if self.batched is None:
-            try:
-                self.batched = self._same(function(a, *at, self.record(S)), each)
-            except Exception:  # noqa: BLE001 - a user's function may raise anything
-                self.batched = False
-        return each
-
-    def _each(
-        self, function: Any, a: Array, at: tuple[Any, ...], S: int
-    ) -> tuple[Array, Array, Array]:
-        parts = [
-            function(a[k * S : (k + 1) * S], *at, record) for k, record in enumerate(self.records)
-        ]
-        value = np.concatenate([p[0] for p in parts])
-        matrices = []
-        for i in (1, 2):
-            rows = [np.broadcast_to(p[i], (S, *p[i].shape[-2:])) for p in parts]
-            matrices.append(np.concatenate(rows))
-        return value, matrices[0], matrices[1]
-
-    @staticmethod
-    def _same(one: tuple[Array, ...], other: tuple[Array, ...]) -> bool:
-        return all(
-            np.allclose(x, y, rtol=1e-9, atol=0.0, equal_nan=True)
-            for x, y in zip(one, other, strict=True)
-        )
+        """The record of K ``copies`` rows, ``copies`` for each parameter vector in turn."""
+        if copies not in self._records:  # the same at every time step
+            self._records[copies] = self.model.records(self.thetas, copies)
+        return self._records[copies]
 
 
+@repeated_if_refuted
 @np.errstate(all="ignore")
 def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
     """Filter a series with each of the parameter vectors ``thetas`` (K, n_theta)."""
@@ -147,6 +104,7 @@ def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFil
     return MomentFiltered(innovations, S, terms)
 
 
+@repeated_if_refuted
 @np.errstate(all="ignore")
 def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
     """Filter a series with one parameter vector and keep the moments and slopes.
@@ -207,13 +165,15 @@ class FilterSteps:
 
     def observation(self, t: int, a: Array) -> tuple[Array, Array, Array]:
         """h (K S, ny), C and R (1 or K S, ., .) at the points a (K S, na)."""
-        h, C, R = self.thetas.evaluate(self.model.observation, a, self.series.u[t], self.times[t])
+        record = self.thetas.record(len(a) // self.thetas.K)
+        h, C, R = self.model.observation(a, self.series.u[t], self.times[t], record)
         return h, stacked(C), stacked(R)
 
     def transition(self, t: int, a: Array) -> tuple[Array, Array, Array]:
         """f (K S, nx), A and Q (1 or K S, ., .) at the points a (K S, na)."""
-        f, A, Q = self.thetas.evaluate(
-            self.model.transition, a, self.series.u[t], self.times[t], self.steps[t]
+        record = self.thetas.record(len(a) // self.thetas.K)
+        f, A, Q = self.model.transition(
+            a, self.series.u[t], self.times[t], self.steps[t], record
         )
         return f, stacked(A), stacked(Q)
 

@@ -4,8 +4,8 @@
     y_t     = h(x_t, u_t, theta) + s(x_t, u_t, theta) e_t
 
 v and e have any densities that can be drawn and evaluated. A model is a few plain NumPy functions,
-called with all particles of one time step, or with those of all time steps where it can take them
-(u is then (nu, K), t (K,)):
+called with all particles of one time step, or with those of all time steps where it takes them
+(u is then (nu, K), t (K,); see :mod:`engine.model` for what may be written):
 
     dynamics(x, u, t, dt, theta) -> f, g     f (K, nx) or a list of rows; g (nx, nx), (K, nx, nx) or None = I
     measurement(x, u, t, theta)  -> h, s     h (K, ny) or a list of rows; s (ny, ny), (K, ny, ny) or None = I
@@ -19,18 +19,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from engine.base_model import BaseModel
-from engine.errors import ModelError
+from engine.errors import EngineError, ModelError
 from engine.kernels.gaussian import psd_cholesky_many
-from engine.model import Array, Density, Gaussian, MixedModel, Parameter, as_matrix, as_rows
+from engine.model import Array, Density, Gaussian, MixedModel, Parameter, Theta, as_matrix, as_rows
+from engine.model_check import TIMES
 from engine.particle import as_nonlinear
+from engine.series import Series
 from engine.simulate import through
+from engine.statespace.declared import check_declared
+from engine.statespace.evaluation import ModelFunction
 
 Noise: TypeAlias = Callable[[Any], Density]
+
+DRAWS = 3  # of each density, to look at
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,10 @@ class NonlinearModel(BaseModel):
     inputs: Mapping[str, str] = field(default_factory=dict)
     description: str = ""
     equations: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        channels = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
+        check_declared(self.name, channels, ("states",), self.parameters)
 
     @property
     def nx(self) -> int:
@@ -69,10 +80,20 @@ class NonlinearModel(BaseModel):
         self, x: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array | None]:
         """F (K, nx) and g, of which None stands for the unit matrix."""
-        f, g = self.dynamics(x, u, t, dt, theta)
-        K, nx = x.shape[0], self.nx
-        f = as_rows(f, K, nx, "dynamics: f")
-        return f, None if g is None else as_matrix(g, K, nx, nx, "dynamics: g")
+        f, g = self.transitions(x, u, t, dt, theta)
+        return f, g
+
+    @cached_property
+    def transitions(self) -> ModelFunction:
+        """``transition``, with what is known of the calls that ``dynamics`` takes."""
+
+        def regular(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
+            f, g = self.dynamics(x, u, t, dt, theta)
+            K, nx = x.shape[0], self.nx
+            f = as_rows(f, K, nx, "dynamics: f")
+            return f, None if g is None else as_matrix(g, K, nx, nx, "dynamics: g")
+
+        return ModelFunction(regular, self.name, "dynamics", (self.lower, self.upper))
 
     def log_transition(self, x_next: Array, f: Array, g: Array | None, theta: Any) -> Array:
         """log p(x_{t+1} | x_t) for x_next (..., nx), f (..., nx) and g as ``transition`` gives them."""
@@ -84,16 +105,68 @@ class NonlinearModel(BaseModel):
 
     def output(self, x: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array | None]:
         """h (K, ny) and s, of which None stands for the unit matrix."""
-        h, s = self.measurement(x, u, t, theta)
-        K, ny = x.shape[0], self.ny
-        h = as_rows(h, K, ny, "measurement: h")
-        return h, None if s is None else as_matrix(s, K, ny, ny, "measurement: s")
+        h, s = self.observations(x, u, t, 0.0, theta)
+        return h, s
+
+    @cached_property
+    def observations(self) -> ModelFunction:
+        """``output``, likewise; its dt has no meaning."""
+
+        def regular(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
+            h, s = self.measurement(x, u, t, theta)
+            K, ny = x.shape[0], self.ny
+            h = as_rows(h, K, ny, "measurement: h")
+            return h, None if s is None else as_matrix(s, K, ny, ny, "measurement: s")
+
+        return ModelFunction(regular, self.name, "measurement", (self.lower, self.upper))
 
     def log_measurement(self, y: Array, x: Array, u: Any, t: Any, theta: Any) -> Array:
         """log p(y_t | x_t) for x (K, nx), y (ny,) or (K, ny) -> (K,)."""
         h, s = self.output(x, u, t, theta)
         e, log_scale = _unscale(y - h, s, self.name, "s")
         return np.asarray(self.measurement_noise(theta).log_density(e) - log_scale)
+
+
+def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
+    """As :func:`engine.model_check.check_start`, for a general model and its densities."""
+    if series in model.checked:
+        return
+    record = model.record(theta)
+    for name, n in (("initial", model.nx), ("process_noise", model.nx), ("measurement_noise", model.ny)):
+        try:
+            density = getattr(model, name)(record)
+            values = np.asarray(density.sample(np.random.default_rng(0), DRAWS), dtype=float)
+            log_p = np.asarray(density.log_density(values), dtype=float)
+            alone = [float(np.squeeze(density.log_density(v[None]))) for v in values]
+        except EngineError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"model '{model.name}': {name} raised {type(error).__name__}: {error}"
+            ) from error
+        for what, got, shape in (("draws", values, (DRAWS, n)), ("log density", log_p, (DRAWS,))):
+            if got.shape != shape or not np.isfinite(got).all():
+                raise ModelError(
+                    f"model '{model.name}', {name}: {what} {got.tolist()} of shape {got.shape}; finite "
+                    f"numbers {shape} are needed"
+                )
+        if not np.allclose(log_p, alone, rtol=1e-9, atol=1e-9):
+            raise ModelError(
+                f"model '{model.name}', {name}: the log density of a row depends on the other rows; use "
+                "axis=1 in sums over its components"
+            )
+        if name == "initial":
+            x = values
+    for i in np.unique(np.linspace(0, len(series) - 2, TIMES).astype(int)):
+        u, t = series.u[i], float(series.t[i])
+        f, g = model.transition(x, u, t, float(series.steps[i]), record)
+        h, s = model.output(x, u, t, record)
+        for name, value in (("f", f), ("g", g), ("h", h), ("s", s)):
+            if value is not None and not np.isfinite(value).reshape(len(value), -1).any(axis=0).all():
+                raise ModelError(
+                    f"model '{model.name}': {name} is not finite at the start values, t = {t:g} s"
+                )
+    model.checked.add(series)
 
 
 def as_general(model: MixedModel) -> NonlinearModel:

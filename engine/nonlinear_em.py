@@ -17,8 +17,6 @@ from engine.nonlinear_smoother import check_rows, filter_general, smooth_general
 from engine.rbpf import check_options
 from engine.series import Series
 
-TRIED = 3  # time steps on which the evaluation in one call is compared with the plain one
-
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryQ:
@@ -30,7 +28,6 @@ class TrajectoryQ:
 
     model: NonlinearModel
     draws: Sequence[tuple[Series, Array]]
-    stacked: bool
 
     def value(self, theta: Array) -> float:
         """Q(theta, theta_k)."""
@@ -60,59 +57,28 @@ class TrajectoryQ:
         parts = []
         for series, x in self.draws:
             parts.append(self.model.initial(record).log_density(x[0])[None])
-            parts.append(log_transitions(self.model, series, x, record, self.stacked))
-            parts.append(log_outputs(self.model, series, x, record, self.stacked))
+            parts.append(log_transitions(self.model, series, x, record))
+            parts.append(log_outputs(self.model, series, x, record))
         return parts
 
 
-def log_transitions(
-    model: NonlinearModel, series: Series, x: Array, record: Any, stacked: bool
-) -> Array:
+def log_transitions(model: NonlinearModel, series: Series, x: Array, record: Any) -> Array:
     """log p(x_{t+1} | x_t) (T-1, N) along trajectories x (T, N, nx)."""
     T, N, nx = x.shape
-    if stacked:
-        u, times = np.repeat(series.u[:-1].T, N, axis=1), np.repeat(series.t[:-1], N)
-        dt: Any = series.dt if series.dt is not None else np.repeat(series.steps, N)
-        f, g = model.transition(x[:-1].reshape(-1, nx), u, times, dt, record)
-        return model.log_transition(x[1:].reshape(-1, nx), f, g, record).reshape(T - 1, N)
-    out = np.empty((T - 1, N))
-    for t in range(T - 1):
-        now = series.u[t], float(series.t[t]), float(series.steps[t])
-        f, g = model.transition(x[t], *now, record)
-        out[t] = model.log_transition(x[t + 1], f, g, record)
-    return out
+    u, times = np.repeat(series.u[:-1].T, N, axis=1), np.repeat(series.t[:-1], N)
+    dt: Any = series.dt if series.dt is not None else np.repeat(series.steps, N)
+    f, g = model.transition(x[:-1].reshape(-1, nx), u, times, dt, record)
+    return model.log_transition(x[1:].reshape(-1, nx), f, g, record).reshape(T - 1, N)
 
 
-def log_outputs(
-    model: NonlinearModel, series: Series, x: Array, record: Any, stacked: bool
-) -> Array:
+def log_outputs(model: NonlinearModel, series: Series, x: Array, record: Any) -> Array:
     """log p(y_t | x_t) (T', N) at the T' rows with a measurement."""
     rows = np.flatnonzero(series.observed.all(axis=1))
     N, nx = x.shape[1:]
-    if stacked:
-        y = np.repeat(series.y[rows], N, axis=0)
-        u, times = np.repeat(series.u[rows].T, N, axis=1), np.repeat(series.t[rows], N)
-        log_p = model.log_measurement(y, x[rows].reshape(-1, nx), u, times, record)
-        return log_p.reshape(len(rows), N)
-    out = np.empty((len(rows), N))
-    for i, t in enumerate(rows):
-        out[i] = model.log_measurement(series.y[t], x[t], series.u[t], float(series.t[t]), record)
-    return out
-
-
-def can_stack(model: NonlinearModel, series: Series, x: Array, record: Any) -> bool:
-    """Whether one call with the points of all times gives what a call per time step gives."""
-    short = Series(series.y[: TRIED + 1], series.u[: TRIED + 1], t=series.t[: TRIED + 1])
-    x = x[: TRIED + 1]
-    for evaluate in (log_transitions, log_outputs):
-        plain = evaluate(model, short, x, record, False)
-        try:
-            together = evaluate(model, short, x, record, True)
-        except Exception:  # noqa: BLE001 - the model was never promised stacked arguments
-            return False
-        if not np.allclose(plain, together, rtol=1e-9, atol=1e-9, equal_nan=True):
-            return False
-    return True
+    y = np.repeat(series.y[rows], N, axis=0)
+    u, times = np.repeat(series.u[rows].T, N, axis=1), np.repeat(series.t[rows], N)
+    log_p = model.log_measurement(y, x[rows].reshape(-1, nx), u, times, record)
+    return log_p.reshape(len(rows), N)
 
 
 def general_step(
@@ -145,7 +111,8 @@ def general_step(
             ess += float(filtered.ess.sum())
             lost += len(filtered.collapsed)
         n = sum(map(len, listed))
-        stacked = can_stack(model, *draws[0], model.record(theta))
-        return EStep(TrajectoryQ(model, draws, stacked), log_likelihood, ess / n, lost / n)
+        model.transitions.look_again()
+        model.observations.look_again()
+        return EStep(TrajectoryQ(model, draws), log_likelihood, ess / n, lost / n)
 
     return expect

@@ -12,7 +12,7 @@ from engine.errors import SeriesError
 from engine.kernels import resampling as schemes
 from engine.kernels.picking import pick_each
 from engine.model import Array
-from engine.nonlinear import NonlinearModel
+from engine.nonlinear import NonlinearModel, check_general
 from engine.rbpf import COLLAPSED, check_options
 from engine.series import Series
 
@@ -56,6 +56,7 @@ def filter_general(
     """
     theta = model.theta(theta)
     check_rows(series.check(model))
+    check_general(model, theta, series)
     scheme = check_options(n_particles, resampling, ess_threshold)
     M, T, record = n_particles, len(series), model.record(theta)
     x = np.asarray(model.initial(record).sample(rng, M), dtype=float)

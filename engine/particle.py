@@ -9,7 +9,7 @@ empty z: the same kernels, one call for the whole backward pass.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,9 +152,15 @@ def ffbsi(
 
 
 def as_nonlinear(model: MixedModel) -> MixedModel:
-    """The same model with x = (a, z) as its nonlinear state and no linear one."""
+    """The same model with x = (a, z) as its nonlinear state and no linear one; made once."""
     if model.nz == 0:
         return model
+    if "nonlinear" not in model.derived:
+        model.derived["nonlinear"] = _as_nonlinear(model)
+    return cast(MixedModel, model.derived["nonlinear"])
+
+
+def _as_nonlinear(model: MixedModel) -> MixedModel:
     na, empty = model.na, np.zeros((model.nx, 0))
     no_slope = np.zeros((model.ny, 0))
 

@@ -1,20 +1,14 @@
-"""The model evaluated at every point of a set of trajectories, in one call where it can be.
-
-The model's functions take all particles of one time step. Many models, written with ``a[:, 0]`` and
-``u[0]``, can as well take the particles of all time steps at once, with u (nu, K) and t (K,); this is
-tried on a few rows and compared before it is relied on, so a model that cannot is merely slower.
-"""
+"""The model evaluated at every point of a set of trajectories, in one call where it can be."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.model import Array, MixedModel
 from engine.series import Series
-
-TRIED = 3  # time steps on which the stacked evaluation is compared with the plain one
 
 
 class Points:
@@ -24,12 +18,12 @@ class Points:
     common to all trajectories.
     """
 
-    def __init__(self, model: MixedModel, series: Series, a: Array, theta: Array) -> None:
+    def __init__(self, model: MixedModel, series: Series, a: Array) -> None:
         self.model, self.series = model, series
         self.a = np.ascontiguousarray(a)
         self.T, self.N = a.shape[:2]
-        record = model.record(theta)
-        self.stacked = self._agrees(record)
+        model.transitions.look_again()
+        model.observations.look_again()
 
     def transition(self, record: Any) -> tuple[Array, Array, Array]:
         """f (T-1, N, nx), A (T', N', nx, nz), Q (T', N', nx, nx) at t = 1 .. T-1."""
@@ -41,60 +35,26 @@ class Points:
 
     def at(self, rows: Any, record: Any, transition: bool) -> tuple[Array, Array, Array]:
         """The transition or the observation at the given rows."""
-        evaluate = self._at if self.stacked else self._each
-        return evaluate(rows, record, transition)
-
-    def _at(self, rows: Any, record: Any, transition: bool) -> tuple[Array, Array, Array]:
-        n, N, model = len(rows), self.N, self.model
-        a = self.a[rows].reshape(n * N, model.na)
-        u = np.repeat(self.series.u[rows].T, N, axis=1)
-        t = np.repeat(self.series.t[rows], N)
-        if transition:
-            dt: Any = self.series.dt
-            if dt is None:
-                dt = np.repeat(self.series.steps[rows], N)
-            value, slope, cov = model.transition(a, u, t, dt, record)
-        else:
-            value, slope, cov = model.observation(a, u, t, record)
+        n, N = len(rows), self.N
+        function = self.model.transitions if transition else self.model.observations
+        value, slope, cov = function(*self.arguments(rows, transition), record)
         return value.reshape(n, N, -1), _unstack(slope, n, N), _unstack(cov, n, N)
 
-    def _each(self, rows: Any, record: Any, transition: bool) -> tuple[Array, Array, Array]:
-        model, u, times, steps = self.model, self.series.u, self.series.t, self.series.steps
-        values, slopes, covs = [], [], []
-        for t in rows:
-            if transition:
-                step = model.transition(self.a[t], u[t], float(times[t]), float(steps[t]), record)
-            else:
-                step = model.observation(self.a[t], u[t], float(times[t]), record)
-            values.append(step[0])
-            slopes.append(step[1] if step[1].ndim == 3 else step[1][None])
-            covs.append(step[2] if step[2].ndim == 3 else step[2][None])
-        return np.stack(values), _pile(slopes, self.N), _pile(covs, self.N)
-
-    def _agrees(self, record: Any) -> bool:
-        """Whether one call with all points gives what a call per time step gives."""
-        if self.N < 2 and self.T < 4:
-            return False
-        rows = np.unique(np.linspace(0, self.T - 2, TRIED).astype(int))
-        for transition in (True, False):
-            plain = self._each(rows, record, transition)
-            try:
-                together = self._at(rows, record, transition)
-            except Exception:  # noqa: BLE001 - the model was never promised stacked arguments
-                return False
-            for one, other in zip(plain, together, strict=True):
-                if not np.allclose(one, other, rtol=1e-12, atol=0.0, equal_nan=True):
-                    return False
-        return True
+    def arguments(self, rows: NDArray[np.intp], transition: bool) -> tuple[Any, ...]:
+        """a (n N, na), u, t, dt of all points at the given rows of the series."""
+        N, series = self.N, self.series
+        dt: Any = 0.0  # a measurement has none
+        if transition:
+            dt = series.dt if series.dt is not None else np.repeat(series.steps[rows], N)
+        return (
+            self.a[rows].reshape(len(rows) * N, self.model.na),
+            np.repeat(series.u[rows].T, N, axis=1),
+            np.repeat(series.t[rows], N),
+            dt,
+        )
 
 
 def _unstack(matrix: Array, n: int, N: int) -> Array:
     if matrix.ndim == 2:
         return matrix[None, None]
     return matrix.reshape(n, N, *matrix.shape[1:])
-
-
-def _pile(matrices: list[Array], N: int) -> Array:
-    if any(len(m) > 1 for m in matrices):
-        matrices = [np.broadcast_to(m, (N, *m.shape[1:])) for m in matrices]
-    return np.stack(matrices)

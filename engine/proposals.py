@@ -27,7 +27,7 @@ class Step:
 
     ``mu`` (M, nx) and ``L`` (B, nx, nx) are the predicted moments, report, eq. (22), particle i
     continuing ``ancestors[i]``; ``y`` (ny,) has NaN where a channel is missing; ``u`` (nu,); ``t``
-    in seconds; ``theta`` a record.
+    in seconds; ``theta`` a record. ``roots`` (M, ny), if given, scale the measurement noise of each particle.
     """
 
     model: MixedModel
@@ -39,6 +39,7 @@ class Step:
     u: Array
     t: float
     rng: np.random.Generator
+    roots: Array | None = None
 
 
 Proposal: TypeAlias = Callable[[Step], tuple[Array, Array | None]]
@@ -59,11 +60,14 @@ def adapted(step: Step) -> tuple[Array, Array | None]:
     model, M, na = step.model, len(step.ancestors), step.model.na
     if na == 0 or all(value != value for value in step.y.tolist()):  # NaN throughout
         return bootstrap(step)
-    if hasattr(model.measurement, "propose"):
+    if step.roots is None and hasattr(model.measurement, "propose"):
         drawn: tuple[Array, Array | None] = model.measurement.propose(step)
         return drawn
     points = spread_points(step.mu, step.L, step.ancestors, na)
     h, C, R = model.observation(points, step.u, step.t, step.theta)
+    if step.roots is not None:
+        each = np.tile(step.roots, (len(points) // M, 1))
+        R = R * each[:, :, None] * each[:, None, :]
     a, log_q = draw_adapted(
         step.mu,
         step.L,

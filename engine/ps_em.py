@@ -120,7 +120,7 @@ def ps_step(
         for one in listed:
             filtered = run_filter(theta, one, rng)
             draws = ffbsi(filtered, n_trajectories, rng)
-            smoothed.append((draws.moments, Points(model, one, draws.a, theta)))
+            smoothed.append((draws.moments, Points(model, one, draws.a)))
             log_likelihood += filtered.log_likelihood
             ess += float(filtered.ess.sum())
             lost += len(filtered.collapsed)

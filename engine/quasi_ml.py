@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 from engine.errors import ModelError
 from engine.expectation import parameter_scale
 from engine.model import Array, MixedModel, Theta, ThetaLike
+from engine.model_check import check_start
 from engine.moment_filter import free_thetas, moment_filter
 from engine.series import Series, as_series_list
+from engine.statespace.evaluation import repeated_if_refuted
 
 DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths tried at once
@@ -66,6 +68,7 @@ class QuasiFit:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
+@repeated_if_refuted
 def quasi_ml(
     model: MixedModel,
     series: Series | Sequence[Series],
@@ -79,11 +82,13 @@ def quasi_ml(
 
     The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
     where even twice what is expected would not reach ``target``; then ``given_up`` is True.
-    Raises ModelError where the likelihood is not finite at the start.
+    Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
     listed = as_series_list(series, model)
     theta = np.asarray(model.theta(theta0))
     indices = model.free_indices(free)
+    for one in listed:
+        check_start(model, theta, one)
     names = tuple(model.parameter_names[i] for i in indices)
     lower, upper = model.lower[indices], model.upper[indices]
     value, g, H = derivatives(model, listed, theta, indices)

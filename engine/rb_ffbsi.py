@@ -58,7 +58,7 @@ class Smoothed:
     def outputs(self) -> Array:
         """Smoothed mean (T, ny) of h(a) + C(a) z: what the outputs were but for e."""
         model, theta = self.filtered.model, self.filtered.theta
-        points = Points(model, self.filtered.series, self.a, theta)
+        points = Points(model, self.filtered.series, self.a)
         h, C, _ = points.observation(model.record(theta))
         return np.asarray((h + (C @ self.z[..., None])[..., 0]).mean(axis=1))
 

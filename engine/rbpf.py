@@ -14,8 +14,10 @@ from engine.kernels import resampling as schemes
 from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import psd_cholesky
 from engine.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
+from engine.model_check import check_start
 from engine.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.series import Series
+from engine.statespace.evaluation import repeated_if_refuted
 
 RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
     "multinomial": schemes.multinomial,
@@ -77,6 +79,7 @@ class Filtered:
         return mean
 
 
+@repeated_if_refuted
 def rbpf(
     model: MixedModel,
     theta: ThetaLike,
@@ -95,7 +98,7 @@ def rbpf(
     Missing channels of y are left out of the update. Raises OptionError, SeriesError, ModelError.
     """
     theta = model.theta(theta)
-    series.check(model)
+    check_start(model, theta, series.check(model))
     scheme = check_options(n_particles, resampling, ess_threshold)
     draw = get_proposal(proposal) if model.na else bootstrap
     M, T, record = n_particles, len(series), model.record(theta)

@@ -12,8 +12,9 @@ from engine import plots
 from engine.errors import ModelError, OptionError
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.model import Array, MixedModel, ThetaLike
-from engine.points import Points
+from engine.model_check import check_start
 from engine.series import Series
+from engine.statespace.evaluation import repeated_if_refuted
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,9 @@ def simulate(
         )
     blank = np.zeros((n_samples, model.ny))
     frame = Series(blank, u, dt=dt, t=t).check(model)
-    record = model.record(model.theta(theta))
+    values = model.theta(theta)
+    check_start(model, values, frame)
+    record = model.record(values)
     a1 = model.start(record).density.sample(rng, 1)
     z1, P1 = model.start(record).linear(a1)
     z1 = z1 + noise(P1, z1.shape, rng)
@@ -76,6 +79,7 @@ def simulate(
     return Simulation(y, a, z, series, model)
 
 
+@repeated_if_refuted
 def propagate(
     model: MixedModel,
     record: Any,
@@ -90,7 +94,7 @@ def propagate(
 
     ``a`` (K, na), ``z`` (K, nz) are the first states. Without ``rng`` the run is noise-free; with
     it, process and measurement noise are drawn where asked for. The record's fields are numbers,
-    or arrays (K,) for models whose functions take those. What overflows is left as inf or NaN.
+    or arrays (K,), see ``model.records``. What overflows is left as inf or NaN.
     """
     T, K = len(series), a.shape[0]
     a_all, z_all = np.empty((T, K, model.na)), np.empty((T, K, model.nz))
@@ -121,20 +125,11 @@ def _outputs(
     """All outputs y (T, K, ny) in one call of the model."""
     T, K = a.shape[:2]
     rows = T * K
-    if any(np.ndim(value) for value in record):
-        # one theta per copy: only models that take arrays of parameters come here, checked before
-        record = type(record)(*(np.tile(v, T) if np.ndim(v) else v for v in record))
-        h, C, R = model.observation(
-            a.reshape(rows, -1), np.repeat(series.u, K, axis=0).T, np.repeat(series.t, K), record
-        )
-        y = h + through(C, z.reshape(rows, -1))
-    else:
-        h, C, R = Points(model, series, a, record).observation(record)
-        y = (h + (C @ z[..., None])[..., 0]).reshape(rows, model.ny)
-        if R.shape[:2] == (1, 1):
-            R = R[0, 0]
-        else:
-            R = np.broadcast_to(R, (T, K, *R.shape[2:])).reshape(rows, *R.shape[2:])
+    record = type(record)(*(np.tile(v, T) if np.ndim(v) else v for v in record))
+    h, C, R = model.observation(
+        a.reshape(rows, -1), np.repeat(series.u, K, axis=0).T, np.repeat(series.t, K), record
+    )
+    y = h + through(C, z.reshape(rows, -1))
     if rng is not None:
         y += noise(R, y.shape, rng)
     return y.reshape(T, K, model.ny)

@@ -17,9 +17,11 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from engine import display, plots
 from engine.errors import ModelError
-from engine.free_run import FreeRun, first_state, free_run, output_scale, run_rows, takes_rows
+from engine.free_run import FreeRun, first_state, free_run, output_scale, run_rows
 from engine.model import Array, MixedModel, Theta, ThetaLike
+from engine.model_check import check_start
 from engine.series import Series, as_series_list
+from engine.statespace.evaluation import repeated_if_refuted
 
 STEP = 1e-5  # finite-difference step as a share of a parameter's scale
 FLAT = 1e-4  # a direction this much weaker than the strongest is lost in the differences
@@ -89,6 +91,7 @@ class SimulationFit:
         )
 
 
+@repeated_if_refuted
 def fit_simulation(
     model: MixedModel,
     series: Series | Sequence[Series],
@@ -112,6 +115,8 @@ def fit_simulation(
     """
     began = time.perf_counter()
     listed = as_series_list(series, model)
+    for one in listed:
+        check_start(model, model.theta(theta0), one)
     problem = _Problem(model, listed, model.theta(theta0), model.free_indices(free))
     problem.look_for_silent()
     tried = [
@@ -155,7 +160,6 @@ class _Problem:
         self.x1, self.spread = first_state(model, theta)
         self.uncertain = np.flatnonzero(self.spread > 0.0)
         self.evaluations = 0
-        self.at_once: bool | None = None
         self._last: tuple[bytes, Array, Array] | None = None
 
     def names(self, indices: NDArray[np.intp]) -> tuple[str, ...]:
@@ -238,9 +242,7 @@ class _Problem:
         pairs = [self.split(p) for p in draws]
         thetas = np.array([theta for theta, _ in pairs])
         for s, one in enumerate(self.series):
-            y, _ = run_rows(
-                self.model, thetas, one, np.array([x1[s] for _, x1 in pairs]), bool(self.at_once)
-            )
+            y, _ = run_rows(self.model, thetas, one, np.array([x1[s] for _, x1 in pairs]))
             e = ((one.y[:, None] - y) / self.scale).transpose(0, 2, 1)[one.observed]
             with np.errstate(over="ignore"):
                 total += (e**2).sum(axis=0)
@@ -280,9 +282,7 @@ class _Problem:
             for i, column in enumerate(self.uncertain):
                 x[1 + 2 * (k + i), column] += h[k + i]
                 x[2 + 2 * (k + i), column] -= h[k + i]
-            if self.at_once is None:
-                self.at_once = takes_rows(self.model, thetas, one, x)
-            y, _ = run_rows(self.model, thetas, one, x, self.at_once)
+            y, _ = run_rows(self.model, thetas, one, x)
             e = ((one.y[:, None] - y) / self.scale).transpose(0, 2, 1)[one.observed]
             reach = np.concatenate(
                 (

@@ -26,30 +26,45 @@ FAR = 20.0  # EM leaves from theta0 unless it is less likely than the maximum by
 BEST = 4  # of the candidates are improved, besides the start values themselves
 
 
+class WarmStart:
+    """:func:`moment_maximum` for a theta; ``note`` says why where it found nothing."""
+
+    def __init__(
+        self, model: MixedModel, listed: Sequence[Series], indices: NDArray[np.intp]
+    ) -> None:
+        self.model, self.listed, self.indices = model, listed, indices
+        self.note = ""
+
+    def __call__(self, theta: Theta) -> Theta | None:
+        """The most likely parameters found, or None with a ``note``."""
+        try:
+            return moment_maximum(self.model, self.listed, self.indices, theta)
+        except (ModelError, np.linalg.LinAlgError) as error:
+            self.note = f"EM left from the start values; no better start could be looked for: {error}"
+            return None
+
+
 def moment_maximum(
     model: MixedModel, listed: Sequence[Series], indices: NDArray[np.intp], theta: Theta
-) -> Theta | None:
-    """The most likely parameters found, or None where the moment filter cannot follow the model.
+) -> Theta:
+    """The most likely parameters found. Raises ModelError where the moment filter cannot follow the model.
 
     Deterministic: the candidates are always the same for the same start.
     """
     listed = [_head(series) for series in listed]
     names = [model.parameter_names[k] for k in indices]
+    candidates = free_thetas(theta, indices, _around(model, theta, indices))
+    values = log_likelihoods(model, listed, candidates)
+    order = np.argsort(values)[::-1]
     found = []
-    try:
-        candidates = free_thetas(theta, indices, _around(model, theta, indices))
-        values = log_likelihoods(model, listed, candidates)
-        order = np.argsort(values)[::-1]
-        starts = [np.asarray(theta), *candidates[order[:BEST]]]
-    except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
-        return None
-    for start in starts:
+    lost: Exception | None = None
+    for start in (np.asarray(theta), *candidates[order[:BEST]]):
         try:
             found.append(quasi_ml(model, listed, start, names))
-        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
-            continue
-    if not found:
-        return None
+        except (ModelError, np.linalg.LinAlgError) as error:
+            lost = lost or error
+    if not found and lost is not None:
+        raise lost
     return max(found, key=lambda fit: fit.log_likelihood).theta
 
 

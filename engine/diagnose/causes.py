@@ -21,7 +21,7 @@ from engine.model import MixedModel, ThetaLike
 from engine.moment_filter import moment_path
 from engine.quasi_ml import QuasiFit, quasi_ml, whitening
 from engine.series import Series
-from engine.warm_start import moment_maximum
+from engine.warm_start import WarmStart
 
 MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
 
@@ -104,7 +104,7 @@ def fit_base(
     """The model's own parameters: from the given start, or searched for where none is given."""
     start = model.theta(theta)
     if theta is None:
-        found = moment_maximum(model, [series], model.free_indices(free), start)
+        found = WarmStart(model, [series], model.free_indices(free))(start)
         start = start if found is None else found
     return quasi_ml(model, series, start, free)
 

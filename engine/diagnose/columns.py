@@ -157,7 +157,7 @@ def along_path(
         P = np.ascontiguousarray(P[:, order][:, :, order])
         a, z, V, offsets = sigma_points(m, P, extended.na)
         n, S = a.shape[:2]
-        f, A, Q = Points(extended, series, a, theta).at(np.arange(n), record, transition)
+        f, A, Q = Points(extended, series, a).at(np.arange(n), record, transition)
         out.append(
             transform(
                 f.reshape(n * S, -1), _rows(A, n, S), _rows(Q, n, S), z, V, offsets, extended.na

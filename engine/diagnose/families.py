@@ -124,8 +124,8 @@ def _sensitivity(
     """
     step = 1e-4 * parameter_scale(model, theta, k)
     na = model.na
-    predicted = Points(model, series, path.predicted[:, None, :na], theta)
-    filtered = Points(model, series, path.filtered[:, None, :na], theta)
+    predicted = Points(model, series, path.predicted[:, None, :na])
+    filtered = Points(model, series, path.filtered[:, None, :na])
     ends = []
     for sign in (-1.0, 1.0):
         moved = np.array(theta)

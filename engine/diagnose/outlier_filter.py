@@ -14,8 +14,10 @@ from engine.kernels.moments import gaussian_update
 from engine.model import Array, MixedModel
 from engine.moment_filter import FilterSteps, Thetas
 from engine.series import Series
+from engine.statespace.evaluation import repeated_if_refuted
 
 
+@repeated_if_refuted
 @np.errstate(all="ignore")
 def outlier_log_terms(
     model: MixedModel, theta: Array, series: Series, channel: str, shares: Array, ratios: Array

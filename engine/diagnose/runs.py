@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.free_run import takes_rows
 from engine.kernels.gaussian import psd_cholesky
 from engine.model import Array, MixedModel
 from engine.moment_filter import MomentPath, moment_path
@@ -78,8 +77,9 @@ def draws(
         return np.ascontiguousarray(np.swapaxes(y, 0, 1))
     thetas = theta + rng.standard_normal((n, len(theta))) @ psd_cholesky(covariance).T
     thetas = np.clip(thetas, model.lower, model.upper)
-    if takes_rows(model, thetas, series, x):
-        record = model.record(list(np.ascontiguousarray(thetas.T)))
+    record = model.records(thetas)
+    u, t, dt = series.u[0], float(series.t[0]), float(series.steps[0])
+    if model.transitions.takes(x[:, :na], u, t, dt, record):
         y, _, _ = propagate(model, record, series, x[:, :na], x[:, na:], rng)
         return np.ascontiguousarray(np.swapaxes(y, 0, 1))
     parts = []

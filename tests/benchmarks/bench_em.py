@@ -117,7 +117,7 @@ def measure() -> tuple[dict[str, list[float]], list[float], float]:
         milliseconds(lambda: found.append(minimize(lambda x: -naive_q(x, s, series, model), plain)))
         for _ in range(3)
     ]
-    points = Points(model, series, s.a, theta)
+    points = Points(model, series, s.a)
     same = expectation(model, theta, [(Moments(s.a, s.z, s.cov, s.cross), points)])
     disagreement = float(np.abs(maximize(same, plain, free) - found[-1].x).max())
     return times, cold_starts(series.y), disagreement

@@ -68,7 +68,7 @@ def iteration(model: engine.MixedModel, series: engine.Series) -> dict[str, floa
     draws = timed("backward", lambda: engine.rb_ffbsi(filtered, N, rng, joint=True))
 
     def expect() -> Any:
-        points = Points(model, series, draws.a, theta)
+        points = Points(model, series, draws.a)
         s = engine.condition_on_trajectories(draws, points)
         return expectation(model, theta, [(Moments(s.a, s.z, s.cov, s.cross), points)])
 

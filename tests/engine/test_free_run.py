@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.errors import ModelError, OptionError, SeriesError
-from engine.free_run import Bands, free_run, run_rows, takes_rows
+from engine.free_run import Bands, free_run, run_rows
 from engine.model import MixedModel, Parameter
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.mixed_4 import MODEL as MIXED
@@ -128,28 +128,27 @@ def test_bands_of_parameters_and_first_state(model):
     np.testing.assert_allclose(sd, np.hypot(0.3, 0.01 * np.arange(60)), rtol=0.08)
 
 
-def test_arrays_of_parameters_are_used_only_where_the_model_takes_them():
+def test_a_model_that_takes_single_numbers_only_runs_alike():
     rng = np.random.default_rng(0)
     series = Series(np.zeros(50), steps(50, rng), dt=4.0)
     thetas = np.asarray(TANKS.theta()) * rng.uniform(0.8, 1.2, (4, 6))
     x1 = np.tile([6.0, 5.0, 0.0], (4, 1))
-    assert takes_rows(TANKS, thetas, series, x1)
-    assert not takes_rows(scalar_only(TANKS), thetas, series, x1)
-    y, x = run_rows(scalar_only(TANKS), thetas, series, x1, at_once=False)
-    y_once, x_once = run_rows(TANKS, thetas, series, x1, at_once=True)
+    y, x = run_rows(scalar_only(TANKS), thetas, series, x1)
+    y_once, x_once = run_rows(TANKS, thetas, series, x1)
     np.testing.assert_allclose(y, y_once, rtol=1e-12)
     np.testing.assert_allclose(x, x_once, rtol=1e-12)
 
 
-def test_a_model_that_mixes_up_rows_is_found_out():
+def test_a_model_that_mixes_up_rows_runs_alike():
     def dynamics(a, u, t, dt, theta):
         return TANKS.dynamics(a, u, t, dt, theta._replace(k1=np.mean(theta.k1)))
 
     rng = np.random.default_rng(0)
     series = Series(np.zeros(50), steps(50, rng), dt=4.0)
     thetas = np.asarray(TANKS.theta()) * rng.uniform(0.8, 1.2, (4, 6))
-    mixing = replace(TANKS, dynamics=dynamics)
-    assert not takes_rows(mixing, thetas, series, np.tile([6.0, 5.0, 0.0], (4, 1)))
+    x1 = np.tile([6.0, 5.0, 0.0], (4, 1))
+    y, _ = run_rows(replace(TANKS, dynamics=dynamics), thetas, series, x1)
+    np.testing.assert_allclose(y, run_rows(TANKS, thetas, series, x1)[0], rtol=1e-12)
 
 
 def test_errors():

@@ -39,7 +39,7 @@ def statistics(x):
 def test_the_q_function_is_that_of_the_general_method():
     series, rng = data(30, 1), np.random.default_rng(2)
     draws = ffbsi(particle_filter(MODEL, THETA, series, 40, rng), 40, rng)
-    general = expectation(MODEL, THETA, [(draws.moments, Points(MODEL, series, draws.a, THETA))])
+    general = expectation(MODEL, THETA, [(draws.moments, Points(MODEL, series, draws.a))])
     compiled = Squares(MODEL, *statistics(draws.trajectories))
     other = np.asarray(MODEL.theta({"theta_2": 1.2, "theta_3": 0.2, "theta_5": 0.5}))
     here = np.asarray(THETA)

@@ -100,14 +100,14 @@ def test_names(change, message):
 @pytest.mark.parametrize(
     ("value", "place", "message"),
     [
-        (np.zeros(3), 0, r"model 'good', dynamics: f has shape \(3,\); \(3, 2\) or \(2,\)"),
+        (np.zeros(3), 0, r"model 'good', dynamics: f has shape \(3,\); \(4, 2\) or \(2,\)"),
         ([0.0], 0, r"dynamics: f has shape \(1,\); a list of 2 rows"),
-        ([np.zeros(2), 0.0], 0, r"dynamics: f: row 0 has shape \(2,\); a number or \(3,\)"),
+        ([np.zeros(2), 0.0], 0, r"dynamics: f: row 0 has shape \(2,\); a number or \(4,\)"),
         ([np.nan, 0.0], 0, "dynamics: f is not finite at the default parameters"),
-        (np.zeros((1, 2)), 1, r"dynamics: A has shape \(1, 2\); \(2, 1\) or \(3, 2, 1\)"),
+        (np.zeros((1, 2)), 1, r"dynamics: A has shape \(1, 2\); \(2, 1\) or \(4, 2, 1\)"),
         ([[1.0, 0.0], [0.0]], 1, "dynamics: A is not a list of 2 rows of 1 entries"),
         ([[np.inf], [0.0]], 1, "dynamics: A is not finite"),
-        (np.eye(3), 2, r"dynamics: Q has shape \(3, 3\); \(2, 2\) or \(3, 2, 2\)"),
+        (np.eye(3), 2, r"dynamics: Q has shape \(3, 3\); \(2, 2\) or \(4, 2, 2\)"),
         ([[1.0, 0.5], [0.0, 1.0]], 2, "dynamics: Q is not symmetric"),
         ([[1.0, 2.0], [2.0, 1.0]], 2, "dynamics: Q has the negative eigenvalue -1; a covariance"),
         ([[np.nan, 0.0], [0.0, 1.0]], 2, "dynamics: Q is not finite"),
@@ -121,9 +121,9 @@ def test_dynamics(value, place, message):
 @pytest.mark.parametrize(
     ("value", "place", "message"),
     [
-        (np.zeros((3, 2)), 0, r"measurement: h has shape \(3, 2\); \(3, 1\) or \(1,\)"),
+        (np.zeros((3, 2)), 0, r"measurement: h has shape \(3, 2\); \(4, 1\) or \(1,\)"),
         ([np.inf], 0, "measurement: h is not finite"),
-        (np.zeros((2, 2)), 1, r"measurement: C has shape \(2, 2\); \(1, 1\) or \(3, 1, 1\)"),
+        (np.zeros((2, 2)), 1, r"measurement: C has shape \(2, 2\); \(1, 1\) or \(4, 1, 1\)"),
         ([[np.nan]], 1, "measurement: C is not finite"),
         (np.eye(2), 2, r"measurement: R has shape \(2, 2\)"),
         ([[-1.0]], 2, "measurement: R has the negative eigenvalue -1"),

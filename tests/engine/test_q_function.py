@@ -26,7 +26,7 @@ def small_problem(model, theta=None):
     theta = model.theta(theta)
     rng = np.random.default_rng(1)
     s = rb_ffbsi(rbpf(model, theta, series, 20, rng), N, rng, joint=True)
-    points = Points(model, series, s.a, theta)
+    points = Points(model, series, s.a)
     s = condition_on_trajectories(s, points)
     q = expectation(model, theta, [(Moments(s.a, s.z, s.cov, s.cross), points)])
     return q, s, series

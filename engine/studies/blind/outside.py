@@ -60,7 +60,7 @@ def with_play(model: MixedModel, theta: Array, drawn: Simulation) -> Series:
     """The series with play in its first sensor, before the measurement noise."""
     series = drawn.series
     record = model.record(theta)
-    h, C, R = Points(model, series, drawn.a[:, None], theta).observation(record)
+    h, C, R = Points(model, series, drawn.a[:, None]).observation(record)
     reading = h[:, 0, 0] + (C[:, 0, 0] * drawn.z).sum(axis=1)
     half = PLAY * float(np.sqrt(R[0, 0, 0, 0]))
     y = series.y.copy()

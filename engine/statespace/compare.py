@@ -1,0 +1,75 @@
+"""Whether two results of a model's function differ by more than rounding."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from engine.statespace.rows import Array, Indices
+
+# values (M, n), then matrices: (r, c) common to all rows, (M, r, c), or None
+Result: TypeAlias = tuple[Any, ...]
+
+DOUBLE, SINGLE = 1e-11, 1e-5  # of an entry's largest size over the rows, in either precision
+OTHERS = 1e-8  # of the same, from which on rows of one time and theta are said to differ
+NOISE = 10.0  # times what a change in the twelfth digit does, where a function magnifies rounding
+
+
+def copies(result: Result) -> Result:
+    """The same in memory of its own."""
+    return tuple(None if x is None else x.copy() for x in result)
+
+
+def at_rows(result: Result, at: Indices) -> Result:
+    """The values and matrices of some rows."""
+    return tuple(x if x is None or (j and x.ndim == 2) else x[at] for j, x in enumerate(result))
+
+
+def sizes_of(result: Result) -> Result:
+    """The largest finite size of each entry over all rows."""
+    return tuple(
+        None
+        if x is None
+        else np.abs(np.where(np.isfinite(x), x, 0.0)).max(axis=0, initial=0.0)
+        if j == 0 or x.ndim == 3
+        else np.abs(np.where(np.isfinite(x), x, 0.0))
+        for j, x in enumerate(result)
+    )
+
+
+def identical(xs: Result, ys: Result) -> bool:
+    """Whether all entries are the same bits, or NaN in both."""
+    return all(
+        x is y or np.array_equal(x, y, equal_nan=True) for x, y in zip(xs, ys, strict=True)
+    )
+
+
+def differ(
+    xs: Result, ys: Result, sizes: Result, particles: bool, nudged: Result | None = None
+) -> bool:
+    """Whether results for the same rows differ by more than rounding; entries may be NaN in both.
+
+    ``nudged`` is y with its arguments changed in the twelfth digit: what this does, rounding may do.
+    Rows that are ``particles`` must differ clearly, as nothing can be done for them.
+    """
+    for j, (x, y) in enumerate(zip(xs, ys, strict=True)):
+        if x is None or y is None:
+            if x is not y:
+                return True
+            continue
+        tolerance = OTHERS if particles else DOUBLE
+        if nudged is not None and np.array_equal(y, y.astype(np.float32), equal_nan=True):
+            tolerance = SINGLE  # the model calculates in single precision
+        allowed = tolerance * sizes[j] + np.finfo(float).tiny
+        if nudged is not None and np.shape(nudged[j]) == np.shape(y):
+            change = np.abs(nudged[j] - y)
+            allowed = allowed + NOISE * np.where(np.isfinite(change), change, 0.0)
+        if not _close(x, y, allowed):
+            return True
+    return False
+
+
+def _close(x: Array, y: Array, allowed: Array) -> bool:
+    near = np.abs(x - y) <= allowed
+    return bool(np.all(near | (x == y) | (np.isnan(x) & np.isnan(y))))

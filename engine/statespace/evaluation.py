@@ -1,0 +1,343 @@
+"""A user's function, evaluated right for rows of any times and parameters, or refused.
+
+Algorithms want to call a model once for many particles, times and parameter vectors. The contract that
+allows it is about rows: row i of what a function returns depends on row i of its arguments alone
+(:mod:`engine.statespace.rows`). Many functions keep it for states but not for times or parameters:
+``if t > 5``, ``math.cos(theta.w)``, ``np.diag([1e-4, theta.q])``, ``np.linalg.norm(u)``. Here, and nowhere
+else, it is decided which calls a function takes:
+
+- When rows first differ in times or parameters, the call is compared with calls of single rows, and
+  with the same rows in another order; likewise a call of rows scattered at random, some of them seen
+  at other times, whose number fits no matrix by chance. The 2nd, 4th, 8th, ... call is looked at again.
+- A function that fails is called for each time and parameter vector by itself from then on, which is
+  slower and always right. Where results were handed out before the failure was seen, what was made
+  of them is made again: see :func:`repeated_if_refuted`.
+- Rows of one time and one theta are particles, which no loop can help: where they influence each
+  other (``a[0]`` for ``a[:, 0]``, ``np.any(a > 1)``), ModelError is raised, with the remedy.
+
+"No" is for good and "yes" is asked again. Verdicts belong to one model object and are not pickled.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable
+from typing import Any, NoReturn, ParamSpec, TypeVar
+
+import numpy as np
+
+from engine.errors import EngineError, ModelError
+from engine.statespace.compare import Result, at_rows, copies, differ, identical, sizes_of
+from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
+
+# (a, u, t, dt, theta) -> values (M, n), then matrices (r, c) common to all rows, (M, r, c) or None
+Regular = Callable[[Array, Any, Any, Any, Any], Result]
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+SINGLE_ROWS = 6  # that a call is compared with
+SEEN = 60  # states of earlier looks that are mixed with those of a new one
+NUMBERS = (23, 29, 31, 37, 41, 43, 47, 53, 59, 61)  # of scattered rows: a size no matrix has
+SPREADS = (0.1, 0.01)  # tried one after the other where a model has no values farther out
+NUMERIC = (ArithmeticError, ValueError)  # what a calculation may meet at a trial of its parameters
+
+_refuted = threading.local()
+
+
+class _Verdict:
+    """Whether calls of a kind are taken, how many there were, and the next one not to be trusted."""
+
+    __slots__ = ("calls", "next", "takes")
+
+    def __init__(self) -> None:
+        self.takes, self.calls, self.next = True, 0, 1
+
+    def refuse(self) -> None:
+        """No, for good."""
+        self.takes, self.next = False, 0
+
+
+class ModelFunction:
+    """One function of a model; ``regular`` calls it and gives its results their regular shapes.
+
+    ``model`` and ``name`` are for errors; ``bounds`` (low, high), each (n_theta,), limit the
+    parameters of the test.
+    """
+
+    def __init__(
+        self, regular: Regular, model: str, name: str, bounds: tuple[Array, Array]
+    ) -> None:
+        self._regular, self._bounds = regular, bounds
+        self.model, self.name = model, name
+        self._verdicts: dict[Kind | None, _Verdict] = {None: _Verdict()}
+        self._reuses = False  # whether it returns memory of its own, and writes there again
+        self._seen = np.empty((0, 0))  # states of earlier looks
+        # the last record, what differs in it, the number of its rows (0: any), the verdict on it
+        self._theta, self._kind, self._M = None, None, 0
+        self._verdict = self._verdicts[None]
+
+    def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
+        """The function's results for all rows. Raises ModelError naming function, time and shapes."""
+        if not (
+            theta is self._theta
+            and t.__class__ is float
+            and dt.__class__ is float
+            and u.__class__ is np.ndarray
+            and u.ndim == 1
+            and (not self._M or len(a) == self._M)
+        ):
+            return self._first_look(Rows(a, regular_input(u, len(a)), t, dt, theta))
+        verdict = self._verdict
+        verdict.calls += 1
+        if verdict.calls >= verdict.next:
+            return self._with_care(Rows(a, u, t, dt, theta), self._kind, verdict)
+        try:  # as a filter calls it at every time step
+            out = self._regular(a.copy(), u, t, dt, theta)
+        except Exception as error:  # noqa: BLE001 - a user's function may raise anything
+            return self._otherwise(Rows(a, u, t, dt, theta), self._kind, verdict, error)
+        return copies(out) if self._reuses else out
+
+    def _first_look(self, rows: Rows) -> Result:
+        """A call of other arguments than the last one."""
+        kind = self._kind_of(rows)
+        if kind is not None and len(rows.a) == 1:
+            return self(*rows.alone(kind, np.zeros(1, dtype=np.intp)))
+        verdict = self._verdicts.setdefault(kind, _Verdict())
+        if kind is None or not kind.times:
+            self._theta, self._kind, self._verdict = rows.theta, kind, verdict
+            self._M = 0 if kind is None else len(rows.a)
+        verdict.calls += 1
+        return self._with_care(rows if kind is None else rows.frozen(), kind, verdict)
+
+    def _with_care(self, rows: Rows, kind: Kind | None, verdict: _Verdict) -> Result:
+        """Together if that is right, else each time and theta by itself."""
+        if not verdict.takes and kind is not None:
+            return self._apart(rows, kind)
+        try:
+            if verdict.calls >= verdict.next and len(rows.a) > 1:
+                first, verdict.next = verdict.next == 1, 2 * verdict.calls
+                together = self._agreeing(rows, kind, first)
+            else:
+                together = self._regular(*rows.fresh())
+        except Exception as error:  # noqa: BLE001 - a user's function may raise anything
+            return self._otherwise(rows, kind, verdict, error)
+        if together is None:
+            return self._otherwise(rows, kind, verdict)
+        return copies(together) if self._reuses else together
+
+    def _otherwise(
+        self, rows: Rows, kind: Kind | None, verdict: _Verdict, error: Exception | None = None
+    ) -> Result:
+        """What is right where one call is not. Raises ModelError where nothing is."""
+        if kind is not None:
+            out = self._apart(rows, kind)  # raises where the function fails by itself too
+            verdict.refuse()
+            if verdict.calls > 1:
+                _refuted.count = _refutations() + 1
+            return out
+        if error is not None:
+            self._fail(error, rows)
+        raise ModelError(
+            f"model '{self.model}', {self.name}: what it returns for one row of a depends on the other "
+            f"rows, which are other particles ({rows.place()}). Write a[:, 0] instead of a[0], "
+            "np.where(condition, x, y) instead of if, and axis=1 in sums and norms",
+            placed=True,
+        )
+
+    def once(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
+        """One call with what is given, without a test; whatever the function raises."""
+        return self._regular(a.copy(), regular_input(u, len(a)), t, dt, theta)
+
+    def takes(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> bool:
+        """Whether such rows are evaluated in one call; tries it if none were yet."""
+        rows = Rows(a, regular_input(u, len(a)), t, dt, theta)
+        kind = self._kind_of(rows)
+        if kind is not None and (kind not in self._verdicts):
+            self._first_look(rows)
+        verdict = self._verdicts.get(kind)  # a single row needs none
+        return verdict is None or verdict.takes
+
+    def look_again(self) -> None:
+        """Look at the next call of each kind."""
+        for verdict in self._verdicts.values():
+            if verdict.takes:
+                verdict.next = verdict.calls + 1
+
+    def _kind_of(self, rows: Rows) -> Kind | None:
+        try:
+            return rows.kind()
+        except ValueError as error:
+            self._fail(error, rows)
+
+    def _fail(self, error: Exception, rows: Rows) -> NoReturn:
+        """Raise a ModelError with the function's name, time and shapes, once."""
+        if isinstance(error, MemoryError) or getattr(error, "placed", False):
+            raise error
+        if isinstance(error, EngineError):
+            text = f"model '{self.model}', {error} ({rows.place()})"
+        else:
+            text = (
+                f"model '{self.model}': {self.name} raised {type(error).__name__}: {error} "
+                f"({rows.place()})"
+            )
+        if "read-only" in str(error):
+            text += "; a function must not write into what it is given: copy it first"
+        raise ModelError(text, placed=True, numeric=_is_numeric(error)) from error
+
+    def _apart(self, rows: Rows, kind: Kind) -> Result:
+        """Each time and theta in a call of its own.
+
+        A theta at which the function cannot be calculated has NaN, unless all are such.
+        """
+        split = kind
+        if kind.fields and kind.times:  # one of them may be taken together
+            times = Kind(kind.u, kind.t, kind.dt, ())
+            known = self._verdicts.get(times)
+            split = times if known and not known.takes else Kind(False, False, False, kind.fields)
+        parts: list[tuple[Indices, Result]] = []
+        lost: ModelError | None = None
+        for at in rows.groups(split):
+            try:
+                parts.append((at, copies(self(*rows.alone(split, at, kind)))))
+            except ModelError as error:
+                if not (split.fields and error.numeric):
+                    raise
+                lost = error
+        if lost is not None and not parts:
+            raise lost
+        return _joined(parts, len(rows.a))
+
+    # ---- the test ---------------------------------------------------------------------------
+
+    def _agreeing(self, rows: Rows, kind: Kind | None, first: bool) -> Result | None:
+        """The results of one call, None where other calls of the same rows say otherwise."""
+        rng = np.random.default_rng((self._verdicts[kind].calls, len(rows.a)))
+        raw = self._regular(*rows.fresh())
+        together = copies(raw)
+        with np.errstate(all="ignore"):
+            order = rng.permutation(len(rows.a))
+            company = order if first else order[: (len(order) + 1) // 2]
+            agrees = self._like(rows, kind, together, company, order[:SINGLE_ROWS])
+            if not identical(raw, together):
+                self._reuses = True
+            agrees = agrees and self._agrees_when_spread(rows, kind, together, rng)
+            new = rows.a[order[:SINGLE_ROWS]]
+            self._seen = np.concatenate([new, self._seen])[:SEEN] if len(self._seen) else new
+        return together if agrees else None
+
+    def _agrees_when_spread(
+        self, rows: Rows, kind: Kind | None, known: Result, rng: np.random.Generator
+    ) -> bool:
+        """Whether scattered rows agree; yes where single ones cannot be calculated there."""
+        shapes = [rows.a, np.atleast_1d(rows.u), *(x for x in known if x is not None)]
+        taken = {n for x in shapes for n in np.shape(x)[1:]} | {len(shapes[1]), len(rows.theta)}
+        n = next((n for n in NUMBERS if n not in taken), max(taken) + 1)
+        singles = np.arange(SINGLE_ROWS)
+        for share in SPREADS:
+            drawn = rows.spread(kind, n, self._bounds, share, rng)
+            if len(self._seen):  # a condition may hold at some times and not at others
+                drawn.a[::2] = self._seen[rng.integers(0, len(self._seen), len(drawn.a[::2]))]
+            if any(self._alone(drawn, kind, i) is None for i in singles):
+                continue
+            try:
+                together = copies(self._regular(*drawn.fresh()))
+                return self._like(drawn, kind, together, rng.permutation(n)[: n // 2], singles)
+            except Exception:  # noqa: BLE001 - particles out there may be no concern of the model
+                if kind is not None:
+                    return False
+        return True
+
+    def _like(
+        self, rows: Rows, kind: Kind | None, together: Result, company: Indices, singles: Indices
+    ) -> bool:
+        """Whether rows give the same in less company, in another order, and alone."""
+        sizes = sizes_of(together)
+        fewer = rows.take(kind, company)
+        now = copies(self._regular(*fewer.fresh()))
+        if not self._same(at_rows(together, company), now, fewer, sizes, kind):
+            return False
+        for i in singles:
+            at = np.array([i])
+            alone = self._alone(rows, kind, i)
+            if alone is not None and not self._same(
+                at_rows(together, at), alone, rows.alone(kind, at), sizes, kind
+            ):
+                return False
+        return True
+
+    def _alone(self, rows: Rows, kind: Kind | None, i: int) -> Result | None:
+        """Row i by itself; None where it cannot be calculated."""
+        try:
+            return copies(self._regular(*rows.alone(kind, np.array([i])).fresh()))
+        except Exception as error:
+            if _is_numeric(error):
+                return None
+            raise
+
+    def _same(
+        self, known: Result, now: Result, rows: Rows, sizes: Result, kind: Kind | None
+    ) -> bool:
+        """Whether two results for the same rows agree but for rounding."""
+        if not differ(known, now, sizes, kind is None):
+            return True
+        nudged = copies(self._regular(*rows.nudged()))  # some functions magnify rounding
+        return not differ(known, now, sizes, kind is None, nudged)
+
+
+def _is_numeric(error: Exception) -> bool:
+    """Whether a calculation failed at these values, in contrast to a function that is wrong."""
+    return error.numeric if isinstance(error, ModelError) else isinstance(error, NUMERIC)
+
+
+def _joined(parts: list[tuple[Indices, Result]], M: int) -> Result:
+    """The results of groups of rows as one; NaN in rows of no group."""
+    whole = sum(len(at) for at, _ in parts) == M
+    out: list[Array | None] = []
+    for j, model in enumerate(parts[0][1]):
+        each = [result[j] for _, result in parts]
+        if model is None or (
+            whole and j and all(x.ndim == 2 and np.array_equal(x, model) for x in each)
+        ):
+            out.append(model)
+            continue
+        joined = np.full((M, *model.shape[-1 if j == 0 else -2 :]), np.nan)
+        for (at, _), x in zip(parts, each, strict=True):
+            joined[at] = x
+        out.append(joined)
+    return tuple(out)
+
+
+def repeated_if_refuted(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """A function that is run again where meanwhile a model's function turned out not to take rows.
+
+    What it had been given before would be wrong. Generators among the arguments start again where
+    they were.
+    """
+
+    @functools.wraps(function)
+    def run(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        generators = [
+            x for x in (*args, *kwargs.values()) if isinstance(x, np.random.Generator)
+        ]
+        states = [x.bit_generator.state for x in generators]
+        while True:
+            before = _refutations()
+            try:
+                out = function(*args, **kwargs)
+            except Exception:
+                if _refutations() == before:
+                    raise
+            else:
+                if _refutations() == before:
+                    return out
+            for generator, state in zip(generators, states, strict=True):
+                generator.bit_generator.state = state
+
+    return run
+
+
+def _refutations() -> int:
+    """How often, in this thread, a function was found not to take rows that it had been given."""
+    return int(getattr(_refuted, "count", 0))
