@@ -98,8 +98,12 @@ class MixedModel(BaseModel):
 
     ``nonlinear`` (a), ``linear`` (z), ``inputs`` (u) and ``outputs`` (y) map names to units.
     ``equations`` are lines of text for people. ``kinematic`` names states whose equation holds by
-    definition, as q' = v does: a diagnosis adds nothing to it. Raises ModelError for names, bounds or
-    defaults that cannot be used.
+    definition, as q' = v does: a diagnosis adds nothing to it. ``reference`` maps channels to the value
+    of their natural zero, in their unit (20 for a temperature that is counted from room temperature):
+    effects that have a zero of their own, such as drag or a gain error, count from there. ``continuous``
+    declares that dt is a real time step: two half-steps agree with one, A and Q included, up to the order
+    of the scheme, so that a diagnosis may step more finely than the data (checked when it is used). Raises ModelError for names, bounds or defaults that
+    cannot be used.
     """
 
     name: str
@@ -114,6 +118,8 @@ class MixedModel(BaseModel):
     description: str = ""
     equations: Sequence[str] = ()
     kinematic: Sequence[str] = ()
+    reference: Mapping[str, float] = field(default_factory=dict)
+    continuous: bool = False
 
     def __post_init__(self) -> None:
         for name in ("parameters", "equations", "kinematic"):
@@ -134,6 +140,17 @@ class MixedModel(BaseModel):
             raise ModelError(
                 f"model '{self.name}': kinematic state '{unknown[0]}' is not among its states"
             )
+        for name, value in self.reference.items():
+            channels = [*self.nonlinear, *self.linear, *self.inputs, *self.outputs]
+            if name not in channels:
+                raise ModelError(
+                    f"model '{self.name}': reference of '{name}', which is none of its channels "
+                    f"({', '.join(channels)})"
+                )
+            if not np.isfinite(value):
+                raise ModelError(
+                    f"model '{self.name}': reference of '{name}' is {value}; a number is needed"
+                )
 
     @cached_property
     def na(self) -> int:

@@ -23,7 +23,9 @@ class Series:
     ``Series(y, u, dt=0.01)`` is regularly sampled; ``Series(y, u, t=times)`` has a time stamp
     per row. NaN in y is a missing value: a whole row or a single channel. A one-dimensional y
     or u is one channel. ``extra`` (T, n) are channels that were recorded but that the model does not
-    use; a diagnosis asks whether they matter. Raises SeriesError naming the row and the channel.
+    use; a diagnosis asks whether they matter. ``substeps`` counts the rows from one sample to the next,
+    the first row being a sample, where the series was refined (see :meth:`refined`). Raises SeriesError
+    naming the row and the channel.
     """
 
     y: Array
@@ -33,6 +35,7 @@ class Series:
     u_names: tuple[str, ...]
     extra: Array
     extra_names: tuple[str, ...]
+    substeps: int
 
     def __init__(
         self,
@@ -44,6 +47,7 @@ class Series:
         u_names: Sequence[str] | None = None,
         extra: ArrayLike | None = None,
         extra_names: Sequence[str] | None = None,
+        substeps: int = 1,
     ) -> None:
         y_ = _columns(y, "y")
         T = y_.shape[0]
@@ -78,6 +82,7 @@ class Series:
         set_(self, "u", u_)
         set_(self, "extra", extra_)
         set_(self, "t", _times(t, dt, T))
+        set_(self, "substeps", int(substeps))
         for array in (self.y, self.u, self.extra, self.t):
             array.setflags(write=False)
 
@@ -100,44 +105,78 @@ class Series:
         """Which values are there, (T, ny)."""
         return ~np.isnan(self.y)
 
-    def part(self, start: int, stop: int) -> Series:
-        """Rows start .. stop-1 as a series of its own, with its own times."""
-        return Series(
-            self.y[start:stop],
-            self.u[start:stop],
-            t=self.t[start:stop],
-            y_names=self.y_names,
-            u_names=self.u_names,
-            extra=self.extra[start:stop],
-            extra_names=self.extra_names,
+    @cached_property
+    def n_measured(self) -> int:
+        """Number of rows with a measurement: what a sample size is, refined or with gaps."""
+        return int(self.observed.any(axis=1).sum())
+
+    @cached_property
+    def samples(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """The rows (n,) that are samples: every row, or every ``substeps``-th one."""
+        return np.arange(0, len(self), self.substeps)
+
+    def refined(self, k: int) -> Series:
+        """The same experiment with ``k`` steps from each sample to the next, (T-1) k + 1 rows.
+
+        Inputs and extra channels are held over a sample, nothing is measured in between, times are
+        subdivided evenly. ``values[series.samples]`` maps what was computed on it back to the samples.
+        Raises SeriesError for k < 1 and for a series that is refined already.
+        """
+        if k < 1:
+            raise SeriesError(f"k = {k} steps a sample; at least 1 is needed")
+        if self.substeps != 1:
+            raise SeriesError(f"the series is refined already, {self.substeps} steps a sample")
+        if k == 1:
+            return self
+        rows = np.repeat(np.arange(len(self)), k)[: (len(self) - 1) * k + 1]
+        y = np.full((len(rows), self.y.shape[1]), np.nan)
+        y[::k] = self.y
+        share = np.tile(np.arange(k) / k, len(self))[: len(rows)]
+        steps = np.append(self.steps, 0.0)
+        return self.replace(
+            y=y,
+            u=self.u[rows],
+            t=self.t[rows] + share * steps[rows],
+            extra=self.extra[rows],
+            substeps=k,
         )
+
+    def replace(self, **changes: Any) -> Series:
+        """The same series with some of its arrays, names or ``substeps`` changed."""
+        kept = {
+            "y": self.y,
+            "u": self.u,
+            "t": self.t,
+            "y_names": self.y_names,
+            "u_names": self.u_names,
+            "extra": self.extra,
+            "extra_names": self.extra_names,
+            "substeps": self.substeps,
+        }
+        return Series(**{**kept, **changes})
+
+    def part(self, start: int, stop: int) -> Series:
+        """Rows start .. stop-1 as a series of its own, with its own times.
+
+        Of a refined series ``start`` must be a sample.
+        """
+        if start % self.substeps:
+            raise SeriesError(f"row {start} of a refined series is no sample")
+        rows = slice(start, stop)
+        return self.replace(y=self.y[rows], u=self.u[rows], t=self.t[rows], extra=self.extra[rows])
 
     def masked(self, rows: ArrayLike) -> Series:
         """The same series with the measurements of ``rows`` (mask or indices) missing."""
         y = self.y.copy()
         y[rows] = np.nan  # type: ignore[index]
-        return Series(
-            y,
-            self.u,
-            t=self.t,
-            y_names=self.y_names,
-            u_names=self.u_names,
-            extra=self.extra,
-            extra_names=self.extra_names,
-        )
+        return self.replace(y=y)
 
     def with_extra_inputs(self) -> Series:
         """The same series with its extra channels as further inputs too, behind its own."""
         if not self.extra_names:
             return self
-        return Series(
-            self.y,
-            np.hstack([self.u, self.extra]),
-            t=self.t,
-            y_names=self.y_names,
-            u_names=(*self.u_names, *self.extra_names),
-            extra=self.extra,
-            extra_names=self.extra_names,
+        return self.replace(
+            u=np.hstack([self.u, self.extra]), u_names=(*self.u_names, *self.extra_names)
         )
 
     def check(self, model: BaseModel, measured: bool = True) -> Series:

@@ -8,9 +8,11 @@ from makers registered with :func:`register_effect`, those shipped and anybody's
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from engine.diagnose.effect import Effect
 from engine.diagnose.inputs import KINDS as INPUT
+from engine.diagnose.late import KINDS as LATE
 from engine.diagnose.measurement import KINDS as MEASUREMENT
 from engine.diagnose.memory import KINDS as MEMORY
 from engine.diagnose.noise import KINDS as NOISE
@@ -21,7 +23,16 @@ from engine.diagnose.timed import KINDS as TIME
 from engine.errors import OptionError
 from engine.model import MixedModel
 
-SHIPPED: tuple[Kind, ...] = (*STATE, *MEMORY, *MEASUREMENT, *NOISE, *TAILS, *INPUT, *TIME)
+SHIPPED: tuple[Kind, ...] = (
+    *STATE,
+    *MEMORY,
+    *MEASUREMENT,
+    *LATE,
+    *NOISE,
+    *TAILS,
+    *INPUT,
+    *TIME,
+)
 
 _makers: dict[str, tuple[Maker, Channels]] = {kind: (make, where) for kind, make, where in SHIPPED}
 
@@ -71,7 +82,10 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
 
 def extend(model: MixedModel, effects: Sequence[str], setting: Setting | None = None) -> MixedModel:
     """The model with effects applied one after the other, by name."""
+    known = setting or Setting(model)
+    known = replace(
+        known, zeros=known.known_zeros
+    )  # what an effect adds moves no zero of the model's
     for name in effects:
-        known = setting or Setting(model)
-        model = make_effect(name, Setting(model, known.scale, known.span, known.dt)).apply(model)
+        model = make_effect(name, replace(known, model=model)).apply(model)
     return model

@@ -20,6 +20,10 @@ from engine.series import Series
 REACH = 0.05  # a probe's size in its own standard errors
 
 
+# of its own scatter, by which a prediction moves where a slope is taken: aimed at, and accepted
+FIRST, SLIGHT = 1e-4, (1e-7, 1e-2)
+TRIALS = 6
+
 UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could show
 
 
@@ -115,13 +119,7 @@ def static_column(
     path: MomentPath,
 ) -> Column:
     """The column of parameter k of ``extended`` at ``at``, along the path of the base model."""
-    upper = extended.upper[k]
-    step = 1e-5 * (upper if np.isfinite(upper) else 1.0)
-    low, high = at.copy(), at.copy()
-    low[k] = max(at[k] - step, extended.lower[k])
-    high[k] += step
-    ends = [along_path(extended, point, model, series, path) for point in (low, high)]
-    b, dQ, e, dR, dX = ((y - x) / (high[k] - low[k]) for x, y in zip(*ends, strict=True))
+    b, dQ, e, dR, dX = _slopes(extended, at, k, model, series, path)
     root = whitening(path.S, series.observed)
     precision = np.swapaxes(root, -1, -2) @ root
     nu = np.nan_to_num(path.innovations)
@@ -133,6 +131,43 @@ def static_column(
         np.einsum("ti,tij,tj->t", z, E, z) - np.trace(E, axis1=1, axis2=2)
     )
     return Column(s, np.concatenate([Z.ravel(), E.ravel() / np.sqrt(2.0)]))
+
+
+def _slopes(
+    extended: MixedModel, at: Array, k: int, model: MixedModel, series: Series, path: MomentPath
+) -> list[Array]:
+    """Differences of what :func:`along_path` returns by parameter k.
+
+    By a step that changes predictions by a small share of their own scatter, whatever the units are.
+    """
+    sizes = _scatter(path)
+    lower, upper = extended.lower[k], extended.upper[k]
+    step = 1e-5 * (upper if np.isfinite(upper) and upper > 0.0 else 1.0)
+    for _ in range(TRIALS):
+        low, high = at.copy(), at.copy()
+        low[k], high[k] = max(at[k] - step, lower), min(at[k] + step, upper)
+        ends = [along_path(extended, point, model, series, path) for point in (low, high)]
+        changes = [y - x for x, y in zip(*ends, strict=True)]
+        felt = max(
+            float(np.abs(change / size).max(initial=0.0))
+            for change, size in zip(changes, sizes, strict=True)
+        )
+        if SLIGHT[0] <= felt <= SLIGHT[1] or not np.isfinite(felt):
+            break
+        factor = FIRST / felt if felt > 0.0 else 1e4
+        if factor > 1.0 and step * factor > 0.5 * (upper - lower):
+            break
+        step *= float(np.clip(factor, 1e-8, 1e8))
+    return [change / (high[k] - low[k]) for change in changes]
+
+
+def _scatter(path: MomentPath) -> list[Array]:
+    """Typical standard deviations and variances of what :func:`along_path` returns, 1 where there are none."""
+    x = np.sqrt(np.median(np.diagonal(path.P_predicted, axis1=1, axis2=2), axis=0))
+    y = np.sqrt(np.median(np.diagonal(path.S, axis1=1, axis2=2), axis=0))
+    spread = np.std(path.predicted, axis=0)
+    x = np.where(x > 0.0, x, np.where(spread > 0.0, spread, 1.0))
+    return [x, np.outer(x, x), y, np.outer(y, y), np.outer(x, y)]
 
 
 def along_path(
@@ -207,7 +242,8 @@ def _arrays(filtered: MomentFiltered) -> tuple[Array, Array, Array]:
 
 def _steps(extended: MixedModel, at: Array, k: int, series: Series) -> Array:
     """Sizes (n,) of about REACH standard errors, found on the first part of the series; NaN for none."""
-    part = series if len(series) <= 100 else series.part(0, 100)
+    first = 100 * series.substeps
+    part = series if len(series) <= first else series.part(0, first)
     longer = np.sqrt(len(series) / len(part))
     steps = np.full(len(at), 1e-3 * max(min(float(extended.upper[k]), 1.0), 1e-300))
     open_, found = np.ones(len(at), dtype=bool), np.full(len(at), np.nan)

@@ -30,9 +30,10 @@ class Effect:
     first, with units; ``extend`` the extension; ``probes`` values of the other parameters at which
     the screen looks (one row each); ``look_alikes`` kinds that leave similar traces, with what
     tells them apart; ``one_sided`` whether only a positive size makes sense (a variance); ``held`` those
-    of its parameters that are a reference, not to be estimated; ``zero`` the one of them that is the zero of
-    its channel, where nothing but the unit says what that is; ``readings(y, size)`` what it does to a
-    channel's finished readings (T,), where the extension only stands for that (rounding as noise).
+    of its parameters that are a reference, not to be estimated; ``zero`` the one among them that is the
+    zero the effect counts from, where nothing declares or tells it: it may be estimated after all, where
+    the data can tell; ``readings(y, size)`` what it does to a channel's finished readings (T,), where the
+    extension only stands for that (rounding as noise).
     """
 
     kind: str
@@ -46,8 +47,8 @@ class Effect:
     look_alikes: dict[str, str] = field(default_factory=dict)
     one_sided: bool = False
     held: tuple[str, ...] = ()
-    readings: Callable[[Array, float], Array] | None = None
     zero: str | None = None
+    readings: Callable[[Array, float], Array] | None = None
 
     @property
     def name(self) -> str:
@@ -130,16 +131,39 @@ def add_to_state(
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
-        f, A, Q = base.transition(a, u, t, dt, own_base)
-        f = f.copy()
-        f[:, row] += dt * term(Values(signals(base, a, u), t, dt), own)
-        return f, A, Q
+        push = dt * term(Values(signals(base, a, u), t, dt), own)
+        return pushed(base, row, push, a, u, t, dt, own_base)
 
     return on_base(base, split, dynamics=dynamics)
 
 
-def add_linear_coupling(model: MixedModel, target: str, source: str) -> MixedModel:
-    """``target``' = ... + dt * size * source, for a linear state ``source``."""
+def pushed(
+    model: MixedModel, row: int, push: Any, a: Array, u: Any, t: Any, dt: Any, record: Any
+) -> tuple[Array, Array, Array]:
+    """One step of ``model`` with ``push`` (a number or (M,)) added to state ``row``.
+
+    After the step; of a continuous model half before and half after it, so that what it does to the other
+    states within the step is right to second order (Strang 1968).
+    """
+    before = 0.5 * push if model.continuous else 0.0 * push
+    if model.continuous and row < model.na:
+        a = a.copy()
+        a[:, row] += before
+    f, A, Q = model.transition(a, u, t, dt, record)
+    f = f.copy()
+    if model.continuous and row >= model.na:
+        f += A[..., row - model.na] * np.reshape(before, (-1, 1))
+    f[:, row] += push - before
+    return f, A, Q
+
+
+def add_linear_coupling(
+    model: MixedModel,
+    target: str,
+    source: str,
+    zero: Callable[[Sequence[Any]], Any] = lambda own: 0.0,
+) -> MixedModel:
+    """``target``' = ... + dt * size * (source - zero), for a linear state ``source``."""
     split = Split(model)
     row = [*model.nonlinear, *model.linear].index(target)
     column = list(model.linear).index(source)
@@ -149,6 +173,8 @@ def add_linear_coupling(model: MixedModel, target: str, source: str) -> MixedMod
         f, A, Q = model.transition(a, u, t, dt, own_base)
         A = per_point(A, len(a), dt, own[0])
         A[..., row, column] += dt * own[0]
+        f = f.copy()
+        f[:, row] -= dt * own[0] * zero(own)
         return f, A, Q
 
     return on_base(model, split, dynamics=dynamics)

@@ -36,6 +36,7 @@ def hide(
     name, ModelError where the simulation runs away.
     """
     setting = Setting(model, span=(0.0, dt * (n_samples - 1)), dt=dt)
+    setting = replace(setting, zeros=setting.known_zeros)
     extended, changes = model, []
     own = dict(values)
     for name in effects:

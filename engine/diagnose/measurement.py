@@ -7,22 +7,22 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.clip import Clip
 from engine.diagnose.effect import Effect, Split, add_to_output, identifier, on_base, per_point
-from engine.diagnose.more_states import add_linear_states, beside
+from engine.diagnose.origin import Origin
 from engine.diagnose.setting import Kind, Maker, Setting, each_output
+from engine.diagnose.units import product
 from engine.model import Array, MixedModel, Parameter
 from engine.promote import promote
 
-LONGEST_DELAY = 4  # samples
 
-
-def _observers(model: MixedModel, output: str) -> list[str]:
-    """The linear states that this output sees."""
-    row = list(model.outputs).index(output)
-    _, C, _ = model.observation(
-        np.zeros((2, model.na)), np.zeros(model.nu), 0.0, model.record(model.theta())
-    )
-    seen = np.abs(C if C.ndim == 2 else C.max(axis=0))[row] > 0.0
+def _observers(setting: Setting, model: MixedModel, output: str) -> list[str]:
+    """The linear states that this output sees, somewhere on the record."""
+    row, seen = list(model.outputs).index(output), np.zeros(model.nz, dtype=bool)
+    points, theta = setting.points(model)
+    for x, u, t in zip(points.x, points.u, points.t, strict=True):
+        _, C, _ = model.observation(x[None, : model.na], u, float(t), model.record(theta))
+        seen |= C.reshape(-1, *C.shape[-2:])[0, row] != 0.0
     return [name for name, there in zip(model.linear, seen, strict=True) if there]
 
 
@@ -33,51 +33,82 @@ def _curve(
     curve: Callable[[Any, Sequence[Any]], Any],
     unit_power: float,
     look_alikes: dict[str, str],
-    width: bool = False,
     limits: tuple[float, float] = (-np.inf, np.inf),
 ) -> Maker:
-    """A kind ``reading = y + size * curve(y)``, y the noise-free output."""
+    """A kind ``reading = y + size * curve(y)``, y the noise-free output, counted from its zero."""
 
     def make(setting: Setting, channel: str) -> Effect | None:
         if channel not in setting.model.outputs:
             return None
         name = identifier(kind, channel)
-        scale = setting.size(channel)
-        unit = setting.unit(channel)
-        parameters = [
-            Parameter(name, 0.0, f"{unit}^{unit_power:g}" if unit_power else "1", limits, title)
-        ]
-        if width:
-            bounds = setting.limits(1e-3 * scale, 20.0 * scale, 1e-12)
-            parameters.append(Parameter(f"{name}_limit", scale, unit, bounds, "where it bends"))
+        origin = Origin(setting, name, channel)
+        unit = product((setting.unit(channel), unit_power))
 
-        def extend(model: MixedModel) -> MixedModel:
-            base = promote(model, _observers(model, channel))
-            split = Split(model)
-            row = list(base.outputs).index(channel)
-
-            def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-                own_base, own = split(theta)
-                h, C, R = base.observation(a, u, t, own_base)
-                h = h.copy()
-                h[:, row] += own[0] * curve(h[:, row], own[1:])
-                return h, C, R
-
-            return on_base(base, split, measurement=measurement)
+        def bent(y: Any, own: Sequence[Any]) -> Any:
+            return own[0] * curve(y - origin.of(own), own[1:])
 
         return Effect(
             kind,
             channel,
             "measurement",
             f"{title} of the sensor {channel}",
-            f"{channel} = y + {name} * {formula}",
-            tuple(parameters),
-            extend,
-            probes=((0.7 * scale,), (1.5 * scale,)) if width else ((),),
+            f"{channel} = y + {name} * {formula.format(y=origin.text('y'))}",
+            (Parameter(name, 0.0, unit, limits, title), *origin.parameters),
+            lambda model: _bend(model, setting, channel, bent),
+            probes=(origin.probe,),
             look_alikes=look_alikes,
+            held=origin.held,
+            zero=origin.name,
+            one_sided=limits[0] == 0.0,
         )
 
     return make
+
+
+def _bend(
+    model: MixedModel,
+    setting: Setting,
+    channel: str,
+    bent: Callable[[Any, Sequence[Any]], Any],
+) -> MixedModel:
+    """The reading y + bent(y, own values), y the noise-free output."""
+    base = promote(model, _observers(setting, model, channel))
+    split = Split(model)
+    row = list(base.outputs).index(channel)
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        h, C, R = base.observation(a, u, t, own_base)
+        h = h.copy()
+        h[:, row] += bent(h[:, row], own)
+        return h, C, R
+
+    return on_base(base, split, measurement=measurement)
+
+
+def _saturation(setting: Setting, channel: str) -> Effect | None:
+    """A sensor that clips: at an upper limit, at a lower one, or at both, alike far from its zero."""
+    if channel not in setting.model.outputs:
+        return None
+    name = identifier("saturation-sensor", channel)
+    clip = Clip(setting, name, channel)
+    return Effect(
+        "saturation-sensor",
+        channel,
+        "measurement",
+        f"saturation of the sensor {channel}",
+        f"{channel} = y - {name} * {clip.text('y')}",
+        (Parameter(name, 0.0, "1", (0.0, 1.0), "share of the excess lost"), *clip.parameters),
+        lambda model: _bend(model, setting, channel, lambda y, own: -own[0] * clip.excess(y, own)),
+        probes=clip.probes,
+        look_alikes={
+            "gain": "acts on small readings too",
+            "cubic-sensor": "bends everywhere",
+        },
+        held=clip.held,
+        zero=clip.zero,
+        one_sided=True,
+    )
 
 
 def _bias(setting: Setting, channel: str) -> Effect | None:
@@ -119,7 +150,7 @@ def _drift(setting: Setting, channel: str) -> Effect | None:
         f"drift of the sensor {channel}",
         f"{channel} = ... + {name} * (t - {name}_start)",
         (
-            Parameter(name, 0.0, f"{setting.unit(channel)}/s", description="sensor drift"),
+            Parameter(name, 0.0, setting.rate(channel), description="sensor drift"),
             Parameter(f"{name}_start", start, "s", description="when it is zero"),
         ),
         lambda model: add_to_output(model, channel, lambda v, own: own[0] * (v.t - own[1])),
@@ -133,6 +164,7 @@ def _gain(setting: Setting, channel: str) -> Effect | None:
     if channel not in setting.model.outputs:
         return None
     name = identifier("gain", channel)
+    origin = Origin(setting, name, channel)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -142,7 +174,7 @@ def _gain(setting: Setting, channel: str) -> Effect | None:
             own_base, own = split(theta)
             h, C, R = model.observation(a, u, t, own_base)
             h, C = h.copy(), per_point(C, len(a), own[0])
-            h[:, row] *= 1.0 + own[0]
+            h[:, row] += own[0] * (h[:, row] - origin.of(own))
             C[..., row, :] *= 1.0 + np.reshape(own[0], (-1, 1)) if np.ndim(own[0]) else 1.0 + own[0]
             return h, C, R
 
@@ -153,103 +185,14 @@ def _gain(setting: Setting, channel: str) -> Effect | None:
         channel,
         "measurement",
         f"gain error of the sensor {channel}",
-        f"{channel} = (1 + {name}) * y",
-        (Parameter(name, 0.0, "1", (-0.99, 10.0), "relative gain error"),),
+        f"{channel} = y + {name} * {origin.text('y')}",
+        (Parameter(name, 0.0, "1", (-0.99, 10.0), "relative gain error"), *origin.parameters),
         extend,
+        probes=(origin.probe,),
         look_alikes={"saturation-sensor": "acts on large readings only"},
+        held=origin.held,
+        zero=origin.name,
     )
-
-
-def _lag(setting: Setting, channel: str) -> Effect | None:
-    """A share of the reading comes one sample late."""
-    if channel not in setting.model.outputs:
-        return None
-    name = identifier("lag", channel)
-    return Effect(
-        "lag",
-        channel,
-        "measurement",
-        f"lag of the sensor {channel}",
-        f"{channel} = (1 - {name}) y_t + {name} y_(t-1)",
-        (Parameter(name, 0.0, "1", (0.0, 1.0), "share that comes one sample late"),),
-        lambda model: _late(model, setting, channel, 1, lambda own: [own[0]]),
-        one_sided=True,
-        look_alikes={
-            "delay": "delays the input, or the reading by several samples",
-            "colored": "is not driven by y",
-        },
-    )
-
-
-def sensor_delay(setting: Setting, channel: str) -> Effect | None:
-    """A share of the reading comes several samples late; all of it where the size is one."""
-    if channel not in setting.model.outputs:
-        return None
-    name = identifier("delay", channel)
-
-    def weights(own: Any) -> list[Any]:
-        # held at a whole number, where one weight is the size; linear in between
-        return [
-            own[0] * np.maximum(1.0 - np.abs(own[1] - k), 0.0) for k in range(1, LONGEST_DELAY + 1)
-        ]
-
-    return Effect(
-        "delay",
-        channel,
-        "measurement",
-        f"delay of the sensor {channel}",
-        f"{channel} = (1 - {name}) y_t + {name} y_(t-d),  d = {name}_samples",
-        (
-            Parameter(name, 0.0, "1", (0.0, 1.5), "share that comes late"),
-            Parameter(f"{name}_samples", 2.0, "samples", (1.0, float(LONGEST_DELAY)), "how late"),
-        ),
-        lambda model: _late(model, setting, channel, LONGEST_DELAY, weights),
-        probes=tuple((float(d),) for d in range(2, LONGEST_DELAY + 1)),
-        look_alikes={"lag": "is over after one sample", "pole": "changes the motion itself"},
-        held=(f"{name}_samples",),
-        one_sided=True,
-    )
-
-
-def _late(
-    model: MixedModel,
-    setting: Setting,
-    channel: str,
-    depth: int,
-    weights: Callable[[Any], list[Any]],
-) -> MixedModel:
-    """The reading (1 - sum w_k) y_t + sum w_k y_(t-k); the last ``depth`` values of y are states."""
-    split = Split(model)
-    row, nx, nz = list(model.outputs).index(channel), model.nx, model.nz
-    shift = np.eye(depth, k=-1)
-
-    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-        own_base, _ = split(theta)
-        h, C, _ = model.observation(a, u, t, own_base)
-        f, A, Q = beside(model.transition(a, u, t, dt, own_base), len(a), shift.tolist(), 0.0)
-        f[:, nx] = h[:, row]
-        if C.ndim == 3 and A.ndim == 2:
-            A = np.repeat(A[None], len(a), axis=0)
-        A[..., nx, :nz] = C[..., row, :]
-        return f, A, Q
-
-    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-        own_base, own = split(theta)
-        h, C, R = model.observation(a, u, t, own_base)
-        late = weights(own)
-        now = 1.0 - sum(late)
-        h = h.copy()
-        C = np.concatenate([C, np.zeros((*C.shape[:-1], depth))], axis=-1)
-        C = per_point(C, len(a), *late)
-        h[:, row] *= now
-        C[..., row, :] *= np.reshape(now, (-1, 1)) if np.ndim(now) else now
-        for k, weight in enumerate(late):
-            C[..., row, nz + k] = weight
-        return h, C, R
-
-    names = [f"last_{channel}", *(f"last_{channel}_{k}" for k in range(2, depth + 1))]
-    states = dict.fromkeys(names, setting.unit(channel))
-    return add_linear_states(model, split, states, dynamics, measurement=measurement)
 
 
 KINDS: list[Kind] = [
@@ -257,43 +200,29 @@ KINDS: list[Kind] = [
     ("offset", _offset, lambda setting: iter(())),  # by name only: listed as bias
     ("drift", _drift, each_output),
     ("gain", _gain, each_output),
-    ("lag", _lag, each_output),
     (
         "cubic-sensor",
         _curve(
             "cubic-sensor",
             "cubic characteristic",
-            "y^3",
+            "{y}^3",
             lambda y, own: y**3,
             -2,
             {"gain": "is linear"},
         ),
         each_output,
     ),
-    (
-        "saturation-sensor",
-        _curve(
-            "saturation-sensor",
-            "saturation",
-            "-(|y| - limit)+ sign(y)",
-            lambda y, own: -np.sign(y) * np.maximum(np.abs(y) - own[0], 0.0),
-            0,
-            {"gain": "acts on small readings too", "cubic-sensor": "bends everywhere"},
-            width=True,
-            limits=(-1.0, 1.0),
-        ),
-        each_output,
-    ),
+    ("saturation-sensor", _saturation, each_output),
     (
         "rectification",
         _curve(
             "rectification",
             "rectification",
-            "(|y| - y)",
+            "(|{y}| - {y})",
             lambda y, own: np.abs(y) - y,
             0,
             {"bias": "is constant"},
-            limits=(-1.0, 1.0),
+            limits=(0.0, 1.0),
         ),
         each_output,
     ),

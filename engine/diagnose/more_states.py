@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from engine.diagnose.effect import Split, on_base
-from engine.model import Array, Gaussian, MixedModel
+from engine.model import Array, MixedModel
+from engine.promote import product
+
+# (a_1 (M, na), base record, own values) -> m (M, k), G (k, nz) or (M, k, nz), variances: the new states
+# are m + G z_1 at first, plus noise of these variances (a number or (k,))
+Begin: TypeAlias = Callable[[Array, Any, Any], tuple[Array, Array, Any]]
 
 
 def add_linear_states(
@@ -17,30 +22,43 @@ def add_linear_states(
     split: Split,
     states: Mapping[str, str],
     dynamics: Any,
-    variance: Callable[[Any], float] = lambda own: 0.0,
+    begin: Begin | None = None,
     **functions: Any,
 ) -> MixedModel:
     """The model with more linear states, name -> unit, behind its own.
 
-    They are zero at first, up to ``variance(own parameters)`` each.
+    ``begin`` tells where they start, by default at zero; what they share with x_1 is in P_1.
     """
-    na, k = model.na, len(states)
+    na, nz, k = model.na, model.nz, len(states)
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
         start = model.start(own_base)
 
+        def first(a: Array) -> tuple[Array, Array, Any]:
+            if begin is None:
+                return np.zeros((len(a), k)), np.zeros((k, nz)), 0.0
+            return begin(a[:, :na], own_base, own)
+
         def z1(a: Array) -> Array:
             z, _ = start.linear(a[:, :na])
-            return np.concatenate([z, np.zeros((len(a), k))], axis=1)
+            m, G, _ = first(a)
+            return np.concatenate([z, m + np.einsum("...ij,...j->...i", G, z)], axis=1)
 
-        _, P = start.linear(np.zeros((1, na)))
-        if P.ndim == 3:
-            P = P[0]
-        P_all = np.zeros((model.nz + k, model.nz + k))
-        P_all[:-k, :-k] = P
-        P_all[-k:, -k:] = variance(own) * np.eye(k)
-        return start.density, z1, P_all
+        def P1(a: Array) -> Array:
+            _, P = start.linear(a[:, :na])
+            _, G, variances = first(a)
+            both = np.concatenate(
+                [np.broadcast_to(np.eye(nz), (*G.shape[:-2], nz, nz)), G], axis=-2
+            )
+            whole: Array = both @ P @ np.swapaxes(both, -1, -2)
+            own_rows = np.arange(nz, nz + k)
+            whole[..., own_rows, own_rows] += variances
+            return whole
+
+        one = P1(np.asarray(start.density.sample(np.random.default_rng(0), 2), dtype=float))
+        by_point = callable(start.P1) or one.ndim == 3
+        return start.density, z1, P1 if by_point else one
 
     if "measurement" not in functions:
 
@@ -94,11 +112,13 @@ def add_memory(
     unit: str,
     step: Callable[..., tuple[Array, Array, Array, Array]],
     observe: Callable[..., tuple[Array, Array, Array]],
+    begin: Callable[[Any], tuple[Any, Any]],
 ) -> MixedModel:
-    """The model with one more nonlinear state, zero at first and without noise of its own.
+    """The model with one more nonlinear state, without noise of its own.
 
     ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory
-    (M,); ``observe(a, memory, u, t, base, own)`` returns h, C, R. p(a_1) must be Gaussian.
+    (M,); ``observe(a, memory, u, t, base, own)`` returns h, C, R; ``begin(own)`` the memory's mean and
+    variance at first, independent of x_1. p(a_1) may be any density.
     """
     na, nx = model.na, model.nx
     order = np.array([*range(na), nx, *range(na, nx)])
@@ -116,16 +136,18 @@ def add_memory(
         return observe(a[:, :na], a[:, na], u, t, *split(theta))
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
-        start = model.start(split(theta)[0])
-        density: Any = start.density
-        cov = np.zeros((na + 1, na + 1))
-        cov[:na, :na] = density.cov
-        _, P = start.linear(density.mean[None])
-        return (
-            Gaussian(np.append(density.mean, 0.0), cov),
-            lambda a: start.linear(a[:, :na])[0],
-            P if P.ndim == 2 else P[0],
-        )
+        own_base, own = split(theta)
+        start = model.start(own_base)
+        mean, variance = begin(own)
+
+        def memory(a: Array) -> tuple[Array, Array]:
+            return np.full((len(a), 1), float(mean)), np.array([[float(variance)]])
+
+        def of_base(function: Any) -> Any:
+            return (lambda a: function(a[:, :na])) if callable(function) else function
+
+        density = product(start.density, memory, na)
+        return density, of_base(start.z1), of_base(start.P1)
 
     return replace(
         model,

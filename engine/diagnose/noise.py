@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effect import Effect, Split, identifier, on_base, per_point
-from engine.diagnose.more_states import add_linear_states, beside
-from engine.diagnose.setting import Kind, Setting, each_output, each_state
+from engine.diagnose.more_states import Begin, add_linear_states, beside
+from engine.diagnose.origin import Origin
+from engine.diagnose.setting import POSITIVE, Kind, Setting, each_output, each_state
+from engine.diagnose.units import product
 from engine.model import Array, MixedModel, Parameter
 from engine.words import with_unit
 
@@ -96,7 +98,11 @@ def _quantisation(setting: Setting, channel: str) -> Effect | None:
         f"rounding of the readings of {channel}"
         + ("" if step is None else f" to steps of {with_unit(step, unit)}"),
         f"variance of the noise of {channel} + {name},  step^2 / 12",
-        (Parameter(name, 0.0, f"({unit})^2", (0.0, most), "variance of the rounding error"),),
+        (
+            Parameter(
+                name, 0.0, product((unit, 2.0)), (0.0, most), "variance of the rounding error"
+            ),
+        ),
         extend,
         look_alikes={"level": "is not seen in the readings: they take any value"},
         one_sided=True,
@@ -125,17 +131,17 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         return None
     name = identifier("variance", target, signal)
     first, last = setting.span
-    scale = setting.size(signal) if signal != "time" else max(last - first, setting.dt)
-
-    middle = 0.5 * (first + last)
+    middle, timely = 0.5 * (first + last), signal == "time"
+    scale = max(last - first, setting.dt) if timely else setting.size(signal)
+    origin = None if timely else Origin(setting, name, signal)
 
     def factor(model: MixedModel, a: Array, u: Any, t: Any, own: Any) -> Any:
-        if signal == "time":
+        if origin is None:
             x = t - own[2]
         elif signal in model.nonlinear:
-            x = np.abs(a[:, list(model.nonlinear).index(signal)])
+            x = np.abs(a[:, list(model.nonlinear).index(signal)] - origin.of(own))
         else:
-            x = np.abs(u[list(model.inputs).index(signal)])
+            x = np.abs(u[list(model.inputs).index(signal)] - origin.of(own))
         return np.exp(np.clip(0.5 * own[0] * x / own[1], -8.0, 8.0))
 
     def extend(model: MixedModel) -> MixedModel:
@@ -157,11 +163,16 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
             return on_base(model, split, measurement=measurement)
         return on_base(model, split, dynamics=dynamics)
 
-    what = f"(t - {name}_middle)" if signal == "time" else f"|{signal}|"
-    unit = "s" if signal == "time" else setting.unit(signal)
-    further = [Parameter(f"{name}_per", scale, unit, (1e-300, np.inf), "to which the size refers")]
-    if signal == "time":
+    unit = "s" if origin is None else setting.unit(signal)
+    further = [
+        Parameter(f"{name}_per", scale, unit, (POSITIVE, np.inf), "to which the size refers")
+    ]
+    if origin is None:
+        what = f"(t - {name}_middle)"
         further.append(Parameter(f"{name}_middle", middle, "s", description="where it is zero"))
+    else:
+        what = f"|{origin.text(signal)}|"
+        further.extend(origin.parameters)
     return Effect(
         "variance",
         channel,
@@ -173,6 +184,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         probes=(tuple(p.default for p in further),),
         look_alikes={"level": "does not change", "heavy-tails": "comes at random times"},
         held=tuple(p.name for p in further),
+        zero=None if origin is None else origin.name,
     )
 
 
@@ -258,7 +270,7 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
             split,
             {f"noise_{channel}": unit},
             dynamics,
-            lambda own: float(np.ravel(own[0])[0]),
+            _stationary(model.nz, 1),
             measurement=measurement,
         )
 
@@ -272,8 +284,8 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
             Parameter(
                 name,
                 0.0,
-                f"({unit})^2",
-                setting.limits(0.0, 100.0 * scale**2),
+                product((unit, 2.0)),
+                setting.limits(0.0, 100.0 * scale**2, 0.0),
                 "variance",
             ),
             _time_parameter(name, setting),
@@ -294,8 +306,8 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
     target, _, manner = channel.partition(",")
     if target not in setting.states or manner not in ("", OSCILLATING):
         return None
-    name, unit = identifier("latent", channel), f"{setting.unit(target)}/s"
-    scale = setting.size(target) / setting.dt
+    name, unit = identifier("latent", channel), setting.rate(target)
+    most = setting.limits(0.0, 100.0 * (setting.size(target) / setting.dt) ** 2, 0.0)
     swings = manner == OSCILLATING
     states = {f"force_{target}": unit}
     if swings:
@@ -312,18 +324,16 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
             A[..., row, -1] += dt
             return f, A, Q
 
-        return add_linear_states(
-            model, split, states, dynamics, lambda own: float(np.ravel(own[0])[0])
-        )
+        return add_linear_states(model, split, states, dynamics, _stationary(model.nz, len(states)))
 
     parameters = [
-        Parameter(name, 0.0, f"({unit})^2", (0.0, 100.0 * scale**2), "variance"),
+        Parameter(name, 0.0, product((unit, 2.0)), most, "variance"),
         _time_parameter(name, setting),
     ]
     probes: tuple[tuple[float, ...], ...] = ((3.0 * setting.dt,), (20.0 * setting.dt,))
     if swings:
         length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
-        bounds = setting.limits(0.5 / length, 0.48 / setting.dt, 1e-12)
+        bounds = setting.limits(0.5 / length, 0.48 / setting.dt)
         parameters.append(Parameter(f"{name}_frequency", 0.1 / setting.dt, "Hz", bounds))
         probes = tuple((15.0 * setting.dt, f / setting.dt) for f in (0.02, 0.06, 0.12, 0.25))
     return Effect(
@@ -353,9 +363,14 @@ def _time_parameter(name: str, setting: Setting) -> Parameter:
         f"{name}_time",
         5.0 * setting.dt,
         "s",
-        setting.limits(0.3 * setting.dt, longest, 1e-12),
+        setting.limits(0.3 * setting.dt, longest),
         "correlation time",
     )
+
+
+def _stationary(nz: int, k: int) -> Begin:
+    """k states of the size's variance each, about zero and independent of the rest."""
+    return lambda a, record, own: (np.zeros((len(a), k)), np.zeros((k, nz)), own[0])
 
 
 def _ou(step: tuple[Array, Array, Array], M: int, dt: Any, own: Any) -> tuple[Array, Array, Array]:

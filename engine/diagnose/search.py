@@ -143,7 +143,7 @@ def without_outliers(fit: QuasiFit, series: Series, output: str, seed: int) -> S
     errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))[:, j]
     y = series.y.copy()
     y[np.abs(np.nan_to_num(errors)) > OUTLYING, j] = np.nan
-    return Series(y, series.u, t=series.t, y_names=series.y_names, u_names=series.u_names)
+    return series.replace(y=y)
 
 
 def _with_tails(fit: QuasiFit, tails: Refit) -> QuasiFit:

@@ -4,25 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from functools import cached_property
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from engine.diagnose.effect import Effect
 from engine.diagnose.lattice import VISIBLE, lattice_step, sample_noise
+from engine.diagnose.structure import Points, feeding, guessed_points, rates
+from engine.diagnose.units import product
 from engine.model import Array, MixedModel
 from engine.moment_filter import moment_path
 from engine.series import Series
+
+PROBED = 32  # rows of a record at which a model's structure is looked at
+NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
+POSITIVE = float(np.finfo(float).tiny)  # in any unit
+ON_TIME = 1e-3  # of a sample: how far off its time a sample may be
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """The samples of one series: ``values`` of states (filtered means), inputs and outputs by channel (n,);
+
+    times ``t`` (n,) and steps ``dt`` (n,) in seconds; ``theta`` of the filter. Outputs may hold NaN.
+    """
+
+    values: Mapping[str, Array]
+    t: Array
+    dt: Array
+    theta: Array
 
 
 @dataclass(frozen=True)
 class Setting:
     """The model for which effects are made, with what its data tell about sizes.
 
-    ``scale`` maps a channel to its typical size (standard deviation) in its unit, 1 where unknown;
-    ``span`` is the first and last time in seconds; ``dt`` the median time step. ``extra`` are those
-    inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
-    step its readings come in, where they show one.
+    ``scale`` maps a channel to its typical variation (standard deviation) in its unit, 1 where unknown;
+    ``span`` is the first and last time in seconds; ``dt`` the median time between samples. ``extra`` are
+    those inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
+    step its readings come in, where they show one. ``record`` is what the series showed, None without
+    data. ``zeros`` are the known zeros of channels (default: as the model declares and tells);
+    ``substeps`` the steps that the model makes from one sample to the next.
     """
 
     model: MixedModel
@@ -31,15 +56,100 @@ class Setting:
     dt: float = 1.0
     extra: tuple[str, ...] = ()
     resolution: Mapping[str, float] = field(default_factory=dict)
+    record: Record | None = None
+    zeros: Mapping[str, float] | None = None
+    substeps: int = 1
 
-    def limits(self, low: float, high: float, least: float = 0.0) -> tuple[float, float]:
-        """Bounds (low, high) taken from the data, (least, inf) where nothing is known of them."""
-        return (low, high) if self.scale else (least, float("inf"))
+    # ---- sizes --------------------------------------------------------------------------------
+
+    def limits(self, low: float, high: float, least: float = POSITIVE) -> tuple[float, float]:
+        """Bounds (low, high) taken from the data, (least, inf) where there are none."""
+        return (low, high) if self.record is not None else (least, float("inf"))
 
     def size(self, channel: str) -> float:
-        """The channel's typical size, 1 where unknown."""
+        """The channel's typical variation, 1 where unknown."""
         value = float(self.scale.get(channel, 1.0))
         return value if value > 0.0 else 1.0
+
+    def quantile(self, channel: str, level: float) -> float:
+        """The value below which the channel is for a share ``level`` of the record."""
+        values = self._values(channel)
+        if values.size:
+            return float(np.quantile(values, level))
+        return self.zero(channel) + self.size(channel) * float(ndtri(level))
+
+    def distance(self, channel: str, level: float) -> float:
+        """The distance from its zero within which the channel is for a share ``level`` of the record."""
+        away = np.abs(self._values(channel) - self.zero(channel))
+        value = float(np.quantile(away, level)) if away.size else 0.0
+        return value if value > 0.0 else self.size(channel) * float(ndtri(0.5 + 0.5 * level))
+
+    def width(self, channel: str) -> tuple[float, float]:
+        """Bounds of a width in the channel's unit, counted from its zero."""
+        most = self.distance(channel, 0.7)
+        return self.limits(NARROWEST * most, WIDEST * most)
+
+    def inside(self, channel: str) -> tuple[float, float]:
+        """Bounds of a value on the channel's axis: its range and as much again at each side."""
+        values = self._values(channel)
+        if not values.size:
+            return -np.inf, np.inf
+        low, high = float(values.min()), float(values.max())
+        more = max(high - low, self.size(channel))
+        return low - more, high + more
+
+    def first(self, channel: str) -> float:
+        """The channel's first value in the record; its zero where there is none."""
+        values = self._values(channel)
+        return float(values[0]) if values.size else self.zero(channel)
+
+    def _values(self, channel: str) -> Array:
+        if self.record is None:
+            return np.zeros(0)
+        values = self.record.values.get(channel, np.zeros(0))
+        return np.asarray(values[np.isfinite(values)])
+
+    # ---- zeros --------------------------------------------------------------------------------
+
+    @cached_property
+    def _rates(self) -> dict[str, float | None]:
+        return rates(self.model)
+
+    @cached_property
+    def known_zeros(self) -> Mapping[str, float]:
+        """Zeros that are declared, or that the model tells: of a rate, where what it moves stands still."""
+        if self.zeros is not None:
+            return self.zeros
+        told = {name: zero for name, zero in self._rates.items() if zero is not None}
+        return {**told, **self.model.reference}
+
+    def zero(self, channel: str) -> float:
+        """The channel's zero in its unit: declared, derived from the model, else 0 of the unit."""
+        return float(self.known_zeros.get(channel, 0.0))
+
+    def is_rate(self, state: str) -> bool:
+        """Whether the state is the rate of another one: friction and drag suit it, stiffness does not."""
+        return state in self._rates
+
+    # ---- time ---------------------------------------------------------------------------------
+
+    def at_sample(self, t: Any) -> Any:
+        """Whether a step that begins at time t (a number or (M,)) begins at a sample: True or (M,)."""
+        if self.substeps == 1:
+            return True
+        times = np.asarray(t, dtype=float)
+        if self.record is not None and np.ptp(self.record.dt) > ON_TIME * self.dt:
+            own = self.record.t
+            place = np.clip(np.searchsorted(own, times), 1, len(own) - 1)
+            off = np.minimum(np.abs(times - own[place - 1]), np.abs(times - own[place]))
+            beyond = (times < own[0]) | (times > own[-1] + ON_TIME * self.dt)
+            near: NDArray[np.bool_] = (off < ON_TIME * self.dt) & ~beyond
+        else:
+            phase = (times - self.span[0]) / self.dt
+            near = np.abs(phase - np.round(phase)) < ON_TIME + 1e-9 * np.abs(phase)
+        return near if near.ndim else bool(near)
+
+    # ---- channels -----------------------------------------------------------------------------
 
     @property
     def states(self) -> dict[str, str]:
@@ -51,31 +161,53 @@ class Setting:
         """States whose equations may be wrong: all but those that hold by definition."""
         return [name for name in self.states if name not in self.model.kinematic]
 
-    def is_rate(self, state: str) -> bool:
-        """Whether a state is the rate of another one, as a velocity is."""
-        return any(rate == state for rate in self._rates)
-
     def has_rate(self, state: str) -> bool:
         """Whether another state is this one's rate, as a position has."""
         return state in self.model.kinematic
 
-    @property
-    def _rates(self) -> list[str]:
-        F, states = _structure(self.model), list(self.states)
-        rows = [states.index(name) for name in self.model.kinematic]
-        return [states[j] for i in rows for j in np.flatnonzero(F[i]) if i != j]
-
     def rate(self, target: str, divided_by: str = "") -> str:
         """Unit of what enters a state's equation per second, divided by another unit."""
-        unit = f"{self.unit(target)}/s"
-        if divided_by.startswith("("):  # a power of a unit in brackets
-            return f"{unit}/{divided_by}"
-        return f"{unit}/({divided_by})" if divided_by else unit
+        return product(self.unit(target), ("s", -1.0), (divided_by, -1.0))
 
     def unit(self, channel: str) -> str:
         """Unit of a state, input or output."""
         model = self.model
         return {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}[channel]
+
+    # ---- structure ----------------------------------------------------------------------------
+
+    def points(self, model: MixedModel) -> tuple[Points, Array]:
+        """Where to evaluate a model (this one, or one with more states), and the base's theta."""
+        own = self.record
+        theta = np.asarray(model.theta())
+        guess = guessed_points(model, self.dt)
+        if own is None:
+            return guess, theta
+        rows = np.unique(np.linspace(0, len(own.t) - 1, PROBED).astype(int))
+        n = min(len(own.theta), len(theta))
+        theta[:n] = own.theta[:n]
+
+        def columns(names: Mapping[str, str], otherwise: Array) -> tuple[Array, Array]:
+            there = [own.values.get(name) for name in names]
+            x = [
+                v[rows] if v is not None else np.full(len(rows), otherwise[i])
+                for i, v in enumerate(there)
+            ]
+            sizes = [
+                self.size(name) if v is not None else 1.0
+                for name, v in zip(names, there, strict=True)
+            ]
+            return np.reshape(x, (len(names), len(rows))).T, np.array(sizes)
+
+        x, scale = columns({**model.nonlinear, **model.linear}, guess.x.mean(axis=0))
+        u, u_scale = columns(model.inputs, np.zeros(model.nu))
+        return Points(x, u, own.t[rows], own.dt[rows], scale, u_scale), theta
+
+    @cached_property
+    def feeds(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which state (column) feeds which (row), (nx, nx); which states inputs move at once (nx,)."""
+        points, theta = self.points(self.model)
+        return feeding(self.model, theta, points)
 
 
 # A maker: (setting, channel) -> the effect, or None where the channel is not of its sort.
@@ -112,23 +244,21 @@ def each_parameter(setting: Setting) -> Iterator[str]:
 
 def each_moved(setting: Setting) -> Iterator[str]:
     """Every state that an input or another state moves: not a disturbance of its own."""
-    model = setting.model
-    F = _structure(model)
-    by_inputs = _moved_by_inputs(model)
+    feeds, moved = setting.feeds
     for i, name in enumerate(setting.states):
-        if name in setting.targets and (by_inputs[i] or np.delete(F[i], i).any()):
+        if name in setting.targets and (moved[i] or np.delete(feeds[i], i).any()):
             yield name
 
 
 def each_pair(setting: Setting) -> Iterator[str]:
     """A state in its own equation, and ``source->target`` where one already feeds the other."""
     states = list(setting.states)
-    F = np.abs(_structure(setting.model))
+    feeds, _ = setting.feeds
     for i, source in enumerate(states):
         if source in setting.targets:
             yield source
         for j, target in enumerate(states):
-            if i != j and target in setting.targets and (F[j, i] > 0.0 or F[i, j] > 0.0):
+            if i != j and target in setting.targets and (feeds[j, i] or feeds[i, j]):
                 yield f"{source}->{target}"
 
 
@@ -139,65 +269,44 @@ def pair(setting: Setting, channel: str) -> tuple[str, str] | None:
     return (source, target) if {source, target} <= set(setting.states) else None
 
 
-def _structure(model: MixedModel) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Size of d x_{t+1} / d x_t at some points: which state feeds which."""
-    rng = np.random.default_rng(5)
-    record = model.record(model.theta())
-    na = model.na
-    density = model.start(record).density
-    a = np.asarray(density.sample(rng, 16), dtype=float) + 0.1 * rng.standard_normal((16, na))
-    u = rng.standard_normal(model.nu)
-    F = np.zeros((model.nx, model.nx))
-    with np.errstate(all="ignore"):
-        f, A, _ = model.transition(a, u, 0.0, 1.0, record)
-        F[:, na:] = np.abs(A if A.ndim == 2 else A.max(axis=0))
-        for i in range(na):
-            moved = a.copy()
-            moved[:, i] += 1e-3
-            g, B, _ = model.transition(moved, u, 0.0, 1.0, record)
-            change = np.abs(g - f).max(axis=0)
-            if A.ndim == 3:
-                change = change + np.abs(B - A).max(axis=(0, 2))
-            F[:, i] = np.where(change > 1e-9, change, 0.0)
-    return np.nan_to_num(F)
-
-
-def _moved_by_inputs(model: MixedModel) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which states (nx,) a change of some input changes at once."""
-    record = model.record(model.theta())
-    a = np.zeros((1, model.na))
-    u = np.full(model.nu, 0.5)
-    moved = np.zeros(model.nx, dtype=bool)
-    with np.errstate(all="ignore"):
-        f, A, _ = model.transition(a, u, 0.0, 1.0, record)
-        for k in range(model.nu):
-            more = u.copy()
-            more[k] += 1.0
-            g, B, _ = model.transition(a, more, 0.0, 1.0, record)
-            moved |= (g != f).any(axis=0) | (B != A).any(axis=-1).reshape(-1, model.nx).any(axis=0)
-    return moved
-
-
 def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
-    """Typical sizes of every channel, from the data and the filter's means."""
+    """Typical sizes of every channel, from the data and the filter's means.
+
+    ``theta`` (n_theta,); of a refined series the samples are what is looked at.
+    """
     path = moment_path(model, theta, series)
-    scale: dict[str, float] = {}
+    rows = series.samples
+    values: dict[str, Array] = {}
     for i, name in enumerate([*model.nonlinear, *model.linear]):
-        scale[name] = float(np.sqrt(np.mean(path.filtered[:, i] ** 2)))
+        values[name] = path.filtered[rows, i]
     for i, name in enumerate(model.inputs):
-        scale[name] = float(np.sqrt(np.mean(series.u[:, i] ** 2)))
+        values[name] = series.u[rows, i]
     resolution: dict[str, float] = {}
     for i, name in enumerate(model.outputs):
-        seen = series.y[series.observed[:, i], i]
-        scale[name] = float(np.sqrt(np.mean(seen**2))) if len(seen) else 1.0
+        values[name] = series.y[rows, i]
+        seen = values[name][~np.isnan(values[name])]
         step = lattice_step(seen)
         if step is not None and step >= VISIBLE * sample_noise(seen):
             resolution[name] = step
+    t = series.t[rows]
+    steps = np.diff(t)
     return Setting(
         model,
-        scale,
-        (float(series.t[0]), float(series.t[-1])),
-        float(np.median(series.steps)),
+        {name: _spread(value) for name, value in values.items()},
+        (float(t[0]), float(t[-1])),
+        float(np.median(steps)),
         tuple(name for name in series.extra_names if name in model.inputs),
         resolution,
+        Record(values, t, np.append(steps, steps[-1]), np.asarray(theta, dtype=float)),
+        substeps=series.substeps,
     )
+
+
+def _spread(values: Array) -> float:
+    """Standard deviation about the mean; of a constant channel its value, 1 where that is zero."""
+    seen = values[np.isfinite(values)]
+    if not seen.size:
+        return 1.0
+    if np.ptp(seen) > 0.0:
+        return float(seen.std())
+    return abs(float(seen[0])) or 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,18 +15,13 @@ from engine.diagnose.effect import (
     add_to_state,
     identifier,
 )
+from engine.diagnose.origin import Origin
 from engine.diagnose.setting import Kind, Maker, Setting, each_pair, each_state, pair
+from engine.diagnose.units import product
 from engine.model import MixedModel, Parameter
 
 ODD = "an odd function of the same state; told apart by the amplitudes that were visited"
-
-
-def power_of(unit: str, power: float) -> str:
-    """The unit of x ** power, "" for power 0."""
-    if power in (0, 1):
-        return unit if power else ""
-    whole = f"({unit})" if "/" in unit or " " in unit else unit
-    return f"{whole}^{power:g}"
+WIDTHS = (0.25, 0.7)  # shares of the record that are within the widths the screen looks at
 
 
 def _static(
@@ -37,7 +33,10 @@ def _static(
     look_alikes: dict[str, str],
     width: bool = False,
 ) -> Maker:
-    """A kind ``size * term(x)`` where term grows like x ** power; ``width`` adds a scale parameter."""
+    """A kind ``size * term(x)``, x counted from its zero, where term grows like x ** power.
+
+    ``width`` adds a scale parameter.
+    """
 
     def make(setting: Setting, channel: str) -> Effect | None:
         found = pair(setting, channel)
@@ -45,17 +44,19 @@ def _static(
             return None
         source, target = found
         name = identifier(kind, channel)
-        scale = setting.size(source)
-        x_unit = power_of(setting.unit(source), power)
-        parameters = [Parameter(name, 0.0, setting.rate(target, x_unit), description=title)]
+        unit = setting.unit(source)
+        origin = Origin(setting, name, source)
+        parameters = [
+            Parameter(name, 0.0, setting.rate(target, product((unit, power))), description=title)
+        ]
         if width:
             parameters.append(
                 Parameter(
                     f"{name}_width",
-                    0.5 * scale,
-                    setting.unit(source),
-                    setting.limits(1e-3 * scale, 10.0 * scale, 1e-12),
-                    f"scale of {source} at which it bends",
+                    setting.distance(source, 0.4),
+                    unit,
+                    setting.width(source),
+                    f"distance of {source} from its zero at which it bends",
                 )
             )
 
@@ -63,20 +64,23 @@ def _static(
             return add_to_state(
                 model,
                 target,
-                lambda v, own: own[0] * term(v[source], own[1:]),
+                lambda v, own: own[0] * term(v[source] - origin.of(own), own[1:]),
                 needs=(source,) if source in model.linear else (),
             )
 
+        widths = [(setting.distance(source, level),) for level in WIDTHS] if width else [()]
         return Effect(
             kind,
             channel,
             "state",
             f"{title} of {source}" + ("" if source == target else f" on {target}"),
-            f"{target}' = ... + dt * {name} * {formula.format(x=source)}",
-            tuple(parameters),
+            f"{target}' = ... + dt * {name} * {formula.format(x=origin.text(source))}",
+            (*parameters, *origin.parameters),
             extend,
-            probes=((0.3 * scale,), (scale,)) if width else ((),),
+            probes=tuple((*own, *origin.probe) for own in widths),
             look_alikes=look_alikes,
+            held=origin.held,
+            zero=origin.name,
         )
 
     return make
@@ -89,12 +93,14 @@ def _coulomb(setting: Setting, channel: str) -> Effect | None:
         return None
     source, target = found
     name = identifier("coulomb", channel)
+    origin = Origin(setting, name, source)
 
     def term(v: Values, own: Sequence[Any]) -> Any:
+        speed = v[source] - origin.of(own)
         if source != target:
-            return -own[0] * np.sign(v[source])
+            return -own[0] * np.sign(speed)
         most = v.dt * np.abs(own[0])
-        return -np.sign(own[0]) * np.clip(v[source], -most, most) / v.dt
+        return -np.sign(own[0]) * np.clip(speed, -most, most) / v.dt
 
     def extend(model: MixedModel) -> MixedModel:
         return add_to_state(model, target, term, needs=(source,) if source in model.linear else ())
@@ -104,10 +110,16 @@ def _coulomb(setting: Setting, channel: str) -> Effect | None:
         channel,
         "state",
         f"Coulomb friction of {source}" + ("" if source == target else f" on {target}"),
-        f"{target}' = ... - dt * {name} * sign({source})",
-        (Parameter(name, 0.0, setting.rate(target), description="friction per unit of inertia"),),
+        f"{target}' = ... - dt * {name} * sign({origin.text(source)})",
+        (
+            Parameter(name, 0.0, setting.rate(target), description="friction per unit of inertia"),
+            *origin.parameters,
+        ),
         extend,
+        probes=(origin.probe,),
         look_alikes={"drag": ODD, "stribeck": ODD, "deadzone": ODD},
+        held=origin.held,
+        zero=origin.name,
     )
 
 
@@ -139,20 +151,19 @@ def _linear(setting: Setting, channel: str) -> Effect | None:
     if channel not in setting.states:
         return None
     name = identifier("linear", channel)
-
-    def extend(model: MixedModel) -> MixedModel:
-        if channel in model.linear:
-            return add_linear_coupling(model, channel, channel)
-        return add_to_state(model, channel, lambda v, own: own[0] * v[channel])
+    origin = Origin(setting, name, channel)
 
     return Effect(
         "linear",
         channel,
         "state",
         f"linear damping or growth of {channel}",
-        f"{channel}' = ... + dt * {name} * {channel}",
-        (Parameter(name, 0.0, "1/s", description="rate"),),
-        extend,
+        f"{channel}' = ... + dt * {name} * {origin.text(channel)}",
+        (Parameter(name, 0.0, "1/s", description="rate"), *origin.parameters),
+        partial(_coupled, channel, channel, origin),
+        probes=(origin.probe,),
+        held=origin.held,
+        zero=origin.name,
         look_alikes={
             "drag": "grows faster than the state",
             "saturation": "acts on large values only",
@@ -167,22 +178,28 @@ def _coupling(setting: Setting, channel: str) -> Effect | None:
         return None
     source, target = found
     name = identifier("coupling", source, target)
-
-    def extend(model: MixedModel) -> MixedModel:
-        if source in model.linear:
-            return add_linear_coupling(model, target, source)
-        return add_to_state(model, target, lambda v, own: own[0] * v[source])
+    origin = Origin(setting, name, source)
 
     return Effect(
         "coupling",
         channel,
         "state",
         f"coupling of {source} into {target}",
-        f"{target}' = ... + dt * {name} * {source}",
-        (Parameter(name, 0.0, setting.rate(target, setting.unit(source))),),
-        extend,
+        f"{target}' = ... + dt * {name} * {origin.text(source)}",
+        (Parameter(name, 0.0, setting.rate(target, setting.unit(source))), *origin.parameters),
+        partial(_coupled, source, target, origin),
+        probes=(origin.probe,),
         look_alikes={"cubic": "grows faster than the state", "gain": "acts on the reading only"},
+        held=origin.held,
+        zero=origin.name,
     )
+
+
+def _coupled(source: str, target: str, origin: Origin, model: MixedModel) -> MixedModel:
+    """``target``' = ... + dt * size * (source - zero)."""
+    if source in model.linear:
+        return add_linear_coupling(model, target, source, origin.of)
+    return add_to_state(model, target, lambda v, own: own[0] * (v[source] - origin.of(own)))
 
 
 def _each_coupling(setting: Setting) -> Any:

@@ -15,7 +15,16 @@ from engine.diagnose.effect import (
     identifier,
     on_base,
 )
-from engine.diagnose.setting import Kind, Maker, Setting, each_output, each_parameter, each_state
+from engine.diagnose.setting import (
+    ON_TIME,
+    POSITIVE,
+    Kind,
+    Maker,
+    Setting,
+    each_output,
+    each_parameter,
+    each_state,
+)
 from engine.model import Array, MixedModel, Parameter
 
 
@@ -35,7 +44,7 @@ def _signal(
         if not at_output and channel not in setting.states:
             return None
         name = identifier(kind, channel)
-        unit = setting.unit(channel) if at_output else f"{setting.unit(channel)}/s"
+        unit = setting.unit(channel) if at_output else setting.rate(channel)
         further = shape(name, setting)
 
         def extend(model: MixedModel) -> MixedModel:
@@ -83,7 +92,7 @@ def _harmonic(setting: Setting, channel: str) -> Effect | None:
     if not at_output and channel not in setting.states:
         return None
     name = identifier("harmonic", channel)
-    unit = setting.unit(channel) if at_output else f"{setting.unit(channel)}/s"
+    unit = setting.unit(channel) if at_output else setting.rate(channel)
     frequency = _frequency(name, setting)
 
     def term(v: Any, own: Sequence[Any]) -> Any:
@@ -127,7 +136,9 @@ def _parameter_change(kind: str, title: str) -> Maker:
                 Parameter(
                     f"{name}_middle", 0.5 * (first + last), "s", description="where it is zero"
                 ),
-                Parameter(f"{name}_per", length, "s", (1e-300, np.inf), "to which the size refers"),
+                Parameter(
+                    f"{name}_per", length, "s", (POSITIVE, np.inf), "to which the size refers"
+                ),
             ]
 
         def course(t: Any, own: Sequence[Any]) -> Any:
@@ -171,8 +182,14 @@ def _each_place(setting: Setting) -> Iterator[str]:
     yield from each_state(setting)
 
 
+def _pulse(t: Any, own: Sequence[Any]) -> Any:
+    """1 from the sample at own[0] on for own[1] seconds; ends may be off by their rounding."""
+    since = (t - own[0]) / own[1]
+    return 1.0 * ((since > -ON_TIME) & (since < 1.0 - ON_TIME))
+
+
 def _width(name: str, setting: Setting) -> list[Parameter]:
-    width = Parameter(f"{name}_width", setting.dt, "s", (1e-300, np.inf), "how long")
+    width = Parameter(f"{name}_width", setting.dt, "s", (POSITIVE, np.inf), "how long")
     return [*_when(name, setting), width]
 
 
@@ -198,8 +215,8 @@ KINDS: list[Kind] = [
         _signal(
             "pulse",
             "pulse",
-            "[|t - time| < width / 2]",
-            lambda t, own: 1.0 * (np.abs(t - own[0]) < 0.5 * own[1]),
+            "[time <= t < time + width]",
+            _pulse,
             _width,
             {"step": "stays", "heavy-tails": "comes again"},
             held=("width",),

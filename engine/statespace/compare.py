@@ -40,9 +40,7 @@ def sizes_of(result: Result) -> Result:
 
 def identical(xs: Result, ys: Result) -> bool:
     """Whether all entries are the same bits, or NaN in both."""
-    return all(
-        x is y or np.array_equal(x, y, equal_nan=True) for x, y in zip(xs, ys, strict=True)
-    )
+    return all(x is y or np.array_equal(x, y, equal_nan=True) for x, y in zip(xs, ys, strict=True))
 
 
 def differ(

@@ -318,9 +318,7 @@ def repeated_if_refuted(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     @functools.wraps(function)
     def run(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        generators = [
-            x for x in (*args, *kwargs.values()) if isinstance(x, np.random.Generator)
-        ]
+        generators = [x for x in (*args, *kwargs.values()) if isinstance(x, np.random.Generator)]
         states = [x.bit_generator.state for x in generators]
         while True:
             before = _refutations()

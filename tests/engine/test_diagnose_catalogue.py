@@ -237,12 +237,13 @@ def test_a_score_is_the_slope_of_the_likelihood_however_well_the_states_are_seen
     for name in ("gain:y2", "coulomb:v1", "level:y1"):
         effect = make_effect(name, setting_for(model, series, theta))
         extended = effect.apply(model)
-        point = np.append(theta, 0.0)
+        point = np.asarray(extended.theta(dict(zip(model.parameter_names, theta, strict=True))))
         column = static_column(effect, extended, point, len(theta), model, series, path)
         step = 1e-4
-        ends = np.array([np.append(theta, -step), np.append(theta, step)])
+        ends = np.array([point, point])
+        ends[:, len(theta)] = -step, step
         ends = np.clip(ends, extended.lower, extended.upper)
         values = log_likelihoods(extended, [series], ends)
-        slope = (values[1] - values[0]) / (ends[1, -1] - ends[0, -1])
+        slope = (values[1] - values[0]) / (ends[1, len(theta)] - ends[0, len(theta)])
         size = float(np.linalg.norm(column.v))
         assert abs(column.s.sum() - slope) < 0.05 * size, name
