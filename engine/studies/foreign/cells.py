@@ -80,6 +80,11 @@ def clean(euler: bool = False) -> list[Cell]:
     ]
 
 
+def every_cell() -> list[Cell]:
+    """All of them."""
+    return [c for euler in (False, True) for c in (*clean(euler), *inside(euler), *unlisted(euler))]
+
+
 def cell_of(text: str) -> Cell:
     """``system:fault`` or ``system:fault@level``; without a level the planned one, or both' first.
 

@@ -12,18 +12,15 @@ from engine.diagnose import Diagnosis, diagnose
 from engine.diagnose.catalogue import make_effect
 from engine.diagnose.causes import Causes
 from engine.diagnose.decide import set_of
-from engine.diagnose.effect import Effect
 from engine.diagnose.setting import setting_for
-from engine.model import Array
 from engine.series import Series
 from engine.studies.blind.hidden import Hidden
 from engine.studies.blind.runs import oracle
 from engine.studies.foreign.cells import Cell
-from engine.studies.foreign.plant import simulate
+from engine.studies.foreign.drawing import series_of, true_values
 from engine.studies.foreign.sizes import size_of
 from engine.studies.study import Row
 
-TEST_SHARE = 0.25  # held-out rows for each row of the training part
 BLANK: Row = {
     "verdict": "crash",
     "causes": "",
@@ -66,16 +63,6 @@ def row_of(cell: Cell, seed: Sequence[int], twin: bool) -> Row:
     return row
 
 
-def series_of(cell: Cell, size: float, seed: Sequence[int]) -> tuple[Series, Series, dict[str, float]]:
-    """Training part, the held-out part that follows it, and the fault's drawn values."""
-    plan = cell.plan
-    more = int(TEST_SHARE * plan.rows)
-    drawn = simulate(plan.plant, plan.rows, seed, cell.level, cell.what, size, more)
-    names = {"y_names": plan.plant.outputs, "u_names": plan.plant.inputs_named}
-    whole = Series(drawn.y, drawn.u, t=drawn.t, **names)
-    return whole.part(0, plan.rows), whole.part(plan.rows, plan.rows + more), drawn.own
-
-
 def answer(found: Diagnosis) -> Row:
     """Verdict, causes in the order found, the first round's set, its p-value, the first size."""
     named = [r for r in found.search.rounds if r.equivalent]
@@ -107,17 +94,6 @@ def judged(
     if rival is not None and rival.score > truth.score:
         out["oracle"] = rival.effect.name
     return out
-
-
-def true_values(cell: Cell, effect: Effect, size: float, own: dict[str, float]) -> Array:
-    """The effect's parameters, its size first, as the truth has them; the rest at their defaults."""
-    assert cell.what is not None
-    told = cell.what.told(size, own)
-    values = []
-    for k, parameter in enumerate(effect.parameters):
-        ending = "" if k == 0 else parameter.name.rpartition("_")[2]
-        values.append(told.get(ending, parameter.default))
-    return np.array(values)
 
 
 def told(error: BaseException) -> str:
