@@ -48,15 +48,16 @@ class Cell:
 
 @cache
 def _cells(euler: bool) -> tuple[Cell, ...]:
-    """Every fault at one level, the levels by turns, and some at both."""
+    """Every fault at one level, the levels by turns; faults of the noise where there is enough of it."""
     out = []
-    turn = 0
-    for name, system in SYSTEMS.items():
-        if system.euler is not euler:
-            continue
-        for fault in system.faults:
-            out.append(Cell(name, fault, LEVELS[turn % 2]))
-            turn += 1
+    planned = [
+        (name, key, fault)
+        for name, system in SYSTEMS.items()
+        if system.euler is euler
+        for key, fault in system.faults.items()
+    ]
+    for turn, (name, key, fault) in enumerate(planned):
+        out.append(Cell(name, key, LEVELS[0] if fault.of_noise else LEVELS[turn % 2]))
     return tuple(out)
 
 

@@ -9,10 +9,8 @@ from __future__ import annotations
 import argparse
 
 from engine.studies.foreign.cells import cell_of, clean, inside, unlisted
-from engine.studies.foreign.runs import row_of
+from engine.studies.foreign.runs import DEVELOPMENT, row_of
 from engine.studies.study import Row
-
-DEVELOPMENT = 31_000_000  # first part of the seeds; no judged series has it
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -115,9 +115,7 @@ def pole(name: str, source: int, state: int, of: int, seconds: float, first: flo
     )
 
 
-def hysteresis(
-    name: str, source: int, state: int, of: int, width: float, first: float
-) -> Fault:
+def hysteresis(name: str, source: int, state: int, of: int, width: float, first: float) -> Fault:
     """Bouc-Wen with n = 1: dm = (v - |v| m / width) dt, dx = ... + size m dt."""
 
     def push(
@@ -140,22 +138,16 @@ def hysteresis(
 def parameter_step(parameter: str, first: float, most: float = math.inf) -> Fault:
     """A parameter is larger by size (a share of its value) from some time on."""
 
-    def changed(
-        t: float, p: Mapping[str, float], s: float, own: Own
-    ) -> Mapping[str, float]:
+    def changed(t: float, p: Mapping[str, float], s: float, own: Own) -> Mapping[str, float]:
         return {**p, parameter: p[parameter] * (1.0 + s)} if t >= own["time"] - 1e-9 else p
 
-    return Fault(
-        f"parameter-step:{parameter}", first, most, changed=changed, draw=at_some_time
-    )
+    return Fault(f"parameter-step:{parameter}", first, most, changed=changed, draw=at_some_time)
 
 
 def parameter_drift(parameter: str, seconds: float, first: float, most: float = math.inf) -> Fault:
     """A parameter grows in a straight line, by size (a share) in so many seconds."""
 
-    def changed(
-        t: float, p: Mapping[str, float], s: float, own: Own
-    ) -> Mapping[str, float]:
+    def changed(t: float, p: Mapping[str, float], s: float, own: Own) -> Mapping[str, float]:
         return {**p, parameter: p[parameter] * (1.0 + s * (t / seconds - 0.5))}
 
     return Fault(f"parameter-drift:{parameter}", first, most, changed=changed)

@@ -95,6 +95,6 @@ def trickle(state: int, of: int, power: float, zero: float, scale: float, first:
         "outside:notch",
         state,
         of,
-        lambda t, x, u, own: -(max(x[state] - zero, 0.0) / scale) ** power,
+        lambda t, x, u, own: -((max(x[state] - zero, 0.0) / scale) ** power),
         first,
     )

@@ -58,8 +58,8 @@ class Fault:
     """What is wrong in the truth, at a size s; all of its parts are optional.
 
     ``name`` is the catalogue's (``kind:channel``) or ``outside:kind``. ``push(t, x, m, u, s, own)`` gives
-    what is added to dx/dt, and dm/dt of further states that ``begin(x)`` starts; ``changed(t, p, s, own)`` the parameters;
-    ``drive(u, s, own)`` the input on the fine grid; ``read(y, h, s, own)`` the readings on it, before
+    what is added to dx/dt, and dm/dt of further states that ``begin(x)`` starts; ``changed(t, p, s, own)`` the
+    parameters; ``drive(u, s, own)`` the input on the fine grid; ``read(y, h, s, own)`` the readings on it, before
     noise; ``noisy(e, std, s, own, rng)`` the noise; ``finish(y, s)`` the finished readings. ``own`` are drawn
     by ``draw(rng, seconds, dt)``: times, frequencies. ``told(s, own)`` are the true values of the
     catalogue's parameters by the endings of their names ("" for the size). ``first`` is a size to begin
@@ -130,17 +130,14 @@ def simulate(
     if fault and fault.changed:
         times = np.arange(len(fine)) * (dt / substeps)
         parameters = [fault.changed(t, plant.p, size, own) for t in times.tolist()]
-    y = np.array(
-        [
-            plant.see(a, b, p)
-            for a, b, p in zip(x.tolist(), fine.tolist(), parameters, strict=True)
-        ]
+    y: Array = np.array(
+        [plant.see(a, b, p) for a, b, p in zip(x.tolist(), fine.tolist(), parameters, strict=True)]
     )
     if fault and fault.read:
         y = fault.read(y, dt / substeps, size, own)
     y, x = y[::substeps], x[::substeps]
     std = plant.sensors[level]
-    e = np.asarray(std) * of_sensor.standard_normal((T, len(std)))
+    e: Array = np.asarray(std) * of_sensor.standard_normal((T, len(std)))
     if fault and fault.noisy:
         e = fault.noisy(e, std, size, own, of_fault)
     y = y + e
@@ -161,7 +158,9 @@ def _integrated(
 ) -> Array:
     """States (K, nx) on the fine grid."""
     n = len(plant.states)
-    kicks = (np.asarray(plant.intensities) * math.sqrt(h) * rng.standard_normal((len(u), n))).tolist()
+    kicks = (
+        np.asarray(plant.intensities) * math.sqrt(h) * rng.standard_normal((len(u), n))
+    ).tolist()
     push = fault.push if fault else None
     changed = fault.changed if fault else None
     x = [*first, *(fault.begin(first) if fault else [])]

@@ -9,6 +9,8 @@ import numpy as np
 from engine.studies.foreign.faults import at_some_frequency, at_some_time
 from engine.studies.foreign.plant import Array, Fault, Numbers, Own
 
+OUTLIER = 4.0
+
 
 def _at(y: Array, channel: int, values: Array) -> Array:
     out = y.copy()
@@ -80,7 +82,11 @@ def lag(name: str, channel: int, dt: float, first: float) -> Fault:
         return _at(y, channel, out)
 
     return Fault(
-        name, first, 4.0 * dt, read=read, told=lambda s, own: {"": math.exp(-dt / max(s, 1e-9 * dt))}
+        name,
+        first,
+        4.0 * dt,
+        read=read,
+        told=lambda s, own: {"": math.exp(-dt / max(s, 1e-9 * dt))},
     )
 
 
@@ -100,25 +106,23 @@ def cubic(name: str, channel: int, zero: float, first: float) -> Fault:
     return Fault(
         name,
         first,
-        read=lambda y, h, s, own: _at(
-            y, channel, y[:, channel] + s * (y[:, channel] - zero) ** 3
-        ),
+        read=lambda y, h, s, own: _at(y, channel, y[:, channel] + s * (y[:, channel] - zero) ** 3),
     )
 
 
 def outliers(name: str, channel: int, first: float) -> Fault:
-    """A share (the size) of the readings has ten times the usual noise."""
+    """A share (the size) of the readings has OUTLIER times the usual noise."""
 
     def noisy(e: Array, std: Numbers, s: float, own: Own, rng: np.random.Generator) -> Array:
         hit = rng.random(len(e)) < s
-        return _at(e, channel, np.where(hit, 10.0 * e[:, channel], e[:, channel]))
+        return _at(e, channel, np.where(hit, OUTLIER * e[:, channel], e[:, channel]))
 
     return Fault(
         name,
         first,
         0.3,
         noisy=noisy,
-        told=lambda s, own: {"": s, "share": s, "ratio": 10.0},
+        told=lambda s, own: {"": s, "share": s, "ratio": OUTLIER},
     )
 
 
@@ -144,6 +148,8 @@ def rounded(name: str, channel: int, first: float) -> Fault:
     return Fault(
         name,
         first,
-        finish=lambda y, s: _at(y, channel, s * np.round(y[:, channel] / s) if s > 0.0 else y[:, channel]),
+        finish=lambda y, s: _at(
+            y, channel, s * np.round(y[:, channel] / s) if s > 0.0 else y[:, channel]
+        ),
         told=lambda s, own: {"": s * s / 12.0},
     )

@@ -18,9 +18,6 @@ from engine.studies.foreign.systems import (
 )
 from engine.studies.foreign.written import System
 
-
-
-
 SYSTEMS: dict[str, System] = {
     system.name: system
     for system in (

@@ -108,7 +108,7 @@ SYSTEM = System(
         "rounding": sensors.rounded("quantisation:terminal", 0, 10.0),
         "input-offset": faults.input_offset("input-offset:amperes", 0, 0.1),
         "ageing": faults.parameter_step("R0", 0.1, 5.0),
-        "outliers": sensors.outliers("heavy-tails:terminal", 0, 0.02),
+        "outliers": sensors.outliers("heavy-tails:terminal", 0, 0.03),
         "jump": sensors.step("step:terminal", 0, 5.0),
         "coloured": sensors.coloured("colored:terminal", 0, 10.0, 0.5),
         "saturating": outside.saturating(1, 2, 40.0, 0.5),

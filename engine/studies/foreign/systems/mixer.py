@@ -62,10 +62,9 @@ def dynamics(a: Any, u: Any, t: Any, dt: Any, th: Any) -> Any:
     fast = u[0] / th.V1
     slow = u[0] / th.V2 + th.k
     e1, e2 = math.exp(-fast * dt), math.exp(-slow * dt)
+    across = u[0] / th.V2 * dt * e1
     if abs(fast - slow) > 1e-9:
         across = u[0] / th.V2 * (e2 - e1) / (fast - slow)
-    else:
-        across = u[0] / th.V2 * dt * e1
     A = np.array([[e1, 0.0], [across, e2]])
     # the steady state for these inputs is where the step leads
     rest = np.array([u[1], u[0] / th.V2 / slow * u[1]])

@@ -141,7 +141,7 @@ SYSTEM = System(
         "gain": sensors.gain("gain:ammeter", 0, 0.0, 0.03),
         "clip": sensors.clip("saturation-sensor:ammeter", 0, 30.0, 4.0, 29.0),
         "delay": faults.input_delay("delay:voltage", 0, SUBSTEPS, 0.1),
-        "outliers": sensors.outliers("heavy-tails:tachometer", 1, 0.02),
+        "outliers": sensors.outliers("heavy-tails:tachometer", 1, 0.03),
         "product": outside.product(0, 1, 1, 3, (0.0, 0.0), 1e-2),
     },
     known=("L",),

@@ -141,5 +141,7 @@ FAULTS = {
     "root": outside.root_friction(1, 2, 100.0, 20.0),
     "chirp": outside.chirp(1, 2, 500, DT, 20.0),
 }
-UNITS = Units({"angle": 1.0 / RADIAN, "rate": 1.0 / RADIAN, "encoder": 1e3 / RADIAN, "torque": 100.0})
+UNITS = Units(
+    {"angle": 1.0 / RADIAN, "rate": 1.0 / RADIAN, "encoder": 1e3 / RADIAN, "torque": 100.0}
+)
 SYSTEM = System(PLANT, base, FAULTS, (), UNITS)

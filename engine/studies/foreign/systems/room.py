@@ -124,7 +124,7 @@ SYSTEM = System(
         "input-offset": faults.input_offset("input-offset:heater", 0, 50.0),
         "delay": faults.input_delay("delay:heater", 0, SUBSTEPS, 0.2),
         "lag": sensors.lag("lag:thermometer", 0, DT, 60.0),
-        "outliers": sensors.outliers("heavy-tails:thermometer", 0, 0.02),
+        "outliers": sensors.outliers("heavy-tails:thermometer", 0, 0.03),
         "sun": faults.harmonic("harmonic:air", 0, 2, 5e-5),
         "telegraph": outside.telegraph(0, 2, 5e-5),
     },

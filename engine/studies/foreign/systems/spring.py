@@ -53,7 +53,7 @@ PLANT = Plant(
 
 def dynamics(a: Any, u: Any, t: Any, dt: Any, th: Any) -> Any:
     """Rotation and decay, written out."""
-    w2, c, k, q, r = th
+    w2, c, k, q, _ = th
     w = np.sqrt(w2 - c * c / 4)
 
     def step(h: Any) -> tuple[Any, Any, Any, Any]:
@@ -112,9 +112,7 @@ SYSTEM = System(
         "cubic": faults.force(
             "cubic:position->velocity", 1, 2, lambda t, x, u, own: (x[0] - REST) ** 3, -2.0
         ),
-        "drag": faults.force(
-            "drag:velocity", 1, 2, lambda t, x, u, own: -x[1] * abs(x[1]), 0.02
-        ),
+        "drag": faults.force("drag:velocity", 1, 2, lambda t, x, u, own: -x[1] * abs(x[1]), 0.02),
         "coulomb": faults.force(
             "coulomb:velocity", 1, 2, lambda t, x, u, own: -faults.sign(x[1], 150.0), 300.0
         ),

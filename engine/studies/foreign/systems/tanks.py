@@ -124,7 +124,7 @@ FAULTS = {
     "input-offset": faults.input_offset("input-offset:pump", 0, 0.2),
     "bias": sensors.bias("bias:gauge2", 1, 0.3),
     "clip": sensors.clip("saturation-sensor:gauge1", 0, 26.0, 2.0, 12.0),
-    "outliers": sensors.outliers("heavy-tails:gauge1", 0, 0.02),
+    "outliers": sensors.outliers("heavy-tails:gauge1", 0, 0.03),
     "coloured": sensors.coloured("colored:gauge2", 1, 8.0, 0.5),
     "notch": outside.trickle(1, 2, 1.5, 18.0, 4.0, 0.02),
     "play": outside.play(1, 0.3),

@@ -81,7 +81,11 @@ def dynamics(a: Any, u: Any, t: Any, dt: Any, p: Any) -> Any:
 
 def measurement(a: Any, u: Any, t: Any, p: Any) -> Any:
     """km/h and metres."""
-    return [3.6 * a[:, 0], 0.0], [[0.0, 0.0], [1.0, 0.0]], [[p.r_speed**2, 0.0], [0.0, p.r_place**2]]
+    return (
+        [3.6 * a[:, 0], 0.0],
+        [[0.0, 0.0], [1.0, 0.0]],
+        [[p.r_speed**2, 0.0], [0.0, p.r_place**2]],
+    )
 
 
 def initial(p: Any) -> Any:
@@ -126,12 +130,18 @@ SYSTEM = System(
         "wind": faults.step("step:speed", 1, 3, 0.05),
         "jump": sensors.step("step:satellite", 1, 2.0),
         "traction": faults.input_saturation("input-saturation:traction", 0, 1.5, 0.3),
-        "outliers": sensors.outliers("heavy-tails:speedometer", 0, 0.02),
+        "outliers": sensors.outliers("heavy-tails:speedometer", 0, 0.03),
         "telegraph": outside.telegraph(1, 3, 0.05),
     },
     known=("F0", "tau"),
     units=Units(
-        {"speed": 3.6, "speedometer": 1.0 / 3.6, "position": 1e-3, "satellite": 1e-3, "slope": 10.0},
+        {
+            "speed": 3.6,
+            "speedometer": 1.0 / 3.6,
+            "position": 1e-3,
+            "satellite": 1e-3,
+            "slope": 10.0,
+        },
         {"position": 100.0, "satellite": 100.0},
     ),
 )
