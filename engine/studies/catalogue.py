@@ -14,6 +14,7 @@ from engine.studies import (
     uncertainty,
 )
 from engine.studies.blind.report import BLIND
+from engine.studies.foreign.report import FOREIGN, FOREIGN_DEVELOPMENT
 from engine.studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -32,10 +33,13 @@ STUDIES: dict[str, Study] = {
         uncertainty.STANDARD_ERRORS,
         diagnose_measured.MEASURED,
         BLIND,
+        FOREIGN,
+        FOREIGN_DEVELOPMENT,
         sindy.SINDY,
     )
 }
-BESIDE = ("table-II-tried", "diagnose-measured", "blind", "sindy")  # not asked for by ``all``
+# not asked for by ``all``
+BESIDE = ("table-II-tried", "diagnose-measured", "blind", "foreign", "foreign-dev", "sindy")
 DOCUMENTS = tuple(name for name in STUDIES if name not in BESIDE)
 ALIASES = {
     "table-1": "table-1-2",
