@@ -369,6 +369,18 @@ def test_step_of_the_nile_is_named_on_the_page():
     assert "1e8 m^3" in page
 
 
+def test_a_step_is_not_judged_by_a_record_with_a_clock_of_its_own():
+    series = nile()
+    held_out = Series(
+        series.y[:40], dt=1.0, y_names=series.y_names
+    )  # its times begin at 0, before the step
+    found = diagnose(LEVEL, series, test=held_out, effects=["step"], seed=1)
+    assert found.causes[0].effect.startswith("step:")
+    assert found.gain.samples == len(series)
+    later = Series(series.y[60:], t=series.t[-1] + 1.0 + np.arange(40), y_names=series.y_names)
+    assert diagnose(LEVEL, series, test=later, effects=["step"], seed=1).gain.samples == 40
+
+
 def test_an_extension_that_simulates_worse_and_predicts_no_better_is_not_adopted():
     from engine.model import Theta
 
