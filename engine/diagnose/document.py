@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from engine.diagnose.adoption import in_full, in_short
+from engine.diagnose.cause_sentences import experiment, when
 from engine.diagnose.curves import named, rounded
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.latex import to_latex
 from engine.diagnose.plain import plain
 from engine.diagnose.refits import Refit
-from engine.diagnose.report import experiment, page, unnamed
+from engine.diagnose.report import page, unnamed
 from engine.diagnose.setting import setting_for
 from engine.diagnose.unnamed import UnnamedForce
 from engine.quasi_ml import QuasiFit
@@ -33,6 +34,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         entry = asdict(cause)
         entry["latex"] = to_latex(cause.equation)
         entry["experiment"] = experiment(cause)
+        entry["when"] = when(cause)
         causes.append(entry)
     force = unnamed(d)
     data: dict[str, Any] = {

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from engine.diagnose.adoption import in_full, in_short
+from engine.diagnose.cause_sentences import experiment, headline, phrased
 from engine.diagnose.extended import at_bounds, in_the_library
-from engine.diagnose.rounds import GENERIC, UNNAMED_MARGIN
+from engine.diagnose.rounds import UNNAMED_MARGIN
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
 from engine.errors import EngineError
 from engine.report.asked import asked_first
 from engine.words import (
-    estimate,
     fit_quality,
     listed,
     number,
@@ -25,7 +25,7 @@ from engine.words import (
 )
 
 if TYPE_CHECKING:
-    from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis
+    from engine.diagnose.diagnosis import Detectable, Diagnosis
     from engine.diagnose.gain import Gain
 
 WIDTH = 100
@@ -74,16 +74,6 @@ def _head(d: Diagnosis) -> Iterator[str]:
 
 def _marker(d: Diagnosis, k: int) -> str:
     return "" if len(d.causes) == 1 else f"{k + 1}. "
-
-
-def headline(cause: Cause) -> str:
-    """``Coulomb friction (coulomb:velocity) = 0.52 +- 0.03 N, p = 0.002``."""
-    name = cause.title[:1].upper() + cause.title[1:]
-    size = estimate(cause.size, cause.standard_error, cause.unit)
-    return (
-        f"{name} [{cause.effect}]: {size}, {probability(cause.p_value)}, "
-        f"2 x log-likelihood gained {number(cause.gain)}"
-    )
 
 
 def _no_cause(d: Diagnosis) -> str:
@@ -136,7 +126,7 @@ def _cause(d: Diagnosis) -> Iterator[str]:
                 text += f", 2 x log-likelihood gained {gained}"
             text += ")"
             if other.difference:
-                text += f"; it {_verb(other.difference)}"
+                text += f"; it {phrased(other.difference)}"
             yield from _wrapped(text, "      - ")
         advice = experiment(cause)
         if advice:
@@ -144,36 +134,6 @@ def _cause(d: Diagnosis) -> Iterator[str]:
     force = unnamed(d)
     if force is not None:
         yield from _wrapped(force.sentence, "  ")
-
-
-def _verb(difference: str) -> str:
-    """``is an odd function ...`` for what is written without its verb."""
-    return f"is {difference}" if difference.startswith(("a ", "an ")) else difference
-
-
-def experiment(cause: Cause) -> str:
-    """What would tell the effects of a set apart."""
-    others = [name for name in cause.equivalent if name != cause.effect]
-    if not others:
-        return ""
-    told = {o.effect: o.difference for o in cause.look_alikes if o.difference}
-    known = [f"{name} {_verb(told[name])}" for name in others if name in told and not _force(name)]
-    if known:
-        return f"To tell them apart, excite what differs: {'; '.join(known)}."
-    if all(_force(name) for name in others):
-        return (
-            "To tell it from a force that nobody named, repeat the experiment with the same inputs: what "
-            "comes again has a cause."
-        )
-    return (
-        "To tell them apart, measure where they differ: other amplitudes, both directions, other "
-        "frequencies or a longer record."
-    )
-
-
-def _force(effect: str) -> bool:
-    """Whether an effect is a force that nobody named."""
-    return effect.partition(":")[0] == GENERIC
 
 
 def unnamed(d: Diagnosis) -> UnnamedForce | None:

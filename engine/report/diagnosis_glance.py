@@ -48,10 +48,7 @@ def _headline(cause: Document) -> Html:
         " ",
         estimated(cause["size"], cause["standard_error"], cause["unit"]),
     ]
-    if cause["where"] == "time":
-        ends = {"time": "s", "frequency": "Hz"}
-        when = [(k.rpartition("_")[2], v) for k, v in cause["parameters"].items()]
-        parts += [f", {word} {number(v, 5)} {ends[word]}" for word, v in when if word in ends]
+    parts.append(cause.get("when", ""))
     if len(cause["equivalent"]) > 1:
         others = listed(list(cause["equivalent"][1:]), "or")
         parts.append(tag("span", f", not told apart from {others}", class_="hint"))

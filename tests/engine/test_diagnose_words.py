@@ -13,10 +13,10 @@ import pytest
 
 import engine
 from engine.diagnose import Cause, LookAlike, diagnose, extend, make_effect
+from engine.diagnose.cause_sentences import experiment, headline
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.hide import hide
 from engine.diagnose.refits import Refit
-from engine.diagnose.report import experiment, headline
 from engine.diagnose.residuals import autocorrelation
 from engine.diagnose.setting import setting_for
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
@@ -162,6 +162,15 @@ def test_a_headline_has_no_size_within_its_error():
     assert "0 +-" not in headline(cause(("linear:air",), size=0.0, error=1122.0))
     assert "inf" not in headline(cause(("linear:air",), error=np.inf))
     assert "1 +- 0.1 1/s" in headline(cause(("linear:air",)))
+
+
+def test_a_headline_says_when_it_happens():
+    once = replace(
+        cause(("step:y",)), where="time", parameters={"step_y": 3.0, "step_y_time": 1899.0}
+    )
+    assert "1899 s" in headline(once)
+    lasting = replace(once, where="noise", parameters={"variance_y_time": 18.4})
+    assert "18.4" not in headline(lasting)
 
 
 # ---- whole pages -------------------------------------------------------------------------------
