@@ -15,10 +15,20 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def tidy(unit: str) -> str:
-    """A unit built from others without the ones in it: ``1/s/(1^2)`` is ``1/s``; "" for a pure number."""
-    text = re.sub(r"\(1\)(\^-?\d+)?|(?<![\w.])1\^-?\d+", "1", unit)
-    text = text.replace("(1 s)", "(s)").replace("^1)", ")")
-    text = re.sub(r"/\(1\)|/1(?![\w.])", "", text)
+    """A unit built from others without what says nothing in it; "" for a pure number.
+
+    ``1/s/(1^2)`` is ``1/s``, and so is ``/s/(^2)``, where the unit of a pure number was left empty.
+    """
+    text = re.sub(
+        r"\((?:1(?:\^-?\d+)?|\^-?\d+)?\)(?:\^-?\d+)?", "1", unit.strip()
+    )  # (), (1), (^2), ()^2
+    text = re.sub(r"(?<![\w.)])1?\^-?\d+", "1", text)  # powers of one
+    text = re.sub(r"(?<![\w.])1[ *](?=\S)|(?<=\S)[ *]1(?![\w./^])", "", text)  # factors of one
+    text = re.sub(r"\^1(?![\d.])", "", text)
+    text = re.sub(r"/1(?![\w.^])", "", text)
+    text = re.sub(r"/\(([^\W\d]+(?:\^\d+)?)\)(?!\^)", r"/\1", text)  # brackets around a single unit
+    text = re.sub(r"\(([^\W\d]+)\)\^", r"\1^", text)
+    text = re.sub(r"(^|\()/", r"\g<1>1/", text)
     return "" if text in ("1", "(1)") else text
 
 
@@ -29,11 +39,43 @@ def with_unit(value: float | None, unit: str, digits: int = 3) -> str:
     return f"{number(value, digits)} {times}{text}".strip()
 
 
+def estimate(value: float | None, error: float | None, unit: str = "") -> str:
+    """``0.52 +- 0.03 N``; in words what the data do not determine.
+
+    An estimate below its own standard error is no number to rely on, one without a standard error says so.
+    """
+    if value is None or not math.isfinite(value):
+        return "not determined by these data"
+    if error is None or not math.isfinite(error) or not error > 0.0:
+        return f"{with_unit(value, unit)}, its standard error not determined by these data"
+    if abs(value) < error:
+        return f"not told from zero (standard error {with_unit(error, unit, 2)})"
+    digits = max(3, int(math.log10(abs(value) / error)) + 2)
+    return f"{number(value, digits)} +- {with_unit(error, unit, 2)}"
+
+
+def fit_quality(fit: float | None) -> str:
+    """``fit 91 %``; in words where the readings' mean would fit better, or where they do not vary."""
+    if fit is None or math.isnan(fit):
+        return "fit not defined"
+    return f"fit {number(fit)} %" if fit >= 0.0 else "no better than a constant"
+
+
+def bounds(low: float, high: float, unit: str = "") -> tuple[str, str]:
+    """Both ends of an interval, with as many digits as tell them apart."""
+    for digits in range(3, 16):
+        if low == high or number(low, digits) != number(high, digits):
+            break
+    return with_unit(low, unit, digits), with_unit(high, unit, digits)
+
+
 def percent(share: float) -> str:
     """A share as ``41 %``; small ones keep a digit."""
     if not math.isfinite(share):
         return "? %"
     value = 100.0 * share
+    if 0.0 < value < 0.05:
+        return "less than 0.1 %"
     return f"{value:.0f} %" if value >= 9.95 or value == 0.0 else f"{value:.1f} %"
 
 

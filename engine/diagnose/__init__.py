@@ -156,7 +156,8 @@ def diagnose(
     named = [r for r in found.rounds if r.equivalent]
     if named:
         history = None if test is not None else train
-        if test is None and all(r.refits[0].effect.family == "time" for r in named):
+        later = test is not None and test.t[0] > series.t[-1]  # else the test's clock is its own
+        if not later and all(r.refits[0].effect.family == "time" for r in named):
             gain = measure_gain_interleaved(base, found.final, series, seed=seed)
         else:
             gain = measure_gain(base, found.final, held_out, history, seed)

@@ -15,7 +15,9 @@ from engine.series import Series
 from engine.words import listed, number, percent, with_unit
 
 SHORT = 100  # samples; and ten per parameter
-OUTLIER = 6.0  # robust standard deviations off the neighbours' median
+OUTLIER = 6.0  # robust standard deviations
+FLICKERS = 0.1  # share of short stretches from which a signal ends at zero by a cut
+AFTER = 5  # samples after a step of an input in which an answer to it may peak
 MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
 
 
@@ -36,8 +38,7 @@ def check_data(model: MixedModel, series: Series) -> tuple[str, ...]:
             )
             continue
         notes += [
-            *_clipped(f"Output {name}", unit, values),
-            *_stuck(name, unit, y),
+            *_held(name, unit, y, series.u),
             *_lattice(name, unit, values),
             *_outliers(name, unit, y, series),
         ]
@@ -47,8 +48,6 @@ def check_data(model: MixedModel, series: Series) -> tuple[str, ...]:
             notes.append(
                 f"Input {name} is {with_unit(float(u[0]), unit)} throughout: what it drives is not excited."
             )
-        elif len(np.unique(u)) > 10:  # a switched input rests at its extremes as a rule
-            notes += _clipped(f"Input {name}", unit, u)
     return tuple(notes)
 
 
@@ -85,42 +84,80 @@ def _gaps(name: str, seen: NDArray[np.bool_], series: Series) -> list[str]:
     ]
 
 
-def _clipped(what: str, unit: str, values: Array) -> list[str]:
-    """An extreme, but for single outliers, that is held and far more frequent than the next level."""
-    found = []
-    levels, counts = np.unique(values, return_counts=True)
-    if len(levels) < 4:
-        return []
-    for step, word in ((-1, "largest"), (1, "smallest")):
-        end = -1 if step < 0 else 0
-        beyond = 0
-        while beyond <= 0.01 * len(values) and abs(end) < len(levels) - 1:
-            often = int(counts[end])
-            if often >= max(5, 0.01 * len(values)) and often >= 3 * counts[end + step]:
-                _, held = _longest(values == levels[end])
-                if held >= 3:
-                    found.append(
-                        f"{word} value {with_unit(float(levels[end]), unit)} in {often} samples "
-                        f"({percent(often / len(values))}), up to {held} in a row"
-                    )
-                break
-            beyond += often
-            end += step
-    return [f"{what} looks clipped: {listed(found)}."] if found else []
+def _held(name: str, unit: str, y: Array, u: Array) -> list[str]:
+    """Readings that stay the same: cut at an extreme while they moved, or stuck.
 
-
-def _stuck(name: str, unit: str, y: Array) -> list[str]:
+    Readings that rest while all inputs rest are neither.
+    """
+    cut = [text for sign in (1.0, -1.0) for text in _cut(sign, unit, y)]
+    clipped = [f"Output {name} looks clipped: {listed(cut)}."] if cut else []
     same = np.concatenate([[False], np.diff(y) == 0.0])
     start, length = _longest(same)
-    if length + 1 < max(20, 0.05 * len(y)):
-        return []
-    value = y[start]
-    if value in (np.nanmin(y), np.nanmax(y)):
-        return []  # said as clipping
+    if length + 1 < max(20, 0.05 * len(y)) or (cut and y[start] in (np.nanmin(y), np.nanmax(y))):
+        return clipped
+    if u.shape[1] and not np.ptp(u[start - 1 : start + int(0.9 * length)], axis=0).any():
+        return clipped
+    resting = y[start] == 0.0 and y[start] in (np.nanmin(y), np.nanmax(y))
+    what = "nothing to measure there, or a stuck reading?" if resting else "a stuck reading?"
     return [
-        f"Output {name} stays at exactly {with_unit(float(value), unit)} for {length + 1} samples from "
-        f"row {start - 1}: a stuck reading?"
+        *clipped,
+        f"Output {name} stays at exactly {with_unit(float(y[start]), unit)} for {length + 1} samples from "
+        f"row {start - 1}: {what}",
     ]
+
+
+def _cut(sign: float, unit: str, y: Array) -> list[str]:
+    """The largest level (sign 1) or the smallest (-1), but for single outliers, if it cuts a moving signal.
+
+    It is then far more frequent than the next level, is held, and the signal was on the move when it came
+    there and when it left. One that steps there, or settles there, rests by itself; so does one that ends at
+    exactly zero (dark, empty, switched off), unless it also flickers there as a noisy one does.
+    """
+    seen = y[np.isfinite(y)]
+    levels, counts = np.unique(sign * seen, return_counts=True)
+    beyond = 0
+    for k in range(len(levels) - 1, 1, -1):
+        often = int(counts[k])
+        if often >= max(5, 0.01 * len(seen)) and often >= 3 * counts[k - 1]:
+            break
+        beyond += often
+        if beyond > 0.01 * len(seen):
+            return []
+    else:
+        return []
+    level = float(levels[k])
+    starts, lengths = _stretches(sign * y == level)
+    if lengths.max() < 3:
+        return []
+    arrives: list[bool] = []
+    leaves: list[bool] = []
+    step, changes = lattice_step(seen), np.abs(np.diff(seen))
+    usual = float(np.median(changes[changes > 0.0]))
+    for start, length in zip(starts, lengths, strict=True):
+        before, after = sign * y[max(start - 3, 0) : start][::-1], sign * y[start + length :][:3]
+        for edge, moving in ((before, arrives), (after, leaves)):
+            if length >= 3 and len(edge) == 3 and np.isfinite(edge).all():
+                moving.append(_on_the_move(level - edge, usual, step))
+    if not (arrives and leaves) or min(np.mean(arrives), np.mean(leaves)) < 0.5:
+        return []
+    if level == 0.0 and np.mean(lengths < 3) < FLICKERS:
+        return []
+    return [
+        f"{'largest' if sign > 0 else 'smallest'} value {with_unit(sign * level, unit)} in {often} samples "
+        f"({percent(often / len(seen))}), up to {int(lengths.max())} in a row"
+    ]
+
+
+def _on_the_move(below: Array, usual: float, step: float | None) -> bool:
+    """Whether a signal is cut: ``below`` (3,) is how far it is from the level one, two, three samples away.
+
+    It is at rest in none of them but at the level itself, comes from as near as its last or its ``usual``
+    changes let expect, and from more than two steps of its lattice, if it lies on one.
+    """
+    moves = np.abs(np.diff(below))
+    far = step is None or float(below.max()) > 2.5 * step
+    moving = ((moves > 0.0) | (below[1:] == 0.0)).all()
+    return bool(far and moving and below[0] <= 3.0 * max(float(moves.max()), usual))
 
 
 def _lattice(name: str, unit: str, values: Array) -> list[str]:
@@ -138,37 +175,64 @@ def _lattice(name: str, unit: str, values: Array) -> list[str]:
 
 
 def _outliers(name: str, unit: str, y: Array, series: Series) -> list[str]:
+    """Single readings beyond both neighbours on either side, which return to where they were.
+
+    What follows a step of an input within ``AFTER`` samples may be the answer to it, and is none.
+    """
     seen = np.flatnonzero(~np.isnan(y))
     if len(seen) < 15:
         return []
     near = np.lib.stride_tricks.sliding_window_view(y[seen], 5)
-    seen = seen[2:-2]
-    distance = near[:, 2] - np.median(near[:, [0, 1, 3, 4]], axis=1)
-    scale = MAD * float(np.median(np.abs(distance)))
-    if scale == 0.0:
+    answers = _after_steps(series)[seen[2:-2]]
+    others, seen = near[:, [0, 1, 3, 4]], seen[2:-2]
+    distance = near[:, 2] - np.median(others, axis=1)
+    beyond = np.maximum(near[:, 2] - others.max(axis=1), others.min(axis=1) - near[:, 2])
+    usual = MAD * float(np.median(np.abs(distance)))
+    if usual == 0.0:
         return []
-    size = np.pad(np.abs(distance), 2)
-    largest = np.lib.stride_tricks.sliding_window_view(size, 5).max(
-        axis=1
-    )  # a spike moves its neighbours
-    far = np.flatnonzero((np.abs(distance) > OUTLIER * scale) & (np.abs(distance) >= largest))
+    scale = np.maximum(usual, MAD * _running_median(np.abs(distance)))
+    moved = np.abs(others[:, :2].mean(axis=1) - others[:, 2:].mean(axis=1))
+    far = np.flatnonzero((beyond > np.maximum(OUTLIER * scale, moved)) & ~answers)
     if not far.size or far.size > 0.1 * len(seen):
         return []
     worst = far[int(np.argmax(np.abs(distance[far])))]
     return [
-        f"Output {name}: {far.size} reading{'s' if far.size > 1 else ''} "
+        f"Output {name}: {far.size} single reading{'s' if far.size > 1 else ''} "
         f"({percent(far.size / len(seen))}) more than {OUTLIER:g} robust standard deviations "
-        "off the neighbours, the worst by "
+        "off all of the neighbours, the worst by "
         f"{with_unit(float(distance[worst]), unit)} at t = {number(float(series.t[seen[worst]]), 6)} s."
     ]
 
 
+def _after_steps(series: Series) -> NDArray[np.bool_]:
+    """Rows (T,) at or shortly after a change of an input that is large beside those around it."""
+    near = np.zeros(len(series), dtype=bool)
+    for u in series.u.T:
+        change = np.abs(np.diff(u, prepend=u[0]))
+        for row in np.flatnonzero(change > OUTLIER * MAD * _running_median(change)):
+            near[max(row - 1, 0) : row + AFTER] = True
+    return near
+
+
+def _running_median(values: Array, reach: int = 10) -> Array:
+    """Medians (n,) of the values within ``reach`` rows on either side, fewer at the ends."""
+    padded = np.pad(values, reach, constant_values=np.nan)
+    return np.asarray(
+        np.nanmedian(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1)
+    )
+
+
+def _stretches(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First rows and lengths of the stretches of True."""
+    edges = np.diff(np.concatenate([[0], mask.astype(int), [0]]))
+    starts = np.flatnonzero(edges == 1)
+    return starts, np.flatnonzero(edges == -1) - starts
+
+
 def _longest(mask: NDArray[np.bool_]) -> tuple[int, int]:
-    """First row and length of the longest run of True."""
-    padded = np.concatenate([[0], mask.astype(int), [0]])
-    edges = np.diff(padded)
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    """First row and length of the longest stretch of True."""
+    starts, lengths = _stretches(mask)
     if not starts.size:
         return 0, 0
-    best = int(np.argmax(ends - starts))
-    return int(starts[best]), int(ends[best] - starts[best])
+    best = int(np.argmax(lengths))
+    return int(starts[best]), int(lengths[best])

@@ -8,6 +8,8 @@ sum c_t score_t: one pass backward serves every course there is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,28 +21,42 @@ from engine.series import Series
 BLOCK = 1_000_000  # numbers held at once where times are irregular
 
 
-def pulse_scores(path: MomentPath, series: Series, b: Array, e: Array) -> tuple[Array, Array]:
-    """Scores (T,) of a unit disturbance (b_t, e_t) at each time alone, and their information (T,).
+def backward(
+    path: MomentPath, series: Series
+) -> Iterator[tuple[int, Array, Array, Array, Array, Array]]:
+    """From the last row to the first: t, u_t (ny,), D_t (ny, ny), r_t (nx,), N_t (nx, nx), F_t K_t.
 
-    ``b`` (T-1, nx), ``e`` (T, ny).
+    u_t = S_t^{-1} nu_t - (F_t K_t)' r_t scores a unit disturbance of y_t, r_t one of x_{t+1}; their
+    informations are D_t = S_t^{-1} + (F_t K_t)' N_t F_t K_t and N_t. At the last row r and N are zero.
     """
     T, _, nx = path.H.shape
     root = whitening(path.S, series.observed)
     nu = np.nan_to_num(path.innovations)
-    scores, information = np.zeros(T), np.zeros(T)
     r, N = np.zeros(nx), np.zeros((nx, nx))
     for t in range(T - 1, -1, -1):
         precision = root[t].T @ root[t]
         F = path.F[t] if t < T - 1 else np.zeros((nx, nx))
         gain = F @ path.K[t]
-        scores[t] = e[t] @ (precision @ nu[t] - gain.T @ r)
-        information[t] = e[t] @ (precision + gain.T @ N @ gain) @ e[t]
+        u, D = precision @ nu[t] - gain.T @ r, precision + gain.T @ N @ gain
+        yield t, u, D, r, N, gain
+        L = F - gain @ path.H[t]
+        r = path.H[t].T @ precision @ nu[t] + L.T @ r
+        N = path.H[t].T @ precision @ path.H[t] + L.T @ N @ L
+
+
+def pulse_scores(path: MomentPath, series: Series, b: Array, e: Array) -> tuple[Array, Array]:
+    """Scores (T,) of a unit disturbance (b_t, e_t) at each time alone, and their information (T,).
+
+    ``b`` (T-1, nx), ``e`` (T, ny).
+    """
+    T = len(path.H)
+    scores, information = np.zeros(T), np.zeros(T)
+    for t, u, D, r, N, gain in backward(path, series):
+        scores[t] = e[t] @ u
+        information[t] = e[t] @ D @ e[t]
         if t < T - 1:
             scores[t] += b[t] @ r
             information[t] += b[t] @ N @ b[t] - 2.0 * e[t] @ gain.T @ N @ b[t]
-        L = F @ (np.eye(nx) - path.K[t] @ path.H[t])
-        r = path.H[t].T @ precision @ nu[t] + L.T @ r
-        N = path.H[t].T @ precision @ path.H[t] + L.T @ N @ L
     return scores, information
 
 
@@ -88,4 +104,4 @@ def _response(path: MomentPath, series: Series, b: Array, e: Array, frequencies:
     x = np.linalg.solve(turn - F @ (np.eye(len(F)) - K @ H), (b - F @ K @ e)[:, None])
     g = (H @ x)[:, :, 0] + e
     power = np.einsum("ki,ij,kj->k", g.conj(), np.linalg.pinv(S, hermitian=True), g).real
-    return np.asarray(np.maximum(power, 1e-12 * power.max() + 1e-300))
+    return np.asarray(np.maximum(power, 1e-12 * power.max() + np.finfo(float).tiny))

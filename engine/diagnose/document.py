@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from engine.diagnose.adoption import in_full, in_short
+from engine.diagnose.cause_sentences import experiment, when
 from engine.diagnose.curves import named, rounded
+from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.latex import to_latex
 from engine.diagnose.plain import plain
 from engine.diagnose.refits import Refit
-from engine.diagnose.report import experiment, page, unnamed
+from engine.diagnose.report import page, unnamed
 from engine.diagnose.setting import setting_for
 from engine.diagnose.unnamed import UnnamedForce
 from engine.quasi_ml import QuasiFit
@@ -32,6 +34,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         entry = asdict(cause)
         entry["latex"] = to_latex(cause.equation)
         entry["experiment"] = experiment(cause)
+        entry["when"] = when(cause)
         causes.append(entry)
     force = unnamed(d)
     data: dict[str, Any] = {
@@ -58,6 +61,8 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             "theta": d.theta.asdict(),
             "standard_errors": _errors(d.search.final),
             "units": {p.name: p.unit for p in d.extended.parameters},
+            "at_bounds": {"before": at_bounds(d.search.base), "after": at_bounds(d.search.final)},
+            "in_the_library": in_the_library(d),
         },
         "symptoms": d.symptoms.to_dict(),
         "gain": None if d.gain is None else _gain(d.gain, list(d.model.outputs)),
@@ -102,11 +107,15 @@ def _gain(gain: Gain, outputs: list[str]) -> dict[str, Any]:
     """Its numbers, where the squared error of the free run went, and curves on the held-out rows.
 
     ``budget`` splits the mean square error before into shares: ``noise`` of the measurement,
-    ``left`` after the extension, and ``gone``; the three add up to 1. ``decision`` says why it is adopted or
-    not, ``in_short`` beside the numbers.
+    ``left`` after the extension, and ``gone``; the three add up to 1. ``decision`` holds the ``outcome`` (see
+    :class:`engine.diagnose.adoption.Decision`) and why, ``in_short`` beside the numbers and ``in_full``.
     """
     document = gain.to_dict()
-    document["decision"] = {"in_short": in_short(gain), "in_full": in_full(gain)}
+    document["decision"] = {
+        "outcome": gain.decision.value,
+        "in_short": in_short(gain),
+        "in_full": in_full(gain),
+    }
     document["budget"] = [
         {
             "output": o.output,

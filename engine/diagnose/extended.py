@@ -1,18 +1,50 @@
-"""A registered model by name, with effects of the catalogue put in."""
+"""Extended models: by the name of a registered model, and how that of a diagnosis is got again."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from engine import registry
 from engine.diagnose.catalogue import extend
 from engine.model import MixedModel
+from engine.quasi_ml import QuasiFit
+
+if TYPE_CHECKING:
+    from engine.diagnose.diagnosis import Diagnosis
 
 
 def get_model(name: str, effects: Sequence[str] | None = None) -> MixedModel:
     """The registered model ``name``, extended by ``effects`` such as ``["coulomb:velocity"]``.
 
-    What a diagnosis adopted is an ordinary model like any other. Raises OptionError naming the
+    What a diagnosis found is an ordinary model like any other. Raises OptionError naming the
     models, or the effects and channels, there are.
     """
     return extend(registry.get_model(name), effects or ())
+
+
+def at_bounds(fit: QuasiFit) -> list[str]:
+    """Free parameters that a bound has stopped: their standard errors say nothing."""
+    model, theta = fit.model, np.asarray(fit.theta)
+    stopped = (theta <= model.lower) | (theta >= model.upper)
+    return [name for name in fit.free if stopped[model.index(name)]]
+
+
+def in_the_library(d: Diagnosis) -> str:
+    """How the extended model is got again: by its name if it is registered, else from the model itself."""
+    effects = [cause.effect for cause in d.causes]
+    if is_registered(d):
+        return f"In the library: engine.get_model({d.model.name!r}, effects={effects!r})."
+    return (
+        "In the library: .extended and .theta of this diagnosis, or extend(model, "
+        f"{effects!r}) from engine.diagnose."
+    )
+
+
+def is_registered(d: Diagnosis) -> bool:
+    """Whether the library knows the diagnosed model by its name."""
+    name = d.model.name
+    known = name in registry.model_names()
+    return known and registry.get_model(name).dynamics is d.model.dynamics

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from engine.diagnose.curves import LAGS
 from engine.diagnose.regions import Region, single_bands
 from engine.diagnose.report import unnamed
+from engine.diagnose.residuals import autocorrelation
 from engine.model import Array
 from engine.plots import axes, label
 from engine.words import tidy
@@ -132,10 +134,8 @@ def _residuals(symptoms: Symptoms, diagnosis: Diagnosis) -> Any:
         seen = np.isfinite(z)
         left.plot(t, z, ".", color=DATA, markersize=2.5)
         left.set(title=f"standardised innovations of {name}", xlabel="t [s]")
-        e = np.where(seen, z, 0.0)
-        power = float(e @ e) or 1.0
-        lags = np.arange(1, min(40, len(z) // 4) + 1)
-        right.bar(lags, [float(e[k:] @ e[:-k]) / power for k in lags], color=DATA, width=0.6)
+        r, _ = autocorrelation(z, min(LAGS, len(z) // 4))
+        right.bar(np.arange(1, len(r) + 1), r, color=DATA, width=0.6)
         for limit in (-1.96, 1.96):
             right.axhline(limit / np.sqrt(max(seen.sum(), 1)), color=RUN, linewidth=0.8)
         right.set(title=f"their autocorrelation, {name}", xlabel="lag [samples]")

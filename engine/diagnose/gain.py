@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
+from engine.diagnose.adoption import LEVEL, Decision, decide, runs_changed
 from engine.diagnose.regions import newey_west
 from engine.diagnose.simulation_gain import OutputGain, free_run_from, noise_level, output_gains
 from engine.errors import EngineError
@@ -23,9 +24,8 @@ from engine.model import Array
 from engine.moment_filter import moment_filter
 from engine.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.series import Series
+from engine.words import listed
 
-LOSS = 0.05  # an extension that is worse at this level is not adopted,
-MATTERS = 1.0  # if what it loses in all is more than this: a likelihood ratio of e
 BLOCKS, EVERY = 25, 5  # of interleaved blocks
 FOLDS_BELOW = 500  # rows: where fewer, each block is left out in turn
 TIMES = 200  # rows at most that a time is sought at
@@ -36,9 +36,9 @@ class Gain:
     """The gain on ``samples`` held-out rows, of which ``how`` tells the choice.
 
     ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
-    (one-sided), ``p_loss`` of no loss. ``adopt`` is False where the loss is significant and
-    above 1, or where free runs lose significantly and predictions do not gain. For
-    pictures: times ``t``, readings ``y``, free runs ``before`` and ``after`` (n, ny), differences ``d`` (n,).
+    (one-sided), ``p_loss`` of no loss. ``decision`` says whether they call for the extension
+    (see :mod:`engine.diagnose.adoption`). For pictures: times ``t``, readings ``y``, free runs ``before``
+    and ``after`` (n, ny), differences ``d`` (n,).
     """
 
     how: str
@@ -49,13 +49,18 @@ class Gain:
     p_value: float
     p_loss: float
     outputs: tuple[OutputGain, ...]
-    adopt: bool
+    decision: Decision
     notes: tuple[str, ...] = ()
     t: Array = field(default_factory=lambda: np.zeros(0), repr=False)
     y: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     before: Array | None = field(default=None, repr=False)
     after: Array | None = field(default=None, repr=False)
     d: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+
+    @property
+    def adopt(self) -> bool:
+        """Whether the extension is adopted."""
+        return self.decision is Decision.ADOPTED
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers and notes, without the arrays over time."""
@@ -144,13 +149,13 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     notes: list[str] = []
     d, rows = np.zeros(len(series)), np.zeros(len(series), dtype=bool)
     runs = [np.full(part.y.shape, np.nan) for _ in range(2)]
-    floors, lost = [], False
+    floors, lost = [], [False, False]
     for trial in trials:
         marked = trial.rows & seen
         rows |= marked
         terms = [_terms(fit, series) for fit in (trial.base, trial.extended)]
         d[marked] = (terms[1] - terms[0])[marked]
-        lost |= not np.isfinite(terms[1][marked]).all()
+        lost = [one or not np.isfinite(x[marked]).all() for one, x in zip(lost, terms, strict=True)]
         shown = trial.rows[first:] if len(trials) > 1 else np.ones(len(part), dtype=bool)
         for k, fit in enumerate((trial.base, trial.extended)):
             run = free_run_from(fit, series, first)
@@ -161,7 +166,7 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     n = int(rows.sum())
     if n < 2:
         notes.append("Hardly any measurement is held out: the gain cannot be measured.")
-    if lost:
+    if lost[1]:
         notes.append("The extended model's filter is lost on the held-out data.")
     if n < 2 or not np.isfinite(d).all():
         d[:] = np.nan
@@ -169,29 +174,31 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     kept = rows[first:]
     outputs: tuple[OutputGain, ...] = ()
     away = [not np.isfinite(run[kept]).all() for run in runs]
-    for gone, name in zip(away, ("model as given", "extended model"), strict=True):
-        if gone:
+    for ran_away, name in zip(away, ("model as given", "extended model"), strict=True):
+        if ran_away:
             notes.append(f"The free run of the {name} runs away on the held-out data.")
     if not any(away) and floors:
         floor = np.sqrt(np.mean(np.square(floors), axis=0))
         outputs = tuple(output_gains(trials[0].base, part, kept, runs[0], runs[1], floor, seed))
-    density_lost = 1.0 - p_gain < LOSS and float(np.sum(d)) < -MATTERS
-    runs_lost = [o.output for o in outputs if o.interval_difference[0] > 0.0]
-    if runs_lost and p_gain > LOSS and not density_lost:
+    total, p_loss = float(np.sum(d)), 1.0 - p_gain
+    gone = any(after and not before for before, after in (lost, away))
+    decision = decide(p_gain, p_loss, total, outputs, gone)
+    worse = [o.output for o in runs_changed(outputs)[1]]
+    if worse and p_gain > LEVEL:
         notes.append(
-            f"The extended model simulates {', '.join(runs_lost)} worse, and does not clearly predict "
-            "better: it explains the data as noise and not by a cause."
+            f"The extended model simulates {listed(worse)} worse, and does not clearly predict better: it "
+            "explains the data as noise and not by a cause."
         )
     return Gain(
         how=how,
         samples=n,
-        log_density=float(np.sum(d)),
+        log_density=total,
         per_sample=mean,
         standard_error=error,
         p_value=p_gain,
-        p_loss=1.0 - p_gain,
+        p_loss=p_loss,
         outputs=outputs,
-        adopt=not (lost or density_lost or (runs_lost and p_gain > LOSS)),
+        decision=decision,
         notes=tuple(notes),
         t=np.asarray(part.t),
         y=np.where(kept[:, None], part.y, np.nan),

@@ -28,6 +28,8 @@ from engine.model import Array
 NOTABLE, NOTABLE_RUN = 3.5, 3.0
 FEWEST = 5  # samples in a region
 MOST = 0.6  # share of samples up to which a region is one
+EXPLAINED = 0.02  # least share of all squared errors that a notable region makes up
+ROUNDING = 64.0 * float(np.finfo(float).eps)  # a range below this much of its values is rounding
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ class Errors:
 def cut(signal: Array, n_bands: int) -> Array:
     """Edges of bands with about equally many samples; fewer than two edges where it is constant."""
     finite = signal[np.isfinite(signal)]
-    if finite.size < 2 or np.ptp(finite) <= 1e-9 * max(float(np.abs(finite).max()), 1e-300):
+    if finite.size < 2 or np.ptp(finite) <= ROUNDING * float(np.abs(finite).max()):
         return np.zeros(0)
     levels = np.unique(finite)
     if len(levels) <= n_bands:  # a switched signal: one band per level
@@ -177,9 +179,10 @@ def by_frequency(errors: Errors, dt: float, n_bands: int, expected: float = 1.0)
             level = expected * seen / T * n / len(power)
             score = float(norm.isf(np.clip(chi2.sf(2 * n * here / level, 2 * n), 1e-300, 1.0)))
         else:
-            logs = np.log(np.maximum(drawn[:, inside].sum(axis=1), 1e-300))
-            level = float(np.exp(logs.mean()))
-            score = float((np.log(max(here, 1e-300)) - logs.mean()) / max(logs.std(ddof=1), 1e-12))
+            tiny = float(np.finfo(float).tiny)
+            logs = np.log(np.maximum(drawn[:, inside].sum(axis=1), tiny))
+            level, spread = float(np.exp(logs.mean())), float(logs.std(ddof=1))
+            score = float(np.log(max(here, tiny)) - logs.mean()) / spread if spread > 0.0 else 0.0
         out.append(
             Region(
                 errors.output,
@@ -236,20 +239,25 @@ def most_telling(regions: list[Region], limit: int, notable: float = NOTABLE) ->
     for region in regions:
         if not abs(region.score) >= notable or region.share_samples > MOST:
             continue
-        if region.kind == "frequency" and not _excess(region):
+        if not _matters(region):
             continue
         key = (region.output, region.signal)
         if key not in best or abs(region.score) > abs(best[key].score):
             best[key] = region
-    distinct: dict[tuple[str, float, float], Region] = {}
+    distinct: dict[tuple[str, str, float], Region] = {}
     for region in sorted(best.values(), key=lambda r: -_explained(r)):
-        distinct.setdefault((region.output, region.rms, region.share_samples), region)
+        same = (region.output, f"{region.rms:.9g}", region.share_samples)  # the same samples
+        distinct.setdefault(same, region)
     return list(distinct.values())[:limit]
 
 
-def _excess(region: Region) -> bool:
-    unexpected = region.expected_rms is not None and region.rms > 1.2 * region.expected_rms
-    return unexpected and _explained(region) > 0.02
+def _matters(region: Region) -> bool:
+    """Whether it makes up a share of the error worth a sentence; a spectrum must exceed what is expected."""
+    if region.kind == "frequency":
+        expected = region.expected_rms
+        if expected is None or not region.rms > 1.2 * expected:
+            return False
+    return _explained(region) > EXPLAINED
 
 
 def _explained(region: Region) -> float:

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from engine.diagnose.adoption import in_full, in_short
+from engine.diagnose.cause_sentences import experiment, headline, phrased
+from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.rounds import UNNAMED_MARGIN
 from engine.diagnose.unnamed import UnnamedForce, unnamed_force
 from engine.errors import EngineError
 from engine.report.asked import asked_first
-from engine.words import listed, number, percent, probability, tidy, with_unit
+from engine.words import (
+    fit_quality,
+    listed,
+    number,
+    percent,
+    probability,
+    tidy,
+    with_unit,
+)
 
 if TYPE_CHECKING:
-    from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis
+    from engine.diagnose.diagnosis import Detectable, Diagnosis
     from engine.diagnose.gain import Gain
 
 WIDTH = 100
@@ -45,7 +56,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
     yield "=" * WIDTH
     yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")
     for k, cause in enumerate(d.causes):
-        yield from _wrapped(f"{_marker(d, k)}{headline(cause)}", "  ")
+        closest = "Closest: " if d.verdict.value == "unknown" and k == 0 else ""
+        yield from _wrapped(f"{closest}{_marker(d, k)}{headline(cause)}", "  ")
         if len(cause.equivalent) > 1:
             others = listed(list(cause.equivalent[1:]), "or")
             yield from _wrapped(f"not told apart from {others}", "      ")
@@ -62,19 +74,6 @@ def _head(d: Diagnosis) -> Iterator[str]:
 
 def _marker(d: Diagnosis, k: int) -> str:
     return "" if len(d.causes) == 1 else f"{k + 1}. "
-
-
-def headline(cause: Cause) -> str:
-    """``Coulomb friction (coulomb:velocity) = 0.52 +- 0.03 N, p = 0.002``."""
-    name = cause.title[:1].upper() + cause.title[1:]
-    return (
-        f"{name} [{cause.effect}]: {_size(cause)}, {probability(cause.p_value)}, "
-        f"2 x log-likelihood gained {number(cause.gain)}"
-    )
-
-
-def _size(cause: Cause) -> str:
-    return f"{number(cause.size)} +- {with_unit(cause.standard_error, cause.unit, 2)}"
 
 
 def _no_cause(d: Diagnosis) -> str:
@@ -121,12 +120,13 @@ def _cause(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(cause.equation, "      ")
         for other in cause.look_alikes:
             state = "ruled out" if other.ruled_out else "NOT ruled out"
-            text = f"{other.effect}: {state} (likeness {number(other.likeness, 2)}"
+            text = f"{other.effect}: {state} (likeness {number(round(other.likeness, 2))}"
             if other.gain is not None:
-                text += f", 2 x log-likelihood gained {number(other.gain)}"
+                gained = number(other.gain) if other.gain > 0.0 else "none"
+                text += f", 2 x log-likelihood gained {gained}"
             text += ")"
             if other.difference:
-                text += f"; it {_verb(other.difference)}"
+                text += f"; it {phrased(other.difference)}"
             yield from _wrapped(text, "      - ")
         advice = experiment(cause)
         if advice:
@@ -134,25 +134,6 @@ def _cause(d: Diagnosis) -> Iterator[str]:
     force = unnamed(d)
     if force is not None:
         yield from _wrapped(force.sentence, "  ")
-
-
-def _verb(difference: str) -> str:
-    """``is an odd function ...`` for what is written without its verb."""
-    return f"is {difference}" if difference.startswith(("a ", "an ")) else difference
-
-
-def experiment(cause: Cause) -> str:
-    """What would tell the equivalent effects apart."""
-    others = [o for o in cause.look_alikes if not o.ruled_out]
-    if len(cause.equivalent) < 2:
-        return ""
-    known = [f"{o.effect} {_verb(o.difference)}" for o in others if o.difference]
-    if known:
-        return f"To tell them apart, excite what differs: {'; '.join(known)}."
-    return (
-        "To tell them apart, measure where they differ: other amplitudes, both directions, other "
-        "frequencies or a longer record."
-    )
 
 
 def unnamed(d: Diagnosis) -> UnnamedForce | None:
@@ -176,22 +157,33 @@ def unnamed(d: Diagnosis) -> UnnamedForce | None:
 def _extension(d: Diagnosis) -> Iterator[str]:
     if not d.causes:
         yield "  None: the model stays as it is."
-    else:
-        effects = [cause.effect for cause in d.causes]
-        yield from _wrapped(f"get_model({d.model.name!r}, effects={effects!r})", "  ")
+    elif d.gain is not None and not d.gain.adopt:
+        yield "  Not adopted, as 4 says: the model stays as it is. With what was found it would be"
     yield from (f"  {line}" for line in d.model.equations)
     for line in list(d.extended.equations)[len(d.model.equations) :]:
         yield from _wrapped(line, "  + ")
-    yield f"  {'parameter':<24} {'before':>12} {'after':>12} {'+-':>10}  unit"
+    yield from _parameters(d)
+    if d.causes:
+        yield from _wrapped(in_the_library(d), "  ")
+
+
+def _parameters(d: Diagnosis) -> Iterator[str]:
+    """Every parameter: before, after and its standard error; only the estimate where nothing was added."""
     fit = d.search.final
     errors = dict(zip(fit.free, fit.standard_errors.tolist(), strict=True))
+    first = f"{'before':>12} {'after':>12}" if d.causes else f"{'estimate':>12}"
+    yield f"  {'parameter':<24} {first} {'+-':>10}  unit"
     for parameter in d.extended.parameters:
         name = parameter.name
-        known = name in d.model.parameter_names
-        before = number(float(d.base_theta[name]), 4) if known else ""
-        error = number(errors[name], 2) if name in errors else "held"
-        after = number(float(d.theta[name]), 4)
-        yield f"  {name:<24} {before:>12} {after:>12} {error:>10}  {tidy(parameter.unit)}".rstrip()
+        before = number(float(d.base_theta[name]), 4) if name in d.model.parameter_names else ""
+        values = f"{before:>12} " if d.causes else ""
+        values += f"{number(float(d.theta[name]), 4):>12}"
+        error = "held"
+        if name in errors:
+            error = number(errors[name], 2) if math.isfinite(errors[name]) else "unknown"
+        if name in at_bounds(fit):
+            error = "at bound"
+        yield f"  {name:<24} {values} {error:>10}  {tidy(parameter.unit)}".rstrip()
 
 
 def _gain(gain: Gain | None) -> Iterator[str]:
@@ -210,17 +202,19 @@ def _gain(gain: Gain | None) -> Iterator[str]:
         text = (
             f"Free run of {o.output}: {with_unit(o.rmse_before, o.unit)} rms before, "
             f"{with_unit(o.rmse_after, o.unit)} after (difference {number(o.difference)}, 95 % from {low} to "
-            f"{high}); fit {number(o.fit_before)} % before, {number(o.fit_after)} % after"
+            f"{high}); {fit_quality(o.fit_before)} before, {fit_quality(o.fit_after)} after"
         )
         if o.share_gone is not None:
             floor = with_unit(o.floor, o.unit)
-            text += (
-                f"; {percent(o.share_gone)} of the squared error above the noise ({floor}) is gone"
-            )
+            text += f"; {_share_gone(o.share_gone)} of the squared error above the noise ({floor}) is gone"
         yield from _wrapped(text + ".", "  - ")
     for note in gain.notes:
         yield from _wrapped(note, "  - ")
     yield from _wrapped(in_full(gain), "  ")
+
+
+def _share_gone(share: float) -> str:
+    return percent(min(share, 1.0)) if share > 0.0 else "none"
 
 
 def _testable(d: Diagnosis, every: bool) -> Iterator[str]:
@@ -257,6 +251,8 @@ def _signed(value: float) -> str:
 
 
 def _wrapped(text: str, lead: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)) or [
-        ""
-    ]
+    indent = " " * len(lead)
+    lines = textwrap.wrap(
+        text, WIDTH, initial_indent=lead, subsequent_indent=indent, break_on_hyphens=False
+    )
+    return lines or [""]

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 from scipy.stats import chi2
 
+from engine.diagnose.disturbances import backward
 from engine.model import Array
 from engine.moment_filter import MomentPath
 from engine.quasi_ml import whitening
@@ -76,28 +77,18 @@ def pit(z: Array) -> Array:
 def auxiliary(path: MomentPath, series: Series) -> tuple[Array, Array]:
     """Auxiliary residuals (Harvey and Koopman 1992): of the measurements (T, ny), the states (T-1, nx).
 
-    With the smoother's r_{t-1} = H_t' S_t^{-1} nu_t + L_t' r_t, N_{t-1} = H_t' S_t^{-1} H_t + L_t' N_t L_t
-    and L_t = F_t (I - K_t H_t), a disturbance of x_{t+1} is r_t / sqrt(diag N_t), one of y_t is u_t =
-    S_t^{-1} nu_t - (F_t K_t)' r_t over the root of diag(S_t^{-1} + (F_t K_t)' N_t F_t K_t). Each is N(0, 1).
+    A disturbance of x_{t+1} is r_t / sqrt(diag N_t), one of y_t is u_t / sqrt(diag D_t), with the
+    disturbance smoother's r, N, u and D (:func:`engine.diagnose.disturbances.backward`). Each is N(0, 1).
     """
     T, ny, nx = path.H.shape
-    root = whitening(path.S, series.observed)
-    nu = np.nan_to_num(path.innovations)
-    r, N = np.zeros(nx), np.zeros((nx, nx))
     of_y, of_x = np.full((T, ny), np.nan), np.full((T - 1, nx), np.nan)
-    for t in range(T - 1, -1, -1):
-        precision = root[t].T @ root[t]
-        F = path.F[t] if t < T - 1 else np.zeros((nx, nx))
+    for t, u, D, r, N, _ in backward(path, series):
+        of_y[t] = _over_root(u, np.diag(D))
         if t < T - 1:
             of_x[t] = _over_root(r, np.diag(N))
-        gain = F @ path.K[t]
-        of_y[t] = _over_root(precision @ nu[t] - gain.T @ r, np.diag(precision + gain.T @ N @ gain))
-        L = F @ (np.eye(nx) - path.K[t] @ path.H[t])
-        r = path.H[t].T @ precision @ nu[t] + L.T @ r
-        N = path.H[t].T @ precision @ path.H[t] + L.T @ N @ L
     return np.where(series.observed, of_y, np.nan), of_x
 
 
 def _over_root(value: Array, variance: Array) -> Array:
-    told = variance > 1e-300
+    told = variance > 0.0
     return np.where(told, value / np.sqrt(np.where(told, variance, 1.0)), np.nan)

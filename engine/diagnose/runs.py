@@ -15,10 +15,10 @@ FEWEST, MOST = 20, 100  # rows of measurements that the first state is estimated
 
 
 def start_rows(series: Series) -> int:
-    """How many rows tell the first state: a tenth, and enough measurements in them."""
+    """How many rows tell the first state: a tenth, and enough measurements in them if there are any."""
     rows = int(np.clip(len(series) // 10, FEWEST, MOST))
-    seen = np.flatnonzero(series.observed.any(axis=1))
-    enough = int(seen[min(10, len(seen)) - 1]) + 1
+    seen = np.flatnonzero(series.observed.any(axis=1))[:10]
+    enough = int(seen[-1]) + 1 if len(seen) else 0
     return min(max(rows, enough, 2), len(series))
 
 
@@ -37,12 +37,17 @@ def smoothed(path: MomentPath, first: int = 0) -> tuple[Array, Array]:
 
     Backwards from the filter's last row Rauch, Tung and Striebel's recursion, J_t = P_{t|t} F_t' P_{t+1|t}^-,
     x_{t|n} = x_{t|t} + J_t (x_{t+1|n} - x_{t+1|t}), P_{t|n} = P_{t|t} + J_t (P_{t+1|n} - P_{t+1|t}) J_t'.
+    The inverse is that of the correlations, so that a state's unit does not decide what is cut off.
     """
     means, covariances = path.filtered[first:].copy(), path.P_filtered[first:].copy()
     for k in range(len(means) - 2, -1, -1):
         t = first + k
         ahead = path.P_predicted[t + 1]
-        J = path.P_filtered[t] @ path.F[t].T @ np.linalg.pinv(ahead, rcond=1e-12, hermitian=True)
+        scale = np.sqrt(np.maximum(np.diag(ahead), 0.0))
+        per = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
+        correlations = ahead * per[:, None] * per
+        inverse = np.linalg.pinv(correlations, rcond=1e-12, hermitian=True) * per[:, None] * per
+        J = path.P_filtered[t] @ path.F[t].T @ inverse
         means[k] += J @ (means[k + 1] - path.predicted[t + 1])
         P = covariances[k] + J @ (covariances[k + 1] - ahead) @ J.T
         covariances[k] = 0.5 * (P + P.T)

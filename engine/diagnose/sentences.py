@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
 
+from engine.diagnose.compare import Fit
 from engine.diagnose.regions import NOTABLE, Region
-from engine.words import number, percent, with_unit
-
-if TYPE_CHECKING:
-    from engine.diagnose.symptoms import Fit
+from engine.words import bounds, fit_quality, number, percent, probability, with_unit
 
 
 def overall(fit: Fit, what: str) -> str:
     """One line on an output of the free-run simulation or the one-step prediction."""
     how = "Free-run simulation" if what == "simulation" else "One-step prediction"
     text = f"{how} of {fit.output}: wrong by {with_unit(fit.rmse, fit.unit)} rms"
-    if fit.expected_rmse is not None:
+    if fit.expected_rmse is not None and fit.expected_rmse > 0.0:
         text += f" (the model expects {with_unit(fit.expected_rmse, fit.unit)}"
         if fit.as_wrong is not None:
             share = percent(fit.as_wrong) if fit.as_wrong > 0.0 else "none"
             text += f"; {share} of its own simulations are as far off"
         text += ")"
-    text += (
-        f", fit {number(fit.fit)} %, {percent(fit.inside)} of the readings inside its 95 % band."
-    )
+    text += f", {fit_quality(fit.fit)}"
+    if math.isfinite(fit.inside):
+        text += f", {percent(fit.inside)} of the readings inside its 95 % band"
+    text += "."
     if fit.bias_error and abs(fit.bias) > NOTABLE * fit.bias_error:
         low_high = "low" if fit.bias > 0.0 else "high"
         size, error = (with_unit(x, fit.unit) for x in (abs(fit.bias), fit.bias_error))
@@ -42,7 +41,9 @@ def sentence(region: Region, what: str, unit: str) -> str:
         f"(+- {with_unit(region.standard_error, unit)}"
     )
     if region.band > 0.0:
-        text += f", {percent(abs(region.mean) / region.band)} of the band's width"
+        widths = abs(region.mean) / region.band
+        share = percent(widths) if widths < 2.0 else f"{number(widths, 2)} times"
+        text += f", {share}{' of' if widths < 2.0 else ''} the band's width"
     return (
         f"{text}); {percent(region.share_error)} of the squared error comes from "
         f"{percent(region.share_samples)} of the samples."
@@ -51,7 +52,7 @@ def sentence(region: Region, what: str, unit: str) -> str:
 
 def where(region: Region) -> str:
     """``whenever level is above 8 V``; ``from 12 s to 40 s``."""
-    low, high = (with_unit(x, region.unit) for x in (region.low, region.high))
+    low, high = bounds(region.low, region.high, region.unit)
     if region.kind == "time":
         if region.highest:
             return f"from t = {low} on"
@@ -63,17 +64,29 @@ def where(region: Region) -> str:
     return f"{subject} below {high}" if region.lowest else f"{subject} between {low} and {high}"
 
 
-def _spectral(region: Region, what: str, unit: str) -> str:
-    expected = region.expected_rms or float("nan")
-    ratio = region.rms / expected if expected > 0.0 else float("nan")
-    if region.lowest:
-        band = f"below {with_unit(region.high, 'Hz')}"
-    elif region.highest:
-        band = f"above {with_unit(region.low, 'Hz')}"
-    else:
-        band = f"between {with_unit(region.low, 'Hz')} and {with_unit(region.high, 'Hz')}"
+def correlated(output: str, statistic: float, lags: int, p: float) -> str:
+    """That an output's standardised innovations are not white."""
     return (
-        f"The error of the {what} of {region.output} {band} is {number(ratio, 2)} times what the model "
-        f"expects there; {percent(region.share_error)} of the squared error lies in "
-        f"{percent(region.share_samples)} of the frequencies."
+        f"What the predictions of {output} miss is not random: their errors are correlated in time "
+        f"(Ljung-Box {number(statistic)} over {lags} lags, {probability(p)})."
+    )
+
+
+def _spectral(region: Region, what: str, unit: str) -> str:
+    low, high = bounds(region.low, region.high, "Hz")
+    if region.lowest:
+        band = f"below {high}"
+    elif region.highest:
+        band = f"above {low}"
+    else:
+        band = f"between {low} and {high}"
+    expected = region.expected_rms
+    times = (
+        f"{number(region.rms / expected, 2)} times what the model expects there"
+        if expected
+        else f"{with_unit(region.rms, unit)} rms, where the model expects none"
+    )
+    return (
+        f"The error of the {what} of {region.output} {band} is {times}; {percent(region.share_error)} "
+        f"of the squared error lies in {percent(region.share_samples)} of the frequencies."
     )

@@ -56,11 +56,11 @@ def noise_level(fit: QuasiFit, series: Series, x: Array) -> Array:
     """Standard deviation (ny,) of the measurement noise along a run x (T, nx)."""
     model = fit.model
     record = model.record(fit.theta)
-    _, _, R = model.observation(
-        np.ascontiguousarray(x[:, : model.na]), series.u.T, series.t, record
-    )
-    variance = np.diagonal(R, axis1=-2, axis2=-1).reshape(-1, model.ny).mean(axis=0)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+    variances = []
+    for a, u, t in zip(x[:, None, : model.na], series.u, series.t.tolist(), strict=True):
+        _, _, R = model.observation(a, u, t, record)
+        variances.append(np.diagonal(R.reshape(model.ny, model.ny)))
+    return np.asarray(np.sqrt(np.maximum(np.mean(variances, axis=0), 0.0)))
 
 
 def output_gains(

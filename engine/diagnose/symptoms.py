@@ -2,74 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from engine.diagnose.compare import (
+    AWAY,
+    Comparison,
+    Fit,
+    against_predictions,
+    against_run,
+    lost_at,
+)
 from engine.diagnose.curves import bands_of, compared, residuals_of
 from engine.diagnose.data_checks import check_data
 from engine.diagnose.plain import plain
-from engine.diagnose.regions import (
-    NOTABLE,
-    NOTABLE_RUN,
-    Errors,
-    Region,
-    by_frequency,
-    by_signal,
-    most_telling,
-    newey_west,
-)
+from engine.diagnose.regions import NOTABLE, NOTABLE_RUN, most_telling
 from engine.diagnose.residuals import Whiteness, auxiliary, pit, standardised, whiteness
 from engine.diagnose.runs import draws, noise_free, start_state
-from engine.diagnose.sentences import overall, sentence
+from engine.diagnose.sentences import correlated, overall, sentence
 from engine.model import Array, MixedModel, ThetaLike
-from engine.moment_filter import MomentPath, moment_path
+from engine.moment_filter import moment_path
 from engine.series import Series
+from engine.words import number
 
 __all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
 
 DRAWS = 200
 ROOM, FEWEST_DRAWS = 4_000_000, 40  # simulated samples in all: longer series get fewer draws
-LEVEL = 0.95
-TRANSIENT = (
-    3.0  # times the median: a prediction less certain than that is one of a state not yet known
-)
+FEWEST_FINE = 20  # simulations that do not run away, without which nothing is judged by them
 SHOWN = 4  # sentences on regions, of the free run and of the predictions
-
-
-@dataclass(frozen=True)
-class Fit:
-    """One output: ``rmse``, ``bias`` in its unit, ``fit`` = 100 (1 - rmse / std(y)) %, ``inside`` the band.
-
-    ``expected_rmse`` is what the model itself leads to expect; ``as_wrong`` the share of its own
-    simulations that are at least as far from its free run (None for one-step predictions);
-    ``bias_error`` the bias's standard error (Newey-West) for predictions, None for free runs.
-    """
-
-    output: str
-    unit: str
-    rmse: float
-    bias: float
-    fit: float
-    inside: float
-    expected_rmse: float | None
-    as_wrong: float | None = None
-    bias_error: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Measured against ``y`` (T, ny), simulated or predicted, with the band ``lower``, ``upper`` (T, ny).
-
-    ``fits`` per output, ``regions`` where errors were looked at.
-    """
-
-    y: Array
-    lower: Array
-    upper: Array
-    fits: tuple[Fit, ...]
-    regions: tuple[Region, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,21 +109,29 @@ def find_symptoms(
     vector = np.asarray(model.theta(theta))
     path = moment_path(model, vector, series)
     z = standardised(path, series)
-    one_step = _predictions(model, series, path, z, n_bands)
+    one_step = against_predictions(model, series, path, z, n_bands)
     free, x, sentences = None, None, []
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     with np.errstate(over="ignore", invalid="ignore"):
         mean, P = start_state(model, vector, series)
         y, states = noise_free(model, vector, series, mean)
-        if np.isfinite(y).all():
+        row = lost_at(y, series)
+        if row is None:
             x = states
             n = int(np.clip(ROOM // len(series), FEWEST_DRAWS, DRAWS))
             drawn = draws(model, vector, series, mean, P, covariance, n, rng)
-            free = _free_run(model, series, y, states, drawn, n_bands)
+            fine = drawn[np.isfinite(drawn).all(axis=(1, 2))]
+            if len(fine) < FEWEST_FINE:
+                fine = fine[:0]
+                sentences.append(
+                    "Most of the model's own simulations run away: what it leads to expect of the free run is "
+                    "not known."
+                )
+            free = against_run(model, series, y, states, fine, n_bands)
         else:
-            row = int(np.argmin(np.isfinite(y).all(axis=1)))
             sentences.append(
-                f"The free run runs away: from t = {series.t[row]:g} s on it is not finite."
+                f"The free run runs away: from t = {number(float(series.t[row]), 6)} s on it is further off "
+                f"than {AWAY:g} times the range of the readings."
             )
     white = whiteness(z, tuple(model.outputs))
     for comparison, what in ((free, "simulation"), (one_step, "prediction")):
@@ -171,10 +142,7 @@ def find_symptoms(
         telling = most_telling(list(comparison.regions), SHOWN, notable)
         sentences += [sentence(r, what, model.outputs[r.output]) for r in telling]
     sentences += [
-        f"What the predictions of {w.output} miss is not random: their errors are correlated in time "
-        f"(Ljung-Box {w.statistic:.0f} over {w.lags} lags, p = {w.p_value:.2g})."
-        for w in white
-        if w.p_value < 0.001
+        correlated(w.output, w.statistic, w.lags, w.p_value) for w in white if w.p_value < 0.001
     ]
     of_y, of_x = auxiliary(path, series)
     return Symptoms(
@@ -191,122 +159,3 @@ def find_symptoms(
         x,
         path.predicted,
     )
-
-
-def _free_run(
-    model: MixedModel, series: Series, y: Array, x: Array, drawn: Array, n_bands: int
-) -> Comparison:
-    """The noise-free run against the data, judged by simulations with noise (K, T, ny)."""
-    fine = drawn[np.isfinite(drawn).all(axis=(1, 2))]
-    if len(fine) < 20:  # most simulations run away: nothing can be judged by them
-        fine = np.repeat(y[None], 2, axis=0)
-    tail = 0.5 * (1.0 - LEVEL)
-    lower, upper = np.quantile(fine, [tail, 1.0 - tail], axis=0)
-    signals = _signals(model, series, x, y)
-    regions, expected, errors_drawn = [], [], []
-    for i, (name, unit) in enumerate(model.outputs.items()):
-        e = series.y[:, i] - y[:, i]
-        seen = np.isfinite(e)
-        errors = np.where(seen, fine[:, :, i] - y[:, i], np.nan)
-        expected.append(float(np.sqrt(np.mean(errors[:, seen] ** 2))) if seen.any() else np.nan)
-        errors_drawn.append(np.sqrt(np.nanmean(errors**2, axis=1)) if seen.any() else np.zeros(1))
-        one = Errors(name, unit, e, upper[:, i] - lower[:, i], errors)
-        regions += _regions(one, signals, series, n_bands)
-    found = _fits(model, series, y, lower, upper, expected)
-    own = dict(zip(model.outputs, errors_drawn, strict=True))
-    fits = tuple(replace(f, as_wrong=float(np.mean(own[f.output] >= f.rmse))) for f in found)
-    return Comparison(y, lower, upper, fits, tuple(regions))
-
-
-def _predictions(
-    model: MixedModel, series: Series, path: MomentPath, z: Array, n_bands: int
-) -> Comparison:
-    """One-step predictions against the data, without the first ones from an unknown first state."""
-    H_mean = series.y - path.innovations
-    y = np.where(np.isfinite(H_mean), H_mean, np.nan)
-    spread = np.sqrt(np.maximum(np.diagonal(path.S, axis1=1, axis2=2), 0.0))
-    half = 1.959964 * spread
-    lower, upper = y - half, y + half
-    signals = _signals(model, series, path.predicted, y)
-    regions = []
-    settled = np.where(spread > TRANSIENT * np.median(spread, axis=0), np.nan, path.innovations)
-    for i, (name, unit) in enumerate(model.outputs.items()):
-        one = Errors(name, unit, settled[:, i], 2.0 * half[:, i])
-        regions += _regions(one, signals, series, n_bands, spectrum=False)
-        if series.dt is not None:
-            flat = Errors(name, "standard deviations", z[:, i], 2.0 * half[:, i] / spread[:, i])
-            regions += by_frequency(flat, series.dt, n_bands)
-    known = np.isfinite(settled)
-    expected = [_root_mean(spread[known[:, i], i] ** 2) for i in range(model.ny)]
-    fits = []
-    for f in _fits(model, series, np.where(known, y, np.nan), lower, upper, expected):
-        e = settled[:, list(model.outputs).index(f.output)]
-        seen = np.isfinite(e)
-        error = newey_west(np.where(seen, e - f.bias, 0.0), int(seen.sum()))
-        fits.append(replace(f, bias_error=error))
-    return Comparison(y, lower, upper, tuple(fits), tuple(regions))
-
-
-def _signals(
-    model: MixedModel, series: Series, x: Array, y: Array
-) -> list[tuple[str, str, str, Array]]:
-    """(kind, name, unit, values (T,)) of all that is known before an error is; then time."""
-    named = [("state", n, u) for n, u in {**model.nonlinear, **model.linear}.items()]
-    named += [("input", n, u) for n, u in model.inputs.items()]
-    named += [("output", n, u) for n, u in model.outputs.items()]
-    values = [*x.T, *series.u.T, *y.T]
-    out = [(*name, value) for name, value in zip(named, values, strict=True)]
-    out.append(("time", "time", "s", np.asarray(series.t)))
-    return out
-
-
-def _regions(
-    errors: Errors,
-    signals: list[tuple[str, str, str, Array]],
-    series: Series,
-    n_bands: int,
-    spectrum: bool = True,
-) -> list[Region]:
-    if not np.isfinite(errors.e).any():
-        return []
-    out: list[Region] = []
-    done: list[Array] = []
-    for kind, name, unit, values in signals:
-        if any(np.array_equal(values, other) for other in done):
-            continue  # an output that is a state
-        done.append(values)
-        out += by_signal(errors, kind, name, unit, values, n_bands)
-    if spectrum and series.dt is not None:
-        out += by_frequency(errors, series.dt, n_bands)
-    return out
-
-
-def _fits(
-    model: MixedModel, series: Series, y: Array, lower: Array, upper: Array, expected: list[float]
-) -> tuple[Fit, ...]:
-    out = []
-    for i, (name, unit) in enumerate(model.outputs.items()):
-        seen = series.observed[:, i] & np.isfinite(y[:, i])
-        if not seen.any():
-            continue
-        measured = series.y[seen, i]
-        e = measured - y[seen, i]
-        spread = float(measured.std())
-        rmse = _root_mean(e**2)
-        inside = (measured >= lower[seen, i]) & (measured <= upper[seen, i])
-        out.append(
-            Fit(
-                name,
-                unit,
-                rmse,
-                float(e.mean()),
-                100.0 * (1.0 - rmse / spread) if spread > 0.0 else float("nan"),
-                float(inside.mean()),
-                expected[i],
-            )
-        )
-    return tuple(out)
-
-
-def _root_mean(squares: Array) -> float:
-    return float(np.sqrt(squares.mean())) if squares.size else float("nan")

@@ -11,7 +11,10 @@ from engine.diagnose.runs import smoothed
 from engine.model import Array
 from engine.moment_filter import moment_path
 from engine.series import Series
-from engine.words import number, with_unit
+from engine.words import bounds, estimate, number, percent, with_unit
+
+CLEAR = 2.0  # standard deviations off zero
+BELIEVED = 10.0  # standard deviations of the fitted process, which no course of it leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,35 +29,47 @@ class UnnamedForce:
 
     @property
     def sentence(self) -> str:
-        """Where it acts, how strong, and when it is strongest."""
-        clear = np.abs(self.mean) > 2.0 * self.sd
-        size = float(np.sqrt(np.mean(self.mean**2)))
-        text = f"An unnamed force acts on {self.target}: {with_unit(size, self.unit)} rms"
+        """Where it acts, how strong, and when it is strongest; no size where none is told from zero."""
+        clear = np.abs(self.mean) > CLEAR * self.sd
         if not clear.any():
-            return f"{text}, at no time clearly different from zero by itself."
+            return (
+                f"An unnamed force on {self.target} explains part of it, but is at no time clearly different "
+                "from zero by itself."
+            )
+        size = float(np.sqrt(np.mean(self.mean**2)))
         strongest = int(np.argmax(np.where(clear, np.abs(self.mean), 0.0)))
         first, last = _around(
             clear & (np.sign(self.mean) == np.sign(self.mean[strongest])), strongest
         )
+        peak = estimate(float(self.mean[strongest]), float(self.sd[strongest]), self.unit)
+        start, end = bounds(float(self.t[first]), float(self.t[last]))
         return (
-            f"{text}, clearly different from zero for {100.0 * clear.mean():.0f} % of the time, strongest "
-            f"({with_unit(float(self.mean[strongest]), self.unit)}) at t = "
-            f"{number(float(self.t[strongest]), 4)} s, within a stretch from {number(float(self.t[first]), 4)} "
-            f"to {number(float(self.t[last]), 4)} s."
+            f"An unnamed force acts on {self.target}: {with_unit(size, self.unit)} rms, clearly different from "
+            f"zero for {percent(float(clear.mean()))} of the time, strongest ({peak}) at t = "
+            f"{number(float(self.t[strongest]), 4)} s, within a stretch from {start} to {end} s."
         )
 
 
-def unnamed_force(refit: Refit, series: Series) -> UnnamedForce:
-    """The smoothed course of a refitted generic force; its state is the last linear one."""
+def unnamed_force(refit: Refit, series: Series) -> UnnamedForce | None:
+    """The smoothed course of a refitted generic force; its state is the last linear one.
+
+    None where the data do not determine it: where the refit gives it no variance, or where its course
+    leaves what a process of that variance does, which only rounding errors make it do.
+    """
     model = refit.fit.model
+    if not refit.size > 0.0:
+        return None
     means, covariances = smoothed(moment_path(model, np.asarray(refit.fit.theta), series))
+    mean, variance = means[:, -1], covariances[:, -1, -1]
+    if not np.isfinite(mean).all() or np.abs(mean).max() > BELIEVED * np.sqrt(refit.size):
+        return None
     name, unit = list(model.linear.items())[-1]
     return UnnamedForce(
         refit.effect.channel.partition(",")[0] or name,
         unit,
         np.asarray(series.t),
-        means[:, -1],
-        np.sqrt(np.maximum(covariances[:, -1, -1], 0.0)),
+        mean,
+        np.sqrt(np.maximum(variance, 0.0)),
     )
 
 

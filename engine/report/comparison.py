@@ -10,7 +10,7 @@ from typing import Any
 from engine.report.chart import Chart, Trace
 from engine.report.html import Html, bullets, join, table, tag
 from engine.report.parts import Document, Drawer, grid, label, measured, pretty, prose
-from engine.words import number, percent, probability
+from engine.words import fit_quality, percent, probability
 
 TIME = "time [s]"
 WHAT = {"free_run": "Free-run simulation", "one_step": "One-step prediction"}
@@ -90,7 +90,7 @@ def fits(symptoms: Document) -> Html:
                     f"{name} of {f['output']}",
                     measured(f["rmse"], f["unit"]),
                     measured(f["expected_rmse"], f["unit"]) if f["expected_rmse"] else "",
-                    f"{number(f['fit'])} %",
+                    fit_quality(f["fit"]).removeprefix("fit "),
                     percent(f["inside"]) if f["inside"] is not None else "",
                 )
             )

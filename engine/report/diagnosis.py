@@ -26,6 +26,7 @@ from engine.report.parts import (
     measured,
     plus_minus,
     pretty,
+    prose,
     section,
 )
 from engine.words import number, percent
@@ -61,7 +62,7 @@ def diagnosis_report(d: Document, draw: Drawer) -> Report:
             *section("extension", "3. The extension", *_extension(d)),
             *section("gain", "4. The gain", *gain_section(d, units, draw)),
             *section("testable", "What these data could have shown", *_testable(d)),
-            *section("notes", "Notes", bullets(d["notes"]), _seconds(d)),
+            *section("notes", "Notes", bullets(map(prose, d["notes"])), _seconds(d)),
         ),
     )
 
@@ -80,26 +81,31 @@ def _extension(d: Document) -> list[object]:
         parts.append(tag("p", "None: the model stays as it is."))
         parts.append(equations(before))
     else:
-        parts += [tag("h3", "Before"), equations(before)]
-        parts += [tag("h3", "After: the same, and"), equations([], added)]
+        if d["gain"] is not None and not d["gain"]["adopt"]:
+            parts.append(
+                tag("p", "Not adopted: the model stays as it is. With what was found it would be:")
+            )
+        parts += [tag("h3", "Before"), equations(before)] if before else []
+        parts += [tag("h3", "After: the same, and" if before else "Added"), equations([], added)]
     parts.append(_parameters(d))
     if d["causes"]:
-        reference = extension["model"]
-        call = f'get_model("{reference["name"]}", effects={reference["with"]!r})'
-        parts.append(tag("p", "In the library: ", tag("code", call), class_="hint"))
+        parts.append(tag("p", extension.get("in_the_library", ""), class_="hint"))
     return parts
 
 
 def _parameters(d: Document) -> Html:
     """Every parameter with its standard error: before, and after where something was added."""
     extension, before = d["extension"], d["base_theta"]
+    bounds = extension.get("at_bounds", {"before": (), "after": ()})
     rows: list[list[object]] = []
     for name, value in extension["theta"].items():
         known = name in before
         row: list[object] = [tag("code", name, class_=None if known else "added")]
-        row.append(plus_minus(before[name], d["base_standard_errors"].get(name)) if known else "")
+        error = d["base_standard_errors"].get(name)
+        row.append(_estimate(before[name], error, name in bounds["before"]) if known else "")
         if d["causes"]:
-            row.append(plus_minus(value, extension["standard_errors"].get(name)))
+            error = extension["standard_errors"].get(name)
+            row.append(_estimate(value, error, name in bounds["after"]))
         rows.append([*row, pretty(extension["units"][name])])
     head = (
         ["parameter", "before", "after", "unit"]
@@ -107,6 +113,10 @@ def _parameters(d: Document) -> Html:
         else ["parameter", "estimate", "unit"]
     )
     return table(head, rows, "numbers")
+
+
+def _estimate(value: float, error: float | None, at_bound: bool) -> str:
+    return f"{number(value, 4)}, at its bound" if at_bound else plus_minus(value, error)
 
 
 def _testable(d: Document) -> list[object]:

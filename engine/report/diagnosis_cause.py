@@ -14,12 +14,12 @@ from engine.report.parts import (
     Drawer,
     capital,
     equations,
+    estimated,
     facts,
     folded,
     grid,
     label,
     p_value,
-    plus_minus,
     prose,
 )
 from engine.report.svg import hbars
@@ -38,7 +38,7 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
             facts(
                 [
                     ("effect", tag("code", cause["effect"])),
-                    ("size", plus_minus(cause["size"], cause["standard_error"], cause["unit"])),
+                    ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
                     ("p-value, all effects together", p_value(cause["p_value"])),
                     ("2 × log-likelihood gained", number(cause["gain"])),
                     ("enters through", cause["where"]),
@@ -87,8 +87,8 @@ def _look_alikes(found: list[dict[str, Any]]) -> Html:
             tag("code", o["effect"]),
             tag("span", "ruled out" if o["ruled_out"] else "not ruled out",
                 class_="good" if o["ruled_out"] else "warn"),
-            number(o["likeness"], 2),
-            "" if o["gain"] is None else number(o["gain"]),
+            number(round(o["likeness"], 2)),
+            "" if o["gain"] is None else number(o["gain"]) if o["gain"] > 0.0 else "none",
             o["difference"],
         )
         for o in found

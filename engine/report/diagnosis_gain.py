@@ -15,9 +15,10 @@ from engine.report.parts import (
     measured,
     p_value,
     plus_minus,
+    prose,
     signed,
 )
-from engine.words import number, percent
+from engine.words import fit_quality, number, percent
 
 
 def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
@@ -47,15 +48,20 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
                 measured(o["rmse_before"], o["unit"]),
                 measured(o["rmse_after"], o["unit"]),
                 f"{number(o['difference'])} ({low} to {high})",
-                f"{number(o['fit_before'])} % → {number(o['fit_after'])} %",
+                f"{_fit(o['fit_before'])} → {_fit(o['fit_after'])}",
             )
         )
     if rows:
         head = ("", "rms before", "rms after", "difference (95 %)", "fit")
         parts.append(table(head, rows, "numbers"))
-    parts += [_budget(gain), adopted(gain, "in_full"), bullets(gain["notes"])]
+    parts += [_budget(gain), adopted(gain, "in_full"), bullets(map(prose, gain["notes"]))]
     parts.append(grid(_held_out(gain, units, draw)))
     return parts
+
+
+def _fit(fit: float | None) -> str:
+    """The share in a column of its own."""
+    return fit_quality(fit).removeprefix("fit ")
 
 
 def _unseen(gain: Document) -> str:

@@ -8,13 +8,13 @@ from engine.report.parts import (
     adopted,
     capital,
     cards,
+    estimated,
     measured,
     p_value,
-    plus_minus,
     prose,
     signed,
 )
-from engine.words import listed, number, percent
+from engine.words import bounds, listed, number, percent
 
 TONE = {"nothing": "good", "named": "accent", "set": "warn", "unknown": "warn"}
 
@@ -25,7 +25,10 @@ def verdict(d: Document) -> Html:
     said = tag("p", word, " ", d["sentence"], class_="said")
     names = [tag("p", _headline(cause), class_="cause") for cause in d["causes"]]
     if d["verdict"] == "unknown":
-        names = [tag("p", "Closest: ", _headline(cause)) for cause in d["causes"]]
+        names = [
+            tag("p", "" if k else "Closest: ", _headline(cause))
+            for k, cause in enumerate(d["causes"])
+        ]
         if d["unnamed"]:
             names.insert(0, tag("p", prose(d["unnamed"]["sentence"]), class_="cause"))
     if not names:
@@ -43,10 +46,9 @@ def _headline(cause: Document) -> Html:
     parts: list[object] = [
         tag("strong", capital(cause["title"])),
         " ",
-        plus_minus(cause["size"], cause["standard_error"], cause["unit"]),
+        estimated(cause["size"], cause["standard_error"], cause["unit"]),
     ]
-    when = {k: v for k, v in cause["parameters"].items() if k.endswith(("_time", "_frequency"))}
-    parts += [f", {k.rpartition('_')[2]} {number(v, 5)}" for k, v in when.items()]
+    parts.append(cause.get("when", ""))
     if len(cause["equivalent"]) > 1:
         others = listed(list(cause["equivalent"][1:]), "or")
         parts.append(tag("span", f", not told apart from {others}", class_="hint"))
@@ -81,7 +83,7 @@ def _wrong_at_a_glance(symptoms: Document) -> Html:
 
 
 def _place(region: Document) -> str:
-    low, high = (measured(region[k], region["unit"]) for k in ("low", "high"))
+    low, high = (prose(end) for end in bounds(region["low"], region["high"], region["unit"]))
     name = region["signal"]
     if region["lowest"]:
         where = f"{name} below {high}"
@@ -112,7 +114,10 @@ def _cause_at_a_glance(d: Document) -> Html:
 def _extension_at_a_glance(d: Document) -> Html:
     if not d["causes"]:
         return tag("p", "None: the model stays as it is.")
-    return join([tag("p", tag("code", cause["equation"])) for cause in d["causes"]])
+    said = [tag("p", tag("code", cause["equation"])) for cause in d["causes"]]
+    if d["gain"] is not None and not d["gain"]["adopt"]:
+        said.append(tag("p", "Not adopted: the model stays as it is.", class_="hint"))
+    return join(said)
 
 
 def _gain_at_a_glance(gain: Document | None) -> Html:

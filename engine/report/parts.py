@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from engine.report.chart import POINTS, TIMES, Chart
 from engine.report.html import Html, join, tag
 from engine.report.svg import svg_element
-from engine.words import number, probability, tidy
+from engine.words import estimate, number, probability, tidy
 
 Document = Mapping[str, Any]
 
@@ -87,15 +87,19 @@ SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 def pretty(unit: str) -> str:
     """A unit as it is printed: ``1e8 m^3`` becomes ``10⁸ m³``, ``N*s/m`` becomes ``N s/m``."""
     text = re.sub(r"\b1e(-?\d+)", lambda m: "10" + m[1].translate(SUPERSCRIPT), tidy(unit))
-    text = re.sub(r"\^\(?(-?\d+)(?![\d.])\)?", lambda m: m[1].translate(SUPERSCRIPT), text)
-    return text.replace("*", " ")
+    return _raised(text).replace("*", " ")
 
 
 def prose(sentence: str) -> str:
     """A sentence with its units and signs as they are printed."""
     text = re.sub(r"\bx 1e(-?\d+)", lambda m: "× 10" + m[1].translate(SUPERSCRIPT), sentence)
-    text = re.sub(r"(?<=[a-zA-Z])\^(-?\d+)(?![\d.])", lambda m: m[1].translate(SUPERSCRIPT), text)
-    return text.replace("+-", "±")
+    return _raised(text).replace("+-", "±")
+
+
+def _raised(text: str) -> str:
+    """With powers of names and of brackets as superscripts: ``m^2``, ``(m/s)^(-1)``."""
+    power = r"(?<=[^\W_]|\))\^(?:\((-?\d+)\)|(-?\d+)(?![\d.]))"
+    return re.sub(power, lambda m: (m[1] or m[2]).translate(SUPERSCRIPT), text)
 
 
 def label(name: str, unit: str) -> str:
@@ -116,6 +120,12 @@ def plus_minus(value: float | None, error: float | None, unit: str = "") -> str:
     if _times(unit):
         both = f"({both})"
     return f"{both} {_times(unit)}{pretty(unit)}".strip()
+
+
+def estimated(value: float | None, error: float | None, unit: str) -> str:
+    """``0.52 ± 0.03 N``; in words where the data determine no number."""
+    said = estimate(value, error, unit)
+    return plus_minus(value, error, unit) if "+-" in said else prose(said)
 
 
 def _times(unit: str) -> str:
@@ -163,8 +173,11 @@ def signed(value: float | None) -> str:
 def adopted(gain: Document, how: str) -> Html:
     """The decision with its reason; documents of before there were reasons have none."""
     said = "Adopted." if gain["adopt"] else "Not adopted: it does worse on held-out data."
-    said = gain["decision"][how] if "decision" in gain else said
-    return tag("p", said, class_="good" if gain["adopt"] else "bad")
+    decision = gain.get("decision", {})
+    tone = "good" if gain["adopt"] else "bad"
+    if decision.get("outcome") == "no evidence":
+        tone = "warn"
+    return tag("p", decision.get(how, said), class_=tone)
 
 
 def folded(title: str, body: Html) -> Html:

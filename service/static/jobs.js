@@ -94,7 +94,7 @@ function actions(job, name) {
   if (job.status === "dismissed") return [];
   return [
     link("Repeat", `/?job=${job.jobID}`, "Repeat with changes"),
-    ...(job.kind === "diagnose" && job.status === "successful" ? [link("Extend", `/?job=${job.jobID}&extension=1`, "Estimate the adopted extension")] : []),
+    ...(job.kind === "diagnose" && job.status === "successful" ? [link("Extend", `/?job=${job.jobID}&extension=1`, "Estimate the extension it found")] : []),
     button("Remove", "end", () => end(job, "Remove this job?", "Its data and its results are removed for good.", "Remove")),
   ];
 }

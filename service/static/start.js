@@ -2,7 +2,7 @@
 //
 //   /?model=NAME                a model
 //   /?job=ID                    what an earlier job asked, with its data
-//   /?job=ID&extension=1        the same with the extension that this diagnosis adopted, to estimate it
+//   /?job=ID&extension=1        the same with the extension that this diagnosis found, to estimate it
 
 import { announce, element, clearProblem, get, post, Problem, showProblem } from "/static/api.js";
 import { DataCard } from "/static/start/data.js";
@@ -125,7 +125,7 @@ async function repeat(id, adopt) {
   const note = by("repeated");
   note.hidden = false;
   note.replaceChildren("Filled in from job ", element("a", { href: `/jobs/${id}` }, id.slice(0, 8)),
-    adopt ? ", with the extension its diagnosis adopted. Start estimates the extended model." : ". Change what you like.",
+    adopt ? ", with the extension its diagnosis found. Start estimates the extended model." : ". Change what you like.",
     asked.test && !adopt ? " Its held-out data are not taken over; choose the file again under Options." : "");
 }
 

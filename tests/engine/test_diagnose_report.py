@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,22 +11,26 @@ import pytest
 
 from engine.data import nile
 from engine.diagnose import diagnose, extend, make_effect
+from engine.diagnose.adoption import Decision, decide, in_full, in_short
 from engine.diagnose.decide import set_of
 from engine.diagnose.diagnosis import Verdict
 from engine.diagnose.gain import (
+    Gain,
     diebold_mariano,
     every_fifth,
     joined,
     measure_gain,
     measure_gain_interleaved,
 )
+from engine.diagnose.hide import hide
 from engine.diagnose.latex import to_latex
 from engine.diagnose.plain import plain
 from engine.diagnose.refits import Refit
 from engine.diagnose.report import unnamed
 from engine.diagnose.rounds import UNNAMED_MARGIN, Round
+from engine.diagnose.runs import start_state
 from engine.diagnose.setting import Setting, setting_for
-from engine.diagnose.simulation_gain import bootstrap_means
+from engine.diagnose.simulation_gain import OutputGain, bootstrap_means, noise_level
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
 from engine.models.mixed_4 import MODEL as MIXED
@@ -103,59 +108,133 @@ def test_an_extension_that_predicts_worse_is_not_adopted():
     worse = quasi_ml(extended.model, clean.part(0, 200), [*base.theta, 0.0], ["theta"])
     theta = np.array(worse.theta)
     theta[0] = 1.9  # a coupling far from the data's
-    from dataclasses import replace
-
     from engine.model import Theta
 
     bad = replace(worse, theta=Theta(theta, worse.model.parameter_names))
     gain = measure_gain(base, bad, clean.part(200, 300), clean.part(0, 200), seed=1)
-    assert not gain.adopt
+    assert gain.decision is Decision.LOSES
     assert gain.p_loss < 0.05
     assert gain.log_density < 0.0
 
 
-def test_why_an_extension_is_adopted_or_not():
-    """Each sentence for numbers that call for it."""
-    from engine.diagnose.adoption import in_full, in_short
-    from engine.diagnose.gain import Gain
-    from engine.diagnose.simulation_gain import OutputGain
-
-    def output(name, before, after, low, high):
-        ends = (low, high)
-        return OutputGain(name, "m", before, after, ends, ends, after - before, ends, 0, 0, 0, None)
-
-    def gain(p_gain, adopt=True, outputs=(), log_density=-0.2):
-        return Gain("rows", 100, log_density, 0.0, 0.1, p_gain, 1.0 - p_gain, outputs, adopt)
-
-    better, worse = output("x", 4.0, 3.0, -1.5, -0.5), output("y", 1.0, 2.0, 0.5, 1.5)
-    same = output("z", 1.0, 0.9, -0.3, 0.1)
-    assert in_short(gain(0.01)) == "Adopted."
-    assert "significantly better" in in_full(gain(0.01))
-    assert "though not in free runs of y" in in_full(gain(0.01, outputs=(worse, better)))
-    assert in_short(gain(0.6, outputs=(better, same))).endswith(
-        "ahead, and better in free run of x."
+def output(name, before, after, low, high):
+    """The change of a free run's rms error with its 95 % interval."""
+    return OutputGain(
+        name,
+        "m",
+        before,
+        after,
+        (low, high),
+        (low, high),
+        after - before,
+        (low, high),
+        0,
+        0,
+        0,
+        None,
     )
-    assert in_full(gain(0.6, outputs=(better, same))).endswith("25 % of the error of x is gone.")
-    assert "its loss is within chance (p = 0.4)" in in_full(gain(0.6))
-    assert "its gain is within chance (p = 0.3)" in in_full(gain(0.3, log_density=2.0))
-    assert in_short(gain(0.6, outputs=(same,))) == (
-        "Adopted: not significantly worse one step ahead."
+
+
+BETTER, WORSE = output("x", 4.0, 3.0, -1.5, -0.5), output("y", 1.0, 2.0, 0.5, 1.5)
+SAME, HARDLY = output("z", 1.0, 0.9, -0.3, 0.1), output("w", 1.0, 0.999, -0.002, -0.0005)
+
+
+@pytest.mark.parametrize(
+    ("p_gain", "log_density", "outputs", "decision"),
+    [
+        (0.049, 3.0, (), Decision.ADOPTED),
+        (0.051, 3.0, (), Decision.NO_EVIDENCE),
+        (0.5, float("nan"), (), Decision.NO_EVIDENCE),
+        (0.6, -0.2, (SAME,), Decision.NO_EVIDENCE),
+        (0.6, -0.2, (SAME, BETTER), Decision.ADOPTED),
+        (0.6, -0.2, (HARDLY,), Decision.NO_EVIDENCE),  # surely better, by a thousandth
+        (0.99, -67.0, (), Decision.LOSES),
+        (0.99, -67.0, (BETTER,), Decision.LOSES),  # better in the one does not outweigh the other
+        (0.001, 20.0, (WORSE,), Decision.LOSES),
+        (0.6, -0.2, (BETTER, WORSE), Decision.LOSES),
+        (0.99, -1.01, (), Decision.LOSES),
+        (0.99, -0.99, (), Decision.NO_EVIDENCE),  # a sure loss below a likelihood ratio of e
+        (0.94, -50.0, (), Decision.NO_EVIDENCE),
+    ],
+)
+def test_adoption_needs_evidence_and_no_loss(p_gain, log_density, outputs, decision):
+    assert decide(p_gain, 1.0 - p_gain, log_density, outputs) is decision
+    assert decide(p_gain, 1.0 - p_gain, log_density, outputs, lost=True) is Decision.LOSES
+    gain = Gain("rows", 100, log_density, 0.0, 0.1, p_gain, 1.0 - p_gain, outputs, decision)
+    assert gain.adopt == (decision is Decision.ADOPTED)
+    first = {"adopted": "Adopted", "no evidence": "Not adopted for want of evidence"}
+    for words in (in_full(gain), in_short(gain)):
+        assert words.endswith(".")
+        assert words.count(". ") == 0  # one sentence
+    assert in_full(gain).startswith(first.get(decision.value, "Not adopted, as it loses"))
+    assert in_short(gain).startswith("Adopted" if gain.adopt else "NOT adopted")
+
+
+def test_the_reason_names_what_decided():
+    def said(p_gain, log_density, outputs):
+        p_loss = 1.0 - p_gain
+        decision = decide(p_gain, p_loss, log_density, outputs)
+        return in_full(Gain("rows", 9, log_density, 0, 0.1, p_gain, p_loss, outputs, decision))
+
+    assert "one step ahead (p = 0.01)" in said(0.01, 5.0, ())
+    assert "free run of x (25 % of the error gone)" in said(0.6, -0.2, (BETTER, SAME))
+    assert "its loss one step ahead is within chance (p = 0.4)" in said(0.6, -0.2, ())
+    assert "its gain one step ahead is within chance (p = 0.3)" in said(0.3, 2.0, ())
+    assert "lower by 67" in said(0.99, -67.0, ())
+    lost = said(0.001, 20.0, (WORSE, BETTER))
+    assert "free run of y is wrong by 2 m rms instead of 1" in lost
+    assert "its free run of x is better" in lost
+
+
+def test_held_out_data_without_a_difference_are_no_evidence():
+    """An effect that the record does not hold: once everything was adopted that did not lose."""
+    series = simulate(LINEAR, None, 300, np.random.default_rng(12)).series
+    base, extended = fits(LINEAR, "bias:y", series.part(0, 240))
+    gain = measure_gain(base, extended, series.part(240, 300), series.part(0, 240), seed=1)
+    assert gain.p_value > 0.05
+    assert gain.decision is Decision.NO_EVIDENCE
+    assert not gain.adopt
+
+
+def test_held_out_rows_without_a_reading_measure_nothing():
+    series = simulate(LINEAR, None, 200, np.random.default_rng(13)).series
+    y = series.y.copy()
+    y[150:] = np.nan
+    empty = Series(y)
+    base, extended = fits(LINEAR, "bias:y", empty.part(0, 150))
+    gain = measure_gain(base, extended, empty.part(150, 200), empty.part(0, 150), seed=1)
+    assert gain.samples == 0
+    assert gain.decision is Decision.NO_EVIDENCE
+    assert gain.outputs == ()
+    assert start_state(LINEAR, np.asarray(base.theta), empty, 150)[0].shape == (2,)
+
+
+def test_the_noise_along_a_run_asks_a_model_one_time_at_a_time():
+    """A measurement with ``if t > 5``, whose noise depends on the input."""
+
+    model = replace(
+        LINEAR,
+        measurement=lambda a, u, t, theta: (
+            [0.0],
+            [[1.0]],
+            [[0.5 + max(u[0], 0.0) + (1.0 if t > 5.0 else 0.0)]],
+        ),
+        nonlinear={},
+        linear={"a": ""},
+        inputs={"u": ""},
     )
-    assert "hardly worse" in in_short(gain(0.99))
-    assert "its loss is below 1 in all" in in_full(gain(0.99))
-    assert "better one step ahead, though not" in in_short(gain(0.3, log_density=2.0))
-    assert in_full(gain(0.5, log_density=float("nan"))).endswith("significantly worse on them.")
-    assert in_short(gain(0.5, log_density=float("nan"))) == "Adopted: held-out data cannot tell."
-    both = (better, output("w", 1.0, 0.5, -0.7, -0.3))
-    assert in_full(gain(0.6, outputs=both)).endswith(" and 50 % of the error of w are gone.")
-    for words in (in_short, in_full):
-        assert words(gain(0.99, adopt=False)).lower().startswith("not adopted")
+    series = Series(np.zeros(10), np.linspace(-1.0, 2.0, 10), dt=1.0)
+    fit = SimpleNamespace(model=model, theta=model.theta())
+    level = noise_level(fit, series, np.zeros((10, 1)))
+    variances = 0.5 + np.maximum(series.u[:, 0], 0.0) + (series.t > 5.0)
+    assert level == pytest.approx([np.sqrt(variances.mean())])
 
 
 def test_the_unnamed_force_is_shown_where_the_set_holds_it():
-    series = simulate(LINEAR, None, 60, np.random.default_rng(3)).series
-    forced = make_effect("latent:z", Setting(LINEAR))
-    fit = quasi_ml(forced.apply(LINEAR), series, max_iterations=1)
+    rng = np.random.default_rng(3)
+    series = hide(LINEAR, ["latent:z"], {"latent_z": 1.0, "latent_z_time": 20.0}, 200, rng).series
+    forced = make_effect("latent:z", setting_for(LINEAR, series, LINEAR.theta()))
+    fit = quasi_ml(forced.apply(LINEAR), series)
     best = Refit(make_effect("bias:y", Setting(LINEAR)), fit, 50.0, 50.0)
     for behind, shown in ((UNNAMED_MARGIN - 0.5, True), (UNNAMED_MARGIN + 0.5, False)):
         generic = Refit(forced, fit, 50.0 - behind, 50.0 - behind)
@@ -290,9 +369,19 @@ def test_step_of_the_nile_is_named_on_the_page():
     assert "1e8 m^3" in page
 
 
-def test_an_extension_that_simulates_worse_and_predicts_no_better_is_not_adopted():
-    from dataclasses import replace
+def test_a_step_is_not_judged_by_a_record_with_a_clock_of_its_own():
+    series = nile()
+    held_out = Series(
+        series.y[:40], dt=1.0, y_names=series.y_names
+    )  # its times begin at 0, before the step
+    found = diagnose(LEVEL, series, test=held_out, effects=["step"], seed=1)
+    assert found.causes[0].effect.startswith("step:")
+    assert found.gain.samples == len(series)
+    later = Series(series.y[60:], t=series.t[-1] + 1.0 + np.arange(40), y_names=series.y_names)
+    assert diagnose(LEVEL, series, test=later, effects=["step"], seed=1).gain.samples == 40
 
+
+def test_an_extension_that_simulates_worse_and_predicts_no_better_is_not_adopted():
     from engine.model import Theta
 
     rng = np.random.default_rng(9)

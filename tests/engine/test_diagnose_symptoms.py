@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from engine.data import nile
+from engine.diagnose.compare import against_run, lost_at
 from engine.diagnose.data_checks import check_data
-from engine.diagnose.regions import Errors, by_frequency, by_signal, most_telling, newey_west
+from engine.diagnose.regions import Errors, by_frequency, by_signal, cut, most_telling, newey_west
 from engine.diagnose.residuals import auxiliary, standardised, whiteness
 from engine.diagnose.runs import covariance_of, smoothed, start_state
+from engine.diagnose.sentences import overall
 from engine.diagnose.symptoms import find_symptoms
 from engine.kalman import kalman_smoother
 from engine.models.linear_2 import MODEL as LINEAR
@@ -173,6 +175,52 @@ def test_a_run_that_runs_away_is_said():
     assert "runs away" in found.sentences[0]
 
 
+def test_a_finite_run_far_from_all_readings_runs_away():
+    growing = replace(
+        LEVEL,
+        dynamics=lambda a, u, t, dt, theta: ([0.0], np.array([[1.2]]), [[theta.q]]),
+    )
+    series = Series(np.random.default_rng(13).standard_normal(150))
+    found = find_symptoms(growing, {"q": 1.0, "r": 1.0, "level": 0.0}, series)
+    assert found.free_run is None
+    y = np.full((150, 1), 5.0)
+    assert lost_at(y, series) is None
+    y[70:] = series.y.max() + 1001.0 * np.ptp(series.y)
+    assert lost_at(y, series) == 70
+    y[30] = np.nan
+    assert lost_at(y, series) == 30
+
+
+def test_without_simulations_nothing_is_expected():
+    series = simulate(LINEAR, None, 100, np.random.default_rng(14)).series
+    y, x = np.zeros((100, 1)), np.zeros((100, 2))
+    none = against_run(LINEAR, series, y, x, np.zeros((0, 100, 1)), 8)
+    (fit,) = none.fits
+    assert fit.rmse == pytest.approx(np.sqrt(np.mean(series.y**2)))
+    assert fit.expected_rmse is None
+    assert fit.as_wrong is None
+    assert np.isnan(fit.inside)
+    assert none.regions == ()
+    assert "expects" not in overall(fit, "simulation")
+    assert "band" not in overall(fit, "simulation")
+
+
+def test_a_sure_error_that_explains_nothing_is_not_worth_a_sentence():
+    rng = np.random.default_rng(15)
+    x = rng.uniform(0.0, 1.0, 800)
+    e = np.where(x < 0.2, 0.01 + 1e-4 * rng.standard_normal(800), rng.standard_normal(800))
+    errors = Errors("y", "V", e, np.ones(800))
+    regions = by_signal(errors, "state", "x", "V", x, 8)
+    assert max(abs(r.score) for r in regions) > 50.0
+    assert most_telling(regions, 4) == []
+
+
+def test_a_channel_of_large_values_has_its_bands():
+    """Pascals about an atmosphere, seconds since 1970."""
+    assert len(cut(101325.0 + 1e-6 * np.arange(100.0), 8)) == 9
+    assert len(cut(np.full(100, 101325.0), 8)) == 0
+
+
 # ---- data ------------------------------------------------------------------------------------
 
 
@@ -199,7 +247,7 @@ def test_data_checks_name_what_is_odd():
     assert "stuck" in note(LINEAR, stuck)
     spiked = y.copy()
     spiked[[50, 200]] += 5.0
-    assert "2 readings" in note(LINEAR, spiked)
+    assert "2 single readings" in note(LINEAR, spiked)
     gap = y.copy()
     gap[20:60] = np.nan
     assert "40 samples" in note(LINEAR, gap)
@@ -207,6 +255,79 @@ def test_data_checks_name_what_is_odd():
     t = np.arange(400.0)
     t[200:] += 50.0
     assert "irregular" in note(LINEAR, y, t=t)
+
+
+def held(levels, n=600):
+    return np.repeat(levels, -(-n // len(levels)))[:n]
+
+
+def natural(name):
+    """Signals that rest at an extreme by themselves."""
+    rng, t = np.random.default_rng(0), np.arange(600)
+    day = np.maximum(np.sin(2.0 * np.pi * t / 48.0), 0.0)  # a sun that does not shine at night
+    settled, x = [], 0.0
+    for goal in held(rng.choice([0.0, 1.0, 2.0], 12)):
+        settled.append(x)
+        x += 0.15 * (goal - x)
+    return {
+        "held steps": held(rng.uniform(-1.0, 1.0, 40)),
+        "few levels": held(rng.choice([0.0, 1.0, 2.0, 4.0, -1.0], 40)),
+        "sun": 400.0 * day,
+        "cloudy": 400.0 * day * (0.6 + 0.4 * rng.random(600)),
+        "switched": np.where(
+            held(rng.random(40)) > 0.5, 2.5 + 0.01 * rng.standard_normal(600), 0.0
+        ),
+        "settled": np.round(settled, 2),
+    }[name]
+
+
+NATURAL = ("held steps", "few levels", "sun", "cloudy", "switched", "settled")
+
+
+@pytest.mark.parametrize("name", NATURAL)
+def test_a_signal_that_rests_by_itself_is_not_clipped(name):
+    signal = natural(name)
+    for y in (signal, -signal):
+        assert "clipped" not in note(LINEAR, y)
+    y = np.random.default_rng(1).standard_normal(600)
+    assert note(TANKS, y, signal) == ""  # as an input, too
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("period", [9.0, 90.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_moving_signal_that_is_cut_is_clipped(noise, period, sign):
+    rng = np.random.default_rng(2)
+    y = 3.0 * np.sin(np.arange(600) / period) + noise * rng.standard_normal(600)
+    said = note(LINEAR, np.minimum(y, 2.0) * sign)
+    assert f"{'largest' if sign > 0 else 'smallest'} value {2.0 * sign:g} in" in said
+    assert "clipped" not in note(LINEAR, y)
+    if period == 9.0:  # a slow one rests on each of its levels: that is said as a stuck reading
+        assert "clipped" in note(LINEAR, np.minimum(np.round(7.0 * y) / 7.0, 2.0))
+
+
+def test_answers_to_steps_of_an_input_are_no_outliers():
+    rng = np.random.default_rng(3)
+    u = held(rng.choice([0.0, 1.0, 2.0, 4.0], 30))
+    slow = np.zeros(600)
+    for k in range(1, 600):
+        slow[k] = slow[k - 1] + 0.02 * (u[k - 1] - slow[k - 1])
+    y = slow - 0.5 * u - 0.8 * np.diff(u, prepend=u[0]) + 0.002 * rng.standard_normal(600)
+    assert note(TANKS, y, u) == ""
+    assert note(LINEAR, slow - 0.5 * u + 0.002 * rng.standard_normal(600)) == ""  # does not return
+    spiked = y.copy()
+    spiked[[111, 330]] += 0.5
+    assert "2 single readings" in note(TANKS, spiked, u)
+
+
+def test_a_reading_that_stands_still_is_stuck_only_if_the_inputs_move():
+    rng = np.random.default_rng(4)
+    y = np.cumsum(rng.standard_normal(300))
+    y[100:160] = y[100]
+    still, moving = np.zeros(300), rng.standard_normal(300)
+    still[:90] = moving[:90]
+    assert "row 100" in note(TANKS, y, moving)
+    assert note(TANKS, y, still) == ""
 
 
 def test_a_channel_without_readings_and_a_constant_input_are_notes():

@@ -1,0 +1,286 @@
+"""What a page says in place of numbers that mean nothing, and of units that are none."""
+
+from __future__ import annotations
+
+import copy
+import re
+from dataclasses import replace
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose import Cause, LookAlike, diagnose, extend, make_effect
+from engine.diagnose.cause_sentences import experiment, headline
+from engine.diagnose.extended import at_bounds, in_the_library
+from engine.diagnose.hide import hide
+from engine.diagnose.refits import Refit
+from engine.diagnose.residuals import autocorrelation
+from engine.diagnose.setting import setting_for
+from engine.diagnose.unnamed import UnnamedForce, unnamed_force
+from engine.models.linear_2 import MODEL as LINEAR
+from engine.quasi_ml import quasi_ml
+from engine.report import report_html
+from engine.report.parts import pretty, prose
+from engine.series import Series
+from engine.simulate import simulate
+from engine.words import bounds, estimate, fit_quality, number, percent, tidy
+
+
+@pytest.mark.parametrize(
+    ("unit", "said"),
+    [
+        ("", ""), ("1", ""), ("(1)", ""), ("1^2", ""), ("()^2", ""), ("1/1", ""), ("(^2)", ""),
+        ("/s", "1/s"), ("/s/(^2)", "1/s"), ("1/s/(1^2)", "1/s"), ("/s/()^3", "1/s"), ("1/(1 s)", "1/s"),
+        ("(/s)^2", "(1/s)^2"), ("V/()", "V"), ("s 1", "s"), ("m^1", "m"), ("(degC)^2", "degC^2"),
+        ("degC/s/(degC^2)", "degC/s/degC^2"), ("m/s/s/(m/s)^2", "m/s/s/(m/s)^2"), ("1e8 m^3", "1e8 m^3"),
+        ("1/(kg m^2)", "1/(kg m^2)"), ("m^10", "m^10"), ("m^1.5", "m^1.5"), ("N s/m", "N s/m"),
+    ],
+)  # fmt: skip
+def test_units_without_what_says_nothing(unit, said):
+    assert tidy(unit) == said
+    assert tidy(tidy(unit)) == said
+
+
+def test_powers_are_raised_and_brackets_kept():
+    assert pretty("1/(kg m^2)") == "1/(kg m²)"
+    assert pretty("(m/s)^(-1)") == "(m/s)⁻¹"
+    assert prose("3 +- 1 rad/s/(rad/s)^2") == "3 ± 1 rad/s/(rad/s)²"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "numbers"),
+    [
+        (0.52, 0.03, ["0.52", "0.03"]),
+        (3.93123e-5, 5.2e-8, ["3.931e-05", "5.2e-08"]),  # as many digits as the error calls for
+        (-5.0, 1.0, ["-5", "1"]),
+        (0.0, 1122.0, ["1122"]),  # the standard error, and no size
+        (0.4, 0.5, ["0.5"]),
+        (2.0, np.inf, ["2"]),
+        (2.0, np.nan, ["2"]),
+        (2.0, 0.0, ["2"]),
+        (2.0, None, ["2"]),
+        (np.nan, 1.0, []),
+        (1e300, np.inf, ["1e+300"]),
+    ],
+)
+def test_an_estimate_holds_the_numbers_that_the_data_determine(value, error, numbers):
+    said = estimate(value, error, "N")
+    assert re.findall(r"-?\d[\d.]*(?:e[+-]\d+)?", said) == numbers
+    assert ("+-" in said) == (len(numbers) == 2)
+
+
+def test_neighbouring_bounds_and_small_shares_can_be_told_apart():
+    assert bounds(26.68, 26.73, "g/L") == ("26.68 g/L", "26.73 g/L")
+    assert bounds(1.0, 2.0, "V") == ("1 V", "2 V")
+    assert bounds(1000.0001, 1000.0002)[0] != bounds(1000.0001, 1000.0002)[1]
+    assert percent(0.0003) == "less than 0.1 %"
+    assert percent(0.0) == "0 %"
+    assert fit_quality(-1e17) == fit_quality(-0.1) != fit_quality(0.1)
+    assert fit_quality(None) == fit_quality(float("nan"))
+
+
+# ---- the unnamed force -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def forced():
+    """A refitted unnamed force, and the series it acts in."""
+    values, rng = {"latent_z": 1.0, "latent_z_time": 20.0}, np.random.default_rng(3)
+    series = hide(LINEAR, ["latent:z"], values, 200, rng).series
+    effect = make_effect("latent:z", setting_for(LINEAR, series, LINEAR.theta()))
+    return Refit(effect, quasi_ml(effect.apply(LINEAR), series), 50.0, 50.0), series
+
+
+def test_a_force_is_shown_where_the_data_determine_it(forced):
+    refit, series = forced
+    force = unnamed_force(refit, series)
+    assert force is not None
+    assert np.abs(force.mean).max() < 5.0 * np.sqrt(refit.size)
+    clear = np.abs(force.mean) > 2.0 * force.sd
+    assert f"{number(float(np.sqrt(np.mean(force.mean**2))))} 1/s rms" in force.sentence
+    assert percent(float(clear.mean())) in force.sentence
+
+
+def test_a_force_without_variance_is_none(forced):
+    refit, series = forced
+    theta = np.asarray(refit.fit.theta).copy()
+    theta[refit.fit.model.index("latent_z")] = 0.0
+    fit = replace(refit.fit, theta=engine.Theta(theta, refit.fit.model.parameter_names))
+    assert unnamed_force(replace(refit, fit=fit), series) is None
+
+
+def test_a_force_that_rounding_errors_made_is_none(forced, monkeypatch):
+    refit, series = forced
+
+    def lost(path):
+        means = np.zeros((len(series), 3))
+        means[:, -1] = 1.58e15
+        return means, np.broadcast_to(np.eye(3), (len(series), 3, 3))
+
+    monkeypatch.setattr(import_module("engine.diagnose.unnamed"), "smoothed", lost)
+    assert unnamed_force(refit, series) is None
+
+
+def test_a_force_that_is_nowhere_clear_has_no_size():
+    t = np.arange(5.0)
+    force = UnnamedForce("c2", "g/L/s", t, np.array([0.0, 1.0, -1.0, 0.5, 0.1]), np.ones(5))
+    assert not re.search(r"\d", force.sentence.replace("c2", ""))
+    assert "nan" not in UnnamedForce("x", "", t, np.zeros(5), np.zeros(5)).sentence
+
+
+# ---- causes ------------------------------------------------------------------------------------
+
+
+def cause(equivalent, look_alikes=(), size=1.0, error=0.1):
+    return Cause(
+        "linear:air", "linear damping", "state", "air' = ...", size, "/s", error, {}, 0.01, 40.0,
+        equivalent, look_alikes,
+    )  # fmt: skip
+
+
+def test_advice_is_given_on_what_is_in_the_set_only():
+    same = LookAlike("saturation:air", 0.9, 41.0, False, "says the same in other words here")
+    other = LookAlike("cubic:air", 0.9, 40.0, False, "an odd function")
+    assert experiment(cause(("linear:air",), (same, other))) == ""
+    said = experiment(cause(("linear:air", "quadratic:air"), (same,)))
+    assert said
+    assert "saturation" not in said
+    assert "same in other words" not in said
+    assert "cubic:air is an odd function" in experiment(
+        cause(("linear:air", "cubic:air"), (other,))
+    )
+    force = LookAlike("latent:air", 0.9, 40.0, False, "moves the state")
+    again = experiment(cause(("linear:air", "latent:air"), (force,)))
+    assert "same inputs" in again
+    assert "excite" not in again
+
+
+def test_a_headline_has_no_size_within_its_error():
+    assert "0 +-" not in headline(cause(("linear:air",), size=0.0, error=1122.0))
+    assert "inf" not in headline(cause(("linear:air",), error=np.inf))
+    assert "1 +- 0.1 1/s" in headline(cause(("linear:air",)))
+
+
+def test_a_headline_says_when_it_happens():
+    once = replace(
+        cause(("step:y",)), where="time", parameters={"step_y": 3.0, "step_y_time": 1899.0}
+    )
+    assert "1899 s" in headline(once)
+    lasting = replace(once, where="noise", parameters={"variance_y_time": 18.4})
+    assert "18.4" not in headline(lasting)
+
+
+# ---- whole pages -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def named():
+    """A user's own model with a force that it does not know, gaps in the readings, a parameter at its bound."""
+
+    def dynamics(a, u, t, dt, theta):
+        loss = dt * theta.loss
+        return [a[:, 0] - loss * a[:, 0] + dt * u[0]], np.zeros((1, 0)), [[theta.q]]
+
+    def measurement(a, u, t, theta):
+        return [a[:, 0]], np.zeros((1, 0)), [[theta.r]]
+
+    def initial(theta):
+        return engine.Gaussian([0.0], [[1.0]]), [], np.zeros((0, 0))
+
+    model = engine.MixedModel(
+        name="room",
+        dynamics=dynamics,
+        measurement=measurement,
+        initial=initial,
+        nonlinear={"level": ""},
+        inputs={"pump": "1/s"},
+        outputs={"gauge": ""},
+        parameters=[
+            engine.Parameter("loss", 0.1, "1/s", (0.0, 2.0)),
+            engine.Parameter("q", 1e-3, "", (1e-4, 1.0)),
+            engine.Parameter("r", 0.01, "", (1e-8, 1.0)),
+        ],
+    )
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.uniform(0.0, 1.0, 20), 15)
+    y, level = [], 0.0
+    for pump in u:
+        y.append(level + 0.1 * rng.standard_normal())
+        level += 0.2 * (pump - 0.3 * level + 0.5)
+    y = np.array(y)
+    y[40:47] = np.nan
+    y[60:200:3] = np.nan
+    return diagnose(model, Series(y, u, dt=0.2), effects=["force", "bias", "cubic"], seed=1)
+
+
+def test_a_model_that_is_not_registered_is_not_got_by_its_name(named):
+    assert named.causes
+    assert not in_the_library(named).count("get_model")
+    assert "get_model" not in str(named)
+    assert "get_model" not in report_html(named.to_dict())
+    effects = [c.effect for c in named.causes]
+    assert repr(effects) in in_the_library(named)
+    again = extend(named.model, effects)
+    assert again.parameter_names == named.extended.parameter_names
+    registered = SimpleNamespace(model=LINEAR, causes=named.causes)
+    assert "get_model('linear-2', effects=" in in_the_library(registered)
+    own = SimpleNamespace(model=replace(named.model, name="linear-2"), causes=named.causes)
+    assert "get_model" not in in_the_library(own)  # a name alone is not enough
+
+
+def test_parameters_that_a_bound_has_stopped_have_no_standard_error(named):
+    for fit in (named.search.base, named.search.final):
+        theta = fit.theta.asdict()
+        stopped = [p.name for p in fit.model.parameters if theta[p.name] in p.bounds]
+        assert at_bounds(fit) == stopped
+    assert named.to_dict()["extension"]["at_bounds"]["after"] == at_bounds(named.search.final)
+    assert at_bounds(named.search.final)  # q: the process is without noise
+    row = next(line for line in str(named).splitlines() if line.startswith("  q "))
+    assert row.endswith("at bound")
+
+
+def test_the_page_of_a_unitless_model_has_no_broken_unit(named):
+    text = str(named) + " ".join(re.findall(r">([^<]*)<", report_html(named.to_dict())))
+    assert not re.search(r"(?<![\w.)])/s|\(\^|\(\)|\bnan\b|\binf\b", text)
+
+
+def test_the_page_says_the_decision_with_its_numbers(named):
+    gain = named.gain
+    document = named.to_dict()["gain"]
+    assert document["adopt"] is gain.adopt
+    assert document["decision"]["outcome"] == gain.decision.value
+    page = " ".join(str(named).split())
+    assert document["decision"]["in_full"] in page
+    assert document["decision"]["in_short"] in page
+    assert ("Not adopted" in page) != gain.adopt
+    refused = copy.deepcopy(named.to_dict())
+    refused["gain"]["adopt"] = False
+    refused["gain"]["decision"] = {
+        "outcome": "no evidence", "in_short": "NOT adopted: so.", "in_full": "Not adopted, so.",
+    }  # fmt: skip
+    html = report_html(refused)
+    assert html.count("the model stays as it is") == 2  # at a glance, and beside the extension
+    assert 'class="warn">Not adopted, so.' in html
+
+
+def test_pictures_and_data_show_the_same_autocorrelation(named):
+    pytest.importorskip("matplotlib")
+    z = named.symptoms.z[:, 0]
+    assert np.isnan(z).any()
+    drawn = named.figures()["residuals"].axes[1].patches
+    heights = np.array([bar.get_height() for bar in drawn])
+    data = named.to_dict()["symptoms"]["residuals"]["autocorrelation"]["gauge"]["r"]
+    np.testing.assert_allclose(heights, autocorrelation(z, len(heights))[0], atol=1e-12)
+    np.testing.assert_allclose(heights, data, atol=1e-6)
+
+
+def test_nothing_found_leaves_one_column_of_estimates():
+    series = simulate(LINEAR, None, 200, np.random.default_rng(8)).series
+    clean = diagnose(LINEAR, series, effects=["bias", "cubic"], seed=1)
+    assert clean.verdict.value == "nothing"
+    rows = [line.split() for line in str(clean).splitlines() if line.startswith("  theta ")]
+    error = clean.search.final.standard_errors[0]
+    assert rows == [["theta", number(float(clean.theta["theta"]), 4), number(error, 2)]]
