@@ -102,8 +102,9 @@ class MixedModel(BaseModel):
     of their natural zero, in their unit (20 for a temperature that is counted from room temperature):
     effects that have a zero of their own, such as drag or a gain error, count from there. ``continuous``
     declares that dt is a real time step: two half-steps agree with one, A and Q included, up to the order
-    of the scheme, so that a diagnosis may step more finely than the data (checked when it is used). Raises ModelError for names, bounds or defaults that
-    cannot be used.
+    of the scheme, so that a diagnosis may step more finely than the data (checked when it is used).
+
+    Raises ModelError for names, bounds or defaults that cannot be used.
     """
 
     name: str

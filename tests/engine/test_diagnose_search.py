@@ -139,3 +139,37 @@ def test_family_wise_p_values_of_clean_tests_are_uniform():
         found.append(screen(tests, rng, alpha=0.05).p_value)
     assert kstest(found, "uniform").pvalue > 0.01
     assert sum(p <= 0.1 for p in found) <= 26  # 15 are expected
+
+
+def one_test(kind, channel, s, v, degrees=1):
+    effect = make_effect(f"{kind}:{channel}", Setting(DRIVE))
+    columns = [((), Column(si, vi)) for si, vi in zip(s, v, strict=True)]
+    return make_test(effect, [columns], Projection([]), degrees)
+
+
+def test_a_one_sided_test_has_half_the_tail():
+    """And none on the wrong side."""
+    rng = np.random.default_rng(5)
+    v = rng.standard_normal(400)
+    unit = v / np.linalg.norm(v)
+    for sign, p in ((1.0, 0.5 * chi2.sf(9.0, 1)), (-1.0, 0.5)):
+        z = rng.standard_normal(400)
+        z += unit * (3.0 * sign - unit @ z)
+        seen = screen([one_test("lag", "reading", [v * z], [v])], rng, 0.05)
+        assert seen.scores[0].p_value == pytest.approx(p, rel=1e-6)
+
+
+def test_two_columns_tested_together_are_two_degrees_of_freedom():
+    """Their statistic is that of the regression on both, however alike the two are."""
+    rng = np.random.default_rng(6)
+    z = rng.standard_normal(400)
+    one, other = rng.standard_normal((2, 400))
+    v = np.array([one, 0.9 * one + 0.4 * other])
+    s = v * z
+    total = s.sum(axis=1)
+    expected = float(total @ np.linalg.solve(v @ v.T, total))
+    test = one_test("harmonic", "speed", s, v, degrees=2)
+    assert float(test.statistics(test.s.sum(axis=1))[0]) == pytest.approx(expected)
+    test = replace(test, tries=30)  # chosen from thirty frequencies
+    seen = screen([test], rng, 0.05)
+    assert seen.scores[0].p_value == pytest.approx(min(1.0, 30 * chi2.sf(expected, 2)))

@@ -1,0 +1,153 @@
+"""How bold the p-values of a screen are, found by simulation where it decides."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from engine.diagnose import calibration, search
+from engine.diagnose.calibration import BOLDEST, boldness, calibrated, decides, sequential_p
+from engine.diagnose.catalogue import all_effects
+from engine.diagnose.columns import Column, Projection
+from engine.diagnose.screen import make_test, screen
+from engine.diagnose.setting import Setting
+from tests.engine.hidden_effects import DRIVE
+
+ALPHA = 0.05
+T = 300
+
+
+def silent(stage, fraction):
+    pass
+
+
+def a_screen(seed=0, statistic=None, kinds=("force", "quadratic", "cubic", "drag", "gain")):
+    """Of independent effects; the first with the statistic asked for."""
+    rng = np.random.default_rng(seed)
+    tests = []
+    for i, effect in enumerate(all_effects(Setting(DRIVE), list(kinds))):
+        v, z = rng.standard_normal(T), rng.standard_normal(T)
+        if i == 0 and statistic is not None:
+            unit = v / np.linalg.norm(v)
+            z += unit * (np.sqrt(statistic) - unit @ z)
+        tests.append(make_test(effect, [[((), Column(v * z, v))]], Projection([])))
+    return screen(tests, rng, ALPHA)
+
+
+def test_boldness_is_that_of_each_effect():
+    """One effect of forty has p-values whose logarithms are three times too large."""
+    rng = np.random.default_rng(1)
+    lowest = rng.random((499, 40)).min(axis=1)
+    x = rng.exponential(size=(19, 40))
+    x[:, 7] *= 3.0
+    found = boldness(x, lowest)
+    assert found[7] > 1.5
+    assert np.median(np.delete(found, 7)) < 1.2
+    assert (found >= 1.0).all()
+
+
+def test_boldness_of_all_alike_is_found_by_the_smallest_p_value():
+    rng = np.random.default_rng(2)
+    lowest = rng.random((499, 40)).min(axis=1)
+    assert np.median(boldness(1.6 * rng.exponential(size=(19, 40)), lowest)) == pytest.approx(
+        1.6, rel=0.15
+    )
+    assert np.median(boldness(rng.exponential(size=(19, 40)), lowest)) < 1.15
+
+
+def test_effects_that_were_not_tested_on_a_series_do_not_count_there():
+    rng = np.random.default_rng(3)
+    x = rng.exponential(size=(19, 5))
+    x[3:, 2] = np.nan
+    assert np.isfinite(boldness(x, rng.random(499))).all()
+
+
+@pytest.mark.parametrize(("statistic", "simulates"), [(2.0, False), (13.0, True), (80.0, False)])
+def test_simulation_is_made_only_where_it_decides(statistic, simulates):
+    seen = a_screen(statistic=statistic)
+    assert decides(seen.family_wise_at, ALPHA, seen) is simulates
+    assert not decides(seen.family_wise_at, ALPHA, replace(seen, simulated=19))
+
+
+def test_a_bold_model_has_its_alarm_taken_back(monkeypatch):
+    """And one that is not bold keeps it."""
+    seen = a_screen(statistic=13.0)
+    assert seen.p_value <= ALPHA
+    n = len(seen.scores)
+    for factor, alarm in ((1.0, True), (3.0, False)):
+        draws = np.random.default_rng(5)
+        monkeypatch.setattr(
+            calibration,
+            "simulated_logs",
+            lambda *a, f=factor, d=draws: f * d.exponential(size=n),
+        )
+        judged = calibrated(seen, None, ALPHA, 0, silent)
+        assert (judged.p_value <= ALPHA) is alarm
+        assert judged.simulated >= calibration.FEWEST
+        # a refit's likelihood ratio is judged by the same boldness
+        first = judged.scores[0]
+        p = float(min(1.0, first.tests * chi2.sf(13.0, first.degrees)))
+        assert first.p_of(13.0) == pytest.approx(p ** (1.0 / first.boldness))
+
+
+def test_a_model_that_cannot_be_simulated_is_believed_least(monkeypatch):
+    monkeypatch.setattr(calibration, "simulated_logs", lambda *a: None)
+    seen = a_screen(statistic=13.0)
+    judged = calibrated(seen, None, ALPHA, 0, silent)
+    assert {score.boldness for score in judged.scores} == {BOLDEST}
+    assert judged.p_value == pytest.approx(seen.family_wise_at(BOLDEST))
+
+
+def test_refits_are_an_alarm_only_where_no_simulated_series_has_the_like(monkeypatch):
+    for drawn, alarm in (([0.5] * 19, True), ([0.5] * 7 + [0.001] * 12, False)):
+        values = iter(drawn)
+        monkeypatch.setattr(calibration, "swallowed_of_simulated", lambda *a, v=values: next(v))
+        p = sequential_p(0.01, None, ALPHA, 0, silent)
+        assert (p <= ALPHA) is alarm
+        assert len(list(values)) == (0 if alarm else 11)  # the eighth ends it
+
+
+def test_a_screen_that_is_one_of_several_chances_needs_a_smaller_p_value():
+    seen = a_screen(statistic=9.0)
+    shared = seen.sharing(0.5)
+    assert shared.p_value == pytest.approx(min(1.0, 2.0 * seen.p_value))
+    assert shared.family_wise(0.01) == pytest.approx(min(1.0, 2.0 * seen.family_wise(0.01)))
+
+
+def test_later_rounds_need_a_tenth_of_alpha(monkeypatch):
+    """A second screen with p between alpha / 10 and alpha ends the search quietly."""
+    made = []
+
+    def screened(fit, series, setting, kinds, level, seed, progress, taken):
+        made.append(level)
+        p = 0.002 if len(made) == 1 else 0.02
+        seen = a_screen(statistic=60.0)
+        return replace(seen, p_value=p, lowest=np.where(np.arange(499) < 499 * p - 1, 0.0, 1.0))
+
+    effect = all_effects(Setting(DRIVE), ["force"])[0]
+    best = SimpleNamespace(effect=effect, fit=SimpleNamespace(model=DRIVE))
+    monkeypatch.setattr(search, "screen_effects", screened)
+    monkeypatch.setattr(search, "decides", lambda *a: False)
+    monkeypatch.setattr(search, "confirmed", lambda found: found)
+    monkeypatch.setattr(search, "_finished", lambda fit, series: fit)
+    monkeypatch.setattr(
+        search,
+        "refit_best",
+        lambda fit, series, seen, *a: search.Round(seen, (best,), None, (best,)),
+    )
+    found = search.search(
+        DRIVE,
+        None,
+        SimpleNamespace(model=DRIVE),
+        Setting(DRIVE),
+        alpha=ALPHA,
+        max_effects=3,
+        kinds=["force"],
+        seed=0,
+        progress=silent,
+    )
+    assert made == [ALPHA, pytest.approx(search.LATER * ALPHA)]
+    assert [bool(r.equivalent) for r in found.rounds] == [True, False]
+    assert not found.alarm_left

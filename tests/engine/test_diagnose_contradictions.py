@@ -1,0 +1,131 @@
+"""A name that something contradicts is not said."""
+
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose import causes, contradictions
+from engine.diagnose.catalogue import make_effect
+from engine.diagnose.causes import find_causes
+from engine.diagnose.contradictions import particle_word, undetermined
+from engine.diagnose.decide import _look_alikes
+from engine.diagnose.refits import Refit
+from engine.diagnose.setting import Setting
+from engine.quasi_ml import QuasiFit
+from tests.engine.hidden_effects import DRIVE, hidden
+
+
+def found(name, size, error, second=None):
+    """A round whose choice has this size and standard error."""
+    effect = make_effect(name, Setting(DRIVE))
+    model = effect.apply(DRIVE)
+    free = [effect.size.name] if second is None else [effect.size.name, effect.parameters[1].name]
+    theta = model.theta({free[0]: size} if second is None else {free[0]: size, free[1]: second})
+    fit = QuasiFit(model, theta, 0.0, tuple(free), np.eye(len(free)) / error**2, 1, True)
+    return SimpleNamespace(refits=(Refit(effect, fit, 40.0, 40.0),))
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "error", "second", "said"),
+    [
+        ("drag:speed", 1.0, 0.4, None, False),
+        ("drag:speed", 1.0, 0.6, None, True),
+        ("drag:speed", -1.0, 0.6, None, True),
+        ("harmonic:speed", 0.01, 0.2, 1.0, False),  # its sine is what there is
+        ("harmonic:speed", 0.01, 0.2, 0.1, True),
+        ("colored:reading", 1.0, 0.6, None, False),  # a variance: its error is no Gaussian one
+    ],
+)
+def test_a_size_that_may_as_well_be_zero_is_no_finding(name, size, error, second, said):
+    texts = undetermined([found(name, size, error, second)])
+    assert bool(texts) is said
+    assert all(name in text for text in texts)
+
+
+def test_an_undetermined_size_makes_the_verdict_unknown(monkeypatch):
+    series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
+    named = find_causes(DRIVE, series, effects=["bias"], seed=1)
+    assert named.verdict.value == "named"
+    monkeypatch.setattr(causes, "undetermined", lambda rounds: ["because"])
+    again = find_causes(DRIVE, series, effects=["bias"], seed=1)
+    assert again.verdict.value == "unknown"
+    assert "because" in again.notes
+
+
+def word(monkeypatch, gains, moment):
+    """The word of a particle filter that sees such gains with 500 and with 2000 particles."""
+    seen = []
+
+    def gain(before, after, series, particles, seed):
+        seen.append(particles)
+        return gains[len(seen) - 1]
+
+    monkeypatch.setattr(contradictions, "_particle_gain", gain)
+    text, contradicts = particle_word(None, None, moment, None, 0)
+    return seen, text, contradicts
+
+
+@pytest.mark.parametrize(
+    ("gains", "moment", "runs", "contradicts"),
+    [
+        ([(21.0, 1.0)], 20.0, 1, False),
+        ([(14.0, 0.5)], 20.0, 1, False),  # less, but most of it
+        ([(-789.0, 220.0), (600.0, 20.0)], 631.0, 2, False),  # more particles say otherwise
+        ([(-789.0, 220.0), (-700.0, 100.0)], 631.0, 2, True),
+        ([(np.nan, np.nan)], 631.0, 1, False),  # lost: no word at all
+    ],
+)
+def test_the_particle_filter_may_contradict(monkeypatch, gains, moment, runs, contradicts):
+    seen, text, said = word(monkeypatch, gains, moment)
+    assert len(seen) == runs
+    assert said is contradicts
+    assert text
+
+
+def test_a_contradiction_makes_the_verdict_unknown(monkeypatch):
+    series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
+    asked = {"effects": ["bias"], "seed": 1}
+    assert engine.diagnose(DRIVE, series, **asked).verdict.value == "named"
+    package = import_module("engine.diagnose")  # the name in engine is the function
+    monkeypatch.setattr(package, "particle_word", lambda *a: ("No gain.", True))
+    doubted = engine.diagnose(DRIVE, series, **asked)
+    assert doubted.verdict.value == "unknown"
+    assert "No gain." in doubted.notes
+
+
+def test_only_a_refit_that_has_ended_can_be_ruled_out():
+    setting = Setting(DRIVE)
+    kinds = ["drag:speed", "cubic:speed", "coulomb:speed"]
+    effects = [make_effect(name, setting) for name in kinds]
+    scores = tuple(SimpleNamespace(effect=e, statistic=30.0) for e in effects)
+    screen = SimpleNamespace(scores=scores, likeness=lambda i, j: 0.9)
+    refits = [
+        SimpleNamespace(effect=e, score=s, gain=s, fit=SimpleNamespace(given_up=g))
+        for e, s, g in zip(effects[:2], (40.0, 20.0), (False, True), strict=True)
+    ]
+    one = SimpleNamespace(
+        screen=screen, refits=tuple(refits), equivalent=(refits[0],), generic=None
+    )
+    ruled_out = {x.effect: x.ruled_out for x in _look_alikes(one, refits[0])}
+    assert ruled_out == {"cubic:speed": False, "coulomb:speed": False}
+    refits[1].fit.given_up = False
+    ruled_out = {x.effect: x.ruled_out for x in _look_alikes(one, refits[0])}
+    assert ruled_out == {"cubic:speed": True, "coulomb:speed": False}
+
+
+def test_a_model_far_from_the_data_has_no_named_cause():
+    """Its noise is held at a tenth of what is there."""
+    known = engine.get_model("local-level")
+    rng = np.random.default_rng(3)
+    series = engine.simulate(known, {"q": 1.0, "r": 1.0, "level": 0.0}, 150, rng).series
+    found = find_causes(
+        known, series, {"q": 0.01, "r": 0.01, "level": 0.0}, free=["level"], effects=["bias"]
+    )
+    assert found.verdict.value == "unknown"
+    fits = find_causes(
+        known, series, {"q": 1.0, "r": 1.0, "level": 0.0}, free=["level"], effects=["bias"]
+    )
+    assert fits.verdict.value == "nothing"

@@ -1,0 +1,109 @@
+"""Which name stands for refits that say the same, and what is never left half-way."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from engine.diagnose import likeness, refitting
+from engine.diagnose.catalogue import make_effect
+from engine.diagnose.likeness import TIE, distinct
+from engine.diagnose.setting import Setting
+from tests.engine.hidden_effects import DRIVE
+
+
+class Place(Setting):
+    """A setting in which the speed is known to be a rate, a position, or neither."""
+
+    sort = "rate"
+
+    def is_rate(self, state):
+        return self.sort == "rate"
+
+    def has_rate(self, state):
+        return self.sort == "position"
+
+
+def place(sort):
+    found = Place(DRIVE)
+    object.__setattr__(found, "sort", sort)
+    return found
+
+
+def refits(*named):
+    """name, score, what it predicts -> refits whose log-densities are that constant."""
+    return [
+        SimpleNamespace(effect=make_effect(name, Setting(DRIVE)), score=score, fit=what)
+        for name, score, what in named
+    ]
+
+
+@pytest.fixture(autouse=True)
+def _predictions(monkeypatch):
+    monkeypatch.setattr(likeness, "held_out_terms", lambda fit, series: np.full(4, float(fit)))
+
+
+def names(found):
+    return [r.effect.name for r in found]
+
+
+@pytest.mark.parametrize(
+    ("sort", "left"),
+    [
+        ("rate", ["drag:speed"]),
+        ("position", ["cubic:speed"]),
+        ("neither", ["drag:speed", "cubic:speed"]),  # the data cannot say: a set
+    ],
+)
+def test_of_the_same_in_other_words_the_natural_one_is_said(sort, left):
+    alike = refits(("drag:speed", 40.0, 1.0), ("cubic:speed", 40.0 - TIE / 2, 1.0))
+    assert names(distinct(alike, None, place(sort))) == left
+
+
+def test_what_fits_better_is_not_displaced_by_what_is_natural():
+    alike = refits(("cubic:speed", 40.0, 1.0), ("drag:speed", 40.0 - 2 * TIE, 1.0))
+    assert names(distinct(alike, None, place("rate"))) == ["cubic:speed", "drag:speed"]
+
+
+def test_what_predicts_otherwise_stays():
+    unlike = refits(("drag:speed", 40.0, 1.0), ("cubic:speed", 39.9, 2.0))
+    assert len(distinct(unlike, None, place("rate"))) == 2
+
+
+def test_the_plainer_name_stands_for_the_same_thing():
+    alike = refits(("pulse:speed", 40.0, 1.0), ("step:reading", 39.8, 1.0))
+    assert names(distinct(alike, None, place("neither"))) == ["step:reading"]
+
+
+def half_way(score, ends_at, name):
+    """A refit given up at a score, which would end at another."""
+    return SimpleNamespace(
+        effect=make_effect(name, Setting(DRIVE)),
+        score=score,
+        ends_at=ends_at,
+        fit=SimpleNamespace(given_up=True, model=DRIVE),
+    )
+
+
+def test_no_rival_within_reach_is_left_half_way(monkeypatch):
+    """An input offset stopped at 45.9, whose maximum is 69, where 56.3 was the best that had ended."""
+    taken = []
+
+    def taken_up(refit, series):
+        taken.append(refit.effect.name)
+        return SimpleNamespace(
+            effect=refit.effect, score=refit.ends_at, fit=SimpleNamespace(given_up=False)
+        )
+
+    monkeypatch.setattr(refitting, "taken_up", taken_up)
+    done = SimpleNamespace(
+        effect=make_effect("linear:speed", Setting(DRIVE)),
+        score=56.3,
+        fit=SimpleNamespace(given_up=False),
+    )
+    offset = half_way(45.9, 69.0, "input-offset:force")
+    far = half_way(10.0, 12.0, "bias:reading")
+    found = refitting.followed([done, offset, far], None, SimpleNamespace(model=DRIVE))
+    assert max(found, key=lambda r: r.score).effect.name == "input-offset:force"
+    assert taken == ["input-offset:force"]
+    assert [r.fit.given_up for r in found] == [False, False, True]
