@@ -147,9 +147,7 @@ def first_state(model: MixedModel, theta: Theta) -> tuple[Array, Array]:
     return np.concatenate((mean, z[0])), np.sqrt(np.concatenate((variance, variance_z)))
 
 
-def run_rows(
-    model: MixedModel, thetas: Array, series: Series, x1: Array
-) -> tuple[Array, Array]:
+def run_rows(model: MixedModel, thetas: Array, series: Series, x1: Array) -> tuple[Array, Array]:
     """Noise-free runs of K parameter vectors (K, n_theta) from K first states (K, nx).
 
     Returns y (T, K, ny) and x (T, K, nx). K runs cost about as much as one where the model's functions
@@ -229,9 +227,7 @@ def _bands(
         thetas += noise(np.asarray(bands.covariance, dtype=float), thetas.shape, rng)
         thetas = np.clip(thetas, model.lower, model.upper)
     noises = {"process": bands.process, "measurement": bands.measurement}
-    y, _, _ = propagate(
-        model, model.records(thetas), series, x[:, :na], x[:, na:], rng, **noises
-    )
+    y, _, _ = propagate(model, model.records(thetas), series, x[:, :na], x[:, na:], rng, **noises)
     y = np.sort(np.where(np.isnan(y), np.inf, y), axis=1)
     tail = 0.5 * (1.0 - bands.level)
     low, high = int(np.floor(tail * (K - 1))), int(np.ceil((1.0 - tail) * (K - 1)))

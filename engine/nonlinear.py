@@ -132,7 +132,11 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
     if series in model.checked:
         return
     record = model.record(theta)
-    for name, n in (("initial", model.nx), ("process_noise", model.nx), ("measurement_noise", model.ny)):
+    for name, n in (
+        ("initial", model.nx),
+        ("process_noise", model.nx),
+        ("measurement_noise", model.ny),
+    ):
         try:
             density = getattr(model, name)(record)
             values = np.asarray(density.sample(np.random.default_rng(0), DRAWS), dtype=float)
@@ -162,7 +166,10 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
         f, g = model.transition(x, u, t, float(series.steps[i]), record)
         h, s = model.output(x, u, t, record)
         for name, value in (("f", f), ("g", g), ("h", h), ("s", s)):
-            if value is not None and not np.isfinite(value).reshape(len(value), -1).any(axis=0).all():
+            if (
+                value is not None
+                and not np.isfinite(value).reshape(len(value), -1).any(axis=0).all()
+            ):
                 raise ModelError(
                     f"model '{model.name}': {name} is not finite at the start values, t = {t:g} s"
                 )

@@ -40,7 +40,9 @@ class WarmStart:
         try:
             return moment_maximum(self.model, self.listed, self.indices, theta)
         except (ModelError, np.linalg.LinAlgError) as error:
-            self.note = f"EM left from the start values; no better start could be looked for: {error}"
+            self.note = (
+                f"EM left from the start values; no better start could be looked for: {error}"
+            )
             return None
 
 

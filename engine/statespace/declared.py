@@ -19,9 +19,7 @@ def check_declared(
         raise ModelError("a model needs a name")
     for what, group in channels.items():
         if not hasattr(group, "items"):
-            raise ModelError(
-                f"model '{name}': {what} must map names to units, like {{'v': 'm/s'}}"
-            )
+            raise ModelError(f"model '{name}': {what} must map names to units, like {{'v': 'm/s'}}")
     if not channels["outputs"]:
         raise ModelError(f"model '{name}' has no outputs; name at least one")
     if not any(channels[what] for what in states):

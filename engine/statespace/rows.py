@@ -150,7 +150,9 @@ class Rows(NamedTuple):
         drawn = self.take(kind, rng.integers(0, len(self.a), n))
         with np.errstate(all="ignore"):
             width = np.maximum(np.nanstd(self.a, axis=0), share * np.abs(drawn.a))
-        a = drawn.a + np.where(np.isfinite(width), width, 0.0) * rng.uniform(-1.0, 1.0, drawn.a.shape)
+        a = drawn.a + np.where(np.isfinite(width), width, 0.0) * rng.uniform(
+            -1.0, 1.0, drawn.a.shape
+        )
         values = []
         for i in kind.fields if kind else ():
             value, low, high = drawn.theta[i], bounds[0][i], bounds[1][i]
