@@ -16,7 +16,7 @@ from engine.kernels.conditional import smooth_along
 from engine.model import Array
 from engine.points import Points
 from engine.rb_ffbsi import Smoothed
-from engine.statespace.evaluation import repeated_if_refuted
+from engine.statespace.refutation import repeated_if_refuted
 
 
 @repeated_if_refuted

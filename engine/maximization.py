@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from engine.base_model import Array, BaseModel
 from engine.errors import OptionError
 from engine.expectation import parameter_scale
-from engine.statespace.evaluation import repeated_if_refuted
+from engine.statespace.refutation import repeated_if_refuted
 
 STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
 GAIN = 1e-7  # an expected gain in Q (nats) below this is not worth a step

@@ -26,7 +26,7 @@ from engine.kernels.moments import (
 )
 from engine.model import Array, Gaussian, MixedModel, stacked
 from engine.series import Series
-from engine.statespace.evaluation import repeated_if_refuted
+from engine.statespace.refutation import repeated_if_refuted
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +101,9 @@ def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFil
         )
         if t < T - 1:
             predict(*run.transition(t, rows), a, z, V, offsets, m, P)
+    there = series.observed[:, None]
+    lost = ~(np.isfinite(innovations) | ~there).all(axis=2) | ~np.isfinite(S).all(axis=(2, 3))
+    terms[lost] = np.nan  # a filter without a prediction must not gain by it
     return MomentFiltered(innovations, S, terms)
 
 
@@ -157,6 +160,8 @@ class FilterSteps:
         series.check(model)
         self.model, self.thetas, self.series = model, thetas, series
         self.times, self.steps = series.t.tolist(), series.steps.tolist()
+        model.transitions.look_again()
+        model.observations.look_again()
 
     def start(self) -> tuple[Array, Array]:
         """Mean (K, nx) and covariance (K, nx, nx) of x_1 before any measurement."""

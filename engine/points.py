@@ -40,7 +40,9 @@ class Points:
         value, slope, cov = function(*self.arguments(rows, transition), record)
         return value.reshape(n, N, -1), _unstack(slope, n, N), _unstack(cov, n, N)
 
-    def arguments(self, rows: NDArray[np.intp], transition: bool) -> tuple[Any, ...]:
+    def arguments(
+        self, rows: NDArray[np.intp], transition: bool
+    ) -> tuple[Array, Array, Array, Any]:
         """a (n N, na), u, t, dt of all points at the given rows of the series."""
         N, series = self.N, self.series
         dt: Any = 0.0  # a measurement has none

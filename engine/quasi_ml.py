@@ -24,7 +24,7 @@ from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.model_check import check_start
 from engine.moment_filter import free_thetas, moment_filter
 from engine.series import Series, as_series_list
-from engine.statespace.evaluation import repeated_if_refuted
+from engine.statespace.refutation import repeated_if_refuted
 
 DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths tried at once

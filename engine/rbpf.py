@@ -17,7 +17,7 @@ from engine.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.model_check import check_start
 from engine.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.series import Series
-from engine.statespace.evaluation import repeated_if_refuted
+from engine.statespace.refutation import repeated_if_refuted
 
 RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
     "multinomial": schemes.multinomial,

@@ -14,7 +14,7 @@ from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.model import Array, MixedModel, ThetaLike
 from engine.model_check import check_start
 from engine.series import Series
-from engine.statespace.evaluation import repeated_if_refuted
+from engine.statespace.refutation import repeated_if_refuted
 
 
 @dataclass(frozen=True, eq=False)

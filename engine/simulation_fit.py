@@ -21,7 +21,7 @@ from engine.free_run import FreeRun, first_state, free_run, output_scale, run_ro
 from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.model_check import check_start
 from engine.series import Series, as_series_list
-from engine.statespace.evaluation import repeated_if_refuted
+from engine.statespace.refutation import repeated_if_refuted
 
 STEP = 1e-5  # finite-difference step as a share of a parameter's scale
 FLAT = 1e-4  # a direction this much weaker than the strongest is lost in the differences

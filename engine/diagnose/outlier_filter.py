@@ -14,7 +14,7 @@ from engine.kernels.moments import gaussian_update
 from engine.model import Array, MixedModel
 from engine.moment_filter import FilterSteps, Thetas
 from engine.series import Series
-from engine.statespace.evaluation import repeated_if_refuted
+from engine.statespace.refutation import repeated_if_refuted
 
 
 @repeated_if_refuted

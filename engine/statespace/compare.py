@@ -1,4 +1,4 @@
-"""Whether two results of a model's function differ by more than rounding."""
+"""Results of a model's function: whether two differ by more than rounding, and several as one."""
 
 from __future__ import annotations
 
@@ -71,3 +71,21 @@ def differ(
 def _close(x: Array, y: Array, allowed: Array) -> bool:
     near = np.abs(x - y) <= allowed
     return bool(np.all(near | (x == y) | (np.isnan(x) & np.isnan(y))))
+
+
+def joined(parts: list[tuple[Indices, Result]], M: int) -> Result:
+    """The results of groups of rows as one; NaN in rows of no group."""
+    whole = sum(len(at) for at, _ in parts) == M
+    out: list[Array | None] = []
+    for j, model in enumerate(parts[0][1]):
+        each = [result[j] for _, result in parts]
+        if model is None or (
+            whole and j and all(x.ndim == 2 and np.array_equal(x, model) for x in each)
+        ):
+            out.append(model)
+            continue
+        whole_array = np.full((M, *model.shape[-1 if j == 0 else -2 :]), np.nan)
+        for (at, _), x in zip(parts, each, strict=True):
+            whole_array[at] = x
+        out.append(whole_array)
+    return tuple(out)

@@ -8,10 +8,11 @@ else, it is decided which calls a function takes:
 
 - When rows first differ in times or parameters, the call is compared with calls of single rows, and
   with the same rows in another order; likewise a call of rows scattered at random, some of them seen
-  at other times, whose number fits no matrix by chance. The 2nd, 4th, 8th, ... call is looked at again.
+  at other times, whose number fits no matrix by chance. The 2nd, 4th, 8th, ... call is looked at
+  again, and briefly the first of every pass over a record.
 - A function that fails is called for each time and parameter vector by itself from then on, which is
   slower and always right. Where results were handed out before the failure was seen, what was made
-  of them is made again: see :func:`repeated_if_refuted`.
+  of them is made again: see :mod:`engine.statespace.refutation`.
 - Rows of one time and one theta are particles, which no loop can help: where they influence each
   other (``a[0]`` for ``a[:, 0]``, ``np.any(a > 1)``), ModelError is raised, with the remedy.
 
@@ -20,39 +21,34 @@ else, it is decided which calls a function takes:
 
 from __future__ import annotations
 
-import functools
-import threading
 from collections.abc import Callable
-from typing import Any, NoReturn, ParamSpec, TypeVar
+from typing import Any, NoReturn
 
 import numpy as np
 
 from engine.errors import EngineError, ModelError
-from engine.statespace.compare import Result, at_rows, copies, differ, identical, sizes_of
+from engine.statespace.compare import Result, at_rows, copies, differ, identical, joined, sizes_of
+from engine.statespace.refutation import count_refutation
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 
 # (a, u, t, dt, theta) -> values (M, n), then matrices (r, c) common to all rows, (M, r, c) or None
 Regular = Callable[[Array, Any, Any, Any, Any], Result]
 
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
-
-SINGLE_ROWS = 6  # that a call is compared with
+SINGLE_ROWS, BRIEFLY = 6, 2  # that a call is compared with
 SEEN = 60  # states of earlier looks that are mixed with those of a new one
 NUMBERS = (23, 29, 31, 37, 41, 43, 47, 53, 59, 61)  # of scattered rows: a size no matrix has
 SPREADS = (0.1, 0.01)  # tried one after the other where a model has no values farther out
 NUMERIC = (ArithmeticError, ValueError)  # what a calculation may meet at a trial of its parameters
 
-_refuted = threading.local()
-
 
 class _Verdict:
     """Whether calls of a kind are taken, how many there were, and the next one not to be trusted."""
 
-    __slots__ = ("calls", "next", "takes")
+    __slots__ = ("calls", "due", "next", "takes")
 
     def __init__(self) -> None:
-        self.takes, self.calls, self.next = True, 0, 1
+        self.takes, self.calls = True, 0
+        self.due = self.next = 1  # ``due`` is the next call to be looked at thoroughly
 
     def refuse(self) -> None:
         """No, for good."""
@@ -75,7 +71,9 @@ class ModelFunction:
         self._reuses = False  # whether it returns memory of its own, and writes there again
         self._seen = np.empty((0, 0))  # states of earlier looks
         # the last record, what differs in it, the number of its rows (0: any), the verdict on it
-        self._theta, self._kind, self._M = None, None, 0
+        self._theta: Any = None
+        self._kind: Kind | None = None
+        self._M = 0
         self._verdict = self._verdicts[None]
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
@@ -117,8 +115,11 @@ class ModelFunction:
             return self._apart(rows, kind)
         try:
             if verdict.calls >= verdict.next and len(rows.a) > 1:
-                first, verdict.next = verdict.next == 1, 2 * verdict.calls
-                together = self._agreeing(rows, kind, first)
+                thorough = verdict.calls >= verdict.due
+                if thorough:
+                    verdict.due = 2 * verdict.calls
+                verdict.next = verdict.due
+                together = self._agreeing(rows, kind, thorough)
             else:
                 together = self._regular(*rows.fresh())
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
@@ -135,7 +136,7 @@ class ModelFunction:
             out = self._apart(rows, kind)  # raises where the function fails by itself too
             verdict.refuse()
             if verdict.calls > 1:
-                _refuted.count = _refutations() + 1
+                count_refutation()
             return out
         if error is not None:
             self._fail(error, rows)
@@ -160,7 +161,7 @@ class ModelFunction:
         return verdict is None or verdict.takes
 
     def look_again(self) -> None:
-        """Look at the next call of each kind."""
+        """Look at the next call of each kind, briefly unless a thorough look is due."""
         for verdict in self._verdicts.values():
             if verdict.takes:
                 verdict.next = verdict.calls + 1
@@ -207,19 +208,22 @@ class ModelFunction:
                 lost = error
         if lost is not None and not parts:
             raise lost
-        return _joined(parts, len(rows.a))
+        return joined(parts, len(rows.a))
 
     # ---- the test ---------------------------------------------------------------------------
 
-    def _agreeing(self, rows: Rows, kind: Kind | None, first: bool) -> Result | None:
+    def _agreeing(self, rows: Rows, kind: Kind | None, thorough: bool) -> Result | None:
         """The results of one call, None where other calls of the same rows say otherwise."""
         rng = np.random.default_rng((self._verdicts[kind].calls, len(rows.a)))
         raw = self._regular(*rows.fresh())
         together = copies(raw)
         with np.errstate(all="ignore"):
             order = rng.permutation(len(rows.a))
-            company = order if first else order[: (len(order) + 1) // 2]
-            agrees = self._like(rows, kind, together, company, order[:SINGLE_ROWS])
+            if not thorough:
+                some = order[: (len(order) + 1) // 2]
+                agrees = self._like(rows, kind, together, some, order[:BRIEFLY])
+                return together if agrees else None
+            agrees = self._like(rows, kind, together, order, order[:SINGLE_ROWS])
             if not identical(raw, together):
                 self._reuses = True
             agrees = agrees and self._agrees_when_spread(rows, kind, together, rng)
@@ -267,7 +271,7 @@ class ModelFunction:
                 return False
         return True
 
-    def _alone(self, rows: Rows, kind: Kind | None, i: int) -> Result | None:
+    def _alone(self, rows: Rows, kind: Kind | None, i: np.intp) -> Result | None:
         """Row i by itself; None where it cannot be calculated."""
         try:
             return copies(self._regular(*rows.alone(kind, np.array([i])).fresh()))
@@ -289,53 +293,3 @@ class ModelFunction:
 def _is_numeric(error: Exception) -> bool:
     """Whether a calculation failed at these values, in contrast to a function that is wrong."""
     return error.numeric if isinstance(error, ModelError) else isinstance(error, NUMERIC)
-
-
-def _joined(parts: list[tuple[Indices, Result]], M: int) -> Result:
-    """The results of groups of rows as one; NaN in rows of no group."""
-    whole = sum(len(at) for at, _ in parts) == M
-    out: list[Array | None] = []
-    for j, model in enumerate(parts[0][1]):
-        each = [result[j] for _, result in parts]
-        if model is None or (
-            whole and j and all(x.ndim == 2 and np.array_equal(x, model) for x in each)
-        ):
-            out.append(model)
-            continue
-        joined = np.full((M, *model.shape[-1 if j == 0 else -2 :]), np.nan)
-        for (at, _), x in zip(parts, each, strict=True):
-            joined[at] = x
-        out.append(joined)
-    return tuple(out)
-
-
-def repeated_if_refuted(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """A function that is run again where meanwhile a model's function turned out not to take rows.
-
-    What it had been given before would be wrong. Generators among the arguments start again where
-    they were.
-    """
-
-    @functools.wraps(function)
-    def run(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        generators = [x for x in (*args, *kwargs.values()) if isinstance(x, np.random.Generator)]
-        states = [x.bit_generator.state for x in generators]
-        while True:
-            before = _refutations()
-            try:
-                out = function(*args, **kwargs)
-            except Exception:
-                if _refutations() == before:
-                    raise
-            else:
-                if _refutations() == before:
-                    return out
-            for generator, state in zip(generators, states, strict=True):
-                generator.bit_generator.state = state
-
-    return run
-
-
-def _refutations() -> int:
-    """How often, in this thread, a function was found not to take rows that it had been given."""
-    return int(getattr(_refuted, "count", 0))
