@@ -16,6 +16,7 @@ turn is then weighed again, each beside the others. Its verdict is
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from engine.diagnose.catalogue import (
     make_effect,
     register_effect,
 )
-from engine.diagnose.causes import Callback, Clock, find_causes
+from engine.diagnose.causes import Callback, Clock, find_causes, fit_base
 from engine.diagnose.decide import cause_of, detectable_of
 from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
 from engine.diagnose.effect import Effect
@@ -36,6 +37,7 @@ from engine.diagnose.kept import Parts, kept_of
 from engine.diagnose.runs import covariance_of
 from engine.diagnose.search import Search
 from engine.diagnose.spare_inputs import with_inputs
+from engine.diagnose.substeps import prepare
 from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.tails import KIND as TAILS
 from engine.errors import OptionError, SeriesError
@@ -118,7 +120,20 @@ def diagnose(
         },
         clock.spent,
     )
-    train, held_out = _split(series, test)
+    plain = _split(series, test)[0]
+    clock.start("fit")
+    fine = prepare(
+        model,
+        series,
+        lambda: np.asarray(
+            done.within("one step a sample")
+            .fit(model, partial(fit_base, model, plain, theta, free))
+            .theta
+        ),
+        test,
+    )
+    theta = theta if fine.theta is None else fine.theta
+    train, held_out = _split(fine.series, None if test is None else test.refined(fine.k))
 
     causes = find_causes(
         model,
@@ -132,7 +147,7 @@ def diagnose(
         clock=clock,
         kept=done,
     )
-    base, found, notes = causes.base, causes.search, [*notes, *causes.notes]
+    base, found, notes = causes.base, causes.search, [*notes, *fine.notes, *causes.notes]
 
     p_bootstrap = None
     if bootstrap:
@@ -151,7 +166,7 @@ def diagnose(
         )
 
     clock.start("symptoms")
-    symptoms = find_symptoms(model, base.theta, train, covariance_of(base), seed=seed)
+    symptoms = find_symptoms(model, base.theta, plain, covariance_of(base), seed=seed)
 
     clock.start("gain")
     gain = None
@@ -159,9 +174,10 @@ def diagnose(
     if named:
         history = None if test is not None else train
         if test is None and all(r.refits[0].effect.family == "time" for r in named):
-            gain = measure_gain_interleaved(base, found.final, series, seed=seed)
+            gain = measure_gain_interleaved(base, found.final, fine.series, seed=seed)
         else:
             gain = measure_gain(base, found.final, held_out, history, seed)
+        gain = gain.every(fine.k)
         notes.extend(_particle_check(base, found, train, seed))
     clock.stop()
     return Diagnosis(
@@ -186,7 +202,8 @@ def diagnose(
 def _split(series: Series, test: Series | None) -> tuple[Series, Series]:
     if test is not None:
         return series, test
-    cut = len(series) - max(int(HELD_OUT * len(series)), 2)
+    samples = len(series.samples)
+    cut = series.substeps * (samples - max(int(HELD_OUT * samples), 2))
     return series.part(0, cut), series.part(cut, len(series))
 
 

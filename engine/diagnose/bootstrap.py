@@ -107,13 +107,7 @@ def _one(
     rng = np.random.default_rng(seed)
     try:
         y = simulate(fit.model, fit.theta, len(series), rng, u=series.u, t=series.t).y
-        drawn = Series(
-            np.where(series.observed, y, np.nan),
-            series.u,
-            t=series.t,
-            y_names=series.y_names,
-            u_names=series.u_names,
-        )
+        drawn = series.replace(y=np.where(series.observed, y, np.nan))
         refitted = quasi_ml(fit.model, drawn, fit.theta, fit.free)
         seen = screen_effects(
             refitted, drawn, setting, kinds, 0.05, int(rng.integers(2**31)), _silent
