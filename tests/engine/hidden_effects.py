@@ -70,7 +70,7 @@ CASES = {
     "linear": ("load", {"linear_load": 0.9}),
     "coupling": ("speed->load", {"coupling_speed_load": -1.0}),
     "pole": ("speed", {"pole_speed": 4.0, "pole_speed_time": 0.5}),
-    "mode": ("speed", {"mode_speed": -0.8, "mode_speed_frequency": 0.4, "mode_speed_damping": 0.2}),
+    "mode": ("speed", {"mode_speed": 3.0, "mode_speed_frequency": 0.4, "mode_speed_damping": 0.2}),
     "hysteresis": ("speed", {"hysteresis_speed": -4.0, "hysteresis_speed_width": 0.2}),
     "bias": ("reading", {"bias_reading": 0.5}),
     "offset": ("reading", {"bias_reading": 0.5}),

@@ -125,7 +125,7 @@ class Units:
     def __init__(self, model, channels=None, time=(1.0, 0.0)):
         self.model, self.time = model, time
         names = {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}
-        self.channels = {name: (1.0, 0.0) for name in names} | dict(channels or {})
+        self.channels = dict.fromkeys(names, (1.0, 0.0)) | dict(channels or {})
 
     def of(self, names):
         pairs = np.array([self.channels[name] for name in names]).reshape(-1, 2)
@@ -181,4 +181,4 @@ class Units:
 def referred(model, values=None):
     """The model with the zero of every channel declared."""
     names = [*model.nonlinear, *model.linear, *model.inputs, *model.outputs]
-    return replace(model, reference={name: 0.0 for name in names} | dict(values or {}))
+    return replace(model, reference=dict.fromkeys(names, 0.0) | dict(values or {}))
