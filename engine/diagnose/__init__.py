@@ -17,6 +17,7 @@ turn is then weighed again, each beside the others. Its verdict is
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from engine.diagnose.catalogue import (
     make_effect,
     register_effect,
 )
-from engine.diagnose.causes import Callback, Clock, find_causes, has_tails
+from engine.diagnose.causes import Callback, Clock, find_causes, fit_base, has_tails
 from engine.diagnose.contradictions import particle_word
 from engine.diagnose.decide import cause_of, detectable_of
 from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
@@ -38,6 +39,7 @@ from engine.diagnose.kept import Parts, kept_of
 from engine.diagnose.runs import covariance_of
 from engine.diagnose.search import Search
 from engine.diagnose.spare_inputs import with_inputs
+from engine.diagnose.substeps import prepare
 from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
 from engine.errors import OptionError, SeriesError
 from engine.model import MixedModel, ThetaLike
@@ -116,7 +118,20 @@ def diagnose(
         },
         clock.spent,
     )
-    train, held_out = _split(series, test)
+    plain = _split(series, test)[0]
+    clock.start("fit")
+    fine = prepare(
+        model,
+        series,
+        lambda: np.asarray(
+            done.within("one step a sample")
+            .fit(model, partial(fit_base, model, plain, theta, free))
+            .theta
+        ),
+        test,
+    )
+    theta = theta if fine.theta is None else fine.theta
+    train, held_out = _split(fine.series, None if test is None else test.refined(fine.k))
 
     causes = find_causes(
         model,
@@ -131,7 +146,7 @@ def diagnose(
         kept=done,
     )
     base, found, verdict = causes.base, causes.search, causes.verdict
-    notes.extend(causes.notes)
+    notes.extend([*fine.notes, *causes.notes])
 
     p_bootstrap = None
     if bootstrap:
@@ -149,7 +164,7 @@ def diagnose(
         )
 
     clock.start("symptoms")
-    symptoms = find_symptoms(model, base.theta, train, covariance_of(base), seed=seed)
+    symptoms = find_symptoms(model, base.theta, plain, covariance_of(base), seed=seed)
 
     clock.start("gain")
     gain = None
@@ -158,9 +173,10 @@ def diagnose(
         history = None if test is not None else train
         later = test is not None and test.t[0] > series.t[-1]  # else the test's clock is its own
         if not later and all(r.refits[0].effect.family == "time" for r in named):
-            gain = measure_gain_interleaved(base, found.final, series, seed=seed)
+            gain = measure_gain_interleaved(base, found.final, fine.series, seed=seed)
         else:
             gain = measure_gain(base, found.final, held_out, history, seed)
+        gain = gain.every(fine.k)
         if model.na:
             text, contradicts = _particle_word(base, found, train, seed)
             notes.append(text)
@@ -188,7 +204,8 @@ def diagnose(
 def _split(series: Series, test: Series | None) -> tuple[Series, Series]:
     if test is not None:
         return series, test
-    cut = len(series) - max(int(HELD_OUT * len(series)), 2)
+    samples = len(series.samples)
+    cut = series.substeps * (samples - max(int(HELD_OUT * samples), 2))
     return series.part(0, cut), series.part(cut, len(series))
 
 

@@ -120,13 +120,7 @@ def simulated(question: Question, rng: np.random.Generator) -> tuple[QuasiFit, S
     """
     fit, series = question.fit, question.series
     y = simulate(fit.model, fit.theta, len(series), rng, u=series.u, t=series.t).y
-    drawn = Series(
-        np.where(series.observed, y, np.nan),
-        series.u,
-        t=series.t,
-        y_names=series.y_names,
-        u_names=series.u_names,
-    )
+    drawn = series.replace(y=np.where(series.observed, y, np.nan))
     return quasi_ml(fit.model, drawn, fit.theta, fit.free), drawn
 
 

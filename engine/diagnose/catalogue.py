@@ -19,6 +19,7 @@ from engine.diagnose.noise import KINDS as NOISE
 from engine.diagnose.setting import Channels, Kind, Maker, Setting
 from engine.diagnose.state import KINDS as STATE
 from engine.diagnose.tails import KINDS as TAILS
+from engine.diagnose.time_step import KINDS as TIME_STEP
 from engine.diagnose.timed import KINDS as TIME
 from engine.errors import OptionError
 from engine.model import MixedModel
@@ -32,6 +33,7 @@ SHIPPED: tuple[Kind, ...] = (
     *TAILS,
     *INPUT,
     *TIME,
+    *TIME_STEP,
 )
 
 _makers: dict[str, tuple[Maker, Channels]] = {kind: (make, where) for kind, make, where in SHIPPED}

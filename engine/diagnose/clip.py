@@ -40,6 +40,12 @@ class Clip:
         )
         self.held = (f"{name}_side", *origin.held)
         both = [(zero + setting.distance(channel, share), 0.0) for share in SHARES]
+        if (
+            not setting.quantile(channel, 1.0 - SHARES[-1])
+            < zero
+            < setting.quantile(channel, SHARES[-1])
+        ):
+            both = []  # it has no second side
         above = [(setting.quantile(channel, share), 1.0) for share in SHARES[1:]]
         below = [(setting.quantile(channel, 1.0 - share), -1.0) for share in SHARES[1:]]
         self.probes = tuple((*p, *origin.probe) for p in (*both, *above, *below))

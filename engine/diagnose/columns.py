@@ -17,7 +17,8 @@ from engine.points import Points
 from engine.quasi_ml import neighbours, whitening
 from engine.series import Series
 
-REACH = 0.05  # a probe's size in its own standard errors
+REACH = 0.005  # a probe's size in its own standard errors: a slope, also of what few data tell
+NEAR = 0.9  # share of it that is near enough
 
 
 # of its own scatter, by which a prediction moves where a slope is taken: aimed at, and accepted
@@ -262,10 +263,12 @@ def _steps(extended: MixedModel, at: Array, k: int, series: Series) -> Array:
                 steps[i] *= 1e-2
             elif reach == 0.0:
                 steps[i] *= 1e2
-            elif 0.3 * REACH <= reach <= 3.0 * REACH:
+            elif NEAR * REACH <= reach <= REACH / NEAR:
                 found[i], open_[i] = steps[i], False
             else:
-                steps[i] *= min(max(REACH / reach, 1e-4), 1e4)
+                factor = float(np.clip(REACH / reach, 1e-4, 1e4))
+                # damped, as a variance answers to a size squared
+                steps[i] *= factor**0.7 if 1e-2 < factor < 1e2 else factor
             if not 1e-250 < steps[i] < 1e250:
                 open_[i] = False
     return found

@@ -123,8 +123,12 @@ def add_to_state(
     target: str,
     term: Callable[[Values, Sequence[Any]], Any],
     needs: Sequence[str] = (),
+    midway: bool = True,
 ) -> MixedModel:
-    """``target``' = ... + dt * term(signals, own parameters); linear states in ``needs`` are promoted."""
+    """``target``' = ... + dt * term(signals, own parameters); linear states in ``needs`` are promoted.
+
+    Of a continuous model the term is that midway of its own push, unless it knows where it ends itself.
+    """
     base = promote(model, needs)
     split = Split(model)
     row = [*base.nonlinear, *base.linear].index(target)
@@ -132,6 +136,10 @@ def add_to_state(
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
         push = dt * term(Values(signals(base, a, u), t, dt), own)
+        if base.continuous and midway and row < base.na:
+            half = a.copy()
+            half[:, row] += 0.5 * push
+            push = dt * term(Values(signals(base, half, u), t, dt), own)
         return pushed(base, row, push, a, u, t, dt, own_base)
 
     return on_base(base, split, dynamics=dynamics)
@@ -142,18 +150,20 @@ def pushed(
 ) -> tuple[Array, Array, Array]:
     """One step of ``model`` with ``push`` (a number or (M,)) added to state ``row``.
 
-    After the step; of a continuous model half before and half after it, so that what it does to the other
-    states within the step is right to second order (Strang 1968).
+    After the step; of a continuous model before it, so that it moves the other states within the step. A
+    chain of such steps is Strang's splitting, of second order, seen half a push early (Strang 1968).
     """
-    before = 0.5 * push if model.continuous else 0.0 * push
     if model.continuous and row < model.na:
         a = a.copy()
-        a[:, row] += before
+        a[:, row] += push
     f, A, Q = model.transition(a, u, t, dt, record)
+    if model.continuous and row < model.na:
+        return f, A, Q
     f = f.copy()
-    if model.continuous and row >= model.na:
-        f += A[..., row - model.na] * np.reshape(before, (-1, 1))
-    f[:, row] += push - before
+    if model.continuous:
+        f += A[..., row - model.na] * np.reshape(push, (-1, 1))
+    else:
+        f[:, row] += push
     return f, A, Q
 
 
@@ -163,7 +173,10 @@ def add_linear_coupling(
     source: str,
     zero: Callable[[Sequence[Any]], Any] = lambda own: 0.0,
 ) -> MixedModel:
-    """``target``' = ... + dt * size * (source - zero), for a linear state ``source``."""
+    """``target``' = ... + dt * size * (source - zero), for a linear state ``source``.
+
+    The source at the step's start; of a continuous model at its end, which is Strang's splitting as well.
+    """
     split = Split(model)
     row = [*model.nonlinear, *model.linear].index(target)
     column = list(model.linear).index(source)
@@ -171,10 +184,17 @@ def add_linear_coupling(
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
         f, A, Q = model.transition(a, u, t, dt, own_base)
-        A = per_point(A, len(a), dt, own[0])
-        A[..., row, column] += dt * own[0]
-        f = f.copy()
-        f[:, row] -= dt * own[0] * zero(own)
+        A, f, size = per_point(A, len(a), dt, own[0]), f.copy(), dt * own[0]
+        if model.continuous and target == source:
+            size = np.expm1(size)
+        f[:, row] -= size * zero(own)
+        if model.continuous:
+            f[:, row] += size * f[:, model.na + column]
+            A[..., row, :] += (
+                np.reshape(size, (-1, 1) if np.ndim(size) else ()) * A[..., model.na + column, :]
+            )
+        else:
+            A[..., row, column] += size
         return f, A, Q
 
     return on_base(model, split, dynamics=dynamics)

@@ -58,9 +58,10 @@ def family_test(
 
 def grid(effect: Effect, series: Series) -> Array:
     """The times in seconds, or frequencies in hertz, at which a timed effect is tried."""
-    T, t = len(series), series.t
+    t = series.t[series.samples]
+    T = len(t)
     if effect.kind == "harmonic":
-        length, step = float(t[-1] - t[0]), float(np.median(series.steps))
+        length, step = float(t[-1] - t[0]), float(np.median(np.diff(t)))
         first, last = 1.5 / length, 0.48 / step
         wanted = (last - first) * length * FINER
         if series.dt is None:  # where long gaps make the record long, not fine
@@ -82,13 +83,15 @@ def _gates(
         middle, per = effect.probes[0]
         return [(middle, per)], (t - middle) / per, 1
     if effect.kind == "pulse":
-        scores, information = pulse_scores(path, series, b, e)
+        scores, information = (
+            np.add.reduceat(x, series.samples)  # a pulse lasts a sample
+            for x in pulse_scores(path, series, b, e)
+        )
         explained = np.divide(scores**2, information, where=information > 0.0, out=0.0 * scores)
-        row = 1 + int(np.argmax(explained[1:-1]))
+        row = int(series.samples[1 + int(np.argmax(explained[1:-1]))])
         gate = np.zeros((len(series), 1))
-        gate[row] = 1.0
-        tries = int(series.observed.any(axis=1).sum())
-        return [(float(series.t[row]), *effect.probes[0][1:])], gate, tries
+        gate[row : row + series.substeps] = 1.0
+        return [(float(series.t[row]), *effect.probes[0][1:])], gate, series.n_measured
     points = grid(effect, series)
     if effect.kind == "harmonic":
         tries = len(points)

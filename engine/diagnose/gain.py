@@ -9,7 +9,7 @@ started at the state that each of them estimates from the same first rows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,13 @@ class Gain:
     def adopt(self) -> bool:
         """Whether the extension is adopted."""
         return self.decision is Decision.ADOPTED
+
+    def every(self, k: int) -> Gain:
+        """The same with its arrays at every k-th row: at the samples of a refined series."""
+        curves = [None if x is None else x[::k] for x in (self.before, self.after)]
+        return replace(
+            self, t=self.t[::k], y=self.y[::k], d=self.d[::k], before=curves[0], after=curves[1]
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers and notes, without the arrays over time."""
@@ -134,12 +141,11 @@ def joined(one: Series, other: Series) -> Series:
     t = np.asarray(other.t)
     if t[0] <= one.t[-1]:
         t = t - t[0] + one.t[-1] + float(np.median(one.steps))
-    return Series(
-        np.concatenate([one.y, other.y]),
-        np.concatenate([one.u, other.u]),
+    return one.replace(
+        y=np.concatenate([one.y, other.y]),
+        u=np.concatenate([one.u, other.u]),
         t=np.concatenate([one.t, t]),
-        y_names=one.y_names,
-        u_names=one.u_names,
+        extra=np.concatenate([one.extra, other.extra]),
     )
 
 

@@ -16,6 +16,8 @@ from engine.model import MixedModel, ThetaLike
 from engine.series import Series
 from engine.simulate import Simulation, simulate
 
+FINE = 16  # steps a sample of a continuous model
+
 
 def hide(
     model: MixedModel,
@@ -31,11 +33,13 @@ def hide(
     """A simulation of ``model`` at ``theta`` with effects such as ``"coulomb:velocity"`` in it.
 
     ``values`` gives the effects' own parameters by name, sizes among them; what is left out keeps its
-    default. Effects that change readings once they are taken (rounding) do just that, instead of
+    default. A continuous model makes FINE steps a sample, so that effects act within
+    it. Effects that change readings once they are taken (rounding) do just that, instead of
     adding the noise that stands for it in the extended model. Raises OptionError for an unknown
     name, ModelError where the simulation runs away.
     """
-    setting = Setting(model, span=(0.0, dt * (n_samples - 1)), dt=dt)
+    fine = FINE if model.continuous else 1
+    setting = Setting(model, span=(0.0, dt * (n_samples - 1)), dt=dt, substeps=fine)
     setting = replace(setting, zeros=setting.known_zeros)
     extended, changes = model, []
     own = dict(values)
@@ -49,12 +53,35 @@ def hide(
     if unknown:
         raise OptionError(f"'{unknown.pop()}' is no parameter of {', '.join(effects)}", "values")
     start: dict[str, Any] = {**model.theta(theta).asdict(), **own}
-    run = simulate(extended, start, n_samples, rng, u=u, dt=dt)
+    run = _sampled(extended, start, n_samples, rng, u, dt, fine)
     if not changes:
         return run
     y = run.y.copy()
     for column, change, size in changes:
         y[:, column] = change(y[:, column], size)
-    frame = run.series
-    series = Series(y, frame.u, t=frame.t, y_names=frame.y_names, u_names=frame.u_names)
-    return replace(run, y=y, series=series)
+    return replace(run, y=y, series=run.series.replace(y=y))
+
+
+def _sampled(
+    model: MixedModel,
+    theta: ThetaLike,
+    n_samples: int,
+    rng: np.random.Generator,
+    u: ArrayLike | None,
+    dt: float,
+    k: int,
+) -> Simulation:
+    """A simulation of k steps a sample, seen at the samples."""
+    if k == 1:
+        return simulate(model, theta, n_samples, rng, u=u, dt=dt)
+    frame = Series(np.zeros((n_samples, model.ny)), u, dt=dt).check(model).refined(k)
+    run = simulate(model, theta, len(frame), rng, u=frame.u, t=frame.t)
+    rows = frame.samples
+    series = Series(
+        run.y[rows],
+        frame.u[rows],
+        dt=dt,
+        y_names=tuple(model.outputs),
+        u_names=tuple(model.inputs),
+    )
+    return Simulation(run.y[rows], run.a[rows], run.z[rows], series, model)

@@ -22,7 +22,7 @@ def _observers(setting: Setting, model: MixedModel, output: str) -> list[str]:
     points, theta = setting.points(model)
     for x, u, t in zip(points.x, points.u, points.t, strict=True):
         _, C, _ = model.observation(x[None, : model.na], u, float(t), model.record(theta))
-        seen |= C.reshape(-1, *C.shape[-2:])[0, row] != 0.0
+        seen |= (C if C.ndim == 2 else C[0])[row] != 0.0
     return [name for name, there in zip(model.linear, seen, strict=True) if there]
 
 

@@ -134,19 +134,14 @@ class Setting:
     # ---- time ---------------------------------------------------------------------------------
 
     def at_sample(self, t: Any) -> Any:
-        """Whether a step that begins at time t (a number or (M,)) begins at a sample: True or (M,)."""
+        """Whether a time t (a number or (M,)) is that of a sample: True, or (M,) where times are refined.
+
+        Only series of regular samples are refined, so the phase tells.
+        """
         if self.substeps == 1:
             return True
-        times = np.asarray(t, dtype=float)
-        if self.record is not None and np.ptp(self.record.dt) > ON_TIME * self.dt:
-            own = self.record.t
-            place = np.clip(np.searchsorted(own, times), 1, len(own) - 1)
-            off = np.minimum(np.abs(times - own[place - 1]), np.abs(times - own[place]))
-            beyond = (times < own[0]) | (times > own[-1] + ON_TIME * self.dt)
-            near: NDArray[np.bool_] = (off < ON_TIME * self.dt) & ~beyond
-        else:
-            phase = (times - self.span[0]) / self.dt
-            near = np.abs(phase - np.round(phase)) < ON_TIME + 1e-9 * np.abs(phase)
+        phase = (np.asarray(t, dtype=float) - self.span[0]) / self.dt
+        near = np.abs(phase - np.round(phase)) < ON_TIME + 1e-9 * np.abs(phase)
         return near if near.ndim else bool(near)
 
     # ---- channels -----------------------------------------------------------------------------

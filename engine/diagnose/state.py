@@ -103,7 +103,8 @@ def _coulomb(setting: Setting, channel: str) -> Effect | None:
         return -np.sign(own[0]) * np.clip(speed, -most, most) / v.dt
 
     def extend(model: MixedModel) -> MixedModel:
-        return add_to_state(model, target, term, needs=(source,) if source in model.linear else ())
+        needs = (source,) if source in model.linear else ()
+        return add_to_state(model, target, term, needs, midway=False)
 
     return Effect(
         "coulomb",

@@ -114,6 +114,7 @@ def _harmonic(setting: Setting, channel: str) -> Effect | None:
             frequency[1],
         ),
         extend,
+        probes=((0.0, frequency[1].default),),
         look_alikes={"pole": "a lightly damped missing mode rings, a harmonic does not decay"},
     )
 

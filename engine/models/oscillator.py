@@ -70,6 +70,7 @@ MODEL = MixedModel(
         Parameter("sigma_v", 0.1, "1/s^1.5", (1e-6, 1e5), "random acceleration, intensity"),
         Parameter("sigma_y", 0.01, "1", (2e-4, 10.0), "standard deviation of the measurement"),
     ],
+    continuous=True,
     dynamics=dynamics,
     measurement=measurement,
     initial=initial,

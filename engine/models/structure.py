@@ -78,6 +78,7 @@ MODEL = MixedModel(
         Parameter("sigma_v", 0.2, "m/s^1.5", (1e-6, 1e4), "random acceleration, intensity"),
         Parameter("sigma_y", 0.01, "m", (1e-5, 1.0), "standard deviation of the measurements"),
     ],
+    continuous=True,
     dynamics=dynamics,
     measurement=measurement,
     initial=initial,

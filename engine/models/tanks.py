@@ -78,6 +78,7 @@ MODEL = MixedModel(
         Parameter("sigma_inflow", 1e-4, "V/s^1.5", (0.0, 2e-4), "drift of the inflow, intensity"),
         Parameter("sigma_y", 0.02, "V", (5e-3, 5.0), "standard deviation of the measurement"),
     ],
+    continuous=True,
     dynamics=dynamics,
     measurement=measurement,
     initial=initial,

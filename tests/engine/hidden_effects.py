@@ -70,7 +70,7 @@ CASES = {
     "linear": ("load", {"linear_load": 0.9}),
     "coupling": ("speed->load", {"coupling_speed_load": -1.0}),
     "pole": ("speed", {"pole_speed": 4.0, "pole_speed_time": 0.5}),
-    "mode": ("speed", {"mode_speed": -0.8, "mode_speed_frequency": 0.4, "mode_speed_damping": 0.2}),
+    "mode": ("speed", {"mode_speed": 3.0, "mode_speed_frequency": 0.4, "mode_speed_damping": 0.2}),
     "hysteresis": ("speed", {"hysteresis_speed": -4.0, "hysteresis_speed_width": 0.2}),
     "bias": ("reading", {"bias_reading": 0.5}),
     "offset": ("reading", {"bias_reading": 0.5}),
@@ -122,7 +122,30 @@ CASES = {
         {"parameter_step_damping": 1.0, "parameter_step_damping_time": 16.0},
     ),
     "parameter-drift": ("damping", {"parameter_drift_damping": 1.2}),
+    "time-step": ("dt", {"time_step_dt": 1.7}),
 }
+
+
+def swinging(a, u, t, dt, theta):
+    """A pendulum by Euler's method; the drive's own dt is none: its load decays by the step."""
+    f = [
+        a[:, 0] + dt * (-theta.damping * a[:, 0] - 4.0 * np.sin(a[:, 1]) + u[0]),
+        a[:, 1] + dt * a[:, 0],
+    ]
+    return f, np.zeros((2, 0)), dt * np.diag([1e-3, 1e-5])
+
+
+SWING = engine.MixedModel(
+    name="swing",
+    dynamics=swinging,
+    measurement=lambda a, u, t, theta: ([a[:, 1]], np.zeros((1, 0)), [[1e-4]]),
+    initial=lambda theta: (engine.Gaussian([0.0, 0.0], 0.01 * np.eye(2)), [], np.zeros((0, 0))),
+    nonlinear={"speed": "rad/s", "angle": "rad"},
+    kinematic=("angle",),
+    inputs={"force": "1/s^2"},
+    outputs={"reading": "rad"},
+    parameters=[engine.Parameter("damping", 0.8, "1/s", (0.0, 10.0))],
+)
 
 
 LONGER = {"correlation": 1200}  # samples, where an effect shows little in each
@@ -132,6 +155,9 @@ def case(kind, seed):
     """(model, series, name) of a kind's case; extra channels are inputs of the model already."""
     channel, values = CASES[kind]
     name = f"{kind}:{channel}"
+    if kind == "time-step":
+        rng = np.random.default_rng(seed)
+        return SWING, hide(SWING, [name], values, T, rng, u=levels(rng), dt=DT).series, name
     if kind != "extra-input":
         force = smooth if kind == "hold" else levels
         return DRIVE, hidden([name], values, seed, LONGER.get(kind, T), force), name

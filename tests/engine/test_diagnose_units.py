@@ -1,0 +1,246 @@
+"""The catalogue on other people's models: the same answers in all units, and from every zero."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import engine
+from engine.densities import GaussianMixture
+from engine.diagnose.catalogue import all_effects, make_effect
+from engine.diagnose.columns import Projection, effect_columns
+from engine.diagnose.families import family_test, is_timed
+from engine.diagnose.hide import hide
+from engine.diagnose.screen import make_test
+from engine.diagnose.setting import Setting, setting_for
+from engine.moment_filter import moment_filter, moment_path
+from engine.quasi_ml import quasi_ml
+from tests.engine.plain_models import Units, pendulum, record, referred, room, tank
+
+ROWS = 60
+MODELS = {"room": room, "pendulum": pendulum, "tank": tank}
+
+
+def some(setting):
+    """The first and the last place of each kind; outliers are the particle filter's."""
+    by_kind = {}
+    for effect in all_effects(setting):
+        if effect.kind != "heavy-tails":
+            by_kind.setdefault(effect.kind, []).append(effect)
+    return [one for same in by_kind.values() for one in (same[:1] + same[1:][-1:])]
+
+
+def seen(model, series):
+    """{effect: its standardised scores, one per probe}, and the effects."""
+    theta = np.asarray(model.theta())
+    setting = setting_for(model, series, theta)
+    path = moment_path(model, theta, series)
+    out, effects = {}, {}
+    for effect in some(setting):
+        effects[effect.name] = effect
+        if is_timed(effect):
+            test = family_test(effect, model, theta, series, path, Projection([]))
+            out[effect.name] = [] if test is None else test.statistics(test.s.sum(axis=1))
+            continue
+        columns = effect_columns(effect, model, theta, series, path)
+        out[effect.name] = [c.s.sum() / max(np.linalg.norm(c.v), 1e-300) for _, c in columns]
+    return out, effects
+
+
+@cache
+def plainly_seen(name, declared):
+    """The scores of one of the models in the units it was written in."""
+    model = MODELS[name]()
+    return seen(referred(model) if declared else model, record(model, ROWS))
+
+
+def compare(one, other, names):
+    for name in names:
+        np.testing.assert_allclose(
+            np.asarray(other[name], dtype=float), one[name], rtol=2e-3, atol=2e-3, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_at_size_zero_every_effect_leaves_the_model_as_it_is(name):
+    model = MODELS[name]()
+    series = record(model, ROWS)
+    theta = np.asarray(model.theta())
+    base = moment_filter(model, theta[None], series).log_likelihood[0]
+    setting = setting_for(model, series, theta)
+    for effect in all_effects(setting):
+        if effect.kind == "heavy-tails":
+            continue
+        extended = effect.apply(model)
+        assert len(effect.probes[0]) == len(effect.parameters) - 1, effect.name
+        at = np.array([[*theta, 0.0, *probe] for probe in effect.probes])
+        values = moment_filter(extended, at, series).log_likelihood
+        np.testing.assert_allclose(values, base, rtol=0.0, atol=1e-6, err_msg=effect.name)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e4])
+@pytest.mark.parametrize("name", MODELS)
+def test_scores_are_the_same_in_other_units(name, factor):
+    model = MODELS[name]()
+    series = record(model, ROWS)
+    channels = [*model.nonlinear, *model.linear, *model.inputs, *model.outputs]
+    factors = factor ** np.linspace(0.5, 1.0, len(channels))
+    units = Units(
+        model, {n: (f, 0.0) for n, f in zip(channels, factors, strict=True)}, (1.0 / factor, 0.0)
+    )
+    one, _ = plainly_seen(name, False)
+    other, _ = seen(units.converted(), units.series(series))
+    assert set(one) == set(other)
+    compare(one, other, one)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_scores_are_the_same_from_another_zero(name):
+    model = MODELS[name]()
+    series = record(model, ROWS)
+    channels = [*model.nonlinear, *model.linear, *model.inputs, *model.outputs]
+    shifts = {n: (1.0, 40.0 + 7.0 * i) for i, n in enumerate(channels)}
+    for base, declared in ((model, False), (referred(model), True)):
+        units = Units(base, shifts, (1.0, 300.0))
+        one, effects = plainly_seen(name, declared)
+        other, _ = seen(units.converted(), units.series(series))
+        free = [n for n, effect in effects.items() if effect.zero is None]
+        assert not declared or len(free) == len(effects)
+        assert len(free) > 10
+        compare(one, other, free)
+
+
+def likelihoods(model, series, name, starts):
+    """Twice the log-likelihood that an effect gains, the best of a few starts, with what it is there."""
+    base = quasi_ml(model, series)
+    setting = setting_for(model, series, np.asarray(base.theta))
+    effect = make_effect(name, setting)
+    extended = effect.apply(model)
+    free = [*base.free, *(p.name for p in effect.parameters if p.name not in effect.held)]
+    fits = []
+    for own in starts:
+        start = extended.theta().asdict() | base.theta.asdict() | own
+        fits.append(quasi_ml(extended, series, start, free))
+    best = max(fits, key=lambda fit: fit.log_likelihood)
+    return 2.0 * (best.log_likelihood - base.log_likelihood), best
+
+
+def test_a_lagging_sensor_is_seen_from_any_zero_of_the_temperature():
+    """Memories that started at zero once hid it in degC, and showed it in degrees above 20."""
+    rng = np.random.default_rng(3)
+    outside = 5.0 + np.cumsum(0.2 * rng.standard_normal(200))
+    u = np.column_stack([np.repeat(rng.uniform(0.0, 8.0, 20), 10), outside])
+    model = room()
+    series = hide(model, ["lag:y"], {"lag_y": 0.7}, 200, rng, u=u, dt=0.5).series
+    gains = []
+    for shift in (0.0, -20.0):
+        degrees = dict.fromkeys(("air", "masonry", "outside", "y"), (1.0, shift))
+        units = Units(model, degrees)
+        one, other = units.converted(), units.series(series)
+        gains.append(
+            [
+                likelihoods(one, other, name, [{f"{name.replace(':', '_')}": 0.4}])[0]
+                for name in ("lag:y", "delay:heater", "pole:air")
+            ]
+        )
+    assert gains[0][0] > 50.0
+    np.testing.assert_allclose(gains[0], gains[1], atol=0.2)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_sensor_that_clips_at_one_end_is_screened_and_fitted(side):
+    rng = np.random.default_rng(3)
+    model, u = tank(), np.repeat(rng.uniform(1.0, 3.5, 20), 10)
+    clean = engine.simulate(model, None, 200, rng, u=u, dt=0.5).series
+    limit = np.quantile(clean.y, 0.5 + 0.35 * side)
+    y = np.minimum(clean.y, limit) if side > 0.0 else np.maximum(clean.y, limit)
+    series = engine.Series(y + 0.02 * rng.standard_normal(y.shape), u, dt=0.5)
+    theta = np.asarray(quasi_ml(model, series).theta)
+    setting = setting_for(model, series, theta)
+    effect = make_effect("saturation-sensor:y", setting)
+    path = moment_path(model, theta, series)
+    columns = effect_columns(effect, model, theta, series, path)
+    test = make_test(effect, [columns], Projection([]))
+    best = test.at[int(np.argmax(test.statistics(test.s.sum(axis=1))))]
+    assert test.statistics(test.s.sum(axis=1)).max() > 20.0
+    assert best[1] == side
+    own = dict(zip([p.name for p in effect.parameters], (0.5, *best), strict=True))
+    gain, fit = likelihoods(model, series, effect.name, [own])
+    assert gain > 200.0
+    assert fit.theta["saturation_sensor_y"] == pytest.approx(1.0, abs=0.1)
+    assert fit.theta["saturation_sensor_y_limit"] == pytest.approx(limit, abs=0.1)
+
+
+def test_zeros_are_declared_told_or_parameters():
+    model, series = pendulum(), record(pendulum(), ROWS)
+    theta = np.asarray(model.theta())
+    setting = setting_for(model, series, theta)
+    assert setting.is_rate("rate")
+    assert not setting.is_rate("angle")
+    assert make_effect("drag:rate", setting).zero is None  # the angle stands still there
+    cubic = make_effect("cubic:angle->rate", setting)
+    assert cubic.zero == "cubic_angle__rate_zero"
+    assert cubic.zero in cubic.held
+    shifted = Units(model, {"rate": (1.0, 30.0)}).converted()
+    assert Setting(shifted).zero("rate") == pytest.approx(30.0)
+    declared = replace(model, reference={"angle": 0.3})
+    assert make_effect("cubic:angle->rate", Setting(declared)).zero is None
+    assert Setting(declared).zero("angle") == 0.3
+    with pytest.raises(
+        engine.ModelError, match="reference of 'speed', which is none of its channels"
+    ):
+        replace(model, reference={"speed": 0.0})
+    with pytest.raises(engine.ModelError, match="reference of 'angle' is nan"):
+        replace(model, reference={"angle": np.nan})
+
+
+def test_a_zero_that_depends_on_a_parameter_is_not_told():
+    """A gyroscope with a bias: the angle stands still at the bias, which is to be estimated."""
+
+    def dynamics(a, u, t, dt, th):
+        rate = a[:, 1]
+        return [a[:, 0] + dt * (rate - th.bias), 0.9 * rate], np.zeros((2, 0)), 0.01 * np.eye(2)
+
+    model = engine.MixedModel(
+        name="gyro",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[0.01]]),
+        initial=lambda th: (engine.Gaussian([0.0, 0.0], np.eye(2)), [], np.zeros((0, 0))),
+        nonlinear={"angle": "rad", "rate": "rad/s"},
+        outputs={"y": "rad"},
+        parameters=[engine.Parameter("bias", 0.2, "rad/s")],
+    )
+    setting = Setting(model)
+    assert setting.is_rate("rate")
+    assert "rate" not in setting.known_zeros
+
+
+def test_a_density_of_any_kind_takes_a_memory_and_a_promoted_state():
+    shares = GaussianMixture([0.5, 0.5], [19.0, 21.0], [0.3, 0.3])
+    plain = room()
+
+    def initial(th):
+        return shares, lambda a: 0.5 * a + 9.0, [[0.5]]
+
+    model = replace(plain, initial=initial)
+    series = record(plain, ROWS)
+    theta = np.asarray(model.theta())
+    setting = setting_for(model, series, theta)
+    for name in ("hysteresis:air", "cubic:masonry->air"):
+        extended = make_effect(name, setting).apply(model)
+        start = extended.start(extended.record(extended.theta()))
+        x = start.density.sample(np.random.default_rng(0), 4000)
+        assert x.shape == (4000, 2)
+        base = shares.log_density(x[:, :1])
+        if name.startswith("cubic"):  # the wall, given the air
+            wall = x[:, 1] - (0.5 * x[:, 0] + 9.0)
+            assert wall.std() == pytest.approx(np.sqrt(0.5), rel=0.05)
+            expected = norm.logpdf(wall, 0.0, np.sqrt(0.5))
+        else:
+            width = extended.theta()["hysteresis_air_width"]
+            expected = norm.logpdf(x[:, 1], 0.0, width / np.sqrt(3.0))
+        np.testing.assert_allclose(start.density.log_density(x), base + expected, atol=1e-9)
+        filtered = moment_filter(extended, np.asarray(extended.theta())[None], series)
+        assert np.isfinite(filtered.log_likelihood[0])

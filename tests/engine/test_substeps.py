@@ -1,0 +1,218 @@
+"""Several steps of the model from sample to sample: physics within the step, memories by the sample."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose.catalogue import all_effects, make_effect
+from engine.diagnose.families import grid
+from engine.diagnose.setting import setting_for
+from engine.diagnose.structure import guessed_points
+from engine.diagnose.substeps import is_consistent, prepare
+from engine.moment_filter import moment_filter
+from engine.quasi_ml import quasi_ml
+from tests.engine.plain_models import pendulum
+
+
+def swings(n=120, dt=0.08, seed=3):
+    """A series of the shipped oscillator, which is discretised exactly."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1.0, 1.0, -(-n // 10)), 10)[:n]
+    return engine.simulate(engine.get_model("oscillator"), None, n, rng, u=u, dt=dt).series
+
+
+def by_runge_kutta(n, dt, drag=0.0, seed=1):
+    """The pendulum's equation in steps of dt / 20, as another program would integrate it."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1.5, 1.5, n // 10), 10)
+    x, y, h = np.array([0.2, 0.0]), [], dt / 20.0
+
+    def rate(x, u):
+        force = -9.0 * np.sin(x[0]) - 0.3 * x[1] - drag * x[1] * abs(x[1]) + 4.0 * u
+        return np.array([x[1], force])
+
+    for one in u:
+        y.append(x[0] + 0.005 * rng.standard_normal())
+        for _ in range(20):
+            k1 = rate(x, one)
+            k2 = rate(x + 0.5 * h * k1, one)
+            k3 = rate(x + 0.5 * h * k2, one)
+            k4 = rate(x + h * k3, one)
+            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            x[1] += np.sqrt(h) * 0.05 * rng.standard_normal()
+    return engine.Series(np.array(y), u, dt=dt)
+
+
+def with_noise(model, euler=False):
+    """The pendulum with its noise to be estimated, by Euler's method where asked for."""
+
+    def dynamics(a, u, t, dt, th):
+        q, v = a.T
+        if euler:
+            force = -th.stiffness * np.sin(q) - th.damping * v + th.torque * u[0]
+            f = np.stack([q + dt * v, v + dt * force], axis=1)
+        else:
+            f = model.dynamics(a, u, t, dt, th)[0]
+        return f, np.zeros((2, 0)), [[dt * th.sq**2, 0.0], [0.0, dt * th.sv**2]]
+
+    noises = [
+        engine.Parameter(name, value, "1", (1e-6, 10.0))
+        for name, value in (("sq", 1e-2), ("sv", 0.1), ("sy", 0.02))
+    ]
+    return replace(
+        model,
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[th.sy**2]]),
+        parameters=[*model.parameters, *noises],
+    )
+
+
+def gained(fit, series, name, starts, setting=None):
+    """Log-likelihood that an effect gains over a fit, and the extended model's fit."""
+    model = fit.model
+    theta = np.asarray(fit.theta)
+    effect = make_effect(name, setting or setting_for(model, series, theta))
+    extended = effect.apply(model)
+    free = [*fit.free, *(p.name for p in effect.parameters if p.name not in effect.held)]
+    fits = []
+    for own in starts:
+        start = np.clip(extended.theta(), extended.lower, extended.upper)
+        start[: len(theta)] = theta
+        for key, value in own.items():
+            start[extended.index(key)] = value
+        fits.append(quasi_ml(extended, series, start, free))
+    best = max(fits, key=lambda one: one.log_likelihood)
+    return best.log_likelihood - fit.log_likelihood, best
+
+
+def test_a_refined_series_is_the_same_experiment():
+    t = np.array([0.0, 1.0, 1.5, 3.5])
+    y = np.array([[1.0], [np.nan], [3.0], [4.0]])
+    series = engine.Series(y, [1.0, 2.0, 3.0, 4.0], t=t, extra=t, extra_names=["t"])
+    fine = series.refined(3)
+    assert (len(fine), fine.substeps, fine.n_measured) == (10, 3, series.n_measured)
+    np.testing.assert_array_equal(fine.t[fine.samples], t)
+    np.testing.assert_allclose(np.diff(fine.t), np.repeat(np.diff(t) / 3.0, 3))
+    np.testing.assert_array_equal(fine.y[fine.samples], y)
+    assert np.isnan(np.delete(fine.y, fine.samples, axis=0)).all()
+    np.testing.assert_array_equal(fine.u[:, 0], [1, 1, 1, 2, 2, 2, 3, 3, 3, 4])
+    np.testing.assert_array_equal(fine.extra[:, 0], np.repeat(t, 3)[:10])
+    assert fine.part(3, 10).substeps == fine.masked([0]).substeps == 3
+    assert engine.Series(np.zeros(5), dt=0.1).refined(4).dt == pytest.approx(0.025)
+    assert series.refined(1) is series
+    with pytest.raises(engine.SeriesError, match="row 4 of a refined series is no sample"):
+        fine.part(4, 10)
+    with pytest.raises(engine.SeriesError, match="refined already, 3 steps a sample"):
+        fine.refined(2)
+    with pytest.raises(engine.SeriesError, match="k = 0 steps a sample"):
+        series.refined(0)
+
+
+@pytest.mark.parametrize("name", ["oscillator", "structure", "tanks"])
+def test_models_that_declare_a_real_time_step_have_one(name):
+    model = engine.get_model(name)
+    assert model.continuous
+    assert is_consistent(model, np.asarray(model.theta()), guessed_points(model, 0.05))
+
+
+@pytest.mark.parametrize("name", ["mixed-4", "linear-2", "local-level"])
+def test_a_step_that_is_none_is_found_out_and_kept(name):
+    model = engine.get_model(name)
+    assert not model.continuous
+    assert not is_consistent(model, np.asarray(model.theta()), guessed_points(model, 1.0))
+    series = engine.simulate(model, None, 60, np.random.default_rng(1)).series
+    wrongly = replace(model, continuous=True)
+    told = prepare(wrongly, series, lambda: np.asarray(model.theta()))
+    assert told.k == 1
+    assert "two half-steps do not agree with one" in told.notes[0]
+
+
+def test_an_exact_model_has_the_same_likelihood_on_a_refined_series():
+    model, series = engine.get_model("oscillator"), swings()
+    thetas = np.asarray(model.theta())[None]
+    plain = moment_filter(model, thetas, series).log_likelihood[0]
+    for k in (2, 5):
+        fine = moment_filter(model, thetas, series.refined(k)).log_likelihood[0]
+        assert fine == pytest.approx(plain, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        {"lag_y": 0.6},
+        {"delay_y": 1.0, "delay_y_samples": 3.0},
+        {"delay_drive": 1.0},
+        {"delay_drive": 3.0, "delay_drive_samples": 3.0},
+        {"hold_drive": 1.0},
+        {"pulse_y": 0.3, "pulse_y_time": 4.0},
+        {"pulse_velocity": 3.0, "pulse_velocity_time": 4.0},
+    ],
+    ids=lambda own: "-".join(own),
+)
+def test_what_counts_samples_counts_them_on_a_refined_series_too(own):
+    model, series = engine.get_model("oscillator"), swings()
+    theta = np.asarray(model.theta())
+    kind, _, channel = next(iter(own)).partition("_")
+    values = []
+    for k in (1, 4):
+        refined = series.refined(k)
+        extended = make_effect(f"{kind}:{channel}", setting_for(model, refined, theta)).apply(model)
+        at = np.asarray(extended.theta(own))[None]
+        values.append(moment_filter(extended, at, refined).log_likelihood[0])
+    change = values[0] - moment_filter(model, theta[None], series).log_likelihood[0]
+    # a pulse of force acts at a sample's start, or all through it
+    within = 0.1 * abs(change) if channel == "velocity" else 1e-3
+    assert abs(change) > 1.0
+    assert values[1] == pytest.approx(values[0], abs=within)
+
+
+def test_times_and_frequencies_are_tried_at_samples():
+    model, series = engine.get_model("oscillator"), swings()
+    setting = setting_for(model, series, np.asarray(model.theta()))
+    for name in ("step:y", "harmonic:y"):
+        effect = make_effect(name, setting)
+        np.testing.assert_allclose(grid(effect, series.refined(4)), grid(effect, series))
+
+
+def test_drag_on_a_pendulum_leaves_nothing_for_hysteresis_to_explain():
+    """Runge-Kutta's own drag, 16 samples a period; an effect once entered by one Euler step a sample."""
+    series = by_runge_kutta(200, 0.13, drag=0.3)
+    model = with_noise(pendulum(continuous=True))
+    base = quasi_ml(model, series)
+    fine = prepare(model, series, lambda: np.asarray(base.theta))
+    assert fine.k > 1
+    assert "steps a sample" in fine.notes[0]
+    base = quasi_ml(model, fine.series, base.theta)
+    gain, fit = gained(base, fine.series, "drag:rate", [{"drag_rate": 0.2}])
+    assert gain > 20.0
+    size = fit.theta["drag_rate"]
+    assert abs(size - 0.3) < 3.0 * fit.standard_errors[fit.free.index("drag_rate")]
+    setting = setting_for(model, fine.series, np.asarray(base.theta))
+    way = [{"hysteresis_rate": 2.0}]
+    assert gained(fit, fine.series, "hysteresis:rate", way, setting)[0] < 5.0
+
+
+def test_a_time_step_that_is_too_long_is_a_cause_of_its_own():
+    """Of a clean record a missing pole was once named, with the size 7.1 +- 7.9."""
+    series = by_runge_kutta(200, 0.04)
+    model = with_noise(pendulum(), euler=True)
+    base = quasi_ml(model, series)
+    gain, fit = gained(base, series, "time-step:dt", [{"time_step_dt": 1.0}])
+    assert 1.0 < fit.theta["time_step_dt"] < 2.6
+    way = [{"pole_rate": 5.0, "pole_rate_time": 0.3}]
+    assert gain > gained(base, series, "pole:rate", way)[0] + 5.0
+
+
+def test_where_halving_a_step_means_nothing_it_is_not_asked():
+    def asked(model, dt):
+        series = engine.simulate(
+            model, None, 60, np.random.default_rng(1), u=np.ones((60, model.nu)), dt=dt
+        ).series
+        setting = setting_for(model, series, np.asarray(model.theta()))
+        return [effect.name for effect in all_effects(setting, ["time-step"])]
+
+    assert asked(engine.get_model("structure"), 0.05) == []  # exact for any dt
+    assert asked(engine.get_model("mixed-4"), 1.0) == []  # dt is none
+    assert asked(pendulum(), 0.1) == ["time-step:dt"]
