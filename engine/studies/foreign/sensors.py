@@ -126,10 +126,10 @@ def outliers(name: str, channel: int, first: float) -> Fault:
     )
 
 
-def coloured(name: str, channel: int, samples: float, first: float) -> Fault:
-    """More noise, of size times the usual standard deviation, that lasts so many samples."""
+def coloured(name: str, channel: int, samples: float, std: float, first: float) -> Fault:
+    """More noise, of size times the standard deviation ``std``, that lasts so many samples."""
 
-    def noisy(e: Array, std: Numbers, s: float, own: Own, rng: np.random.Generator) -> Array:
+    def noisy(e: Array, all_std: Numbers, s: float, own: Own, rng: np.random.Generator) -> Array:
         keep = math.exp(-1.0 / samples)
         slow, more = 0.0, np.empty(len(e))
         kicks = rng.standard_normal(len(e)).tolist()
@@ -137,10 +137,16 @@ def coloured(name: str, channel: int, samples: float, first: float) -> Fault:
         for k, kick in enumerate(kicks):
             if k:
                 slow = keep * slow + math.sqrt(1.0 - keep * keep) * kick
-            more[k] = s * std[channel] * slow
+            more[k] = s * std * slow
         return _at(e, channel, e[:, channel] + more)
 
-    return Fault(name, first, noisy=noisy)
+    return Fault(
+        name,
+        first,
+        noisy=noisy,
+        draw=lambda rng, seconds, dt: {"time": samples * dt},
+        told=lambda s, own: {**own, "": (s * std) ** 2},
+    )
 
 
 def rounded(name: str, channel: int, first: float) -> Fault:

@@ -129,6 +129,11 @@ def euler_base(level: str) -> MixedModel:
     return _base(level, "pendulum-euler", euler)
 
 
+def noise_of(level: str) -> dict[str, float]:
+    """The true parameters of the noise."""
+    return {"q": KICK, "r": SENSORS[level][0]}
+
+
 FAULTS = {
     "drag": faults.force("drag:rate", 1, 2, lambda t, x, u, own: -x[1] * abs(x[1]), 2e-3),
     "coulomb": faults.force(
@@ -144,4 +149,4 @@ FAULTS = {
 UNITS = Units(
     {"angle": 1.0 / RADIAN, "rate": 1.0 / RADIAN, "encoder": 1e3 / RADIAN, "torque": 100.0}
 )
-SYSTEM = System(PLANT, base, FAULTS, (), UNITS)
+SYSTEM = System(PLANT, base, FAULTS, (), UNITS, noise_of)

@@ -127,4 +127,5 @@ SYSTEM = System(
         {"position": -REST * 1e-3, "laser": -REST * 1e3},
         1e3,
     ),
+    noise=lambda level: {"q": KICK, "r": SENSORS[level][0]},
 )

@@ -118,6 +118,11 @@ def euler_base(level: str) -> MixedModel:
     return _base(level, "tanks-euler", euler)
 
 
+def noise_of(level: str) -> dict[str, float]:
+    """The true parameters of the noise."""
+    return {"q": FLOW, "r": SENSORS[level][0]}
+
+
 FAULTS = {
     "leak": faults.step("step:lower", 1, 2, 0.02),
     "parameter-step": faults.parameter_step("k1", 0.02),
@@ -125,7 +130,7 @@ FAULTS = {
     "bias": sensors.bias("bias:gauge2", 1, 0.3),
     "clip": sensors.clip("saturation-sensor:gauge1", 0, 26.0, 2.0, 12.0),
     "outliers": sensors.outliers("heavy-tails:gauge1", 0, 0.03),
-    "coloured": sensors.coloured("colored:gauge2", 1, 8.0, 0.5),
+    "coloured": sensors.coloured("colored:gauge2", 1, 8.0, SENSORS["ordinary"][1], 0.5),
     "notch": outside.trickle(1, 2, 1.5, 18.0, 4.0, 0.02),
     "play": outside.play(1, 0.3),
 }
@@ -133,4 +138,4 @@ UNITS = Units(
     {"upper": 10.0, "lower": 1e-2, "gauge1": 10.0, "gauge2": 1e-2, "pump": 1e3},
     time=1.0 / 60.0,
 )
-SYSTEM = System(PLANT, base, FAULTS, (), UNITS)
+SYSTEM = System(PLANT, base, FAULTS, (), UNITS, noise_of)
