@@ -64,12 +64,14 @@ class Fault:
     it, before noise; ``noisy(e, std, s, own, rng)`` the noise; ``finish(y, s)`` the finished readings.
     ``own`` are drawn by ``draw(rng, seconds, dt)``: times, frequencies. ``told(s, own)`` are the true values
     of the catalogue's parameters by the endings of their names ("" for the size). ``first`` is a size to
-    begin the calibration with, ``most`` the largest that makes sense.
+    begin the calibration with, ``most`` the largest that makes sense; ``level`` of the sensors' noise, where
+    only one will do.
     """
 
     name: str
     first: float = 1.0
     most: float = math.inf
+    level: str = ""
     begin: Callable[[Numbers], list[float]] = field(default=lambda x: [])
     push: Push | None = None
     changed: Callable[[float, Mapping[str, float], float, Own], Mapping[str, float]] | None = None

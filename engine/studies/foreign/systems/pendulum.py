@@ -98,8 +98,9 @@ def initial(th: Any) -> Any:
     return Gaussian([0.0, 0.0], np.diag([400.0, 1600.0])), np.zeros(0), np.zeros((0, 0))
 
 
-def _base(level: str, name: str, step: Any) -> MixedModel:
+def _base(level: str, name: str, step: Any, exact: bool) -> MixedModel:
     return model(
+        continuous=exact,
         name=name,
         dynamics=step,
         measurement=measurement,
@@ -121,12 +122,12 @@ def _base(level: str, name: str, step: Any) -> MixedModel:
 
 def base(level: str) -> MixedModel:
     """Runge-Kutta."""
-    return _base(level, "pendulum", dynamics)
+    return _base(level, "pendulum", dynamics, exact=True)
 
 
 def euler_base(level: str) -> MixedModel:
     """Euler."""
-    return _base(level, "pendulum-euler", euler)
+    return _base(level, "pendulum-euler", euler, exact=False)
 
 
 def noise_of(level: str) -> dict[str, float]:

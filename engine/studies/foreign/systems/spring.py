@@ -101,7 +101,7 @@ def base(level: str) -> MixedModel:
             Parameter("r", 1.15 * SENSORS[level][0], "mm", (1e-5, 50.0)),
         ],
         kinematic=("position",),
-        reference={"position": REST, "velocity": 0.0},
+        reference={"position": REST, "velocity": 0.0, "laser": 0.0},
     )
 
 

@@ -88,8 +88,9 @@ def initial(th: Any) -> Any:
     return Gaussian([16.0, 18.0], 4.0 * np.eye(2)), np.zeros(0), np.zeros((0, 0))
 
 
-def _base(level: str, name: str, step: Any) -> MixedModel:
+def _base(level: str, name: str, step: Any, exact: bool) -> MixedModel:
     return model(
+        continuous=exact,
         name=name,
         dynamics=step,
         measurement=measurement,
@@ -110,12 +111,12 @@ def _base(level: str, name: str, step: Any) -> MixedModel:
 
 def base(level: str) -> MixedModel:
     """Runge-Kutta."""
-    return _base(level, "tanks", dynamics)
+    return _base(level, "tanks", dynamics, exact=True)
 
 
 def euler_base(level: str) -> MixedModel:
     """Euler."""
-    return _base(level, "tanks-euler", euler)
+    return _base(level, "tanks-euler", euler, exact=False)
 
 
 def noise_of(level: str) -> dict[str, float]:
