@@ -121,7 +121,7 @@ def _screened(cell: Cell, run: int) -> Causes | None:
     plan = cell.plan
     train = series_of(cell, size_of(cell), [PILOT, run])[0]
     base = plan.base(cell.level)
-    theta = base.theta({n: v for n, v in plan.plant.p.items() if n in base.parameter_names})
+    theta = base.theta(plan.truth(cell.level))
     try:
         return find_causes(base, train, theta, free=plan.free(cell.level), max_effects=1, seed=run)
     except (EngineError, np.linalg.LinAlgError):

@@ -48,7 +48,7 @@ class Cell:
 
 @cache
 def _cells(euler: bool) -> tuple[Cell, ...]:
-    """Every fault at one level, the levels by turns; faults of the noise where there is enough of it."""
+    """Every fault at one level: its own, or the levels by turns."""
     out = []
     planned = [
         (name, key, fault)
@@ -57,7 +57,7 @@ def _cells(euler: bool) -> tuple[Cell, ...]:
         for key, fault in system.faults.items()
     ]
     for turn, (name, key, fault) in enumerate(planned):
-        out.append(Cell(name, key, LEVELS[0] if fault.of_noise else LEVELS[turn % 2]))
+        out.append(Cell(name, key, fault.level or LEVELS[turn % 2]))
     return tuple(out)
 
 

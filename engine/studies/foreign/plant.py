@@ -2,9 +2,10 @@
 
     dx = (rhs(x, u, p) + push) dt + g dW      y_k = see(x(t_k), u(t_k), p) + e_k
 
-Each fine step of h seconds is one classical Runge-Kutta step with u held, after which every state gets
-g sqrt(h) N(0, 1). A :class:`Fault` changes one thing: a force, a parameter, the driving input, the
-sensor, its noise, or the finished readings. Plain Python floats; nothing of the engine is used.
+Each fine step of h seconds is one classical Runge-Kutta step with u held, and with the white noise held at
+its mean over the step, g N(0, 1) / sqrt(h). A :class:`Fault` changes one thing: a force, a parameter, the
+driving input, the sensor, its noise, or the finished readings. Plain Python floats; nothing of the engine
+is used.
 """
 
 from __future__ import annotations
@@ -58,17 +59,19 @@ class Fault:
     """What is wrong in the truth, at a size s; all of its parts are optional.
 
     ``name`` is the catalogue's (``kind:channel``) or ``outside:kind``. ``push(t, x, m, u, s, own)`` gives
-    what is added to dx/dt, and dm/dt of further states that ``begin(x)`` starts; ``changed(t, p, s, own)`` the
-    parameters; ``drive(u, s, own)`` the input on the fine grid; ``read(y, h, s, own)`` the readings on it, before
-    noise; ``noisy(e, std, s, own, rng)`` the noise; ``finish(y, s)`` the finished readings. ``own`` are drawn
-    by ``draw(rng, seconds, dt)``: times, frequencies. ``told(s, own)`` are the true values of the
-    catalogue's parameters by the endings of their names ("" for the size). ``first`` is a size to begin
-    the calibration with, ``most`` the largest that makes sense.
+    what is added to dx/dt, and dm/dt of further states that ``begin(x)`` starts; ``changed(t, p, s, own)``
+    the parameters; ``drive(u, s, own)`` the input on the fine grid; ``read(y, h, s, own)`` the readings on
+    it, before noise; ``noisy(e, std, s, own, rng)`` the noise; ``finish(y, s)`` the finished readings.
+    ``own`` are drawn by ``draw(rng, seconds, dt)``: times, frequencies. ``told(s, own)`` are the true values
+    of the catalogue's parameters by the endings of their names ("" for the size). ``first`` is a size to
+    begin the calibration with, ``most`` the largest that makes sense; ``level`` of the sensors' noise, where
+    only one will do.
     """
 
     name: str
     first: float = 1.0
     most: float = math.inf
+    level: str = ""
     begin: Callable[[Numbers], list[float]] = field(default=lambda x: [])
     push: Push | None = None
     changed: Callable[[float, Mapping[str, float], float, Own], Mapping[str, float]] | None = None
@@ -140,10 +143,10 @@ def simulate(
     e: Array = np.asarray(std) * of_sensor.standard_normal((T, len(std)))
     if fault and fault.noisy:
         e = fault.noisy(e, std, size, own, of_fault)
-    y = y + e
+    y = np.asarray(y + e)
     if fault and fault.finish:
         y = fault.finish(y, size)
-    return Drawn(np.arange(T) * dt, u, y, x, own)
+    return Drawn(dt * np.arange(T, dtype=float), u, y, x, own)
 
 
 def _integrated(
@@ -158,30 +161,30 @@ def _integrated(
 ) -> Array:
     """States (K, nx) on the fine grid."""
     n = len(plant.states)
-    kicks = (
-        np.asarray(plant.intensities) * math.sqrt(h) * rng.standard_normal((len(u), n))
-    ).tolist()
+    white = np.asarray(plant.intensities) / math.sqrt(h) * rng.standard_normal((len(u), n))
     push = fault.push if fault else None
     changed = fault.changed if fault else None
     x = [*first, *(fault.begin(first) if fault else [])]
     out = []
-    for k, held in enumerate(u.tolist()):
+    for k, (held, noise) in enumerate(zip(u.tolist(), white.tolist(), strict=True)):
         out.append(x[:n])
         t = k * h
         p = changed(t, plant.p, size, own) if changed else plant.p
 
         def slope(
-            s: float, x: list[float], held: Any = held, p: Mapping[str, float] = p
+            s: float,
+            x: list[float],
+            held: Any = held,
+            noise: Any = noise,
+            p: Mapping[str, float] = p,
         ) -> list[float]:
-            dx = plant.rhs(x[:n], held, p)
+            dx = [a + b for a, b in zip(plant.rhs(x[:n], held, p), noise, strict=True)]
             if push is None:
                 return dx
             more, dm = push(s, x[:n], x[n:], held, size, own)
             return [*(a + b for a, b in zip(dx, more, strict=True)), *dm]
 
         x = runge_kutta(slope, t, x, h)
-        for i, kick in enumerate(kicks[k]):
-            x[i] += kick
     return np.array(out)
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from engine.studies.foreign.faults import at_some_frequency, at_some_time
-from engine.studies.foreign.plant import Array, Fault, Numbers, Own
+from engine.studies.foreign.plant import LEVELS, Array, Fault, Numbers, Own
 
 OUTLIER = 4.0
 
@@ -84,7 +84,8 @@ def lag(name: str, channel: int, dt: float, first: float) -> Fault:
     return Fault(
         name,
         first,
-        4.0 * dt,
+        0.5 * dt,
+        LEVELS[1],  # a lag that is long beside a sample is not one of the catalogue's
         read=read,
         told=lambda s, own: {"": math.exp(-dt / max(s, 1e-9 * dt))},
     )
@@ -122,14 +123,15 @@ def outliers(name: str, channel: int, first: float) -> Fault:
         first,
         0.3,
         noisy=noisy,
+        level=LEVELS[0],
         told=lambda s, own: {"": s, "share": s, "ratio": OUTLIER},
     )
 
 
-def coloured(name: str, channel: int, samples: float, first: float) -> Fault:
-    """More noise, of size times the usual standard deviation, that lasts so many samples."""
+def coloured(name: str, channel: int, samples: float, std: float, first: float) -> Fault:
+    """More noise, of size times the standard deviation ``std``, that lasts so many samples."""
 
-    def noisy(e: Array, std: Numbers, s: float, own: Own, rng: np.random.Generator) -> Array:
+    def noisy(e: Array, all_std: Numbers, s: float, own: Own, rng: np.random.Generator) -> Array:
         keep = math.exp(-1.0 / samples)
         slow, more = 0.0, np.empty(len(e))
         kicks = rng.standard_normal(len(e)).tolist()
@@ -137,10 +139,17 @@ def coloured(name: str, channel: int, samples: float, first: float) -> Fault:
         for k, kick in enumerate(kicks):
             if k:
                 slow = keep * slow + math.sqrt(1.0 - keep * keep) * kick
-            more[k] = s * std[channel] * slow
+            more[k] = s * std * slow
         return _at(e, channel, e[:, channel] + more)
 
-    return Fault(name, first, noisy=noisy)
+    return Fault(
+        name,
+        first,
+        noisy=noisy,
+        level=LEVELS[0],
+        draw=lambda rng, seconds, dt: {"time": samples * dt},
+        told=lambda s, own: {**own, "": (s * std) ** 2},
+    )
 
 
 def rounded(name: str, channel: int, first: float) -> Fault:
@@ -148,6 +157,7 @@ def rounded(name: str, channel: int, first: float) -> Fault:
     return Fault(
         name,
         first,
+        level=LEVELS[0],
         finish=lambda y, s: _at(
             y, channel, s * np.round(y[:, channel] / s) if s > 0.0 else y[:, channel]
         ),

@@ -40,8 +40,8 @@ MOST = 4.0  # by which a size changes in a step
 def fit_base(cell: Cell, series: Series) -> QuasiFit:
     """The user's model estimated on a series, from the plant's parameters."""
     base = cell.plan.base(cell.level)
-    true = {n: v for n, v in cell.plan.plant.p.items() if n in base.parameter_names}
-    return quasi_ml(base, series, base.theta(true), cell.plan.free(cell.level), tolerance=0.1)
+    start = base.theta(cell.plan.truth(cell.level))
+    return quasi_ml(base, series, start, cell.plan.free(cell.level), tolerance=0.1)
 
 
 @lru_cache(maxsize=64)

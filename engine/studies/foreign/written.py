@@ -27,8 +27,8 @@ class Units:
 class System:
     """``base(level)`` is the model with the start values of a data sheet for a level of noise.
 
-    ``known`` parameters are not estimated; ``faults`` go by short names; ``euler`` marks models that step
-    with Euler's rule, whose results are told apart.
+    ``known`` parameters are not estimated; ``noise(level)`` are the true parameters of the noise; ``faults``
+    go by short names; ``euler`` marks models that step with Euler's rule, whose results are told apart.
     """
 
     plant: Plant
@@ -36,6 +36,7 @@ class System:
     faults: Mapping[str, Fault]
     known: tuple[str, ...]
     units: Units
+    noise: Callable[[str], Mapping[str, float]]
     rows: int = 400
     euler: bool = False
 
@@ -43,6 +44,11 @@ class System:
     def name(self) -> str:
         """The plant's name."""
         return self.plant.name
+
+    def truth(self, level: str) -> dict[str, float]:
+        """The model's parameters as the plant has them."""
+        names = self.base(level).parameter_names
+        return {n: v for n, v in {**self.plant.p, **self.noise(level)}.items() if n in names}
 
     def free(self, level: str) -> list[str]:
         """Parameters that are estimated."""

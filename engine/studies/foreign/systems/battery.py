@@ -110,11 +110,12 @@ SYSTEM = System(
         "ageing": faults.parameter_step("R0", 0.1, 5.0),
         "outliers": sensors.outliers("heavy-tails:terminal", 0, 0.03),
         "jump": sensors.step("step:terminal", 0, 5.0),
-        "coloured": sensors.coloured("colored:terminal", 0, 10.0, 0.5),
+        "coloured": sensors.coloured("colored:terminal", 0, 10.0, SENSORS["ordinary"][0], 0.5),
         "saturating": outside.saturating(1, 2, 40.0, 0.5),
     },
     known=("C", "r"),
     units=Units(
         {"soc": 0.01, "polarisation": 1e-3, "terminal": 1e-3, "amperes": 1e3}, time=1.0 / 3600.0
     ),
+    noise=lambda level: {"q": SLOW, "r": SENSORS[level][0]},
 )

@@ -127,4 +127,5 @@ SYSTEM = System(
         {"first": 1e3, "second": 1e-3, "probe1": 1e3, "probe2": 1e-3, "feed": 1e3, "flow": 3.6},
         time=1.0 / 60.0,
     ),
+    noise=lambda level: {"q": SALT, "r1": SENSORS[level][0], "r2": SENSORS[level][1]},
 )

@@ -149,4 +149,10 @@ SYSTEM = System(
         {"speed": 2 * np.pi / 60.0, "tachometer": 1.0 / 60.0, "current": 1e3, "ammeter": 1e3},
         time=1e3,
     ),
+    noise=lambda level: {
+        "q_speed": SPEED,
+        "q_load": LOAD,
+        "r_amps": SENSORS[level][0],
+        "r_rpm": SENSORS[level][1],
+    },
 )

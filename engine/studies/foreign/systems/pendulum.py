@@ -98,8 +98,9 @@ def initial(th: Any) -> Any:
     return Gaussian([0.0, 0.0], np.diag([400.0, 1600.0])), np.zeros(0), np.zeros((0, 0))
 
 
-def _base(level: str, name: str, step: Any) -> MixedModel:
+def _base(level: str, name: str, step: Any, exact: bool) -> MixedModel:
     return model(
+        continuous=exact,
         name=name,
         dynamics=step,
         measurement=measurement,
@@ -121,12 +122,17 @@ def _base(level: str, name: str, step: Any) -> MixedModel:
 
 def base(level: str) -> MixedModel:
     """Runge-Kutta."""
-    return _base(level, "pendulum", dynamics)
+    return _base(level, "pendulum", dynamics, exact=True)
 
 
 def euler_base(level: str) -> MixedModel:
     """Euler."""
-    return _base(level, "pendulum-euler", euler)
+    return _base(level, "pendulum-euler", euler, exact=False)
+
+
+def noise_of(level: str) -> dict[str, float]:
+    """The true parameters of the noise."""
+    return {"q": KICK, "r": SENSORS[level][0]}
 
 
 FAULTS = {
@@ -144,4 +150,4 @@ FAULTS = {
 UNITS = Units(
     {"angle": 1.0 / RADIAN, "rate": 1.0 / RADIAN, "encoder": 1e3 / RADIAN, "torque": 100.0}
 )
-SYSTEM = System(PLANT, base, FAULTS, (), UNITS)
+SYSTEM = System(PLANT, base, FAULTS, (), UNITS, noise_of)

@@ -18,7 +18,7 @@ from engine.studies.foreign import faults, outside, sensors
 from engine.studies.foreign.plant import Array, Numbers, Plant
 from engine.studies.foreign.written import System, Units, model
 
-DT = 5.0
+DT = 3.0
 E, T0 = 8750.0, 350.0
 TRUE = {"d": 0.016, "g": 20.4, "h": 45.0, "a": 0.03}
 CONC, HEAT = 1e-3, 0.05  # mol/L and K per root second
@@ -115,7 +115,7 @@ SYSTEM = System(
     PLANT,
     base,
     {
-        "catalyst": faults.parameter_drift("g", 2000.0, 0.03, 1.0),
+        "catalyst": faults.parameter_drift("g", 1200.0, 0.03, 1.0),
         "coolant": faults.input_offset("input-offset:coolant", 0, 1.0),
         "lag": sensors.lag("lag:thermometer", 0, DT, 1.0),
         "analyser": sensors.gain("gain:analyser", 1, 0.0, 0.02),
@@ -136,4 +136,10 @@ SYSTEM = System(
         {"temperature": -459.67, "coolant": -459.67, "thermometer": -273.15},
         1.0 / 60.0,
     ),
+    noise=lambda level: {
+        "q_c": CONC,
+        "q_T": HEAT,
+        "r_T": SENSORS[level][0],
+        "r_c": SENSORS[level][1],
+    },
 )

@@ -134,4 +134,5 @@ SYSTEM = System(
         {"air": 32.0, "wall": 32.0, "outdoor": 32.0, "thermometer": 32.0},
         1.0 / 60.0,
     ),
+    noise=lambda level: {"q": AIR, "r": SENSORS[level][0]},
 )

@@ -134,4 +134,9 @@ SYSTEM = System(
         {"heading": -2.0, "compass": -2.0},
         1.0 / 60.0,
     ),
+    noise=lambda level: {
+        "q": WAVES,
+        "r_compass": SENSORS[level][0],
+        "r_gyro": SENSORS[level][1],
+    },
 )

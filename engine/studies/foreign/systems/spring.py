@@ -101,7 +101,7 @@ def base(level: str) -> MixedModel:
             Parameter("r", 1.15 * SENSORS[level][0], "mm", (1e-5, 50.0)),
         ],
         kinematic=("position",),
-        reference={"position": REST, "velocity": 0.0},
+        reference={"position": REST, "velocity": 0.0, "laser": 0.0},
     )
 
 
@@ -127,4 +127,5 @@ SYSTEM = System(
         {"position": -REST * 1e-3, "laser": -REST * 1e3},
         1e3,
     ),
+    noise=lambda level: {"q": KICK, "r": SENSORS[level][0]},
 )

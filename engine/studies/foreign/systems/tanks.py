@@ -88,8 +88,9 @@ def initial(th: Any) -> Any:
     return Gaussian([16.0, 18.0], 4.0 * np.eye(2)), np.zeros(0), np.zeros((0, 0))
 
 
-def _base(level: str, name: str, step: Any) -> MixedModel:
+def _base(level: str, name: str, step: Any, exact: bool) -> MixedModel:
     return model(
+        continuous=exact,
         name=name,
         dynamics=step,
         measurement=measurement,
@@ -110,12 +111,17 @@ def _base(level: str, name: str, step: Any) -> MixedModel:
 
 def base(level: str) -> MixedModel:
     """Runge-Kutta."""
-    return _base(level, "tanks", dynamics)
+    return _base(level, "tanks", dynamics, exact=True)
 
 
 def euler_base(level: str) -> MixedModel:
     """Euler."""
-    return _base(level, "tanks-euler", euler)
+    return _base(level, "tanks-euler", euler, exact=False)
+
+
+def noise_of(level: str) -> dict[str, float]:
+    """The true parameters of the noise."""
+    return {"q": FLOW, "r": SENSORS[level][0]}
 
 
 FAULTS = {
@@ -125,7 +131,7 @@ FAULTS = {
     "bias": sensors.bias("bias:gauge2", 1, 0.3),
     "clip": sensors.clip("saturation-sensor:gauge1", 0, 26.0, 2.0, 12.0),
     "outliers": sensors.outliers("heavy-tails:gauge1", 0, 0.03),
-    "coloured": sensors.coloured("colored:gauge2", 1, 8.0, 0.5),
+    "coloured": sensors.coloured("colored:gauge2", 1, 8.0, SENSORS["ordinary"][1], 0.5),
     "notch": outside.trickle(1, 2, 1.5, 18.0, 4.0, 0.02),
     "play": outside.play(1, 0.3),
 }
@@ -133,4 +139,4 @@ UNITS = Units(
     {"upper": 10.0, "lower": 1e-2, "gauge1": 10.0, "gauge2": 1e-2, "pump": 1e3},
     time=1.0 / 60.0,
 )
-SYSTEM = System(PLANT, base, FAULTS, (), UNITS)
+SYSTEM = System(PLANT, base, FAULTS, (), UNITS, noise_of)

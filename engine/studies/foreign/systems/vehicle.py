@@ -144,4 +144,10 @@ SYSTEM = System(
         },
         {"position": 100.0, "satellite": 100.0},
     ),
+    noise=lambda level: {
+        "q_gust": GUST,
+        "q_slope": SLOPE,
+        "r_speed": SENSORS[level][0],
+        "r_place": SENSORS[level][1],
+    },
 )
