@@ -85,7 +85,10 @@ def _wrong_at_a_glance(symptoms: Document) -> Html:
 def _place(region: Document) -> str:
     low, high = (prose(end) for end in bounds(region["low"], region["high"], region["unit"]))
     name = region["signal"]
-    if region["lowest"]:
+    if region["kind"] == "time":
+        where = f"up to t = {high}" if region["lowest"] else f"from t = {low}"
+        where += " on" if region["highest"] else "" if region["lowest"] else f" to {high}"
+    elif region["lowest"]:
         where = f"{name} below {high}"
     elif region["highest"]:
         where = f"{name} above {low}"
