@@ -77,7 +77,10 @@ class Gaussian:
         """Evaluate at a (M, na) -> (M,); a fixed component contributes nothing."""
         from engine.kernels.gaussian import log_normal_common, psd_cholesky
 
-        return cast(Array, log_normal_common(a - self.mean, psd_cholesky(self.cov)))
+        return cast(
+            Array,
+            log_normal_common(np.ascontiguousarray(a), self.mean[None], psd_cholesky(self.cov)),
+        )
 
 
 Dynamics: TypeAlias = Callable[[Array, Any, Any, Any, Any], tuple[Any, Any, Any]]
