@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine import display, plots
 from engine.base_model import BaseModel
@@ -21,10 +22,12 @@ from engine.convergence import WINDOW, has_settled
 from engine.e_steps import LOST_SHARE, EStep, Expect, rbps_step, rts_step
 from engine.errors import OptionError
 from engine.expectation import parameter_scale
-from engine.maximization import maximize
+from engine.likelihood_step import LikelihoodStep
+from engine.maximization import Objective, maximize
 from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.outcome import Outcome
 from engine.proposals import Proposal
+from engine.quasi_ml import with_scales
 from engine.series import Series, as_series_list
 from engine.warm_start import FAR, moment_maximum
 
@@ -63,7 +66,8 @@ class EmResult:
 
     ``theta`` the estimate; ``trace`` (K+1, n_theta) with the start first; ``log_likelihood`` (K,) of
     trace[:K] as estimated by each E step; ``ess`` (K,); ``seconds`` (K,); ``collapsed`` (K,) share of
-    rows at which the filter collapsed; ``outcome``; ``message`` with the particulars.
+    rows at which the filter collapsed; ``outcome``; ``message`` with the particulars;
+    ``not_estimated`` names the free parameters that nothing could move: they are where they started.
     """
 
     model: BaseModel
@@ -76,6 +80,7 @@ class EmResult:
     collapsed: Array
     outcome: Outcome
     message: str
+    not_estimated: tuple[str, ...] = ()
 
     @property
     def checkpoint(self) -> Checkpoint:
@@ -101,7 +106,7 @@ class EmResult:
 
     def _repr_html_(self) -> str:
         rows = [
-            (p.name, value, p.unit, start, "" if p.name in self.free else "fixed")
+            (p.name, value, p.unit, start, self._remark(p.name))
             for p, value, start in zip(
                 self.model.parameters, self.theta.tolist(), self.trace[0].tolist(), strict=True
             )
@@ -111,6 +116,11 @@ class EmResult:
             display.line(self.message),
             display.table(("parameter", "estimate", "unit", "start", ""), rows),
         )
+
+    def _remark(self, name: str) -> str:
+        if name in self.not_estimated:
+            return "not estimated"
+        return "" if name in self.free else "fixed"
 
 
 Callback: TypeAlias = Callable[[Iteration], Any]
@@ -151,9 +161,11 @@ def rbps_em(
     ``m_step``: "scoring" or "bfgs", see :mod:`engine.maximization`.
     ``warm_start``: let the first iteration leave from the maximum of an approximate likelihood where
     theta0 is far less likely, see :mod:`engine.warm_start`; False always starts EM at theta0.
+    Parameters that move what has no noise are moved by :mod:`engine.likelihood_step`; ``message`` says so.
     Raises OptionError, SeriesError, ModelError.
     """
     listed = as_series_list(series, model)
+    given, model = model, scaled(model, listed, theta0, free, resume)
     expect = rbps_step(
         model,
         listed,
@@ -166,10 +178,21 @@ def rbps_em(
         recover=recover,
     )
     indices = model.free_indices(free)
-    ahead = partial(moment_maximum, model, listed, indices) if warm_start else None
-    return iterate(
-        model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance, ahead
+    found = iterate(
+        model,
+        expect,
+        theta0,
+        free,
+        n_iterations,
+        seed,
+        callback,
+        resume,
+        m_step,
+        tolerance,
+        ahead=partial(moment_maximum, model, listed, indices) if warm_start else None,
+        likelihood=LikelihoodStep(model, listed),
     )
+    return replace(found, model=given)
 
 
 def rts_em(
@@ -188,10 +211,34 @@ def rts_em(
 
     Raises ModelError where the model is not linear Gaussian.
     """
-    expect = rts_step(model, as_series_list(series, model))
-    return iterate(
-        model, expect, theta0, free, n_iterations, 0, callback, resume, m_step, tolerance
+    listed = as_series_list(series, model)
+    given, model = model, scaled(model, listed, theta0, free, resume)
+    found = iterate(
+        model,
+        rts_step(model, listed),
+        theta0,
+        free,
+        n_iterations,
+        0,
+        callback,
+        resume,
+        m_step,
+        tolerance,
+        likelihood=LikelihoodStep(model, listed, "the exact"),
     )
+    return replace(found, model=given)
+
+
+def scaled(
+    model: MixedModel,
+    listed: Sequence[Series],
+    theta0: ThetaLike,
+    free: Sequence[str] | None,
+    resume: Checkpoint | EmResult | None,
+) -> MixedModel:
+    """The model with the scales that its parameters have at the start of the trace."""
+    start = model.theta(theta0 if resume is None else resume.trace[0])
+    return with_scales(model, listed, start, model.free_indices(free))
 
 
 def iterate(
@@ -206,10 +253,12 @@ def iterate(
     m_step: str,
     tolerance: float | None,
     ahead: Callable[[Theta], Theta | None] | None = None,
+    likelihood: LikelihoodStep | None = None,
 ) -> EmResult:
     """The loop of Algorithm 1: E step, M step, settled?
 
-    ``ahead`` may name a point from which the first iteration leaves if that is far more likely.
+    ``ahead`` may name a point from which the first iteration leaves if that is far more likely;
+    ``likelihood`` moves the parameters to which the Q-function is no guide.
     """
     if int(n_iterations) != n_iterations or n_iterations < 1:
         raise OptionError(
@@ -218,22 +267,16 @@ def iterate(
     indices = model.free_indices(free)
     names = tuple(model.parameter_names[i] for i in indices)
     log = _Log(model, theta0, resume, n_iterations)
-    outcome = Outcome.ITERATIONS_USED_UP
+    step = _Iterate(expect, indices, seed, m_step, ahead, likelihood)
+    outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices, tolerance)
     for k in range(log.k + 1, n_iterations + 1):
         if settled:
             break
         started = time.perf_counter()
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
-        theta = log.theta
-        step = expect(theta, rng)
-        new, origin = theta, step
-        if k == 1 and ahead is not None:
-            new, origin = _more_likely(expect, ahead(theta), theta, step, rng)
-        if np.isfinite(origin.log_likelihood):
-            new = Theta(maximize(origin.q, new, indices, m_step), theta.names)
-        it = log.add(k, new, step, time.perf_counter() - started)
-        if not (np.isfinite(origin.log_likelihood) and np.isfinite(np.asarray(new)).all()):
+        last = step(k, log.theta)
+        it = log.add(k, last.theta, last.seen, time.perf_counter() - started)
+        if not last.finite:
             outcome = Outcome.DIVERGED
             break
         settled = log.settled(indices, tolerance)
@@ -242,7 +285,68 @@ def iterate(
             break
     if settled and outcome is not Outcome.STOPPED_BY_CALLER:
         outcome = Outcome.CONVERGED
-    return log.result(names, indices, outcome)
+    if last is None and log.k:  # all was done before: the last iteration again, for what it said
+        last = step(log.k, log.trace[-2])
+    return log.result(names, outcome, last)
+
+
+@dataclass(frozen=True, eq=False)
+class _Iterated:
+    """One iteration: theta after it, the E step before it; what the M step left from, and how it went."""
+
+    theta: Theta
+    seen: EStep
+    finite: bool
+    q: Objective
+    at: Theta
+    by_likelihood: tuple[str, ...] = ()
+    whose: str = ""
+    stuck: tuple[str, ...] = ()
+
+    def not_moved(self, indices: Sequence[int]) -> tuple[str, ...]:
+        """Names of the free parameters that neither Q nor the likelihood depends on."""
+        silent = ~(np.diag(self.q.derivatives(self.at, np.array(indices, np.intp))[2]) > 0.0)
+        moved = self.by_likelihood
+        there = (self.theta.names[k] for k, quiet in zip(indices, silent, strict=True) if quiet)
+        names = {*self.stuck, *(name for name in there if name not in moved)}
+        return tuple(name for name in self.theta.names if name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """Iteration k from theta_{k-1}; it depends on nothing else."""
+
+    expect: Expect
+    indices: NDArray[np.intp]
+    seed: int
+    m_step: str
+    ahead: Callable[[Theta], Theta | None] | None
+    likelihood: LikelihoodStep | None
+
+    def __call__(self, k: int, theta: Theta) -> _Iterated:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(k,)))
+        step = self.expect(theta, rng)
+        origin, at = step, theta
+        if k == 1 and self.ahead is not None:
+            at, origin = _more_likely(self.expect, self.ahead(theta), theta, step, rng)
+        if not np.isfinite(origin.log_likelihood):
+            return _Iterated(at, step, False, origin.q, at)
+        q, names = origin.q, np.array(theta.names)
+        exact = q.moves_noise_free(at, self.indices)  # Q says nothing, or too little, about these
+        new = Theta(maximize(q, at, self.indices[~exact], self.m_step), theta.names)
+        stuck = exact.copy()
+        if exact.any() and self.likelihood is not None:
+            new, stuck[exact] = self.likelihood(new, self.indices[exact])
+        return _Iterated(
+            new,
+            step,
+            bool(np.isfinite(np.asarray(new)).all()),
+            q,
+            at,
+            tuple(names[self.indices[exact & ~stuck]]),
+            "" if self.likelihood is None else self.likelihood.whose,
+            tuple(names[self.indices[stuck]]),
+        )
 
 
 def _more_likely(
@@ -324,7 +428,7 @@ class _Log:
         scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
         return has_settled(trace[:, indices], scale, tolerance)
 
-    def result(self, names: tuple[str, ...], indices: Any, outcome: Outcome) -> EmResult:
+    def result(self, names: tuple[str, ...], outcome: Outcome, last: _Iterated | None) -> EmResult:
         trace = np.array([np.asarray(row) for row in self.trace])
         columns = np.array(self.rows).reshape(-1, 4).T
         theta = trace[-1]
@@ -337,6 +441,19 @@ class _Log:
         if lost > 0.0:
             message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows"
             message += f", first at {self.lost_at}." if self.lost_at else "."
+        stuck: tuple[str, ...] = ()
+        if last is not None and outcome is not Outcome.DIVERGED:
+            stuck = last.not_moved([self.model.index(name) for name in names])
+        if last is not None and last.by_likelihood:
+            message += (
+                f" Estimated by scoring on {last.whose} likelihood, as EM cannot move what enters "
+                f"without noise: {', '.join(last.by_likelihood)}."
+            )
+        if stuck:
+            message += (
+                f" Not estimated, as the likelihood does not depend on them here or cannot be had: "
+                f"{', '.join(stuck)}. Hold them fixed (free=), or start elsewhere."
+            )
         return EmResult(
             self.model,
             names,
@@ -348,4 +465,5 @@ class _Log:
             columns[3],
             outcome,
             message,
+            stuck,
         )
