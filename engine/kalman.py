@@ -6,6 +6,7 @@ Written in plain NumPy from the textbook formulas, independently of the kernels 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -83,12 +84,16 @@ def probes(centre: Array, sd: Array, typical: Array) -> Array:
     where both are zero.
     """
     na = len(centre)
-    rng = np.random.default_rng(20)
+    draws = _draws(na)
     far = np.maximum(sd, np.abs(centre))
     far = np.where(far > 0.0, far, typical)
-    steps = (np.zeros((1, na)), np.diag(far), 3.0 * far * rng.standard_normal((2, na)))
-    near = 3.0 * sd * rng.standard_normal((2, na))
-    return np.asarray(centre + np.concatenate([*steps, near]))
+    steps = (np.zeros((1, na)), np.diag(far), 3.0 * far * draws[0])
+    return np.asarray(centre + np.concatenate([*steps, 3.0 * sd * draws[1]]))
+
+
+@lru_cache(maxsize=64)
+def _draws(na: int) -> Array:
+    return np.random.default_rng(20).standard_normal((2, 2, na))
 
 
 def _matrices(

@@ -3,8 +3,8 @@
 Where a row of x has no noise (a start z_1 = theta with P_1 = 0, a row of Q that is zero) the smoothed
 states obey it exactly for theta_k and for no other theta: Q(theta, theta_k) is -inf beside theta_k, so
 EM stands still and Fisher's identity does not hold. The Q-function drops such rows, which says
-nothing about the parameters in them. They are moved by a scoring step on the log-likelihood itself
-instead, given the others, after the M step of these. It is taken only if the likelihood rises.
+nothing about the parameters in them. They are moved by scoring steps on the log-likelihood itself
+instead, given the others, after the M step of these. A step is taken only if the likelihood rises.
 """
 
 from __future__ import annotations
@@ -20,28 +20,30 @@ from engine.model import Array, MixedModel, Theta
 from engine.quasi_ml import derivatives, quasi_ml
 from engine.series import Series
 
-WORTH = 1e-10  # nats: less than this is not worth a step
+STEPS = 10  # at most; near the maximum it is one, or none
 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodStep:
     """Scoring on the moment filter's likelihood, which is exact where ``model`` is linear in all states.
 
-    ``whose`` says whose likelihood it is, in words.
+    ``whose`` says whose likelihood it is, in words; an expected gain below ``worth`` (nats) is no reason for
+    a step.
     """
 
     model: MixedModel
     listed: Sequence[Series]
     whose: str = "the moment filter's"
+    worth: float = 1e-4
 
     def __call__(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Theta, NDArray[np.bool_]]:
-        """Theta after one step in the parameters ``indices`` (n,), and which of them could not be moved.
+        """Theta after steps in the parameters ``indices`` (n,), and which of them could not be moved.
 
         These are the ones the likelihood does not depend on, or all, where it cannot be had.
         """
         names = [self.model.parameter_names[k] for k in indices]
         try:
-            found = quasi_ml(self.model, self.listed, theta, names, 1, WORTH)
+            found = quasi_ml(self.model, self.listed, theta, names, STEPS, self.worth)
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from engine.e_steps import LOST_SHARE, RETRIES, EStep, Expect
-from engine.em import Callback, Checkpoint, EmResult, iterate, scaled
+from engine.em import Checkpoint, EmResult, scaled
+from engine.em_loop import Callback, iterate
 from engine.errors import OptionError
 from engine.expectation import expectation
 from engine.likelihood_step import LikelihoodStep
