@@ -10,7 +10,7 @@ from engine.diagnose import Diagnosis, diagnose, register_effect
 from engine.diagnose.extended import get_model
 from engine.discretize import discretize
 from engine.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
-from engine.errors import EngineError, ModelError, OptionError, SeriesError
+from engine.errors import EngineError, ModelError, NotSettledWarning, OptionError, SeriesError
 from engine.examine import Examination, examine
 from engine.free_run import free_run
 from engine.heavy_tails import with_mixture, with_student_t
@@ -51,6 +51,7 @@ __all__ = [
     "MixedModel",
     "ModelError",
     "NonlinearModel",
+    "NotSettledWarning",
     "OptionError",
     "Outcome",
     "Parameter",

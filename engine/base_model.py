@@ -21,13 +21,18 @@ ThetaLike: TypeAlias = "Mapping[str, float] | ArrayLike | None"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One component of theta: its name, default value, unit, closed bounds and meaning."""
+    """One component of theta: its name, default value, unit, closed bounds and meaning.
+
+    ``scale`` is a typical size, in the same unit; only a parameter whose default is 0 may need one, and
+    estimations find it from the data where it is 0.
+    """
 
     name: str
     default: float
     unit: str = ""
     bounds: tuple[float, float] = (-np.inf, np.inf)
     description: str = ""
+    scale: float = 0.0
 
 
 class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):

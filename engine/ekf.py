@@ -105,7 +105,8 @@ def _first_moments(model: MixedModel, theta: Array) -> tuple[Array, Array]:
 def _points(a: Array, P: Array) -> tuple[Array, Array]:
     """Rows a and a +- a small step in each component (2 na + 1, na), and the distances (na,)."""
     na = a.size
-    h = np.maximum(1e-4 * np.sqrt(np.diagonal(P)[:na]), 1e-7 * (1e-3 + np.abs(a)))
+    h = 1e-4 * np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0))
+    h = np.where(h > 0.0, h, 1e-7 * np.where(a != 0.0, np.abs(a), 1.0))  # 1: no scale is known
     points = np.tile(a, (2 * na + 1, 1))
     index = np.arange(na)
     points[1 + 2 * index, index] += h

@@ -1,118 +1,23 @@
-"""Maximum likelihood by EM; paper, Algorithm 1: one loop, several E steps.
-
-Iteration k draws all its random numbers from ``SeedSequence(seed, spawn_key=(k,))`` and looks at
-nothing but the trace before it, so a run stopped after any iteration and resumed from its
-:class:`Checkpoint` gives the same bits as one that was never stopped.
-"""
+"""Maximum likelihood by EM; paper, Algorithm 1: RBPS-EM, and the exact EM of linear Gaussian models."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from engine import display, plots
-from engine.base_model import BaseModel
-from engine.convergence import WINDOW, has_settled
-from engine.e_steps import LOST_SHARE, EStep, Expect, rbps_step, rts_step
-from engine.errors import OptionError
-from engine.expectation import parameter_scale
-from engine.maximization import maximize
-from engine.model import Array, MixedModel, Theta, ThetaLike
-from engine.outcome import Outcome
+from engine.e_steps import rbps_step, rts_step
+from engine.em_loop import Callback, iterate
+from engine.em_result import Checkpoint as Checkpoint
+from engine.em_result import EmResult as EmResult
+from engine.em_result import Iteration as Iteration
+from engine.likelihood_step import LikelihoodStep
+from engine.model import MixedModel, ThetaLike
 from engine.proposals import Proposal
+from engine.quasi_ml import with_scales
 from engine.series import Series, as_series_list
-from engine.warm_start import FAR, WarmStart
-
-
-@dataclass(frozen=True)
-class Iteration:
-    """What the callback sees: iteration k of n, theta_k, and how the E step before it went.
-
-    ``log_likelihood`` is that of the previous theta; ``ess`` the mean effective sample size;
-    ``collapsed`` the share of rows at which the filter had one particle left.
-    """
-
-    k: int
-    n_iterations: int
-    theta: Theta
-    log_likelihood: float
-    ess: float
-    seconds: float
-    collapsed: float
-
-
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """All that resuming needs: trace (k+1, n_theta), log_likelihood, ess, seconds, collapsed (k,)."""
-
-    trace: Array
-    log_likelihood: Array
-    ess: Array
-    seconds: Array
-    collapsed: Array
-
-
-@dataclass(frozen=True, eq=False)
-class EmResult:
-    """The estimate and how it came about.
-
-    ``theta`` the estimate; ``trace`` (K+1, n_theta) with the start first; ``log_likelihood`` (K,) of
-    trace[:K] as estimated by each E step; ``ess`` (K,); ``seconds`` (K,); ``collapsed`` (K,) share of
-    rows at which the filter collapsed; ``outcome``; ``message`` with the particulars.
-    """
-
-    model: BaseModel
-    free: tuple[str, ...]
-    theta: Theta
-    trace: Array
-    log_likelihood: Array
-    ess: Array
-    seconds: Array
-    collapsed: Array
-    outcome: Outcome
-    message: str
-
-    @property
-    def checkpoint(self) -> Checkpoint:
-        """What ``resume=`` takes to go on from here."""
-        return Checkpoint(self.trace, self.log_likelihood, self.ess, self.seconds, self.collapsed)
-
-    def plot(self, intervals: Array | None = None) -> plots.Figures:
-        """``convergence``: every free parameter by iteration, log-likelihood, effective sample size.
-
-        ``intervals`` (n_theta, 2) are drawn as bands: ``standard_errors(...).interval()``. Needs the
-        extra ``plot``.
-        """
-        at = self.model.free_indices(self.free)
-        figure = plots.convergence(
-            {self.model.parameters[i].name: self.model.parameters[i].unit for i in at},
-            self.trace[:, at],
-            np.asarray(self.theta)[at],
-            self.log_likelihood,
-            self.ess,
-            None if intervals is None else intervals[at],
-        )
-        return plots.Figures(convergence=figure)
-
-    def _repr_html_(self) -> str:
-        rows = [
-            (p.name, value, p.unit, start, "" if p.name in self.free else "fixed")
-            for p, value, start in zip(
-                self.model.parameters, self.theta.tolist(), self.trace[0].tolist(), strict=True
-            )
-        ]
-        return display.show(
-            f"{self.model.name}: {len(self.log_likelihood)} iterations of EM",
-            display.line(self.message),
-            display.table(("parameter", "estimate", "unit", "start", ""), rows),
-        )
-
-
-Callback: TypeAlias = Callable[[Iteration], Any]
+from engine.warm_start import WarmStart
 
 
 def rbps_em(
@@ -150,9 +55,11 @@ def rbps_em(
     ``m_step``: "scoring" or "bfgs", see :mod:`engine.maximization`.
     ``warm_start``: let the first iteration leave from the maximum of an approximate likelihood where
     theta0 is far less likely, see :mod:`engine.warm_start`; False always starts EM at theta0.
+    Parameters that move what has no noise are moved by :mod:`engine.likelihood_step`; ``message`` says so.
     Raises OptionError, SeriesError, ModelError.
     """
     listed = as_series_list(series, model)
+    given, model = model, scaled(model, listed, theta0, free, resume)
     expect = rbps_step(
         model,
         listed,
@@ -166,12 +73,22 @@ def rbps_em(
     )
     indices = model.free_indices(free)
     ahead = WarmStart(model, listed, indices) if warm_start else None
-    result = iterate(
-        model, expect, theta0, free, n_iterations, seed, callback, resume, m_step, tolerance, ahead
+    found = iterate(
+        model,
+        expect,
+        theta0,
+        free,
+        n_iterations,
+        seed,
+        callback,
+        resume,
+        m_step,
+        tolerance,
+        ahead=ahead,
+        likelihood=LikelihoodStep(model, listed),
     )
-    if ahead is not None and ahead.note:
-        result = replace(result, message=f"{result.message} {ahead.note}")
-    return result
+    note = f" {ahead.note}" if ahead is not None and ahead.note else ""
+    return replace(found, model=given, message=found.message + note)
 
 
 def rts_em(
@@ -190,164 +107,33 @@ def rts_em(
 
     Raises ModelError where the model is not linear Gaussian.
     """
-    expect = rts_step(model, as_series_list(series, model))
-    return iterate(
-        model, expect, theta0, free, n_iterations, 0, callback, resume, m_step, tolerance
+    listed = as_series_list(series, model)
+    given, model = model, scaled(model, listed, theta0, free, resume)
+    found = iterate(
+        model,
+        rts_step(model, listed),
+        theta0,
+        free,
+        n_iterations,
+        0,
+        callback,
+        resume,
+        m_step,
+        tolerance,
+        likelihood=LikelihoodStep(model, listed, "the exact", worth=1e-8),
     )
+    return replace(found, model=given)
 
 
-def iterate(
-    model: BaseModel,
-    expect: Expect,
+def scaled(
+    model: MixedModel,
+    listed: Sequence[Series],
     theta0: ThetaLike,
     free: Sequence[str] | None,
-    n_iterations: int,
-    seed: int,
-    callback: Callback | None,
     resume: Checkpoint | EmResult | None,
-    m_step: str,
-    tolerance: float | None,
-    ahead: Callable[[Theta], Theta | None] | None = None,
-) -> EmResult:
-    """The loop of Algorithm 1: E step, M step, settled?
-
-    ``ahead`` may name a point from which the first iteration leaves if that is far more likely.
-    """
-    if int(n_iterations) != n_iterations or n_iterations < 1:
-        raise OptionError(
-            f"n_iterations = {n_iterations}; a positive whole number is needed", "n_iterations"
-        )
-    indices = model.free_indices(free)
-    names = tuple(model.parameter_names[i] for i in indices)
-    log = _Log(model, theta0, resume, n_iterations)
-    outcome = Outcome.ITERATIONS_USED_UP
-    settled = log.settled(indices, tolerance)
-    for k in range(log.k + 1, n_iterations + 1):
-        if settled:
-            break
-        started = time.perf_counter()
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
-        theta = log.theta
-        step = expect(theta, rng)
-        new, origin = theta, step
-        if k == 1 and ahead is not None:
-            new, origin = _more_likely(expect, ahead(theta), theta, step, rng)
-        if np.isfinite(origin.log_likelihood):
-            new = Theta(maximize(origin.q, new, indices, m_step), theta.names)
-        it = log.add(k, new, step, time.perf_counter() - started)
-        if not (np.isfinite(origin.log_likelihood) and np.isfinite(np.asarray(new)).all()):
-            outcome = Outcome.DIVERGED
-            break
-        settled = log.settled(indices, tolerance)
-        if _stops(callback, it):
-            outcome = Outcome.STOPPED_BY_CALLER
-            break
-    if settled and outcome is not Outcome.STOPPED_BY_CALLER:
-        outcome = Outcome.CONVERGED
-    return log.result(names, indices, outcome)
-
-
-def _more_likely(
-    expect: Expect, other: Theta | None, theta: Theta, step: EStep, rng: np.random.Generator
-) -> tuple[Theta, EStep]:
-    """Theta with its E step, or the other if that is far more likely by the particle filter."""
-    if other is not None:
-        there = expect(other, rng)
-        gain = there.log_likelihood - step.log_likelihood
-        if np.isfinite(there.log_likelihood) and not gain < FAR:
-            return other, there
-    return theta, step
-
-
-def _stops(callback: Callback | None, iteration: Iteration) -> bool:
-    if callback is None:
-        return False
-    try:
-        return callback(iteration) is True
-    except StopIteration:
-        return True
-
-
-class _Log:
-    """The trace as it grows."""
-
-    def __init__(
-        self,
-        model: BaseModel,
-        theta0: ThetaLike,
-        resume: Checkpoint | EmResult | None,
-        n_iterations: int,
-    ) -> None:
-        self.model, self.n_iterations = model, n_iterations
-        self.lost_at = ""
-        if resume is None:
-            self.trace = [model.theta(theta0)]
-            self.rows: list[tuple[float, float, float, float]] = []
-            return
-        if resume.trace.shape != (len(resume.log_likelihood) + 1, len(model.parameters)):
-            raise OptionError(
-                f"resume has a trace of shape {resume.trace.shape} and "
-                f"{len(resume.log_likelihood)} log-likelihoods; model '{model.name}' needs "
-                f"(k + 1, {len(model.parameters)}) and k",
-                "resume",
-            )
-        self.trace = [model.theta(row) for row in resume.trace]
-        self.rows = list(
-            zip(
-                resume.log_likelihood.tolist(),
-                resume.ess.tolist(),
-                resume.seconds.tolist(),
-                resume.collapsed.tolist(),
-                strict=True,
-            )
-        )
-
-    @property
-    def k(self) -> int:
-        return len(self.rows)
-
-    @property
-    def theta(self) -> Theta:
-        return self.trace[-1]
-
-    def add(self, k: int, theta: Theta, step: EStep, seconds: float) -> Iteration:
-        self.trace.append(theta)
-        self.lost_at = step.lost_at or self.lost_at
-        self.rows.append((step.log_likelihood, step.ess, seconds, step.collapsed))
-        return Iteration(
-            k, self.n_iterations, theta, step.log_likelihood, step.ess, seconds, step.collapsed
-        )
-
-    def settled(self, indices: Any, tolerance: float | None) -> bool:
-        if tolerance is None or self.k < 2 * WINDOW:
-            return False
-        trace = np.array(self.trace[-2 * WINDOW - 1 :])
-        theta = np.asarray(self.theta)
-        scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
-        return has_settled(trace[:, indices], scale, tolerance)
-
-    def result(self, names: tuple[str, ...], indices: Any, outcome: Outcome) -> EmResult:
-        trace = np.array([np.asarray(row) for row in self.trace])
-        columns = np.array(self.rows).reshape(-1, 4).T
-        theta = trace[-1]
-        if outcome is Outcome.CONVERGED:
-            theta = trace[-WINDOW:].mean(axis=0)
-        lost = columns[3][-WINDOW:].mean() if self.k else 0.0
-        if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
-            outcome = Outcome.COLLAPSED
-        message = outcome.value
-        if lost > 0.0:
-            message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows"
-            message += f", first at {self.lost_at}." if self.lost_at else "."
-        return EmResult(
-            self.model,
-            names,
-            Theta(theta, self.model.parameter_names),
-            trace,
-            columns[0],
-            columns[1],
-            columns[2],
-            columns[3],
-            outcome,
-            message,
-        )
+) -> MixedModel:
+    """The model with the scales that its parameters have at the start of the trace."""
+    start = model.theta(theta0) if resume is None else resume.trace[0]
+    if np.shape(start) != (len(model.parameters),):
+        return model  # a checkpoint of another model; ``iterate`` says so
+    return with_scales(model, listed, start, model.free_indices(free))

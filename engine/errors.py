@@ -5,7 +5,10 @@
     +-- SeriesError     the measured data
     +-- OptionError     an argument of an algorithm
 
-Every message names what was wrong, where, and what to do about it.
+Every message names what was wrong, where, and what to do about it. What can be gone on with is a warning:
+
+    UserWarning
+    +-- NotSettledWarning   the uncertainty of something that is no maximum of the likelihood
 """
 
 from __future__ import annotations
@@ -13,6 +16,10 @@ from __future__ import annotations
 
 class EngineError(ValueError):
     """Base class: something the caller can put right."""
+
+
+class NotSettledWarning(UserWarning):
+    """Standard errors were asked for at parameters that are no maximum of the likelihood."""
 
 
 class ModelError(EngineError):

@@ -75,6 +75,7 @@ def examine(
         "estimate": estimate_document(model, found.theta, found.free, errors, intervals),
         "outcome": found.outcome.name.lower().replace("_", "-"),
         "message": found.message,
+        "warning": " ".join(one.warning for one in (errors, intervals) if one and one.warning),
         "trace": trace_document(found),
         "states": states_document(model, listed, states),
         "examination": examination(model, found.theta, listed, covariance_of(model, errors), seed),

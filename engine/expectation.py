@@ -19,6 +19,7 @@ from engine.rb_ffbsi import Smoothed
 BLOCK = 2**17  # numbers in an array of points; what fits the cache keeps time linear in T
 FEW = 3  # time steps at which it is asked first whether a parameter is used
 STEP = 1e-5  # of a parameter's size, for differences of the model's functions
+TYPICAL = 0.05  # of the distance of its bounds: a parameter's size where nothing else is known
 
 
 class Term(Protocol):
@@ -34,6 +35,11 @@ class Term(Protocol):
         self, record: Any, neighbours: list[tuple[Any, Any, float]]
     ) -> tuple[float, Array, Array]:
         """Value, gradient and scoring matrix along the parameters given by their neighbours."""
+
+    def moves_noise_free(
+        self, record: Any, neighbours: list[tuple[Any, Any, float]]
+    ) -> NDArray[np.bool_]:
+        """Which of these parameters move what has no noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +88,17 @@ class QFunction:
             H[np.ix_(which, which)] += h
         return value, gradient, H
 
+    def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which free parameters move what has no noise (n,): Q is no guide to these."""
+        record = self.model.record(theta)
+        neighbours = [self._neighbours(theta, k) for k in free]
+        out = np.zeros(len(free), dtype=bool)
+        for term, depends in zip(self.terms, self.depends, strict=True):
+            which = np.flatnonzero(depends[free] & ~out)
+            if which.size:
+                out[which] = term.moves_noise_free(record, [neighbours[i] for i in which])
+        return out
+
     def _neighbours(self, theta: Array, k: int) -> tuple[Any, Any, float]:
         step = STEP * parameter_scale(self.model, theta, k)
         below, above = np.array(theta), np.array(theta)
@@ -91,12 +108,16 @@ class QFunction:
 
 
 def parameter_scale(model: BaseModel, theta: Array, k: int) -> float:
-    """A typical size of parameter k: its value, else its default, else its bounds, else 1."""
-    size = max(abs(float(theta[k])), abs(model.parameters[k].default))
+    """A typical size of parameter k, in its unit: its value, default or ``scale``, whichever is most.
+
+    Without any, a share of its bounds; else 1. :func:`engine.quasi_ml.with_scales` finds a better one.
+    """
+    p = model.parameters[k]
+    size = max(abs(float(theta[k])), abs(p.default), p.scale)
     if size > 0.0:
         return size
     width = float(model.upper[k] - model.lower[k])
-    return min(width, 1.0) if np.isfinite(width) else 1.0
+    return TYPICAL * width if np.isfinite(width) else 1.0
 
 
 def expectation(
@@ -263,6 +284,12 @@ class DensityTerm:
     def rank(self, record: Any) -> int:
         """Always 0: nothing to keep."""
         return 0
+
+    def moves_noise_free(
+        self, record: Any, neighbours: list[tuple[Any, Any, float]]
+    ) -> NDArray[np.bool_]:
+        """None: a density has no such directions."""
+        return np.zeros(len(neighbours), dtype=bool)
 
     def derivatives(
         self, record: Any, neighbours: list[tuple[Any, Any, float]]

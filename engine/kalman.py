@@ -6,6 +6,7 @@ Written in plain NumPy from the textbook formulas, independently of the kernels 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,11 @@ from engine.errors import ModelError
 from engine.model import Array, Gaussian, MixedModel, Theta, ThetaLike
 from engine.model_check import check_start
 from engine.series import Series
+
+SAME = 1e-9  # share of its largest value by which what should not depend on a may do so
+ROUNDING = 1e-12  # of the values from whose difference a slope is taken
+SINGULAR = 1e-13  # eigenvalues of a correlation matrix below this are rounding
+LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,57 +60,102 @@ class KalmanSmoothed:
         return plots.Figures(states=plots.states(series.t, units, self.x, sd))
 
 
-@dataclass(frozen=True)
-class LinearStep:
-    """x' = f + F x + w, w ~ N(0, Q);  y = h + H x + e, e ~ N(0, R), at one time step."""
+def transition_matrices(
+    model: MixedModel, record: Any, u: Array, t: float, dt: float, points: Array
+) -> tuple[Array, Array, Array]:
+    """f (nx,), F (nx, nx), Q (nx, nx) of x' = f + F x + w, w ~ N(0, Q), x = (a, z).
 
-    f: Array
-    F: Array
-    Q: Array
-    h: Array
-    H: Array
-    R: Array
+    ``points`` (n, na) of a from :func:`probes`. Raises ModelError where the model is not linear there.
+    """
+    return _matrices(model, "fAQ", model.transition(points, u, t, dt, record), points)
 
 
-def linear_step(model: MixedModel, record: Any, u: Array, t: float, dt: float) -> LinearStep:
-    """The model's matrices on x = (a, z). Raises ModelError where it is not linear in a."""
-    na, nx = model.na, model.nx
-    rng = np.random.default_rng(20)
-    corners = np.concatenate([np.zeros((1, na)), np.eye(na), 3.0 * rng.standard_normal((2, na))])
-    f, A, Q = model.transition(corners, u, t, dt, record)
-    h, C, R = model.observation(corners, u, t, record)
-    for name, matrix in (("A", A), ("Q", Q), ("C", C), ("R", R)):
-        if matrix.ndim == 3 and np.abs(matrix - matrix[:1]).max(initial=0.0) > 1e-12:
-            raise ModelError(f"model '{model.name}' is not linear Gaussian: {name} depends on a")
-    A, Q, C, R = (m[0] if m.ndim == 3 else m for m in (A, Q, C, R))
-    Fa, Ha = (f[1 : na + 1] - f[0]).T, (h[1 : na + 1] - h[0]).T
-    for name, value, slope in (("f", f, Fa), ("h", h, Ha)):
-        if not np.allclose(value, value[0] + corners @ slope.T, rtol=1e-9, atol=1e-9):
-            raise ModelError(
-                f"model '{model.name}' is not linear Gaussian: {name} is not affine in a"
-            )
-    F = np.concatenate([Fa, A], axis=1).reshape(nx, nx)
-    H = np.concatenate([Ha, C], axis=1).reshape(model.ny, nx)
-    return LinearStep(f[0], F, Q, h[0], H, R)
+def observation_matrices(
+    model: MixedModel, record: Any, u: Array, t: float, points: Array
+) -> tuple[Array, Array, Array]:
+    """h (ny,), H (ny, nx), R (ny, ny) of y = h + H x + e, e ~ N(0, R); as transition_matrices."""
+    return _matrices(model, "hCR", model.observation(points, u, t, record), points)
+
+
+def probes(centre: Array, sd: Array, typical: Array) -> Array:
+    """Points (na + 5, na) of a at which a model is asked whether it is linear, in the states' units.
+
+    The centre, one point along each axis, and others at random; as far away as the state is from zero
+    or its standard deviation ``sd`` (na,), whichever is more, and near by. ``typical`` (na,) sizes help
+    where both are zero.
+    """
+    na = len(centre)
+    draws = _draws(na)
+    far = np.maximum(sd, np.abs(centre))
+    far = np.where(far > 0.0, far, typical)
+    steps = (np.zeros((1, na)), np.diag(far), 3.0 * far * draws[0])
+    return np.asarray(centre + np.concatenate([*steps, 3.0 * sd * draws[1]]))
+
+
+@lru_cache(maxsize=64)
+def _draws(na: int) -> Array:
+    return np.random.default_rng(20).standard_normal((2, 2, na))
+
+
+def _matrices(
+    model: MixedModel, names: str, at: tuple[Array, Array, Array], points: Array
+) -> tuple[Array, Array, Array]:
+    """Intercept, matrix on x = (a, z) and covariance from the model's values ``at`` the points."""
+    value, matrix, cov = at
+    common = []
+    for name, m in ((names[1], matrix), (names[2], cov)):
+        if m.ndim == 3:
+            if (np.abs(m - m[:1]) > SAME * np.abs(m).max(axis=0)).any():
+                raise _not_linear(model, f"{name} depends on a")
+            m = m[0]
+        common.append(m)
+    slope = _slope(value, points)
+    if slope is None:
+        raise _not_linear(model, f"{names[0]} is not affine in a")
+    full = np.concatenate([slope, common[0]], axis=1)
+    return value[0] - slope @ points[0], full, common[1]
+
+
+def _slope(value: Array, points: Array) -> Array | None:
+    """J (n, na) with value = value_0 + (a - a_0) J' at all points, None where there is none."""
+    na = points.shape[1]
+    moved = points - points[0]
+    change = value - value[0]
+    with np.errstate(invalid="ignore"):
+        J = (change[1 : na + 1] / np.diagonal(moved[1 : na + 1])[:, None]).T
+        off = np.abs(change - moved @ J.T)
+        limit = SAME * np.abs(change).max(axis=0) + ROUNDING * np.abs(value).max(axis=0)
+    return J if (off <= limit).all() else None
+
+
+def _not_linear(model: MixedModel, why: str) -> ModelError:
+    return ModelError(f"model '{model.name}' is not linear Gaussian: {why}")
 
 
 def linear_start(model: MixedModel, record: Any) -> tuple[Array, Array]:
     """Mean (nx,) and covariance (nx, nx) of x_1. Raises ModelError where it is not Gaussian."""
     start = model.start(record)
     if not isinstance(start.density, Gaussian):
-        raise ModelError(f"model '{model.name}' is not linear Gaussian: p(a_1) is not a Gaussian")
-    na = model.na
-    corners = np.concatenate([np.zeros((1, na)), np.eye(na)])
-    z, P1 = start.linear(corners)
+        raise _not_linear(model, "p(a_1) is not a Gaussian")
+    mean, Pa = start.density.mean, start.density.cov
+    points = probes(mean, np.sqrt(np.diagonal(Pa)), np.ones(model.na))
+    z, P1 = start.linear(points)
     if P1.ndim == 3:
-        if np.abs(P1 - P1[:1]).max() > 1e-12:
-            raise ModelError(f"model '{model.name}' is not linear Gaussian: P1 depends on a_1")
+        if (np.abs(P1 - P1[:1]) > SAME * np.abs(P1).max(axis=0)).any():
+            raise _not_linear(model, "P1 depends on a_1")
         P1 = P1[0]
-    slope = (z[1:] - z[0]).T  # z_1 may be affine in a_1
-    mean = np.concatenate([start.density.mean, z[0] + slope @ start.density.mean])
-    Pa = start.density.cov
+    slope = _slope(z, points)  # z_1 may be affine in a_1
+    if slope is None:
+        raise _not_linear(model, "z1 is not affine in a_1")
     P = np.block([[Pa, Pa @ slope.T], [slope @ Pa, slope @ Pa @ slope.T + P1]])
-    return mean, P.reshape(model.nx, model.nx)
+    return np.concatenate([mean, z[0]]), P.reshape(model.nx, model.nx)
+
+
+def start_probes(model: MixedModel, record: Any) -> Array:
+    """The :func:`probes` about p(a_1)."""
+    mean, P = linear_start(model, record)
+    sd = np.sqrt(np.diagonal(P))[: model.na]
+    return probes(mean[: model.na], sd, np.ones(model.na))
 
 
 def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> KalmanSmoothed:
@@ -121,31 +172,48 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     F = np.empty((T - 1, nx, nx))
     log_likelihood = 0.0
     x, P = linear_start(model, record)
+    na = model.na
+    sizes = np.ones(na)  # until a state has a scale, any is as good
     for t in range(T):
-        dt = float(series.steps[min(t, T - 2)])
-        step = linear_step(model, record, series.u[t], float(series.t[t]), dt)
+        u, time = series.u[t], float(series.t[t])
+        # linear? asked again at each time, where the filter is
+        far = np.maximum(np.abs(x), np.sqrt(np.maximum(np.diagonal(P), 0.0)))[:na]
+        sizes = np.where(far > 0.0, far, sizes)
         x_p[t], P_p[t] = x, P
         there = series.observed[t]
+        points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
+        h, H, R = observation_matrices(model, record, u, time, points)
         if there.any():
-            H, R = step.H[there], step.R[np.ix_(there, there)]
-            nu = series.y[t, there] - step.h[there] - H @ x
+            H, R = H[there], R[np.ix_(there, there)]
+            nu = series.y[t, there] - h[there] - H @ x
             S = H @ P @ H.T + R
-            K = np.linalg.solve(S, H @ P).T
+            scale = _scale(S)
+            inverse = np.linalg.inv(S / np.outer(scale, scale)) / np.outer(scale, scale)
+            K = P @ H.T @ inverse
             x = x + K @ nu
             J = np.eye(nx) - K @ H
             P = J @ P @ J.T + K @ R @ K.T
-            log_likelihood -= 0.5 * float(
-                np.linalg.slogdet(2.0 * np.pi * S)[1] + nu @ np.linalg.solve(S, nu)
-            )
+            log_det = np.linalg.slogdet(S / np.outer(scale, scale))[1] + 2.0 * np.log(scale).sum()
+            log_likelihood -= 0.5 * float(len(nu) * LOG_2PI + log_det + nu @ inverse @ nu)
         x_f[t], P_f[t] = x, P
         if t < T - 1:
-            F[t] = step.F
-            x = step.f + step.F @ x
-            P = step.F @ P @ step.F.T + step.Q
+            points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
+            dt = float(series.steps[t])
+            f, F[t], Q = transition_matrices(model, record, u, time, dt, points)
+            x = f + F[t] @ x
+            P = F[t] @ P @ F[t].T + Q
     x_s, P_s, M = x_f.copy(), P_f.copy(), np.empty((T - 1, nx, nx))
     for t in range(T - 2, -1, -1):
-        G = P_f[t] @ F[t].T @ np.linalg.pinv(P_p[t + 1], hermitian=True)
+        scale = _scale(P_p[t + 1])
+        ahead = np.linalg.pinv(P_p[t + 1] / np.outer(scale, scale), rcond=SINGULAR, hermitian=True)
+        G = P_f[t] @ F[t].T @ (ahead / np.outer(scale, scale))
         x_s[t] = x_f[t] + G @ (x_s[t + 1] - x_p[t + 1])
         P_s[t] = P_f[t] + G @ (P_s[t + 1] - P_p[t + 1]) @ G.T
         M[t] = G @ P_s[t + 1]
     return KalmanSmoothed(model, theta, x_s, P_s, M, x_f, P_f, x_p, P_p, log_likelihood)
+
+
+def _scale(S: Array) -> Array:
+    """Standard deviations (n,), 1 where zero: without units, small channels are not lost beside large."""
+    d = np.diagonal(S)
+    return np.sqrt(np.where(d > 0.0, d, 1.0))

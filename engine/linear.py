@@ -7,7 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from engine.kalman import linear_start, linear_step
+from engine.kalman import (
+    linear_start,
+    observation_matrices,
+    start_probes,
+    transition_matrices,
+)
 from engine.model import Array, Gaussian, MixedModel
 
 
@@ -20,12 +25,10 @@ def as_linear(model: MixedModel) -> MixedModel:
         return model
 
     def dynamics(a: Array, u: Array, t: float, dt: float, theta: Any) -> tuple[Any, Any, Any]:
-        step = linear_step(model, theta, u, t, dt)
-        return step.f, step.F, step.Q
+        return transition_matrices(model, theta, u, t, dt, start_probes(model, theta))
 
     def measurement(a: Array, u: Array, t: float, theta: Any) -> tuple[Any, Any, Any]:
-        step = linear_step(model, theta, u, t, 1.0)
-        return step.h, step.H, step.R
+        return observation_matrices(model, theta, u, t, start_probes(model, theta))
 
     def initial(theta: Any) -> tuple[Gaussian, Any, Any]:
         mean, P = linear_start(model, theta)

@@ -32,6 +32,9 @@ class Objective(Protocol):
     def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
         """Value, gradient (n,) and a non-negative scoring matrix (n, n) in the free parameters."""
 
+    def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which free parameters (n,) move what has no noise, so that Q is no guide to them."""
+
 
 @repeated_if_refuted
 def maximize(q: Objective, theta: Array, free: NDArray[np.intp], method: str = "scoring") -> Array:

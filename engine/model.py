@@ -28,7 +28,7 @@ faster for it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, TypeAlias, cast
 
@@ -84,7 +84,10 @@ class Gaussian:
         """Evaluate at a (M, na) -> (M,); a fixed component contributes nothing."""
         from engine.kernels.gaussian import log_normal_common, psd_cholesky
 
-        return cast(Array, log_normal_common(a - self.mean, psd_cholesky(self.cov)))
+        return cast(
+            Array,
+            log_normal_common(np.ascontiguousarray(a), self.mean[None], psd_cholesky(self.cov)),
+        )
 
 
 Dynamics: TypeAlias = Callable[[Array, Any, Any, Any, Any], tuple[Any, Any, Any]]
@@ -215,6 +218,13 @@ class MixedModel(BaseModel):
             )
 
         return ModelFunction(regular, self.name, "measurement", (self.lower, self.upper))
+
+    def with_parameters(self, parameters: Sequence[Parameter]) -> MixedModel:
+        """The same functions with parameters described otherwise; what is known of their calls is kept."""
+        model = replace(self, parameters=tuple(parameters))
+        for known in ("transitions", "observations", "checked"):
+            vars(model)[known] = getattr(self, known)
+        return model
 
     def start(self, theta: Any) -> Start:
         """The initial density p(a_1) N(z_1; z_{1|0}(a_1), P_{1|0}(a_1)), report, eq. (1f).

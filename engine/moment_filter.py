@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import ModelError
+from engine.kernels.gaussian import psd_cholesky_many
 from engine.kernels.moments import (
     gaussian_update,
     observe,
@@ -27,6 +28,8 @@ from engine.kernels.moments import (
 from engine.model import Array, Gaussian, MixedModel, stacked
 from engine.series import Series
 from engine.statespace.refutation import repeated_if_refuted
+
+NEAR = 1e-4  # of a state's size: over this, slopes are taken where the state has no variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +153,28 @@ def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
             before = P
             m, P, cross = run.predict_x(t, m, P)
             kept["F"][t] = slopes(cross[0], before[0])
+    _slopes_without_variance(run, kept)
     return MomentPath(**kept, log_likelihood=total)
+
+
+def _slopes_without_variance(run: FilterSteps, kept: dict[str, Array]) -> None:
+    """Fill in H and F where a direction of x has no variance, from which nothing can be regressed.
+
+    There they are slopes over a small share of what each state is at most on the way, in its unit.
+    """
+    predicted, P = kept["predicted"], kept["P_predicted"]
+    variance = np.diagonal(P, axis1=1, axis2=2)
+    sizes = np.maximum(np.abs(predicted), np.sqrt(np.maximum(variance, 0.0))).max(axis=0)
+    least = np.diag((NEAR * np.where(sizes > 0.0, sizes, 1.0)) ** 2)  # 1: it never leaves zero
+    for name, function, means, covs in (
+        ("H", run.observation, predicted, P),
+        ("F", run.transition, kept["filtered"][:-1], kept["P_filtered"][:-1]),
+    ):
+        pivots = np.diagonal(psd_cholesky_many(np.ascontiguousarray(covs)), axis1=1, axis2=2)
+        for t in np.flatnonzero(~(pivots > 0.0).all(axis=1)):
+            wide = covs[t] + least
+            _, _, cross = run.through(function, int(t), means[t][None], wide[None])
+            kept[name][t] = slopes(cross[0], wide)
 
 
 class FilterSteps:
@@ -182,13 +206,14 @@ class FilterSteps:
 
     def predict_y(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
         """Mean, covariance and cross-covariance with x of y_t."""
-        return self._through(self.observation, t, m, P)
+        return self.through(self.observation, t, m, P)
 
     def predict_x(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
         """Mean, covariance and cross-covariance with x_t of x_{t+1}."""
-        return self._through(self.transition, t, m, P)
+        return self.through(self.transition, t, m, P)
 
-    def _through(self, function: Any, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
+    def through(self, function: Any, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Mean, covariance and cross-covariance with x of a function of x ~ N(m, P)."""
         na = self.model.na
         a, z, V, offsets = sigma_points(m, P, na)
         rows = a.reshape(a.shape[0] * a.shape[1], na)

@@ -52,6 +52,10 @@ class TrajectoryQ:
             H += np.einsum("atj,btj->ab", scores, scores) / scores.shape[2]
         return self.value(theta), gradient, H
 
+    def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """None (n,): a general model is given by densities, which have no such directions."""
+        return np.zeros(len(free), dtype=bool)
+
     def _log_densities(self, record: Any) -> list[Array]:
         """log p(x_1) (1, N), log p(x_{t+1} | x_t) (T-1, N), log p(y_t | x_t) (T', N) of every series."""
         parts = []

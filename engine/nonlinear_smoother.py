@@ -19,7 +19,10 @@ from engine.series import Series
 
 @dataclass(frozen=True, eq=False)
 class GeneralFiltered:
-    """``x`` (T, M, nx), ``weights`` (T, M) before resampling, ``log_likelihood``, ``ess`` (T,)."""
+    """``x`` (T, M, nx), ``weights`` (T, M) before resampling, ``log_likelihood``, ``ess`` (T,).
+
+    ``ancestors`` (T, M): the particle at t-1 from which each one at t was drawn.
+    """
 
     model: NonlinearModel
     theta: Theta
@@ -29,6 +32,7 @@ class GeneralFiltered:
     log_weights: Array
     log_likelihood: float
     ess: Array
+    ancestors: NDArray[np.int64]
 
     @property
     def collapsed(self) -> NDArray[np.intp]:
@@ -62,6 +66,8 @@ def filter_general(
     x = np.asarray(model.initial(record).sample(rng, M), dtype=float)
     points, weights, log_weights = np.empty((T, M, model.nx)), np.empty((T, M)), np.empty((T, M))
     ess, log_likelihood = np.empty(T), 0.0
+    own: NDArray[np.int64] = np.arange(M)
+    ancestors = np.tile(own, (T, 1))
     even = np.full(M, -np.log(M))
     log_w = even
     for t in range(T):
@@ -76,9 +82,12 @@ def filter_general(
         log_weights[t] = log_w
         if t < T - 1:
             if ess[t] <= ess_threshold * M:
-                x, log_w = x[scheme(weights[t], rng.random(M))], even
+                ancestors[t + 1] = scheme(weights[t], rng.random(M))
+                x, log_w = x[ancestors[t + 1]], even
             x = model.draw_next(x, u, time, float(series.steps[t]), record, rng)
-    return GeneralFiltered(model, theta, series, points, weights, log_weights, log_likelihood, ess)
+    return GeneralFiltered(
+        model, theta, series, points, weights, log_weights, log_likelihood, ess, ancestors
+    )
 
 
 def smooth_general(
@@ -88,13 +97,17 @@ def smooth_general(
     model, series, x = filtered.model, filtered.series, filtered.x
     T, N, record = len(x), n_trajectories, model.record(filtered.theta)
     draws = np.empty((T, N, model.nx))
-    draws[-1] = x[-1][schemes.stratified(filtered.weights[-1], rng.random(N))]
+    i = schemes.stratified(filtered.weights[-1], rng.random(N))
+    draws[-1] = x[-1][i]
     for t in range(T - 2, -1, -1):
         u, time, dt = series.u[t], float(series.t[t]), float(series.steps[t])
         f, g = model.transition(x[t], u, time, dt, record)
         log_p = model.log_transition(draws[t + 1][:, None], f, g, record)
         log_w = filtered.log_weights[t] + log_p
-        draws[t] = x[t][np.maximum(pick_each(log_w, rng.random(N)), 0)]
+        picked = pick_each(log_w, rng.random(N))
+        # no particle can have led there (noise-free states, rounding): its own past did
+        i = np.where(picked < 0, filtered.ancestors[t + 1, i], picked)
+        draws[t] = x[t][i]
     return draws
 
 

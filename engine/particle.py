@@ -204,9 +204,11 @@ class JointStart:
         z1, P = self.start.linear(a)
         log_p = np.array(self.start.density.log_density(a), dtype=float)
         if P.ndim == 2:
-            return np.asarray(log_p + log_normal_common(z - z1, psd_cholesky(P)))
-        for i, (r, cov) in enumerate(zip(z - z1, P, strict=True)):
-            log_p[i] += log_normal_common(r[None], psd_cholesky(cov))[0]
+            return np.asarray(
+                log_p + log_normal_common(np.ascontiguousarray(z), z1, psd_cholesky(P))
+            )
+        for i, (row, mean, cov) in enumerate(zip(z, z1, P, strict=True)):
+            log_p[i] += log_normal_common(row[None], mean[None], psd_cholesky(cov))[0]
         return log_p
 
 

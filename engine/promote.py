@@ -42,11 +42,12 @@ class Joint:
         a, b = np.ascontiguousarray(x[:, : self.na]), x[:, self.na :]
         mean, cov = self.given(a)
         out = np.asarray(self.density.log_density(a), dtype=float)
-        r = b - mean
+        b = np.ascontiguousarray(b)
         if cov.ndim == 2:
-            return np.asarray(out + log_normal_common(r, psd_cholesky(cov)))
+            return np.asarray(out + log_normal_common(b, mean, psd_cholesky(cov)))
         each = [
-            log_normal_common(one[None], psd_cholesky(P))[0] for one, P in zip(r, cov, strict=True)
+            log_normal_common(one[None], m[None], psd_cholesky(P))[0]
+            for one, m, P in zip(b, mean, cov, strict=True)
         ]
         return np.asarray(out + np.array(each))
 

@@ -7,13 +7,16 @@ models, :class:`engine.nonlinear.NonlinearModel`, the poster's method with its q
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from engine.e_steps import LOST_SHARE, RETRIES, EStep, Expect
-from engine.em import Callback, Checkpoint, EmResult, iterate
+from engine.em import Checkpoint, EmResult, scaled
+from engine.em_loop import Callback, iterate
 from engine.errors import OptionError
 from engine.expectation import expectation
+from engine.likelihood_step import LikelihoodStep
 from engine.model import MixedModel, Theta, ThetaLike
 from engine.nonlinear import NonlinearModel
 from engine.nonlinear_em import general_step
@@ -53,6 +56,7 @@ def ps_em(
     """
     listed = as_series_list(series, model)
     n_trajectories = n_particles if n_trajectories is None else n_trajectories
+    given, likelihood = model, None
     if isinstance(model, NonlinearModel):
         if proposal != "bootstrap":
             raise OptionError("a general model is filtered with proposal='bootstrap'", "proposal")
@@ -67,6 +71,8 @@ def ps_em(
         )
         m_step = m_step or "bfgs"
     else:
+        model = scaled(model, listed, theta0, free, resume)
+        likelihood = LikelihoodStep(model, listed)
         expect = ps_step(
             model,
             listed,
@@ -77,7 +83,7 @@ def ps_em(
             ess_threshold=ess_threshold,
             recover=recover,
         )
-    return iterate(
+    found = iterate(
         model,
         expect,
         theta0,
@@ -88,7 +94,9 @@ def ps_em(
         resume,
         m_step or "scoring",
         tolerance,
+        likelihood=likelihood,
     )
+    return replace(found, model=given)
 
 
 def ps_step(

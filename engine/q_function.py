@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.kernels.gaussian import psd_cholesky_many, whiten_points
 from engine.model import Array
@@ -30,6 +31,7 @@ from engine.model import Array
 # record of theta -> m (T, N, n), A (T', N', n, nz), S (T', N', n, n)
 Evaluate: TypeAlias = Callable[[Any], tuple[Array, Array, Array]]
 
+DIFFERS = 1e-13  # of the largest value: less than this between two theta is rounding
 LOG_2PI = float(np.log(2.0 * np.pi))
 
 
@@ -57,6 +59,31 @@ class GaussianTerm:
         """Number of directions with noise, summed over all points at which S was given."""
         S = self.evaluate(record)[2]
         return int(np.count_nonzero(_pivots(_factor(S))))
+
+    def moves_noise_free(
+        self, record: Any, neighbours: list[tuple[Any, Any, float]]
+    ) -> NDArray[np.bool_]:
+        """Which of k parameters change x, or the noise, in directions without noise: (k,).
+
+        ``neighbours`` as in :meth:`derivatives`, which looks at the other directions only.
+        """
+        m, A, S = self.evaluate(record)
+        L = _factor(S)
+        exact = ~(_pivots(L) > 0.0)
+        out = np.zeros(len(neighbours), dtype=bool)
+        if not exact.any():
+            return out
+        sizes = (np.abs(m).max(axis=(0, 1)), np.abs(A).max(axis=(0, 1)))
+        for i, (below, above, _) in enumerate(neighbours):
+            low, high = self.evaluate(below), self.evaluate(above)
+            dm, dA = high[0] - low[0], high[1] - low[1]
+            moved = np.abs(dm - _apply(L, whiten_all(L, dm))) > DIFFERS * sizes[0]
+            ranks = {int(np.count_nonzero(_pivots(_factor(x[2])))) for x in (low, high)}
+            out[i] = (exact & moved).any() or ranks != {int(np.count_nonzero(~exact))}
+            if dA.any():
+                moved = np.abs(dA - L @ whiten_all(L, dA)) > DIFFERS * sizes[1]
+                out[i] |= (exact[..., None] & moved).any()
+        return out
 
     def _at(
         self, model: tuple[Array, Array, Array], rank: int | None

@@ -13,7 +13,7 @@ of theta, another a whole line search.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths tried at once
 GOOD = 0.25  # of the expected gain; expected is twice what a quadratic function gains
 ENOUGH = 1e-3  # an expected gain in log-likelihood below this ends the search
+TRIALS = 8  # sizes tried for a parameter of unknown scale
 PATIENCE = 3  # iterations before a search may be given up as hopeless
 DAMPING = 1e-8
 
@@ -89,6 +90,7 @@ def quasi_ml(
     indices = model.free_indices(free)
     for one in listed:
         check_start(model, theta, one)
+    given, model = model, with_scales(model, listed, theta, indices)
     names = tuple(model.parameter_names[i] for i in indices)
     lower, upper = model.lower[indices], model.upper[indices]
     value, g, H = derivatives(model, listed, theta, indices)
@@ -123,7 +125,7 @@ def quasi_ml(
             converged = True
             break
     return QuasiFit(
-        model,
+        given,
         Theta(theta, model.parameter_names),
         float(value),
         names,
@@ -132,6 +134,46 @@ def quasi_ml(
         converged,
         given_up,
     )
+
+
+def with_scales(
+    model: MixedModel, listed: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+) -> MixedModel:
+    """The model with a ``scale`` for each parameter of ``indices`` whose default is 0 and that has none.
+
+    It is the value in ``theta``; where that is 0 too, what changes a prediction by about one of its
+    standard deviations, from the information at theta, if it can be had.
+    """
+    parameters = list(model.parameters)
+    unknown = [k for k in indices if parameters[k].default == parameters[k].scale == 0.0]
+    for k in unknown:
+        scale = abs(float(theta[k])) or _informed_scale(model, listed, np.asarray(theta), int(k))
+        scale = scale or parameter_scale(model, theta, k)
+        parameters[k] = replace(parameters[k], scale=scale)
+    return model.with_parameters(parameters) if unknown else model
+
+
+def _informed_scale(model: MixedModel, listed: Sequence[Series], theta: Array, k: int) -> float:
+    """1 / sqrt(information of one reading) on parameter k; 0 where there is none."""
+    scale, n = 1.0, sum(int(one.observed.sum()) for one in listed)
+    for _ in range(
+        TRIALS
+    ):  # differences over steps of a wrong size are lost in rounding, or too long
+        parameters = list(model.parameters)
+        parameters[k] = replace(parameters[k], scale=scale)
+        tried = model.with_parameters(parameters)
+        try:
+            value, _, H = derivatives(tried, listed, theta, np.array([k]))
+        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return 0.0
+        if not np.isfinite(value):
+            scale *= 1e-3
+            continue
+        found = float(np.sqrt(n / H[0, 0])) if H[0, 0] > 0.0 else 1e6 * scale
+        if 0.1 < found / scale < 10.0:
+            return found
+        scale = found
+    return 0.0
 
 
 def _step(

@@ -76,12 +76,12 @@ def gaussian_case(model: MixedModel) -> SpecialCase:
 
     def log_density(a_next: Array, a: Array, u: Any, t: float, dt: float, theta: Any) -> Array:
         f, _, Q = model.transition(a, u, t, dt, theta)
-        r = a_next - f[:, :na]
+        mean = np.ascontiguousarray(f[:, :na])
         L = psd_cholesky_many(np.ascontiguousarray(stacked(Q)[:, :na, :na]))
         if len(L) == 1:
-            return np.asarray(log_normal_common(r, L[0]))
-        each = [log_normal_common(row[None], factor)[0] for row, factor in zip(r, L, strict=True)]
-        return np.array(each)
+            return np.asarray(log_normal_common(a_next, mean, L[0]))
+        each = zip(a_next, mean, L, strict=True)
+        return np.array([log_normal_common(x[None], m[None], factor)[0] for x, m, factor in each])
 
     return SpecialCase(model, sample, log_density)
 

@@ -197,10 +197,11 @@ class Estimated(BaseModel):
 
 
 class Uncertain(BaseModel):
-    """A value with its Monte Carlo standard error."""
+    """A value with its Monte Carlo standard error, and the ``spread`` of the single runs behind it."""
 
     value: float | None
     standard_error: float | None
+    spread: float | None = None
 
 
 class States(BaseModel):
@@ -259,6 +260,9 @@ class Results(BaseModel):
     parameters: dict[str, float] | None = None
     outcome: str | None = None
     message: str | None = None
+    warning: str | None = Field(
+        default=None, description="why standard errors and intervals are none of an estimate"
+    )
     log_likelihood: Uncertain | None = None
     trace: Trace | None = None
     states: StatesOut | None = None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, Protocol
 
 import numpy as np
 
 import engine
-from engine.errors import ModelError
+from engine.errors import ModelError, NotSettledWarning
 from engine.examine import (
     covariance_of,
     estimate_document,
@@ -23,6 +24,8 @@ from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
 
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
+WIDE = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
+DRAWS = 4000  # of that mean, to know its error to about one per cent
 
 
 class Progress(Protocol):
@@ -97,9 +100,11 @@ def describe(
         progress.step(done, "standard errors")
         exact = options.method == "rts-em"
         try:
-            errors = engine.standard_errors(
-                model, theta, job.series, job.free, seed=options.seed, exact=exact
-            )
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotSettledWarning)  # the page says it
+                errors = engine.standard_errors(
+                    model, theta, job.series, job.free, seed=options.seed, exact=exact
+                )
         except ModelError as error:
             message += f" No standard errors: {error}"
     if errors is not None and options.intervals == "likelihood-ratio":
@@ -109,28 +114,37 @@ def describe(
             progress.step(done, f"intervals, {names.index(name) + 1} of {len(names)}: {name}")
 
         try:
-            intervals = engine.likelihood_intervals(
-                model,
-                theta,
-                job.series,
-                errors=errors,
-                seed=options.seed,
-                exact=exact,
-                callback=sought,
-            )
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotSettledWarning)
+                intervals = engine.likelihood_intervals(
+                    model,
+                    theta,
+                    job.series,
+                    errors=errors,
+                    seed=options.seed,
+                    exact=exact,
+                    callback=sought,
+                )
         except ModelError as error:
             message += f" Intervals are symmetric: {error}"
     progress.step(done, "comparing simulation and prediction with the data")
     examined = examination(
         model, theta, job.series, covariance_of(model, errors), seed=options.seed
     )
+    likelihood = log_likelihood(job, theta, n, rng, options.method)
+    if not (likelihood["spread"] or 0.0) < WIDE:
+        message += (
+            f" The log-likelihood is known poorly, and is probably too low: {LIKELIHOOD_RUNS} passes of the "
+            f"filter scatter by {likelihood['spread']:.2g}. Use more particles."
+        )
     trace = np.array(found["trace"])
     return {
         "model": model_document(model),
         "estimate": estimate_document(model, theta, found["free"], errors, intervals),
         "outcome": found["outcome"],
         "message": message,
-        "log_likelihood": log_likelihood(job, theta, n, rng, options.method),
+        "warning": " ".join(one.warning for one in (errors, intervals) if one and one.warning),
+        "log_likelihood": likelihood,
         "trace": {
             "iteration": list(range(len(trace))),
             "theta": {p: trace[:, i].tolist() for i, p in enumerate(model.parameter_names)},
@@ -147,20 +161,33 @@ def describe(
 def log_likelihood(
     job: Prepared, theta: Theta, n: int, rng: np.random.Generator, method: str
 ) -> dict[str, Any]:
-    """Log of the mean of several likelihood estimates (which are unbiased), and its error."""
+    """Log of the mean of several likelihood estimates (which are unbiased), and its standard error.
+
+    Each estimate comes from a filter with random numbers of its own; ``spread`` is the standard deviation
+    of their logs. Logs of particle filters' likelihoods are nearly normal (Pitt et al. 2012), so the
+    error is that of the log of the mean of as many lognormal numbers, see :func:`mean_error`: spread /
+    sqrt(runs) where the spread is small, and about that of the largest where it is not.
+    """
     if method == "rts-em":
         exact = sum(engine.kalman_smoother(job.model, theta, s).log_likelihood for s in job.series)
-        return {"value": float(exact), "standard_error": 0.0}
+        return {"value": float(exact), "standard_error": 0.0, "spread": 0.0}
     runs = np.array(
         [
             sum(engine.rbpf(job.model, theta, s, n, rng).log_likelihood for s in job.series)
             for _ in range(LIKELIHOOD_RUNS)
         ]
     )
-    ratios = np.exp(runs - runs.max())
-    value = runs.max() + np.log(ratios.mean())
-    error = ratios.std(ddof=1) / ratios.mean() / np.sqrt(len(runs))  # delta method
-    return {"value": float(value), "standard_error": float(error)}
+    value = float(np.logaddexp.reduce(runs) - np.log(len(runs)))
+    if not np.isfinite(runs).all():  # some filter was lost: nothing is known about the error
+        return {"value": value, "standard_error": None, "spread": None}
+    spread = float(runs.std(ddof=1))
+    return {"value": value, "standard_error": mean_error(spread, len(runs)), "spread": spread}
+
+
+def mean_error(spread: float, runs: int) -> float:
+    """Standard deviation of log mean exp of ``runs`` normal numbers whose own is ``spread``."""
+    logs = spread * np.random.default_rng(0).standard_normal((DRAWS, runs))
+    return float((np.logaddexp.reduce(logs, axis=1) - np.log(runs)).std())
 
 
 # ---- smooth ---------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ import numpy as np
 
 import engine
 from engine.errors import ModelError
+from engine.expectation import parameter_scale
 from engine.model import Theta
 from engine.series import Series
 from service import diagnoses, kinds
@@ -108,7 +109,7 @@ def _start(job: Prepared, request: EstimateRequest, i: int) -> Theta:
     )
     theta = np.array(job.theta)
     for k in job.model.free_indices(job.free):
-        size = abs(theta[k]) or 1.0
+        size = abs(theta[k]) or parameter_scale(job.model, theta, int(k))
         around = (theta[k] - SPREAD * size, theta[k] + SPREAD * size)
         low, high = request.parameters.ranges.get(job.model.parameter_names[k], around)
         theta[k] = rng.uniform(max(low, job.model.lower[k]), min(high, job.model.upper[k]))

@@ -11,7 +11,13 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.kernels.gaussian import EXACT, log_normalizer, psd_cholesky_into, solve_lower_transposed
+from engine.kernels.gaussian import (
+    ROUNDING,
+    log_normalizer,
+    psd_cholesky_into,
+    rounding,
+    solve_lower_transposed,
+)
 
 NEGLIGIBLE = -38.0  # exp of this is below the rounding of a sum of weights
 TAYLOR = 1.0 / np.array([math.factorial(k) for k in range(10, -1, -1)])
@@ -52,7 +58,7 @@ def exp_negative(x, out):
 
 @njit(cache=True, error_model="numpy")
 def pick(log_w, w, u):
-    """Index drawn from exp(log_w) (M,) with one uniform u; -1 when all are zero.
+    """Index drawn from exp(log_w) (M,) with one uniform u; -1 when all are zero, or one is infinite.
 
     log_w is shifted and w is scratch.
     """
@@ -61,7 +67,7 @@ def pick(log_w, w, u):
     for i in range(M):
         if log_w[i] > top:
             top = log_w[i]
-    if top == -np.inf:
+    if not math.isfinite(top):
         return -1
     for i in range(M):
         log_w[i] -= top
@@ -133,19 +139,19 @@ def smooth_covariance(K, P_plus, P_next, na, P_out, M_out):
 
 
 @njit(cache=True, error_model="numpy")
-def common_log_weights(log_w, m, pivots, v, out):
-    """Log w_i - 1/2 |v - m_i|^2 for reduced means m (nx, M) and one reduced state v (nx,)."""
+def common_log_weights(log_w, m, L, x, v, out):
+    """Log w_i - 1/2 |v - m_i|^2 for reduced means m (nx, M) and one state x (nx,), reduced v (nx,)."""
     nx, M = m.shape
     for i in range(M):
         out[i] = log_w[i]
     for k in range(nx):
-        if pivots[k] > 0.0:
+        if L[k, k] > 0.0:
             vk = v[k]
             for i in range(M):
                 d = vk - m[k, i]
                 out[i] -= 0.5 * d * d
         else:
-            tolerance = EXACT * (1.0 + abs(v[k]))
+            tolerance = 2.0 * ROUNDING * abs(x[k]) + rounding(L, v, k)
             for i in range(M):
                 if abs(v[k] - m[k, i]) > tolerance:
                     out[i] = -np.inf
@@ -163,7 +169,7 @@ def particle_log_weights(log_w, mu, L, constants, x, r, v, out):
         for k in range(nx):
             if L[i, k, k] > 0.0:
                 s -= 0.5 * v[k] * v[k]
-            elif abs(v[k]) > EXACT * (1.0 + abs(x[k])):
+            elif abs(v[k]) > 2.0 * ROUNDING * abs(x[k]) + rounding(L[i], v, k):
                 s = -np.inf
         out[i] = s
 
@@ -212,7 +218,6 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
     P_plus = np.empty((nz, nz))
     L_plus = np.empty((nz, nz))
     m = np.empty((nx, M))
-    pivots = np.empty(nx)
     constants = np.empty(M)
     lw = np.empty(M)
     scratch = np.empty(M)
@@ -225,8 +230,6 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
                 reduce(L[t, 0], mu[t, i], v)
                 for k in range(nx):
                     m[k, i] = v[k]
-            for k in range(nx):
-                pivots[k] = L[t, 0, k, k]
         else:
             for i in range(M):
                 constants[i] = log_normalizer(L[t, i], nx)
@@ -242,7 +245,7 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
                 x[na + k] = z_draw[t + 1, j, k]
             if BL == 1:
                 reduce(L[t, 0], x, v)
-                common_log_weights(log_w[t], m, pivots, v, lw)
+                common_log_weights(log_w[t], m, L[t, 0], x, v, lw)
             else:
                 particle_log_weights(log_w[t], mu[t], L[t], constants, x, r, v, lw)
             i = pick(lw, scratch, uniforms[t, j])

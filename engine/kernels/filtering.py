@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.kernels.gaussian import log_normalizer, psd_cholesky_into, whiten
+from engine.kernels.gaussian import MEASURED, ROUNDING, log_normalizer, psd_cholesky_into, whiten
 from engine.kernels.resampling import normalize
 
 
@@ -78,6 +78,7 @@ def condition(mu, L, ancestors, a):
     P = np.empty((1 if common else M, nz, nz))
     log_p = np.empty(M)
     r = np.empty(na)
+    slack = np.empty(na)
     v = np.empty(na)
     c = log_normalizer(L[0], na)
     for i in range(M):
@@ -85,7 +86,8 @@ def condition(mu, L, ancestors, a):
         b = 0 if common else j
         for k in range(na):
             r[k] = a[i, k] - mu[j, k]
-        possible = whiten(L[b], r, v)
+            slack[k] = ROUNDING * (abs(a[i, k]) + abs(mu[j, k]))
+        possible = whiten(L[b], r, slack, v)
         if not common:
             c = log_normalizer(L[b], na)
         q = 0.0
@@ -131,6 +133,7 @@ def update(z, P, h, C, R, y):
     L = np.empty((n, n))
     V = np.empty((n, nz))  # L^{-1} C P, so K = V' L^{-1} and P_{t|t} = P - V' V
     r = np.empty(n)
+    slack = np.empty(n)
     v = np.empty(n)
     c = 0.0
     for i in range(M):
@@ -168,10 +171,14 @@ def update(z, P, h, C, R, y):
                     P_new[i, k, m] = s
         for p in range(n):
             s = y[channels[p]] - h[i, channels[p]]
+            size = abs(y[channels[p]]) + abs(h[i, channels[p]])
             for k in range(nz):
-                s -= C[ci, channels[p], k] * z[i, k]
+                term = C[ci, channels[p], k] * z[i, k]
+                s -= term
+                size += abs(term)
             r[p] = s
-        possible = whiten(L, r, v)
+            slack[p] = MEASURED * size
+        possible = whiten(L, r, slack, v)
         d = 0.0
         for p in range(n):
             d += v[p] * v[p]
@@ -290,6 +297,8 @@ def draw_adapted(mu, L, ancestors, h, C, R, y, noise, uniform, defensive, inflat
     m = np.empty(na)
     ra = np.empty(na)
     va = np.empty(na)
+    none = np.zeros(n)  # where only the whitened residual is wanted
+    slack = np.empty(na)
     prior_constant = 0.0
     varying = L.shape[0] > 1 or C.shape[0] > 1 or R.shape[0] > 1
     for i in range(M):
@@ -350,7 +359,7 @@ def draw_adapted(mu, L, ancestors, h, C, R, y, noise, uniform, defensive, inflat
                 S[p, q] = s
                 S[q, p] = s
         psd_cholesky_into(S, LS)
-        whiten(LS, r, v)
+        whiten(LS, r, none, v)
         for k in range(na):
             for p in range(n):
                 s = 0.0
@@ -381,11 +390,13 @@ def draw_adapted(mu, L, ancestors, h, C, R, y, noise, uniform, defensive, inflat
             a[i, k] = s
         for k in range(na):
             ra[k] = a[i, k] - m[k]
-        adapted = log_normalizer(LV, na) if whiten(LV, ra, va) else -np.inf
+            slack[k] = ROUNDING * (abs(a[i, k]) + abs(m[k]))
+        adapted = log_normalizer(LV, na) if whiten(LV, ra, slack, va) else -np.inf
         for k in range(na):
             adapted -= 0.5 * va[k] * va[k]
             ra[k] = a[i, k] - mu[j, k]
-        prior = prior_constant if whiten(L[b], ra, va) else -np.inf
+            slack[k] = ROUNDING * (abs(a[i, k]) + abs(mu[j, k]))
+        prior = prior_constant if whiten(L[b], ra, slack, va) else -np.inf
         for k in range(na):
             prior -= 0.5 * va[k] * va[k]
         if adapted > prior:

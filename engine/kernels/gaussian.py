@@ -2,7 +2,8 @@
 
 Every covariance is handled by its lower Cholesky factor L, S = L L'. A zero pivot (a direction
 without noise) gives a zero column; such a direction leaves solves and densities, and a residual
-in it beyond rounding makes the density zero. Nothing is inverted.
+in it beyond rounding makes the density zero. Nothing is inverted. What counts as rounding is
+measured by numbers of the same unit: those that were subtracted, and the noise of other directions.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from numba import njit
 
 LOG_2PI = math.log(2.0 * math.pi)
 PIVOT = 1e-12  # a pivot below this share of its own diagonal element is rounding, not noise
-EXACT = 1e-7  # a residual above this in a direction without noise contradicts it
+ROUNDING = 1e-11  # what computing a residual may leave, as a share of the numbers it is made of ...
+EXACT = 1e-7  # ... and, of the standard deviations next to it, what dropping a pivot may leave
+MEASURED = 1e-7  # readings are written with seven digits or more
 
 
 @njit(cache=True, error_model="numpy")
@@ -58,10 +61,20 @@ def psd_cholesky_many(S):
 
 
 @njit(cache=True, error_model="numpy")
-def whiten(L, r, out):
+def rounding(L, v, i):
+    """What L_i,<i v_<i, subtracted from row i of a residual, may leave where it should cancel it."""
+    s = 0.0
+    for k in range(i):
+        s += abs(L[i, k]) * (EXACT + ROUNDING * abs(v[k]))
+    return s
+
+
+@njit(cache=True, error_model="numpy")
+def whiten(L, r, slack, out):
     """Out (n,) = L^{-1} r with directions without noise set to zero; False if r contradicts one.
 
-    Of a larger L the leading n x n block is used.
+    ``slack`` (n,): by how much r (n,) itself may be off, in its units: ROUNDING or MEASURED times the
+    numbers whose difference it is. Of a larger L the leading n x n block is used.
     """
     n = r.shape[0]
     possible = True
@@ -73,7 +86,7 @@ def whiten(L, r, out):
             out[i] = s / L[i, i]
         else:
             out[i] = 0.0
-            if abs(s) > EXACT * (1.0 + abs(r[i])):
+            if abs(s) > slack[i] + rounding(L, out, i):
                 possible = False
     return possible
 
@@ -100,14 +113,20 @@ def log_normalizer(L, n):
 
 
 @njit(cache=True, error_model="numpy")
-def log_normal_common(r, L):
-    """Log N(r_i; 0, L L') for residuals r (M, n) and one factor L (n, n) -> (M,)."""
-    M, n = r.shape
+def log_normal_common(x, mean, L):
+    """Log N(x_i; mean_i, L L') for x (M, n), mean (M or 1, n) and one factor L (n, n) -> (M,)."""
+    M, n = x.shape
     out = np.empty(M)
+    r = np.empty(n)
+    slack = np.empty(n)
     v = np.empty(n)
     c = log_normalizer(L, n)
     for i in range(M):
-        if whiten(L, r[i], v):
+        j = i if mean.shape[0] > 1 else 0
+        for k in range(n):
+            r[k] = x[i, k] - mean[j, k]
+            slack[k] = ROUNDING * (abs(x[i, k]) + abs(mean[j, k]))
+        if whiten(L, r, slack, v):
             q = 0.0
             for k in range(n):
                 q += v[k] * v[k]

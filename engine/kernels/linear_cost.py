@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from engine.kernels.backward import backward_gain, pick, reduce
-from engine.kernels.gaussian import EXACT, log_normalizer, psd_cholesky_into
+from engine.kernels.gaussian import ROUNDING, log_normalizer, psd_cholesky_into, rounding
 
 
 @njit(cache=True, error_model="numpy")
@@ -43,15 +43,15 @@ def draw_index(cumulated, guide, u):
 
 
 @njit(cache=True, error_model="numpy")
-def log_density(x, reduced, mu, L, r, v):
+def log_density(x, e, reduced, mu, L, r, v):
     """log N(x; mu, L L') up to log_normalizer(L), for one particle; -inf where noise-free rows differ.
 
-    x and mu (nx,) are both already reduced by L^{-1} where ``reduced``; r, v (nx,) are scratch.
+    Where ``reduced``, mu (nx,) is already L^{-1} mu, and e (nx,) is L^{-1} x; r, v (nx,) are scratch.
     """
     nx = x.shape[0]
     if reduced:
         for k in range(nx):
-            v[k] = x[k] - mu[k]
+            v[k] = e[k] - mu[k]
     else:
         for k in range(nx):
             r[k] = x[k] - mu[k]
@@ -60,7 +60,7 @@ def log_density(x, reduced, mu, L, r, v):
     for k in range(nx):
         if L[k, k] > 0.0:
             s -= 0.5 * v[k] * v[k]
-        elif abs(v[k]) > EXACT * (1.0 + abs(x[k])):
+        elif abs(v[k]) > 2.0 * ROUNDING * abs(x[k]) + rounding(L, e if reduced else v, k):
             return -np.inf
     return s
 
@@ -135,28 +135,27 @@ def backward_linear(a, z, P, w, mu, L, AP, ancestors, first, noise, rng, tries, 
                 x[na + k] = z_draw[t + 1, j, k]
             if BL == 1:
                 reduce(L[t, 0], x, e)
-            else:
-                e[:] = x
             i = -1
             if moves > 0:
                 i = ancestors[t + 1, after]
                 here = constants[i] + log_density(
-                    e, BL == 1, means[i], L[t, 0 if BL == 1 else i], r, v
+                    x, e, BL == 1, means[i], L[t, 0 if BL == 1 else i], r, v
                 )
                 for _ in range(moves):
                     c = draw_index(cumulated, guide, rng.random())
                     there = constants[c] + log_density(
-                        e, BL == 1, means[c], L[t, 0 if BL == 1 else c], r, v
+                        x, e, BL == 1, means[c], L[t, 0 if BL == 1 else c], r, v
                     )
                     candidates += 1
-                    if there >= here or rng.random() < math.exp(there - here):
+                    # an impossible candidate is never taken, not even instead of another one
+                    if there > -np.inf and (there >= here or rng.random() < math.exp(there - here)):
                         i, here = c, there
                         accepted += 1
             else:
                 for _ in range(tries):
                     c = draw_index(cumulated, guide, rng.random())
                     there = constants[c] + log_density(
-                        e, BL == 1, means[c], L[t, 0 if BL == 1 else c], r, v
+                        x, e, BL == 1, means[c], L[t, 0 if BL == 1 else c], r, v
                     )
                     candidates += 1
                     if rng.random() < math.exp(there - top):
@@ -171,7 +170,9 @@ def backward_linear(a, z, P, w, mu, L, AP, ancestors, first, noise, rng, tries, 
                             lw[c] = (
                                 math.log(w[t, c])
                                 + constants[c]
-                                + log_density(e, BL == 1, means[c], L[t, 0 if BL == 1 else c], r, v)
+                                + log_density(
+                                    x, e, BL == 1, means[c], L[t, 0 if BL == 1 else c], r, v
+                                )
                             )
                     i = pick(lw, scratch, rng.random())
                     if i < 0:  # noise-free states: only the particle's own past leads to it

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.kernels.gaussian import log_normalizer, psd_cholesky_into, whiten
+from engine.kernels.gaussian import MEASURED, log_normalizer, psd_cholesky_into, whiten
 
 
 @njit(cache=True, error_model="numpy")
@@ -32,6 +32,7 @@ def log_innovations(mu, L, ancestors, h, C, R, roots, y):
     S_k = np.empty((n, n))
     LS = np.empty((n, n))
     r = np.empty(n)
+    slack = np.empty(n)
     v = np.empty(n)
     for i in range(M):
         j = ancestors[i]
@@ -46,6 +47,7 @@ def log_innovations(mu, L, ancestors, h, C, R, roots, y):
                 value[p, q] = s
         for q in range(n):
             r[q] = y[channels[q]] - value[0, q]
+            slack[q] = MEASURED * (abs(y[channels[q]]) + abs(value[0, q]))
             for k in range(nz):
                 G[q, na + k] = C[i if C.shape[0] > 1 else 0, channels[q], k]
             for p in range(n):
@@ -80,7 +82,7 @@ def log_innovations(mu, L, ancestors, h, C, R, roots, y):
                     scale = roots[k, channels[q]] * roots[k, channels[p]]
                     S_k[q, p] = S[q, p] + scale * R[r_row, channels[q], channels[p]]
             psd_cholesky_into(S_k, LS)
-            possible = whiten(LS, r, v)
+            possible = whiten(LS, r, slack, v)
             s = log_normalizer(LS, n)
             for q in range(n):
                 s -= 0.5 * v[q] * v[q]

@@ -14,13 +14,12 @@ import numpy as np
 from numba import njit
 
 from engine.kernels.gaussian import (
+    MEASURED,
     log_normalizer,
     psd_cholesky_into,
     solve_lower_transposed,
     whiten,
 )
-
-TINY = 1e-7  # least standard deviation of a, relative to 1 + |a|, so that slopes exist
 
 
 @njit(cache=True, error_model="numpy")
@@ -51,8 +50,6 @@ def sigma_points(m, P, na):
         for i in range(na):
             for j in range(na):
                 Paa[i, j] = P[k, i, j]
-            least = TINY * (1.0 + abs(m[k, i]))
-            Paa[i, i] += least * least
         psd_cholesky_into(Paa, L)
         for c in range(nz):
             for i in range(na):
@@ -154,14 +151,16 @@ def gaussian_update(m, P, y_mean, S, cross, y):
     L = np.empty((n, n))
     W = np.empty((n, nx))
     r = np.empty(n)
+    slack = np.empty(n)
     v = np.empty(n)
     for k in range(K):
         for p in range(n):
             r[p] = y[channels[p]] - y_mean[k, channels[p]]
+            slack[p] = MEASURED * (abs(y[channels[p]]) + abs(y_mean[k, channels[p]]))
             for q in range(n):
                 Sk[p, q] = S[k, channels[p], channels[q]]
         psd_cholesky_into(Sk, L)
-        possible = whiten(L, r, v)
+        possible = whiten(L, r, slack, v)
         log_p[k] = log_normalizer(L, L.shape[0]) if possible else -np.inf
         for p in range(n):
             log_p[k] -= 0.5 * v[p] * v[p]
@@ -209,18 +208,19 @@ def _renew(m_new, P_new, a, z, V, offsets, m, P):
 
 @njit(cache=True, error_model="numpy")
 def slopes(cross, P):
-    """J (n, nx) with J P = cross: the regression of the transformed variable on x."""
+    """J (n, nx) with J P = cross: the regression of the transformed variable on x.
+
+    Zero for directions in which P has no variance; ``engine.moment_filter.moment_path`` fills those in.
+    """
     n, nx = cross.shape
-    S = P.copy()
-    for i in range(nx):
-        S[i, i] += 1e-12 * (1e-12 + abs(P[i, i]))
     L = np.empty((nx, nx))
-    psd_cholesky_into(S, L)
+    psd_cholesky_into(P, L)
     J = np.empty((n, nx))
     v = np.empty(nx)
+    none = np.zeros(nx)
     out = np.empty(nx)
     for r in range(n):
-        whiten(L, cross[r], v)
+        whiten(L, cross[r], none, v)
         solve_lower_transposed(L, v, out)
         for c in range(nx):
             J[r, c] = out[c]

@@ -40,6 +40,8 @@ def inverse_cdf(w, points):
     index = np.empty(N, np.int64)
     i = 0
     last = w.shape[0] - 1
+    while last > 0 and not w[last] > 0.0:  # rounding of the sum must not lead to a weight of zero
+        last -= 1
     c = w[0]
     for n in range(N):
         while points[n] >= c and i < last:
@@ -78,7 +80,7 @@ def residual(w, u):
     rest = np.empty(M)
     n = 0
     for i in range(M):
-        copies = math.floor(N * w[i] + 1e-12)
+        copies = math.floor(N * w[i] + 1e-12)  # N w_i may be whole but for rounding
         rest[i] = max(N * w[i] - copies, 0.0)
         for _ in range(copies):
             if n < N:

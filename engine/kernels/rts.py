@@ -22,16 +22,13 @@ def log_pairs(x, mu, L):
     v = np.empty(n)
     if L.shape[0] == 1:
         m = np.empty((n, M))
-        pivots = np.empty(n)
-        for k in range(n):
-            pivots[k] = L[0, k, k]
         for i in range(M):
             reduce(L[0], mu[i], v)
             for k in range(n):
                 m[k, i] = v[k]
         for j in range(N):
             reduce(L[0], x[j], v)
-            common_log_weights(even, m, pivots, v, out[j])
+            common_log_weights(even, m, L[0], x[j], v, out[j])
         return out
     r = np.empty(n)
     constants = np.empty(M)

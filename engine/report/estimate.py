@@ -43,7 +43,15 @@ def estimate_report(document: Document, draw: Drawer) -> Report:
     numbers = estimates(document)
     return Report(
         title,
-        join([_outcome(document), _facts(document), tag("h2", "Estimates"), numbers]),
+        join(
+            [
+                _outcome(document),
+                _facts(document),
+                tag("h2", "Estimates"),
+                _warned(document),
+                numbers,
+            ]
+        ),
         (
             *section("convergence", "Convergence", grid(_convergence(document, draw))),
             *_states(document, draw),
@@ -102,6 +110,12 @@ def _outcome(document: Document) -> Html:
         message = rest[:1].upper() + rest[1:]
     word = tag("span", outcome or "done", class_=f"verdict {tone}")
     return tag("p", word, " ", message, class_="said")
+
+
+def _warned(document: Document) -> Html:
+    """That the errors beside the estimates are none of an estimate."""
+    warning = document.get("warning")
+    return tag("p", tag("strong", warning), class_="said") if warning else Html("")
 
 
 def _facts(document: Document) -> Html:

@@ -25,6 +25,7 @@ fall enough in between.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -36,7 +37,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import chi2
 
 from engine import display
-from engine.errors import ModelError, OptionError
+from engine.errors import ModelError, NotSettledWarning, OptionError
 from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.series import Series, as_series_list
 from engine.standard_errors.observed import StandardErrors, standard_errors
@@ -51,6 +52,7 @@ BEYOND = 0.3  # nats that the last point is beyond the end
 NEAR = 0.01  # standard errors from a bound count as being there
 LAG = 0.01  # nats by which the other parameters may be away from their maximum ...
 CORRECTIONS = 3  # ... after this many steps towards it at most
+AWAY = 1.0  # standard errors between the estimate and the maximum are worth a warning
 FINE = 64  # parts of each step on which the curve is searched
 
 
@@ -61,7 +63,8 @@ class LikelihoodIntervals:
     ``values`` (n_theta, 2), NaN for parameters that are held fixed or at a bound; an end that is the
     parameter's bound, which may be infinite, says that the likelihood does not fall enough before it.
     ``errors`` (n_theta, 2): Monte Carlo standard errors of the ends, NaN where there is no end but a
-    bound. ``maximum`` (n_theta,): where each profile is highest, the estimate if EM has arrived.
+    bound. ``maximum`` (n_theta,): where each profile is highest, the estimate if EM has arrived; where
+    that is more than a standard error away, ``warning`` says so.
     """
 
     model: MixedModel
@@ -70,6 +73,7 @@ class LikelihoodIntervals:
     values: Array
     errors: Array
     maximum: Array
+    warning: str = ""
 
     def _repr_html_(self) -> str:
         rows = [
@@ -81,7 +85,7 @@ class LikelihoodIntervals:
         ]
         head = ("parameter", "estimate", f"{100 * self.level:g} % from", "to", "unit")
         title = f"{self.model.name}: intervals by the likelihood ratio"
-        return display.show(title, display.table(head, rows))
+        return display.show(title, display.line(self.warning), display.table(head, rows))
 
 
 def likelihood_intervals(
@@ -110,9 +114,11 @@ def likelihood_intervals(
         raise OptionError(f"level = {level:g}; a number between 0 and 1 is needed", "level")
     theta = model.theta(theta)
     if errors is None:
-        errors = standard_errors(
-            model, theta, series, free, n_particles, n_trajectories, seed=seed, exact=exact
-        )
+        with warnings.catch_warnings():  # an interval finds the maximum for itself
+            warnings.simplefilter("ignore", NotSettledWarning)
+            errors = standard_errors(
+                model, theta, series, free, n_particles, n_trajectories, seed=seed, exact=exact
+            )
     listed = as_series_list(series, model)
     indices = np.array([model.index(name) for name in errors.names], dtype=np.intp)
     score = Score.of(model, theta, listed, indices, n_particles, n_trajectories, exact)
@@ -128,7 +134,26 @@ def likelihood_intervals(
         values[index], maximum[index] = ends(at, slopes.mean(axis=0), theta[index], fall, outermost)
         spread[index] = _jackknife(at, slopes, theta[index], fall, outermost)
         spread[index, np.isin(values[index], score.bounds)] = np.nan
-    return LikelihoodIntervals(model, theta, level, values, spread, maximum)
+    warning = _warning(errors, maximum)
+    if warning:
+        warnings.warn(warning, NotSettledWarning, stacklevel=2)
+    return LikelihoodIntervals(model, theta, level, values, spread, maximum, warning)
+
+
+def _warning(errors: StandardErrors, maximum: Array) -> str:
+    """What to say where a profile is highest more than AWAY standard errors from the estimate."""
+    away = np.abs(maximum - np.asarray(errors.theta)) > AWAY * np.nan_to_num(errors.values)
+    far = [
+        f"{p.name} = {value:.5g}"
+        for p, value, yes in zip(errors.model.parameters, maximum.tolist(), away, strict=True)
+        if yes
+    ]
+    if not far:
+        return ""
+    return (
+        f"The likelihood is highest at {', '.join(far)}, not at the estimate: let the estimation go on, or "
+        "start it there. The intervals are about the maximum."
+    )
 
 
 @dataclass(frozen=True, eq=False)

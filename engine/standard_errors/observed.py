@@ -9,13 +9,16 @@ square root of the covariance, so they are found in a first round and refined in
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from engine import display
-from engine.errors import ModelError
+from engine.errors import ModelError, NotSettledWarning
 from engine.model import Array, MixedModel, Theta, ThetaLike
 from engine.series import Series, as_series_list
 from engine.standard_errors.score import Score, inside
@@ -23,7 +26,20 @@ from engine.standard_errors.score import Score, inside
 ROUNDS = 3  # of finding the directions; only the last uses all replicates
 GUESS = 0.1  # share of the complete-data information that the data usually hold, to start with
 REACH = 0.5  # length of the differences in standard errors: further out the curvature differs
+SETTLED = (
+    0.5  # standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases
+)
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
+
+
+@runtime_checkable
+class Estimate(Protocol):
+    """What an estimation returns, as far as it matters here; an :class:`engine.EmResult` is one."""
+
+    theta: Theta
+    free: tuple[str, ...]
+    not_estimated: tuple[str, ...]
+    message: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +49,12 @@ class StandardErrors:
     ``covariance`` (n, n) of the free parameters ``names`` that are not at a bound; ``score`` (n,) at
     theta, which is zero at the maximum up to ``score_error`` (n,), its Monte Carlo standard error;
     ``relative_error`` (n,) of the standard errors themselves, as Monte Carlo noise leaves it.
+
+    ``decrement`` s' C s is the squared distance, in standard errors, between theta and the maximum that
+    score s and covariance C point to (Newton's decrement; twice what the log-likelihood can still gain).
+    ``settled`` is False where it is more than a quarter and its Monte Carlo noise, or a parameter is held
+    at a bound from which the likelihood draws it away: then these are no errors of an estimate, and
+    ``warning`` says so.
     """
 
     model: MixedModel
@@ -42,6 +64,9 @@ class StandardErrors:
     score: Array
     score_error: Array
     relative_error: Array
+    decrement: float = 0.0
+    settled: bool = True
+    warning: str = ""
 
     @property
     def values(self) -> Array:
@@ -52,8 +77,6 @@ class StandardErrors:
 
     def interval(self, level: float = 0.95) -> Array:
         """Symmetric confidence intervals (n_theta, 2), NaN for parameters held fixed."""
-        from scipy.stats import norm
-
         half = float(norm.ppf(0.5 + level / 2.0)) * self.values
         return np.stack([np.asarray(self.theta) - half, np.asarray(self.theta) + half], axis=1)
 
@@ -68,12 +91,25 @@ class StandardErrors:
             for p, (value, error, (low, high)) in zip(self.model.parameters, numbers, strict=True)
         ]
         head = ("parameter", "estimate", "standard error", "95 % from", "to", "unit")
-        return display.show(f"{self.model.name}: standard errors", display.table(head, rows))
+        title = f"{self.model.name}: standard errors"
+        return display.show(title, display.line(self.warning), display.table(head, rows))
+
+    def __str__(self) -> str:
+        low, high = self.interval().T
+        rows = [
+            f"{p.name} = {value:.5g} +- {error:.2g} {p.unit}, 95 %: {a:.4g} to {b:.4g}"
+            if np.isfinite(error)
+            else f"{p.name} = {value:.5g} {p.unit}, held"
+            for p, value, error, a, b in zip(
+                self.model.parameters, self.theta.tolist(), self.values, low, high, strict=True
+            )
+        ]
+        return "\n".join([*rows, *([self.warning] if self.warning else [])])
 
 
 def standard_errors(
     model: MixedModel,
-    theta: ThetaLike,
+    theta: ThetaLike | Estimate,
     series: Series | Sequence[Series],
     free: Sequence[str] | None = None,
     n_particles: int = 100,
@@ -84,18 +120,29 @@ def standard_errors(
 ) -> StandardErrors:
     """Standard errors at an estimate; observed information by differences of the score.
 
-    Each of the 2 n scores is averaged over ``replicates`` smoothers. ``exact`` uses the Kalman
-    smoother (linear Gaussian models). A free parameter at one of its bounds is held there.
-    Raises ModelError where the data hold no information on a parameter.
+    ``theta`` are parameters or an :class:`engine.EmResult`, whose free parameters are then meant. Each of
+    the 2 n scores is averaged over ``replicates`` smoothers. ``exact`` uses the Kalman smoother (linear
+    Gaussian models). A free parameter at one of its bounds is held there. Where theta is no maximum of
+    the likelihood the result is not ``settled``, and a NotSettledWarning is given. Raises ModelError where
+    the data hold no information on a parameter.
     """
+    found = None
+    if isinstance(theta, Estimate):
+        found, theta = theta, theta.theta
+        free = free or [name for name in found.free if name not in found.not_estimated]
     theta = model.theta(theta)
     listed = as_series_list(series, model)
-    indices = inside(model, theta, free)
-    score = Score.of(model, theta, listed, indices, n_particles, n_trajectories, exact)
-    names, x, replicates = score.names, score.x, 1 if exact else replicates
+    every = Score.of(
+        model, theta, listed, model.free_indices(free), n_particles, n_trajectories, exact
+    )
+    within = np.isin(every.indices, inside(model, theta, free))
+    score = replace(every, indices=every.indices[within])
+    names, replicates = score.names, 1 if exact else replicates
     seeds = np.random.SeedSequence(seed).spawn(replicates)
-    centre = [score.at(x, which) for which in seeds]
-    H = np.mean([h for _, h in centre], axis=0)
+    centre = [every.at(every.x, which) for which in seeds]
+    scores, H = np.array([g for g, _ in centre]), np.mean([h for _, h in centre], axis=0)
+    drawn = _drawn_inside(every, scores, np.diag(H))
+    scores, H = scores[:, within], H[np.ix_(within, within)]
     silent = [name for name, h in zip(names, np.diag(H), strict=True) if not h > 0.0]
     if silent:
         raise ModelError(
@@ -108,7 +155,11 @@ def standard_errors(
         refined = L @ _root(_inverse(G.mean(axis=0)))
         spread, L_last, L = G, L, refined
     covariance = L @ L.T
-    scores = np.array([g for g, _ in centre])
+    decrement, noise = _decrement(covariance, scores)
+    settled = decrement <= SETTLED**2 + noise and not drawn
+    warning = "" if settled else _warning(found, decrement, drawn)
+    if warning:
+        warnings.warn(warning, NotSettledWarning, stacklevel=2)
     return StandardErrors(
         model,
         theta,
@@ -117,7 +168,44 @@ def standard_errors(
         scores.mean(axis=0),
         scores.std(axis=0, ddof=min(replicates - 1, 1)) / np.sqrt(replicates),
         _jackknife(L_last, spread),
+        decrement,
+        settled,
+        warning,
     )
+
+
+def _decrement(covariance: Array, scores: Array) -> tuple[float, float]:
+    """Newton's decrement of the mean of scores (R, n), and what their noise may add to it (95 %)."""
+    mean, R = scores.mean(axis=0), len(scores)
+    decrement = float(mean @ covariance @ mean)
+    if R < 2:
+        return decrement, 0.0
+    variance = (scores - mean).T @ (scores - mean) / (R - 1) / R
+    # a sum of squares with this mean has its largest quantiles where it is a single square
+    return decrement, float(np.trace(covariance @ variance) * chi2.ppf(0.95, 1))
+
+
+def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:
+    """Names of parameters at a bound from which the likelihood clearly draws them away."""
+    lower, upper = score.bounds
+    mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(len(scores))
+    inward = np.where(score.x <= lower, mean, np.where(score.x >= upper, -mean, 0.0))
+    far = inward - 2.0 * noise > SETTLED * np.sqrt(np.maximum(information, 0.0))
+    return [name for name, yes in zip(score.names, far, strict=True) if yes and len(scores)]
+
+
+def _warning(found: Estimate | None, decrement: float, drawn: list[str]) -> str:
+    said = (
+        f"These are no standard errors of an estimate: the likelihood rises from here to a maximum some "
+        f"{np.sqrt(decrement):.2g} of them away. Let the estimation go on (more iterations, resume=), or "
+        "start it elsewhere."
+    )
+    if drawn:
+        said = (
+            f"These are no standard errors of an estimate: the likelihood rises away from the bound of "
+            f"{', '.join(drawn)}. Start inside the bounds."
+        )
+    return said if found is None else f"{said} The estimation said: {found.message}"
 
 
 def _whitened_information(score: Score, L: Array, which: np.random.SeedSequence) -> Array:

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.e_steps import Expect, rbps_step, rts_step
+from engine.likelihood_step import LikelihoodStep
 from engine.model import Array, MixedModel, Theta
+from engine.quasi_ml import with_scales
 from engine.series import Series
 
 
@@ -25,7 +27,8 @@ class Score:
     """The score in the parameters ``indices`` (n,), the others held at ``theta``.
 
     It is an average over trajectories drawn by the particle smoother, or, where ``exact``, comes
-    from the Kalman smoother and needs no random numbers.
+    from the Kalman smoother and needs no random numbers. Fisher's identity does not hold for parameters
+    that move what has no noise: theirs is that of ``likelihood``, see :mod:`engine.likelihood_step`.
     """
 
     model: MixedModel
@@ -33,6 +36,7 @@ class Score:
     indices: NDArray[np.intp]
     expect: Expect
     exact: bool
+    likelihood: LikelihoodStep
 
     @classmethod
     def of(
@@ -46,10 +50,13 @@ class Score:
         exact: bool,
     ) -> Score:
         """With the default particle smoother, or the exact one (linear Gaussian models)."""
+        model = with_scales(model, listed, theta, indices)
+        whose = "the exact" if exact else "the moment filter's"
+        likelihood = LikelihoodStep(model, listed, whose)
         if exact:
-            return cls(model, theta, indices, rts_step(model, listed), True)
+            return cls(model, theta, indices, rts_step(model, listed), True, likelihood)
         expect = rbps_step(model, listed, n_particles, n_trajectories)
-        return cls(model, theta, indices, expect, False)
+        return cls(model, theta, indices, expect, False, likelihood)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -73,6 +80,11 @@ class Score:
         theta = Theta(values, self.theta.names)
         q = self.expect(theta, np.random.default_rng(seed)).q
         _, gradient, information = q.derivatives(theta, self.indices)
+        exact = q.moves_noise_free(theta, self.indices)
+        if exact.any():
+            gradient[exact], own = self.likelihood.score(theta, self.indices[exact])
+            information[exact] = information[:, exact] = 0.0
+            information[np.ix_(exact, exact)] = own
         return gradient, information
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from engine.em import EmResult, rbps_em, rts_em
-from engine.errors import ModelError
+from engine.errors import ModelError, NotSettledWarning
 from engine.model import Array
 from engine.ps_em import ps_em
 from engine.series import Series
@@ -148,7 +149,10 @@ def _standard_errors(problem: Problem, theta: Array, series: Series, intervals: 
     values = np.full(len(theta), np.nan)
     ends, interval_seconds = np.full((len(theta), 2), np.nan), 0.0
     if np.isfinite(theta).all():
-        with contextlib.suppress(*FAILURES):
+        with contextlib.suppress(*FAILURES), warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", NotSettledWarning
+            )  # some methods stop early, on purpose
             found = standard_errors(model, theta, series, problem.free)
             values = found.values
             if intervals:

@@ -7,10 +7,12 @@ a saddle or a slope.
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 
+from engine.errors import NotSettledWarning
 from engine.model import Array, MixedModel, Theta
 from engine.series import Series
 from engine.standard_errors import standard_errors
@@ -59,9 +61,11 @@ def curvature(
     model: MixedModel, theta: Theta, series: Series, numbers: np.random.SeedSequence
 ) -> Row:
     """The columns on the likelihood's curvature at theta. Raises ModelError where there is none."""
-    found = standard_errors(
-        model, theta, series, PROBLEM.free, PARTICLES, PARTICLES, replicates=REPLICATES
-    )
+    with warnings.catch_warnings():  # "gain" is how far the maximum is
+        warnings.simplefilter("ignore", NotSettledWarning)
+        found = standard_errors(
+            model, theta, series, PROBLEM.free, PARTICLES, PARTICLES, replicates=REPLICATES
+        )
     L = np.asarray(np.linalg.cholesky(found.covariance), dtype=float)
     indices = model.free_indices(found.names)
     score = Score.of(model, theta, [series], indices, PARTICLES, PARTICLES, exact=False)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from engine.base_model import BaseModel
 from engine.e_steps import EStep, Expect
-from engine.em import EmResult, iterate
+from engine.em import EmResult
+from engine.em_loop import iterate
 from engine.errors import OptionError
 from engine.kernels.backward import pick
 from engine.kernels.resampling import multinomial
@@ -109,6 +110,10 @@ class Squares:
         gradient = np.einsum("kij,ij->k", slopes, residual) / Q
         H = np.einsum("kij,jm,lim->kl", slopes, self.past, slopes) / Q
         return self.value(theta), gradient, H
+
+    def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """None (n,): eq. (35) has noise everywhere."""
+        return np.zeros(len(free), dtype=bool)
 
 
 def transition(theta: Array) -> Array:

@@ -75,3 +75,7 @@ class Point:
         """Value, gradient (n,) and scoring matrix (n, n) in the n free parameters."""
         gradient = SHARP * (self.theta - np.asarray(theta))[free]
         return self.value(np.asarray(theta)), gradient, SHARP * np.eye(len(free))
+
+    def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """None (n,): all noise is there."""
+        return np.zeros(len(free), dtype=bool)

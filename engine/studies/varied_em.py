@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.e_steps import EStep, rbps_step
-from engine.em import EmResult, iterate
+from engine.em import EmResult
+from engine.em_loop import iterate
 from engine.model import MixedModel, Theta, ThetaLike
 from engine.series import Series
 from engine.studies.stopped import stopping

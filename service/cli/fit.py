@@ -211,6 +211,8 @@ def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any])
             ends = [words.number(v, 4) for v in one.get("interval") or ()]
             shown = f"{shown:>12}{' to '.join(ends):>26}"
         lines.append(f"{name:<16}{value:>12}{shown:>12}  {words.tidy(one['unit'])}".rstrip())
+    if document.get("warning"):
+        lines.append(document["warning"])
     error = likelihood["standard_error"]
     lines.append(
         f"log-likelihood {likelihood['value']:.2f}" + (f" +- {error:.2f}" if error else "")

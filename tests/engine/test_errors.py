@@ -135,7 +135,7 @@ def test_unknown_model():
 
 def test_the_kalman_smoother_refuses_what_is_not_linear_gaussian():
     model = get_model("mixed-4")
-    with pytest.raises(ModelError, match="'mixed-4' is not linear Gaussian: f is not affine in a"):
+    with pytest.raises(ModelError, match="'mixed-4' is not linear Gaussian: h is not affine in a"):
         kalman_smoother(model, None, Series(np.zeros((10, 2))))
     with pytest.raises(ModelError, match="is not linear Gaussian"):
         rts_em(model, Series(np.zeros((10, 2))), n_iterations=1)

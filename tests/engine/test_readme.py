@@ -1,18 +1,109 @@
-"""What the README shows runs, and prints what it says."""
+"""What the README shows runs, and gives the answers that it promises."""
 
+from __future__ import annotations
+
+import json
 import re
+import shlex
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+SHELL = re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
 
 
-def test_every_python_block_runs(capsys):
-    names = {}
-    for block in BLOCKS:
-        exec(compile(block, "README.md", "exec"), names)
-    printed = capsys.readouterr().out
-    assert "Converged" in printed or "Iterations used up" in printed
+def run(text: str, capsys) -> tuple[dict, str]:
+    """The names a block leaves, and what it prints."""
+    (block,) = (one for one in BLOCKS if text in one)
+    names: dict = {}
+    exec(compile(block, "README.md", "exec"), names)
+    return names, capsys.readouterr().out
+
+
+def test_there_are_three_blocks_and_all_are_run_here():
+    assert len(BLOCKS) == 3
+
+
+def test_the_glider(capsys):
+    """The truth is within all intervals: c as simulated, q and r at their defaults."""
+    names, printed = run("glider", capsys)
+    assert "Converged" in printed
+    truth = names["glider"].theta({"c": 0.3})
+    low, high = names["errors"].interval(0.95).T
+    assert ((low < truth) & (truth < high)).all(), (low, high)
+    assert names["errors"].settled
+    assert 0.02 < high[0] - low[0] < 0.1
+    shown = re.search(r"print\(errors\)  # (c = [\d.]+ \+- [\d.]+)", README)
+    value, error = (float(x) for x in re.findall(r"\d\.\d+", shown[1]))
+    assert value == pytest.approx(names["found"].theta["c"], abs=0.002)
+    assert error == pytest.approx(names["errors"].values[0], abs=0.002)
     assert "(400, 2) (400, 2)" in printed
+    assert names["looked"].verdict.value == "nothing"
+    assert printed.rstrip().endswith("nothing")
+
+
+def test_the_drive(capsys):
+    """Named, with the size that was hidden inside its interval, and the frictions restored."""
+    names, printed = run('engine.get_model("servo")', capsys)
+    found = names["found"]
+    assert found.verdict.value == "named"
+    (cause,) = found.causes
+    assert cause.effect == "drag:velocity"
+    size, error = re.search(r"\[drag:velocity\]: (\S+) \+- (\S+)", printed).groups()
+    assert abs(float(size) - 0.6) < 1.96 * float(error)
+    promised = README.split("It answers")[1].split("| what the simulation")[0]
+    assert f"Quadratic drag of velocity [drag:velocity]: {size} +- {error}" in promised
+
+
+def test_the_nile(capsys):
+    names, printed = run("from engine.data import nile", capsys)
     assert "named step:flow" in printed
     assert names["found"].causes[0].parameters["step_flow_time"] == 1899.0
+    (line,) = (one for one in README.splitlines() if one.startswith("# named step:flow"))
+    assert float(re.search(r"'step_flow': (-[\d.]+)", line)[1]) == pytest.approx(
+        names["found"].causes[0].parameters["step_flow"], rel=0.02
+    )
+
+
+def test_requests_of_the_http_page_are_valid():
+    """Every body that a curl line sends is one that the service accepts."""
+    from service.schemas import EstimateRequest
+
+    bodies = re.findall(r"-d '(\{.*?\})'", "\n".join(SHELL), re.DOTALL)
+    assert bodies
+    for body in bodies:
+        request = EstimateRequest.model_validate(json.loads(body))
+        assert np.isnan(np.array(request.series[0].y, dtype=float)[3]).all()
+        assert request.options.particles == 50
+    upload = re.search(r"'request=(\{.*?\})'", README)[1]
+    assert json.loads(upload) == {"kind": "estimate", "model": "local-level"}
+
+
+def test_commands_of_the_shell_page_exist_with_their_options(tmp_path, monkeypatch):
+    """Every ``rbps`` line is parsed by the commands themselves, without being run."""
+    import typer
+
+    from service.cli.commands import app
+
+    monkeypatch.chdir(tmp_path)
+    for name in ("flows.csv", "run.csv"):
+        Path(name).touch()
+    root = typer.main.get_command(app)
+    text = "\n".join(SHELL).replace("\\\n", " ")
+    lines = [one.split(" #")[0] for one in text.splitlines() if one.startswith("rbps ")]
+    assert len(lines) >= 5
+    for line in lines:
+        words = shlex.split(line)[1:]
+        command = root.get_command(None, words[0])
+        assert command is not None, line
+        command.make_context(words[0], words[1:], resilient_parsing=False)
+
+
+def test_the_settings_that_are_promised_exist():
+    assert np.all([name in README for name in ("RBPS_", "python -m engine.warm")])
+    for module in re.findall(r"python -m (engine\.\w+|service[.\w]*|tests[.\w]*)", README):
+        path = Path(__file__).parents[2].joinpath(*module.split("."))
+        assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), module

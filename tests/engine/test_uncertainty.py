@@ -1,0 +1,187 @@
+"""Printed uncertainties are what they are called: against their spread over seeds, and by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import engine
+from engine.em_result import EmResult
+from engine.errors import NotSettledWarning
+from engine.outcome import Outcome
+from engine.quasi_ml import quasi_ml
+from engine.standard_errors import StandardErrors, likelihood, observed
+
+MODEL = engine.get_model("linear-2")
+SERIES = engine.simulate(MODEL, None, 40, np.random.default_rng(4)).series
+BEST = quasi_ml(MODEL, SERIES).theta
+LONG = engine.simulate(MODEL, {"theta": 0.4}, 150, np.random.default_rng(3)).series
+TOP = quasi_ml(MODEL, LONG, {"theta": 0.4}).theta
+SMALL = {"n_particles": 12, "n_trajectories": 12}
+
+
+def errors_with(theta=0.0, variance=1.0):
+    return StandardErrors(
+        MODEL,
+        MODEL.theta([theta]),
+        ("theta",),
+        np.array([[variance]]),
+        np.zeros(1),
+        np.zeros(1),
+        np.zeros(1),
+    )
+
+
+@pytest.mark.parametrize("level", [0.5, 0.6827, 0.95, 0.99])
+def test_an_interval_has_its_confidence(level):
+    """The share of a normal distribution between the ends, computed from the ends."""
+    low, high = errors_with(0.25, 0.09).interval(level)[0]
+    assert norm.cdf(high, 0.25, 0.3) - norm.cdf(low, 0.25, 0.3) == pytest.approx(level, abs=1e-9)
+    assert low + high == pytest.approx(0.5)
+
+
+def test_every_iteration_of_em_has_random_numbers_of_its_own():
+    """Iteration k draws from SeedSequence(seed, spawn_key=(k,)), and k alone."""
+    seen = []
+
+    def proposal(step):
+        if step.t == SERIES.t[0]:
+            seen.append(step.rng.bit_generator.state["state"]["state"])
+        return engine.proposals.bootstrap(step)
+
+    engine.rbps_em(
+        MODEL,
+        SERIES,
+        n_particles=5,
+        n_iterations=4,
+        seed=7,
+        warm_start=False,
+        proposal=proposal,
+        recover=False,
+    )
+    expected = [
+        np.random.default_rng(np.random.SeedSequence(7, spawn_key=(k,))) for k in (1, 2, 3, 4)
+    ]
+    assert seen == [rng.bit_generator.state["state"]["state"] for rng in expected]
+    assert len(set(seen)) == 4
+
+
+@pytest.fixture(scope="module")
+def many():
+    """Standard errors at the maximum with 16 seeds, 9 smoothers each."""
+    return [
+        engine.standard_errors(MODEL, BEST, SERIES, replicates=9, seed=s, **SMALL)
+        for s in range(16)
+    ]
+
+
+def test_the_error_of_the_score_is_its_spread_over_seeds(many):
+    """A standard deviation from 16 numbers is off by 18 %; outside these limits 1 time in 1000."""
+    spread = np.std([one.score[0] for one in many], ddof=1)
+    stated = np.sqrt(np.mean([one.score_error[0] ** 2 for one in many]))
+    assert 0.5 < spread / stated < 1.7
+
+
+def test_the_error_of_standard_errors_is_their_spread_over_seeds(many):
+    """As above; the jackknife's own noise comes on top."""
+    spread = np.std(np.log([one.values[0] for one in many]), ddof=1)
+    stated = np.sqrt(np.mean([one.relative_error[0] ** 2 for one in many]))
+    assert 0.4 < spread / stated < 2.0
+
+
+def test_standard_errors_are_those_of_the_exact_likelihood(many):
+    exact = engine.standard_errors(MODEL, BEST, SERIES, exact=True).values[0]
+    each = np.array([one.values[0] for one in many])
+    assert np.abs(each.mean() / exact - 1.0) < 0.15  # 12 particles have a bias
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error():
+    """Exact for statistics that are linear in the replicates; these nearly are."""
+    R = 7
+    e = 1e-5 * np.random.default_rng(0).standard_normal(R)
+    found = observed._jackknife(np.eye(1), (1.0 + e)[:, None, None])
+    assert found[0] == pytest.approx(0.5 * e.std(ddof=1) / np.sqrt(R), rel=1e-3)
+    at = np.linspace(-4.0, 4.0, 33)
+    slopes = -(at - e[:, None])  # parabolas with their tops at e
+    found = likelihood._jackknife(at, slopes, 0.0, 2.0, (-4.0, 4.0))
+    np.testing.assert_allclose(found, e.std(ddof=1) / np.sqrt(R), rtol=1e-2)
+    assert observed._jackknife(np.eye(1), np.ones((1, 1, 1)))[0] == 0.0
+
+
+def test_the_errors_of_interval_ends_are_their_spread_over_seeds():
+    """12 seeds: outside these limits less than 1 time in 100."""
+    errors = engine.standard_errors(MODEL, BEST, SERIES, exact=True)
+    found = [
+        engine.likelihood_intervals(MODEL, BEST, SERIES, errors=errors, seed=s, **SMALL)
+        for s in range(12)
+    ]
+    spread = np.std([one.values[0] for one in found], axis=0, ddof=1)
+    stated = np.sqrt(np.mean([one.errors[0] ** 2 for one in found], axis=0))
+    assert (spread / stated > 0.4).all()
+    assert (spread / stated < 2.2).all()
+
+
+# ---- estimates that have not settled --------------------------------------------------------------
+
+
+def test_at_the_maximum_nothing_is_said(many):
+    """Also with particles, whose scores are never quite zero: none of 16."""
+    assert [one.settled for one in many] == [True] * 16
+    assert {one.warning for one in many} == {""}
+    exact = engine.standard_errors(MODEL, BEST, SERIES, exact=True)
+    assert exact.settled
+    assert exact.decrement < 2e-3  # quasi_ml stops when 1e-3 nats are left, of which this is twice
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("shift", [-3.0, 3.0])
+def test_away_from_the_maximum_the_distance_is_told(exact, shift):
+    """The decrement is the squared distance in standard errors, as far as the likelihood is a parabola."""
+    sd = engine.standard_errors(MODEL, TOP, LONG, exact=True).values[0]
+    options = {"exact": True} if exact else {"replicates": 4, **SMALL}
+    with pytest.warns(NotSettledWarning, match="the likelihood rises from here"):
+        found = engine.standard_errors(MODEL, TOP["theta"] + shift * sd, LONG, **options)
+    assert not found.settled
+    assert 1.0 < found.decrement < 60.0
+    for text in (str(found), found._repr_html_()):
+        assert "no standard errors of an estimate" in text
+    assert "theta = " in str(found)
+
+
+def test_an_estimation_that_ran_out_of_iterations_is_named():
+    start = MODEL.theta([BEST["theta"] + 0.3])
+    trace = np.array([[start[0]]])
+    found = EmResult(
+        MODEL, ("theta",), start, trace, *(np.empty(0),) * 4,
+        Outcome.ITERATIONS_USED_UP, Outcome.ITERATIONS_USED_UP.value,
+    )  # fmt: skip
+    with pytest.warns(NotSettledWarning, match="The estimation said: Iterations used up"):
+        errors = engine.standard_errors(MODEL, found, SERIES, exact=True)
+    document = engine.examine(found, SERIES, errors).to_dict()
+    assert document["warning"] == errors.warning
+    report = engine.report.estimate.estimate_report(document, lambda chart: "")
+    assert "no standard errors of an estimate" in str(report)
+
+
+def test_a_bound_that_the_likelihood_draws_away_from_is_named():
+    """At its bound a parameter is held; if the maximum is inside, the others' errors mean nothing."""
+    model = engine.get_model("local-level")
+    series = engine.simulate(model, None, 60, np.random.default_rng(0)).series
+    lower = dict(zip(model.parameter_names, model.lower.tolist(), strict=True))
+    best = quasi_ml(model, series, free=["q", "r"]).theta
+    assert best["q"] > lower["q"]
+    settled = engine.standard_errors(model, best, series, ["q", "r"], exact=True)
+    assert settled.settled
+    at = {**best.asdict(), "q": lower["q"] if lower["q"] > 0 else 1e-12}
+    with pytest.warns(NotSettledWarning):
+        found = engine.standard_errors(model, at, series, ["q", "r"], exact=True)
+    assert not found.settled
+
+
+def test_intervals_about_another_maximum_say_so():
+    sd = engine.standard_errors(MODEL, TOP, LONG, exact=True).values[0]
+    with pytest.warns(NotSettledWarning, match="The likelihood is highest at theta"):
+        found = engine.likelihood_intervals(MODEL, TOP["theta"] + 2.0 * sd, LONG, exact=True)
+    assert found.maximum[0] == pytest.approx(TOP["theta"], abs=0.1 * sd)
+    assert "highest" in found._repr_html_()
