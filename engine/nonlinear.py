@@ -5,7 +5,7 @@
 
 v and e have any densities that can be drawn and evaluated. A model is a few plain NumPy functions,
 called with all particles of one time step, or with those of all time steps where it takes them
-(u is then (nu, K), t (K,); see :mod:`engine.model` for what may be written):
+(u is then (nu, K), t (K,)); :mod:`engine.model` says what may be written:
 
     dynamics(x, u, t, dt, theta) -> f, g     f (K, nx) or a list of rows; g (nx, nx), (K, nx, nx) or None = I
     measurement(x, u, t, theta)  -> h, s     h (K, ny) or a list of rows; s (ny, ny), (K, ny, ny) or None = I

@@ -8,20 +8,21 @@ else, it is decided which calls a function takes:
 
 - When rows first differ in times or parameters, the call is compared with calls of single rows, and
   with the same rows in another order; likewise a call of rows scattered at random, some of them seen
-  at other times, whose number fits no matrix by chance. The 2nd, 4th, 8th, ... call is looked at
-  again, and briefly the first of every pass over a record.
+  at other times, whose number fits no matrix by chance. The 16th, 256th, 4096th, ... call is looked
+  at again, and briefly the first of every pass over a record.
 - A function that fails is called for each time and parameter vector by itself from then on, which is
   slower and always right. Where results were handed out before the failure was seen, what was made
   of them is made again: see :mod:`engine.statespace.refutation`.
 - Rows of one time and one theta are particles, which no loop can help: where they influence each
-  other (``a[0]`` for ``a[:, 0]``, ``np.any(a > 1)``), ModelError is raised, with the remedy.
+  other (``a[0]`` for ``a[:, 0]``, ``np.any(a > 1)``), ModelError is raised, with the remedy. This is looked
+  at in the 1st, 2nd, 4th, 8th, ... call.
 
 "No" is for good and "yes" is asked again. Verdicts belong to one model object and are not pickled.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
 import numpy as np
@@ -34,7 +35,8 @@ from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 # (a, u, t, dt, theta) -> values (M, n), then matrices (r, c) common to all rows, (M, r, c) or None
 Regular = Callable[[Array, Any, Any, Any, Any], Result]
 
-SINGLE_ROWS, BRIEFLY = 6, 2  # that a call is compared with
+SINGLE_ROWS = 4  # of scattered rows that are called alone ...
+MORE = 2  # ... and of real ones, besides those with extreme arguments
 SEEN = 60  # states of earlier looks that are mixed with those of a new one
 NUMBERS = (23, 29, 31, 37, 41, 43, 47, 53, 59, 61)  # of scattered rows: a size no matrix has
 SPREADS = (0.1, 0.01)  # tried one after the other where a model has no values farther out
@@ -102,12 +104,16 @@ class ModelFunction:
         kind = self._kind_of(rows)
         if kind is not None and len(rows.a) == 1:
             return self(*rows.alone(kind, np.zeros(1, dtype=np.intp)))
-        verdict = self._verdicts.setdefault(kind, _Verdict())
+        verdict = self._verdicts.get(kind)
+        if verdict is None:
+            verdict = self._verdicts[kind] = _Verdict()
         if kind is None or not kind.times:
             self._theta, self._kind, self._verdict = rows.theta, kind, verdict
             self._M = 0 if kind is None else len(rows.a)
         verdict.calls += 1
-        return self._with_care(rows if kind is None else rows.frozen(), kind, verdict)
+        if kind is not None and kind.times:
+            rows = rows.frozen()
+        return self._with_care(rows, kind, verdict)
 
     def _with_care(self, rows: Rows, kind: Kind | None, verdict: _Verdict) -> Result:
         """Together if that is right, else each time and theta by itself."""
@@ -117,7 +123,7 @@ class ModelFunction:
             if verdict.calls >= verdict.next and len(rows.a) > 1:
                 thorough = verdict.calls >= verdict.due
                 if thorough:
-                    verdict.due = 2 * verdict.calls
+                    verdict.due = (2 if kind is None else 16) * verdict.calls
                 verdict.next = verdict.due
                 together = self._agreeing(rows, kind, thorough)
             else:
@@ -218,12 +224,12 @@ class ModelFunction:
         raw = self._regular(*rows.fresh())
         together = copies(raw)
         with np.errstate(all="ignore"):
-            order = rng.permutation(len(rows.a))
+            order, ends = rng.permutation(len(rows.a)), rows.extremes(kind, rng)
             if not thorough:
-                some = order[: (len(order) + 1) // 2]
-                agrees = self._like(rows, kind, together, some, order[:BRIEFLY])
-                return together if agrees else None
-            agrees = self._like(rows, kind, together, order, order[:SINGLE_ROWS])
+                some, singles = order[: (len(order) + 1) // 2], self._singles(rows, kind, ends)
+                return together if self._like(rows, kind, together, some, singles) else None
+            singles = self._singles(rows, kind, [*ends, *order[:MORE]])
+            agrees = self._like(rows, kind, together, order, singles)
             if not identical(raw, together):
                 self._reuses = True
             agrees = agrees and self._agrees_when_spread(rows, kind, together, rng)
@@ -238,12 +244,12 @@ class ModelFunction:
         shapes = [rows.a, np.atleast_1d(rows.u), *(x for x in known if x is not None)]
         taken = {n for x in shapes for n in np.shape(x)[1:]} | {len(shapes[1]), len(rows.theta)}
         n = next((n for n in NUMBERS if n not in taken), max(taken) + 1)
-        singles = np.arange(SINGLE_ROWS)
         for share in SPREADS:
             drawn = rows.spread(kind, n, self._bounds, share, rng)
             if len(self._seen):  # a condition may hold at some times and not at others
                 drawn.a[::2] = self._seen[rng.integers(0, len(self._seen), len(drawn.a[::2]))]
-            if any(self._alone(drawn, kind, i) is None for i in singles):
+            singles = self._singles(drawn, kind, range(SINGLE_ROWS))
+            if any(alone is None for _, alone in singles):
                 continue
             try:
                 together = copies(self._regular(*drawn.fresh()))
@@ -254,7 +260,12 @@ class ModelFunction:
         return True
 
     def _like(
-        self, rows: Rows, kind: Kind | None, together: Result, company: Indices, singles: Indices
+        self,
+        rows: Rows,
+        kind: Kind | None,
+        together: Result,
+        company: Indices,
+        singles: Iterable[tuple[int, Result | None]],
     ) -> bool:
         """Whether rows give the same in less company, in another order, and alone."""
         sizes = sizes_of(together)
@@ -262,16 +273,21 @@ class ModelFunction:
         now = copies(self._regular(*fewer.fresh()))
         if not self._same(at_rows(together, company), now, fewer, sizes, kind):
             return False
-        for i in singles:
+        for i, alone in singles:
             at = np.array([i])
-            alone = self._alone(rows, kind, i)
             if alone is not None and not self._same(
                 at_rows(together, at), alone, rows.alone(kind, at), sizes, kind
             ):
                 return False
         return True
 
-    def _alone(self, rows: Rows, kind: Kind | None, i: np.intp) -> Result | None:
+    def _singles(
+        self, rows: Rows, kind: Kind | None, at: Indices
+    ) -> list[tuple[int, Result | None]]:
+        """Some rows, each by itself; None where it cannot be calculated."""
+        return [(int(i), self._alone(rows, kind, int(i))) for i in at]
+
+    def _alone(self, rows: Rows, kind: Kind | None, i: int) -> Result | None:
         """Row i by itself; None where it cannot be calculated."""
         try:
             return copies(self._regular(*rows.alone(kind, np.array([i])).fresh()))

@@ -59,21 +59,25 @@ class Rows(NamedTuple):
 
     def kind(self) -> Kind | None:
         """What differs from row to row; None where nothing does. Raises ValueError for other lengths."""
+        M = len(self.a)
+        own = [is_rows(self.t), is_rows(self.dt)]
         u = isinstance(self.u, np.ndarray) and self.u.ndim > 1
-        t, dt = is_rows(self.t), is_rows(self.dt)
-        fields = tuple(i for i, value in enumerate(self.theta) if is_rows(value))
-        if not (u or t or dt or fields):
+        fields = []
+        for i, value in enumerate(self.theta):
+            if value.__class__ is not float and is_rows(value):
+                if len(value) != M:
+                    raise ValueError(
+                        f"{self.theta._fields[i]} has {len(value)} entries for {M} rows of a"
+                    )
+                fields.append(i)
+        if not (u or fields or any(own)):
             return None
-        lengths = {
-            "u": self.u.shape[1] if u else len(self.a),
-            "t": len(self.t) if t else len(self.a),
-            "dt": len(self.dt) if dt else len(self.a),
-            **{self.theta._fields[i]: len(self.theta[i]) for i in fields},
-        }
-        for name, length in lengths.items():
-            if length != len(self.a):
-                raise ValueError(f"{name} has {length} entries for {len(self.a)} rows of a")
-        return Kind(u, t, dt, fields)
+        for name, there, value in zip(("t", "dt"), own, (self.t, self.dt), strict=True):
+            if there and len(value) != M:
+                raise ValueError(f"{name} has {len(value)} entries for {M} rows of a")
+        if u and self.u.shape[1] != M:
+            raise ValueError(f"u has {self.u.shape[1]} columns for {M} rows of a")
+        return Kind(u, own[0], own[1], tuple(fields))
 
     def fresh(self) -> Rows:
         """The same for a function that may write into what it is given."""
@@ -119,10 +123,7 @@ class Rows(NamedTuple):
 
     def groups(self, kind: Kind) -> Iterator[Indices]:
         """Indices of the rows that have all arguments in ``kind`` alike, group by group."""
-        columns = [self.theta[i] for i in kind.fields]
-        columns += list(self.u) if kind.u else []
-        columns += [self.t] if kind.t else []
-        columns += [self.dt] if kind.dt else []
+        columns = self._columns(kind)
         if not columns:  # u has no entries
             yield np.arange(len(self.a))
             return
@@ -133,6 +134,14 @@ class Rows(NamedTuple):
             found.setdefault(table[run[0]].tobytes(), []).append(run)
         for runs in found.values():
             yield runs[0] if len(runs) == 1 else np.concatenate(runs)
+
+    def extremes(self, kind: Kind | None, rng: np.random.Generator) -> Indices:
+        """Where one of what differs is least and largest: a condition on it shows there first."""
+        columns = list(self.a.T) if kind is None else self._columns(kind)
+        if not columns:
+            return np.zeros(1, dtype=np.intp)
+        column = columns[rng.integers(len(columns))]
+        return np.array([np.argmin(column), np.argmax(column)])
 
     def spread(
         self,
@@ -176,6 +185,14 @@ class Rows(NamedTuple):
         t = np.asarray(self.t, dtype=float).ravel()
         when = f"{t[0]:g}" if len(t) == 1 else f"{t.min():g} ... {t.max():g}" if len(t) else "?"
         return f"called at t = {when} s with a {np.shape(self.a)}, u {np.shape(self.u)}"
+
+    def _columns(self, kind: Kind) -> list[Array]:
+        """All that differs from row to row but a, each (M,)."""
+        columns = [self.theta[i] for i in kind.fields]
+        columns += list(self.u) if kind.u else []
+        columns += [self.t] if kind.t else []
+        columns += [self.dt] if kind.dt else []
+        return columns
 
     def _with(self, fields: tuple[int, ...], values: list[Any]) -> Any:
         """The record with some fields replaced."""

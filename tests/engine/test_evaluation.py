@@ -286,6 +286,27 @@ def test_what_was_made_from_calls_that_turn_out_wrong_is_made_again():
     assert not model.transitions.takes(a, series.u[0], 0.0, 0.1, model.records(apart))
 
 
+@pytest.mark.parametrize("name", engine.model_names())
+def test_shipped_models_are_evaluated_in_one_call(name):
+    """No verdict against a function that takes everything, from rounding or anything else."""
+    model = engine.get_model(name)
+    rng = np.random.default_rng(0)
+    series = engine.simulate(
+        model, None, 60, rng, u=rng.standard_normal((60, model.nu)), dt=0.1
+    ).series
+    thetas = np.asarray(model.theta()) * rng.uniform(0.99, 1.01, (7, len(model.parameters)))
+    thetas = np.clip(thetas, model.lower, model.upper)
+    moment_filter(model, thetas, series)
+    points = Points(model, series, 0.1 * rng.standard_normal((60, 7, model.na)))
+    for record in (model.record(model.theta()), model.records(np.tile(thetas, (60, 1)))):
+        points.observation(record)
+        for function, rows, n in ((model.transitions, True, 59), (model.observations, False, 60)):
+            if not (rows and np.ndim(record[0])):
+                assert function.takes(*points.arguments(np.arange(n), rows), record)
+    a, u = np.zeros((7, model.na)), series.u[0]
+    assert model.transitions.takes(a, u, 0.0, 0.1, model.records(thetas))
+
+
 def test_generators_start_again_where_they_were():
     model = user_model()
     u = np.zeros((300, 2))

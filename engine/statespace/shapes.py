@@ -1,0 +1,96 @@
+"""What a model's functions may return, in the one layout that kernels are compiled for."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+
+from engine.errors import ModelError
+from engine.statespace.rows import Array
+
+
+def as_rows(value: Any, M: int, n: int, where: str) -> Array:
+    """(M, n) float array from an array or a list of n rows, each a number or (M,)."""
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        if value.shape == (M, n):
+            return regular(value)
+        if value.shape == (n,):
+            return np.repeat(np.asarray(value, dtype=float)[None], M, axis=0)
+        raise _shape_error(where, value.shape, f"({M}, {n}) or ({n},)")
+    if _is_number(value):  # a single row may be written as a number
+        value = [value]
+    if len(value) != n:
+        raise _shape_error(where, (len(value),), f"a list of {n} rows")
+    out = np.zeros((M, n))
+    i, row = 0, value
+    try:
+        for i, row in enumerate(value):
+            if row.__class__ is not float or row != 0.0:
+                out[:, i] = row
+    except (ValueError, TypeError) as error:
+        raise ModelError(
+            f"{where}: row {i} has shape {np.shape(row)}; a number or ({M},) is needed"
+        ) from error
+    return out
+
+
+def as_matrix(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
+    """(rows, columns) when common to all particles, else (M, rows, columns)."""
+    if value.__class__ is not np.ndarray or value.dtype == object:
+        value = _nested(value, M, rows, columns, where)
+    shape = value.shape
+    if shape == (rows, columns) or shape == (M, rows, columns):
+        return regular(value)
+    if value.size == rows * columns == 0:
+        return np.zeros((rows, columns))
+    raise _shape_error(where, shape, f"({rows}, {columns}) or ({M}, {rows}, {columns})")
+
+
+def regular(value: Any) -> Array:
+    """The one layout that kernels are compiled for: float, C-contiguous, writeable."""
+    if value.flags.carray and value.dtype.char == "d":
+        return cast(Array, value)
+    out: Array = np.ascontiguousarray(value, dtype=float)
+    return out if out.flags.writeable else out.copy()
+
+
+def stacked(matrix: Array) -> Array:
+    """(B, ., .) with B = 1 for a matrix common to all particles."""
+    return matrix[None] if matrix.ndim == 2 else matrix
+
+
+def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
+    """A nested list whose entries are numbers or (M,)."""
+    if rows * columns == 0:
+        return np.zeros((rows, columns))
+    numbers = _numbers(value)
+    if numbers is not None and numbers.shape == (rows, columns):
+        return numbers
+    if _is_number(value):  # a 1 x 1 matrix may be written as a number
+        value = [[value]]
+    if len(value) != rows or any(_is_number(row) or len(row) != columns for row in value):
+        raise ModelError(f"{where} is not a list of {rows} rows of {columns} entries")
+    out = np.empty((M, rows, columns))
+    for i, row in enumerate(value):
+        for j, entry in enumerate(row):
+            out[:, i, j] = entry
+    return out
+
+
+def _numbers(value: Any) -> Array | None:
+    """A nested list of numbers as an array, None where entries are arrays."""
+    try:
+        if any(entry.__class__ is np.ndarray and entry.ndim for row in value for entry in row):
+            return None  # sooner than NumPy would say so
+        return np.array(value, dtype=float)
+    except (ValueError, TypeError):  # entries of different shapes, or no list of lists
+        return None
+
+
+def _is_number(value: Any) -> bool:
+    return not isinstance(value, (list, tuple)) and getattr(value, "ndim", 0) == 0
+
+
+def _shape_error(where: str, got: tuple[int, ...], needed: str) -> ModelError:
+    return ModelError(f"{where} has shape {got}; {needed} is needed")
