@@ -89,7 +89,8 @@ def diagnose(
     ``unknown``; ``free`` parameters that are estimated (default: all); ``callback(stage, fraction)`` may stop
     the run by raising StopIteration; ``bootstrap`` simulated series for a second p-value of the first round, 99
     or more, each of which takes as long as a fit and a screen. Extra channels of the series become inputs of
-    the model that nothing depends on, until one is found to matter. Finished parts are put into ``kept``, an
+    the model that nothing depends on, until one is found to matter. A model that declares ``continuous`` makes
+    as many steps a sample as its effects need. Finished parts are put into ``kept``, an
     empty dict at first, as JSON values; a run that was stopped goes on from them when the same version is asked
     the same again with them, and its numbers are those of a run that was never stopped. Raises SeriesError,
     ModelError, OptionError.

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from engine.diagnose.colored import KINDS as COLORED
 from engine.diagnose.effect import Effect
 from engine.diagnose.inputs import KINDS as INPUT
 from engine.diagnose.late import KINDS as LATE
@@ -30,6 +31,7 @@ SHIPPED: tuple[Kind, ...] = (
     *MEASUREMENT,
     *LATE,
     *NOISE,
+    *COLORED,
     *TAILS,
     *INPUT,
     *TIME,

@@ -113,6 +113,8 @@ def _driver(
         return _sensitivity(model, theta, model.index(effect.channel), series, path)
     if effect.channel in model.outputs:
         e[:, list(model.outputs).index(effect.channel)] = 1.0
+    elif model.continuous:  # before the step
+        b = path.F[:, :, states.index(effect.channel)] * series.steps[:, None]
     else:
         b[:, states.index(effect.channel)] = series.steps
     return b, e

@@ -140,7 +140,7 @@ def _hold(setting: Setting, channel: str) -> Effect | None:
         f"input {channel} that changes between its samples",
         f"{channel}_t -> {channel}_t + {name} ({channel}_(t+1) - {channel}_t) / 2",
         (
-            Parameter(name, 0.0, "1", (-1.0, 2.0), "0: held, 1: linear between samples"),
+            Parameter(name, 0.0, "1", (0.0, 2.0), "0: held, 1: linear between samples"),
             Parameter(f"{name}_step", setting.dt, "s", (POSITIVE, np.inf), "time between samples"),
             Parameter(f"{name}_first", first, setting.unit(channel), description="first input"),
         ),
@@ -148,6 +148,7 @@ def _hold(setting: Setting, channel: str) -> Effect | None:
         probes=((setting.dt, first),),
         look_alikes={"delay": "looks back, not ahead"},
         held=(f"{name}_step", f"{name}_first"),
+        one_sided=True,
     )
 
 

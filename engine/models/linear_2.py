@@ -36,6 +36,7 @@ MODEL = MixedModel(
     nonlinear={"a": "1"},
     linear={"z": "1"},
     outputs={"y": "1"},
+    reference=dict.fromkeys(("a", "z", "y"), 0.0),
     parameters=[Parameter("theta", 0.1, "1", (-2.0, 2.0), "coupling of z into a")],
     dynamics=dynamics,
     measurement=measurement,

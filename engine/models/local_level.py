@@ -32,6 +32,7 @@ MODEL = MixedModel(
     description="Local level: a random walk observed with noise, as fitted to the Nile flows.",
     linear={"level": "1e8 m^3"},
     outputs={"flow": "1e8 m^3"},
+    reference=dict.fromkeys(("level", "flow"), 0.0),
     parameters=[
         Parameter("q", 1469.0, "1e16 m^6", (0.0, 1e9), "variance of the level's step"),
         Parameter("r", 15100.0, "1e16 m^6", (1e-6, 1e9), "variance of the measurement"),

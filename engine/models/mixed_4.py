@@ -43,6 +43,7 @@ MODEL = MixedModel(
     nonlinear={"a": "1"},
     linear={"z1": "1", "z2": "1", "z3": "1"},
     outputs={"y1": "1", "y2": "1"},
+    reference=dict.fromkeys(("a", "z1", "z2", "z3", "y1", "y2"), 0.0),
     parameters=[
         Parameter("theta_1", 1.0, "1", (-5.0, 5.0), "gain of arctan a"),
         Parameter("theta_2", 1.0, "1", (-10.0, 10.0), "coupling of z_1 into a"),

@@ -63,6 +63,7 @@ MODEL = MixedModel(
     kinematic=("position",),
     inputs={"drive": "1"},
     outputs={"y": "1"},
+    reference=dict.fromkeys(("position", "drive", "y"), 0.0),  # at rest
     parameters=[
         Parameter("omega", 6.0, "rad/s", (1e-3, 1e4), "natural frequency"),
         Parameter("zeta", 0.05, "1", (0.0, 5.0), "damping ratio"),

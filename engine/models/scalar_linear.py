@@ -36,6 +36,7 @@ MODEL = MixedModel(
     description="A scalar linear system, on which PS-EM is compared with exact EM.",
     nonlinear={"x": "1"},
     outputs={"y": "1"},
+    reference=dict.fromkeys(("x", "y"), 0.0),
     parameters=[
         Parameter("a", 0.9, "1", (-1.5, 1.5), "pole"),
         Parameter("q", 0.1, "1", (1e-6, 100.0), "variance of the process noise"),

@@ -75,6 +75,7 @@ MODEL = MixedModel(
     kinematic=("position",),
     inputs={"drive": "V"},
     outputs={"y": "m"},
+    reference=dict.fromkeys(("load", "drive"), 0.0),  # a position has none
     parameters=[
         Parameter("M", 95.0, "kg", (1e-3, 1e5), "moving mass"),
         Parameter("Fv", 203.0, "N s/m", (0.0, 1e6), "viscous friction"),

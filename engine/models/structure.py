@@ -70,6 +70,7 @@ MODEL = MixedModel(
     kinematic=("x1", "x2"),
     inputs={"force": "N"},
     outputs={"y1": "m", "y2": "m"},
+    reference=dict.fromkeys(("x1", "x2", "force", "y1", "y2"), 0.0),  # at rest
     parameters=[
         Parameter("k1", 60.0, "1/s^2", (1e-3, 1e8), "stiffness of the first storey"),
         Parameter("k2", 40.0, "1/s^2", (1e-3, 1e8), "stiffness between the storeys"),

@@ -70,6 +70,7 @@ MODEL = MixedModel(
     linear={"inflow": "V/s"},
     inputs={"pump": "V"},
     outputs={"level": "V"},
+    reference=dict.fromkeys(("upper", "lower", "inflow", "pump", "level"), 0.0),  # empty, off
     parameters=[
         Parameter("k1", 0.05, "V^0.5/s", (1e-4, 1.0), "outflow of the upper tank into the lower"),
         Parameter("k3", 0.05, "V^0.5/s", (1e-4, 1.0), "outflow of the lower tank"),

@@ -8,6 +8,7 @@ import pytest
 import engine
 from engine.diagnose.catalogue import all_effects, make_effect
 from engine.diagnose.families import grid
+from engine.diagnose.hide import hide
 from engine.diagnose.setting import setting_for
 from engine.diagnose.structure import guessed_points
 from engine.diagnose.substeps import is_consistent, prepare
@@ -216,3 +217,30 @@ def test_where_halving_a_step_means_nothing_it_is_not_asked():
     assert asked(engine.get_model("structure"), 0.05) == []  # exact for any dt
     assert asked(engine.get_model("mixed-4"), 1.0) == []  # dt is none
     assert asked(pendulum(), 0.1) == ["time-step:dt"]
+
+
+def test_what_is_hidden_in_a_continuous_model_acts_within_the_step():
+    """Against the differential equation, in steps of a thousandth of a second."""
+    model, dt = engine.get_model("oscillator"), 0.1
+    quiet = {"sigma_v": 1e-6, "sigma_y": 2e-4}
+    u = np.repeat([1.0, -1.0, 0.5], 10)
+    run = hide(
+        model,
+        ["drag:velocity"],
+        {"drag_velocity": 0.5},
+        30,
+        np.random.default_rng(4),
+        theta=quiet,
+        u=u,
+        dt=dt,
+    )
+    assert run.series.dt == pytest.approx(dt)
+    x, v = run.a[0]  # drag made the velocity a nonlinear state
+    positions = []
+    for one in u:
+        positions.append(x)
+        for _ in range(100):
+            v += 1e-3 * (-36.0 * x - 0.6 * v + 36.0 * one - 0.5 * v * abs(v))
+            x += 1e-3 * v
+    assert np.ptp(positions) > 1.0
+    np.testing.assert_allclose(run.a[:, 0], positions, atol=0.02)
