@@ -27,6 +27,7 @@ STEP = 1e-5  # finite-difference step as a share of a parameter's scale
 FLAT = 1e-4  # a direction this much weaker than the strongest is lost in the differences
 REFINED = 4  # random starts that are followed
 SHORT = 12  # evaluations that each start gets before the best one is followed to its end
+TRIALS = 8  # sizes tried for a parameter of unknown scale
 PRECISE = 1e-7  # relative change of the cost or of p at which the search ends
 SILENT = 1e-9  # a derivative below this share of the largest one is no influence
 
@@ -157,6 +158,8 @@ class _Problem:
         self.model, self.series, self.theta = model, series, theta
         self.active, self.silent = free, free[:0]
         self.scale = output_scale(series)
+        given = [max(abs(p.default), p.scale) for p in model.parameters]
+        self.sizes: Array = np.maximum(np.abs(np.asarray(theta)), given)
         self.x1, self.spread = first_state(model, theta)
         self.uncertain = np.flatnonzero(self.spread > 0.0)
         self.evaluations = 0
@@ -187,20 +190,36 @@ class _Problem:
 
     def look_for_silent(self) -> None:
         """Take parameters out that do not change the run around the start."""
+        self._look_for_sizes()
         _, jacobian = self.evaluate(self.start())
         size = np.abs(jacobian[:, : self.active.size]).max(axis=0, initial=0.0) * self.steps()
-        quiet = ~(size > SILENT * max(float(size.max(initial=0.0)), 1e-300))
+        quiet = ~(size > SILENT * float(size.max(initial=0.0)))
         self.silent, self.active = self.active[quiet], self.active[~quiet]
         self._last = None
 
+    def _look_for_sizes(self) -> None:
+        """A size for each active parameter that starts at 0: what changes the run as much as it is wrong."""
+        for i, k in enumerate(self.active):
+            if self.sizes[k] > 0.0:
+                continue
+            self.sizes[k] = 1.0
+            for _ in range(
+                TRIALS
+            ):  # differences over a wrong size are lost in rounding, or too long
+                self._last = None
+                residuals, jacobian = self.evaluate(self.start())
+                wrong, slope = (float(np.sqrt(np.mean(x**2))) for x in (residuals, jacobian[:, i]))
+                if not np.isfinite(slope):
+                    self.sizes[k] *= 1e-3
+                    continue
+                found = wrong / slope if slope * wrong > 0.0 else 1e6 * self.sizes[k]
+                if 0.1 < found / self.sizes[k] < 10.0 or not np.isfinite(found):
+                    break
+                self.sizes[k] = found
+
     def steps(self) -> Array:
         """Finite-difference steps of the active parameters."""
-        value = np.abs(np.asarray(self.theta)[self.active])
-        default = np.abs([self.model.parameters[i].default for i in self.active])
-        width = (self.model.upper - self.model.lower)[self.active]
-        typical = np.maximum(value, default)
-        typical = np.where(typical > 0.0, typical, np.where(np.isfinite(width), 1e-3 * width, 1.0))
-        return np.asarray(STEP * typical)
+        return np.asarray(STEP * self.sizes[self.active])
 
     def descend(self, start: Array, evaluations: int) -> OptimizeResult:
         """Least squares from p = start."""
