@@ -79,15 +79,23 @@ class Effect:
 
 
 class Split:
-    """Separates a record of the extended model into the base's record and the effect's values."""
+    """Separates a record of the extended model into the base's record and the effect's values.
+
+    The same record gives the same parts: a model's function knows its last one again.
+    """
 
     def __init__(self, model: MixedModel) -> None:
         self.n = len(model.parameters)
         self.base = model.record
+        self.last: tuple[Any, Any, Any] = (None, None, None)
 
     def __call__(self, theta: Any) -> tuple[Any, Any]:
         """(base record, the effect's own values)."""
-        return self.base(theta[: self.n]), theta[self.n :]
+        known, record, own = self.last
+        if known is not theta:
+            record, own = self.base(theta[: self.n]), theta[self.n :]
+            self.last = (theta, record, own)
+        return record, own
 
 
 def identifier(*parts: str) -> str:

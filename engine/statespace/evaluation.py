@@ -29,6 +29,7 @@ import numpy as np
 
 from engine.errors import EngineError, ModelError
 from engine.statespace.compare import Result, at_rows, copies, differ, identical, joined, sizes_of
+from engine.statespace.plan import Plan, plan_of, stacked
 from engine.statespace.refutation import count_refutation
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 
@@ -77,27 +78,49 @@ class ModelFunction:
         self._kind: Kind | None = None
         self._M = 0
         self._verdict = self._verdicts[None]
+        self._plan = Plan()
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """The function's results for all rows. Raises ModelError naming function, time and shapes."""
+        kind, verdict = self._kind, self._verdict
         if not (
-            theta is self._theta
-            and t.__class__ is float
+            t.__class__ is float
             and dt.__class__ is float
             and u.__class__ is np.ndarray
             and u.ndim == 1
-            and (not self._M or len(a) == self._M)
         ):
             return self._first_look(Rows(a, regular_input(u, len(a)), t, dt, theta))
-        verdict = self._verdict
+        if not (theta is self._theta and (not self._M or len(a) == self._M)):
+            if any(value.__class__ is not float for value in theta):
+                return self._first_look(Rows(a, regular_input(u, len(a)), t, dt, theta))
+            kind, verdict = None, self._verdicts[None]
+        if kind is not None and not verdict.takes:
+            return self._theta_by_theta(a, u, t, dt, theta, kind)
         verdict.calls += 1
         if verdict.calls >= verdict.next:
-            return self._with_care(Rows(a, u, t, dt, theta), self._kind, verdict)
+            return self._with_care(Rows(a, u, t, dt, theta), kind, verdict)
         try:  # as a filter calls it at every time step
             out = self._regular(a.copy(), u, t, dt, theta)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
-            return self._otherwise(Rows(a, u, t, dt, theta), self._kind, verdict, error)
+            return self._otherwise(Rows(a, u, t, dt, theta), kind, verdict, error)
         return copies(out) if self._reuses else out
+
+    def _theta_by_theta(
+        self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Kind
+    ) -> Result:
+        """A call for each theta, as a filter needs it at every time step: its rows follow each other."""
+        if self._plan.theta is not theta or len(a) != self._plan.M:
+            rows = Rows(a, u, t, dt, theta)
+            self._plan = plan_of(rows, kind)
+        if not self._plan.parts:
+            return self._apart(Rows(a, u, t, dt, theta), kind)
+        try:
+            each = [self(a[at], u, t, dt, plain) for at, plain in self._plan.parts]
+        except ModelError as error:
+            if not error.numeric:
+                raise
+            return self._apart(Rows(a, u, t, dt, theta), kind)
+        return stacked(each, self._plan.counts)
 
     def _first_look(self, rows: Rows) -> Result:
         """A call of other arguments than the last one."""
