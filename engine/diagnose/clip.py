@@ -39,12 +39,9 @@ class Clip:
             *origin.parameters,
         )
         self.held = (f"{name}_side", *origin.held)
+        lowest, highest = (setting.quantile(channel, q) for q in (1.0 - SHARES[-1], SHARES[-1]))
         both = [(zero + setting.distance(channel, share), 0.0) for share in SHARES]
-        if (
-            not setting.quantile(channel, 1.0 - SHARES[-1])
-            < zero
-            < setting.quantile(channel, SHARES[-1])
-        ):
+        if not lowest < zero < highest:
             both = []  # it has no second side
         above = [(setting.quantile(channel, share), 1.0) for share in SHARES[1:]]
         below = [(setting.quantile(channel, 1.0 - share), -1.0) for share in SHARES[1:]]
@@ -55,7 +52,7 @@ class Clip:
         limit, side, zero = own[1], own[2], self.origin.of(own)
         above, below = np.maximum(x - limit, 0.0), np.minimum(x - limit, 0.0)
         both = np.sign(x - zero) * np.maximum(np.abs(x - zero) - np.abs(limit - zero), 0.0)
-        return np.where(np.equal(side, 0.0), both, np.where(np.greater(side, 0.0), above, below))
+        return np.where(np.greater(side, 0.5), above, np.where(np.less(side, -0.5), below, both))
 
     def text(self, x: str) -> str:
         """The excess, for an equation."""
