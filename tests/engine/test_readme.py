@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import engine
+
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 SHELL = re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
@@ -18,7 +20,7 @@ SHELL = re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
 def run(text: str, capsys) -> tuple[dict, str]:
     """The names a block leaves, and what it prints."""
     (block,) = (one for one in BLOCKS if text in one)
-    names: dict = {}
+    names: dict = {"np": np, "engine": engine}  # a block may go on with what one before it imported
     exec(compile(block, "README.md", "exec"), names)
     return names, capsys.readouterr().out
 

@@ -217,7 +217,7 @@ def test_a_nonlinear_model_is_refused_in_any_unit(part, unit, offset):
         kalman_smoother(curved(part, 0.0, unit, offset), None, series).log_likelihood
     )
     with pytest.raises(ModelError, match=f"not linear Gaussian: {part}"):
-        kalman_smoother(curved(part, 0.1, unit, offset), None, series)
+        kalman_smoother(curved(part, 1e-4, unit, offset), None, series)
 
 
 def test_a_start_that_is_not_linear_is_refused():
@@ -244,7 +244,7 @@ def test_noise_free_states_are_told_apart_in_any_unit(unit):
         return [a[:, 0]], np.zeros((1, 0)), [[unit**2]]
 
     def initial(theta):
-        return Gaussian([1e3 * unit], [[unit**2]]), [], np.zeros((0, 0))
+        return Gaussian([1e6 * unit], [[unit**2]]), [], np.zeros((0, 0))
 
     model = MixedModel(
         name="rest", dynamics=dynamics, measurement=measurement, initial=initial,
@@ -252,7 +252,7 @@ def test_noise_free_states_are_told_apart_in_any_unit(unit):
     )  # fmt: skip
     rng = np.random.default_rng(0)
     filtered = engine.rbpf(
-        model, None, Series(np.full(6, 1e3 * unit)), 20, rng, "bootstrap", ess_threshold=0.0
+        model, None, Series(np.full(6, 1e6 * unit)), 20, rng, "bootstrap", ess_threshold=0.0
     )
     for smoothed in (engine.rb_ffbsi(filtered, 30, rng), rb_ffbsi_linear(filtered, 30, rng)):
         assert np.isfinite(filtered.log_likelihood)
