@@ -46,7 +46,7 @@ class Refit:
 
 def cost(effect: Effect, series: Series) -> float:
     """What an effect's further parameters must gain before they count: log T each (Schwarz 1978)."""
-    return further_parameters(effect) * float(np.log(len(series)))
+    return further_parameters(effect) * float(np.log(series.n_measured))
 
 
 def further_parameters(effect: Effect) -> int:

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from engine.diagnose.effect import Effect
 from engine.diagnose.lattice import VISIBLE, lattice_step, sample_noise
-from engine.diagnose.structure import Points, feeding, guessed_points, rates
+from engine.diagnose.structure import Points, Rate, feeding, guessed_points, rates
 from engine.diagnose.units import product
 from engine.model import Array, MixedModel
 from engine.moment_filter import moment_path
@@ -112,7 +112,7 @@ class Setting:
     # ---- zeros --------------------------------------------------------------------------------
 
     @cached_property
-    def _rates(self) -> dict[str, float | None]:
+    def _rates(self) -> dict[str, Rate]:
         return rates(self.model)
 
     @cached_property
@@ -120,7 +120,7 @@ class Setting:
         """Zeros that are declared, or that the model tells: of a rate, where what it moves stands still."""
         if self.zeros is not None:
             return self.zeros
-        told = {name: zero for name, zero in self._rates.items() if zero is not None}
+        told = {name: rate.zero for name, rate in self._rates.items() if rate.zero is not None}
         return {**told, **self.model.reference}
 
     def zero(self, channel: str) -> float:
@@ -157,8 +157,8 @@ class Setting:
         return [name for name in self.states if name not in self.model.kinematic]
 
     def has_rate(self, state: str) -> bool:
-        """Whether another state is this one's rate, as a position has."""
-        return state in self.model.kinematic
+        """Whether another state is this one's rate: stiffness suits it, friction does not."""
+        return state in self.model.kinematic or any(state in r.of for r in self._rates.values())
 
     def rate(self, target: str, divided_by: str = "") -> str:
         """Unit of what enters a state's equation per second, divided by another unit."""

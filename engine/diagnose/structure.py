@@ -100,12 +100,22 @@ def step(model: MixedModel, theta: Array, x: Array, u: Any, t: Any, dt: Any) -> 
     return np.asarray(f + np.einsum("...ij,...j->...i", A, x[:, na:]))
 
 
-def rates(model: MixedModel) -> dict[str, float | None]:
-    """The states that are the rate of another one, with the value at which that other one stands still.
+@dataclass(frozen=True)
+class Rate:
+    """That a state is the rate of the states ``of``, which stand still where it is ``zero``.
+
+    ``zero`` is None where it depends on the parameters.
+    """
+
+    zero: float | None
+    of: tuple[str, ...]
+
+
+def rates(model: MixedModel) -> dict[str, Rate]:
+    """The states that are the rate of another one.
 
     v is the rate of x where x' - x = k (v - v0), for a short step at least, and depends on nothing
-    else. v0 is None where it depends on the parameters. Taken from the model alone, so that it is the same
-    with and without data.
+    else. Taken from the model alone, so that it is the same with and without data.
     """
     states = [*model.nonlinear, *model.linear]
     try:
@@ -116,23 +126,27 @@ def rates(model: MixedModel) -> dict[str, float | None]:
             model.upper,
         )
         points = guessed_points(model, 1.0)
-        out: dict[str, float | None] = {}
+        out: dict[str, Rate] = {}
         for dt in STEPS:
-            for v, zero in _rates(model, theta, points, dt).items():
-                again = _rates(model, other, points, dt).get(v, np.nan)
+            elsewhere = _rates(model, other, points, dt)
+            for v, (zero, of) in _rates(model, theta, points, dt).items():
+                again, _ = elsewhere.get(v, (np.nan, []))
                 same = abs(again - zero) <= SNAP * points.scale[v] * 10.0
-                out.setdefault(states[v], zero if same else None)
+                moved = tuple(states[j] for j in of)
+                out.setdefault(states[v], Rate(zero if same else None, moved))
         return out
     except Exception:  # noqa: BLE001 - a user's function may refuse points that are only guessed
         return {}
 
 
-def _rates(model: MixedModel, theta: Array, points: Points, dt: float) -> dict[int, float]:
-    """{state: v0} of the rates that show at steps dt and dt / 4."""
+def _rates(
+    model: MixedModel, theta: Array, points: Points, dt: float
+) -> dict[int, tuple[float, list[int]]]:
+    """{state: (v0, whose rate it is)} of the rates that show at steps dt and dt / 4."""
     (shares, zeros), (finer, finer_zeros) = (
         _dependence(model, theta, points, h) for h in (dt, dt / 4.0)
     )
-    out: dict[int, float] = {}
+    out: dict[int, tuple[float, list[int]]] = {}
     for j in range(model.nx):
         for v in range(model.nx):
             share, finest = shares[j, v], finer[j, v]
@@ -141,7 +155,8 @@ def _rates(model: MixedModel, theta: Array, points: Points, dt: float) -> dict[i
                 continue
             zero = (4.0 * finer_zeros[j, v] - zeros[j, v]) / 3.0
             size = points.scale[v]
-            out[v] = 0.0 if abs(zero) <= SNAP * size else float(f"{zero:.9g}")
+            v0 = 0.0 if abs(zero) <= SNAP * size else float(f"{zero:.9g}")
+            out[v] = (v0, [*(out[v][1] if v in out else []), j])
     return out
 
 

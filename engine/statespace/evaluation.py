@@ -305,7 +305,7 @@ class ModelFunction:
         return True
 
     def _singles(
-        self, rows: Rows, kind: Kind | None, at: Indices
+        self, rows: Rows, kind: Kind | None, at: Iterable[int]
     ) -> list[tuple[int, Result | None]]:
         """Some rows, each by itself; None where it cannot be calculated."""
         return [(int(i), self._alone(rows, kind, int(i))) for i in at]
