@@ -23,7 +23,8 @@ ROWS = 2000  # of each series, at most, are searched
 CANDIDATES = 96  # points around the start values ...
 REACH = 2.0  # ... this many sizes of each parameter away at most, within its bounds
 FAR = 20.0  # EM leaves from theta0 unless it is less likely than the maximum by this much
-BEST = 4  # of the candidates are improved, besides the start values themselves
+BEST = 4  # of the candidates are improved, besides the start values themselves,
+SHORT = 6  # iterations each; the best of them is then followed to its maximum
 
 
 class WarmStart:
@@ -62,12 +63,13 @@ def moment_maximum(
     lost: Exception | None = None
     for start in (np.asarray(theta), *candidates[order[:BEST]]):
         try:
-            found.append(quasi_ml(model, listed, start, names))
+            found.append(quasi_ml(model, listed, start, names, SHORT))
         except (ModelError, np.linalg.LinAlgError) as error:
             lost = lost or error
     if not found and lost is not None:
         raise lost
-    return max(found, key=lambda fit: fit.log_likelihood).theta
+    best = max(found, key=lambda fit: fit.log_likelihood)
+    return best.theta if best.converged else quasi_ml(model, listed, best.theta, names).theta
 
 
 def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array:

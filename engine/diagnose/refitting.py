@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from engine.diagnose.kept import NOTHING, Kept
 from engine.diagnose.refits import Refit, cost, refit, taken_up
@@ -27,6 +28,7 @@ REACH = 0.5  # of the best score: a refit left half-way that has this much is ta
 
 SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")  # by a fitted Q
 SWALLOWED_REFITS = 6
+ALARM = 0.1  # family-wise p-value from which no alarm is to be feared at any usual level
 REFITTED = 0.1  # of alpha, for these refits: maxima between a grid's points are larger than on it
 
 Progress = Callable[[str, float], Any]
@@ -38,15 +40,21 @@ def refit_swallowed(
     """Refits of the best few effects that a fitted Q can swallow, so that their scores see nothing.
 
     Where process noise has grown to explain a step, the score of the step is small, but refitting
-    both gives the noise back.
+    both gives the noise back. A refit is left half-way where it will not be an alarm.
     """
     refits = []
     families = _swallowed(seen)[:SWALLOWED_REFITS]
     for i, score in enumerate(families):
         progress("refit", i / len(families))
-        once = partial(refit, fit, series, score)
+        once = partial(refit, fit, series, score, _alarming(score, len(families), series))
         refits.append(_made(partial(kept.refit, fit.model, score.effect, once)))
     return [found for found in refits if found is not None]
+
+
+def _alarming(score: Score, families: int, series: Series) -> float:
+    """Half the score from which such a refit would be an alarm at ALARM: below it, it is left half-way."""
+    ratio = chi2.isf(ALARM * REFITTED / (families * max(score.tests, 1.0)), score.degrees)
+    return 0.5 * float(ratio) - cost(score.effect, series)
 
 
 def swallowed_p(seen: Screen, refits: Sequence[Refit], boldness: float = 1.0) -> float:
