@@ -101,6 +101,8 @@ def propagate(
     steps = step_lengths(series).tolist()
     times, inputs = series.t.tolist(), series.u
     na = model.na
+    model.transitions.look_again()
+    model.observations.look_again()
     with np.errstate(all="ignore"):
         for t in range(T - 1):
             a_all[t], z_all[t] = a, z

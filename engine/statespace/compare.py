@@ -43,26 +43,37 @@ def identical(xs: Result, ys: Result) -> bool:
     return all(x is y or np.array_equal(x, y, equal_nan=True) for x, y in zip(xs, ys, strict=True))
 
 
+def noise_of(now: Result, nudged: list[Result]) -> Result:
+    """How far the entries move, at most over the rows, when arguments change in the twelfth digit."""
+    moved = [
+        sizes_of(
+            tuple(
+                None if x is None else np.nan_to_num(y - x) for x, y in zip(now, one, strict=True)
+            )
+        )
+        for one in nudged
+    ]
+    return tuple(None if x is None else np.maximum(x, y) for x, y in zip(*moved, strict=True))
+
+
 def differ(
-    xs: Result, ys: Result, sizes: Result, particles: bool, nudged: Result | None = None
+    xs: Result, ys: Result, sizes: Result, particles: bool, noise: Result | None = None
 ) -> bool:
     """Whether results for the same rows differ by more than rounding; entries may be NaN in both.
 
-    ``nudged`` is y with its arguments changed in the twelfth digit: what this does, rounding may do.
-    Rows that are ``particles`` must differ clearly, as nothing can be done for them.
+    ``sizes`` are those of the entries, ``noise`` what a change in the twelfth digit does to them. Rows that
+    are ``particles`` must differ clearly, as nothing can be done for them.
     """
     for j, (x, y) in enumerate(zip(xs, ys, strict=True)):
         if x is None or y is None:
             if x is not y:
                 return True
             continue
-        tolerance = OTHERS if particles else DOUBLE
-        if nudged is not None and np.array_equal(y, y.astype(np.float32), equal_nan=True):
-            tolerance = SINGLE  # the model calculates in single precision
-        allowed = tolerance * sizes[j] + np.finfo(float).tiny
-        if nudged is not None and np.shape(nudged[j]) == np.shape(y):
-            change = np.abs(nudged[j] - y)
-            allowed = allowed + NOISE * np.where(np.isfinite(change), change, 0.0)
+        allowed = (OTHERS if particles else DOUBLE) * sizes[j] + np.finfo(float).tiny
+        if noise is not None:
+            if np.array_equal(y, y.astype(np.float32), equal_nan=True):
+                allowed = SINGLE * sizes[j]  # the model calculates in single precision
+            allowed = allowed + NOISE * noise[j]
         if not _close(x, y, allowed):
             return True
     return False

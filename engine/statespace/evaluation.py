@@ -9,7 +9,7 @@ else, it is decided which calls a function takes:
 - When rows first differ in times or parameters, the call is compared with calls of single rows, and
   with the same rows in another order; likewise a call of rows scattered at random, some of them seen
   at other times, whose number fits no matrix by chance. The 16th, 256th, 4096th, ... call is looked
-  at again, and briefly the first of every pass over a record.
+  at again, and briefly calls of new times and the first of every pass over a record.
 - A function that fails is called for each time and parameter vector by itself from then on, which is
   slower and always right. Where results were handed out before the failure was seen, what was made
   of them is made again: see :mod:`engine.statespace.refutation`.
@@ -22,35 +22,26 @@ else, it is decided which calls a function takes:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
 import numpy as np
 
 from engine.errors import EngineError, ModelError
-from engine.statespace.compare import Result, at_rows, copies, differ, identical, joined, sizes_of
+from engine.statespace.compare import Result, copies, joined
 from engine.statespace.plan import Plan, plan_of, stacked
 from engine.statespace.refutation import count_refutation
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
-
-# (a, u, t, dt, theta) -> values (M, n), then matrices (r, c) common to all rows, (M, r, c) or None
-Regular = Callable[[Array, Any, Any, Any, Any], Result]
-
-SINGLE_ROWS = 4  # of scattered rows that are called alone ...
-MORE = 2  # ... and of real ones, besides those with extreme arguments
-SEEN = 60  # states of earlier looks that are mixed with those of a new one
-NUMBERS = (23, 29, 31, 37, 41, 43, 47, 53, 59, 61)  # of scattered rows: a size no matrix has
-SPREADS = (0.1, 0.01)  # tried one after the other where a model has no values farther out
-NUMERIC = (ArithmeticError, ValueError)  # what a calculation may meet at a trial of its parameters
+from engine.statespace.trial import Regular, Trial, is_numeric
 
 
 class _Verdict:
     """Whether calls of a kind are taken, how many there were, and the next one not to be trusted."""
 
-    __slots__ = ("calls", "due", "next", "takes")
+    __slots__ = ("calls", "due", "next", "takes", "times")
 
     def __init__(self) -> None:
         self.takes, self.calls = True, 0
+        self.times: tuple[Any, ...] = ()  # u, t and dt of the last call with times of its own
         self.due = self.next = 1  # ``due`` is the next call to be looked at thoroughly
 
     def refuse(self) -> None:
@@ -68,11 +59,9 @@ class ModelFunction:
     def __init__(
         self, regular: Regular, model: str, name: str, bounds: tuple[Array, Array]
     ) -> None:
-        self._regular, self._bounds = regular, bounds
+        self._regular, self._trial = regular, Trial(regular, bounds)
         self.model, self.name = model, name
         self._verdicts: dict[Kind | None, _Verdict] = {None: _Verdict()}
-        self._reuses = False  # whether it returns memory of its own, and writes there again
-        self._seen = np.empty((0, 0))  # states of earlier looks
         # the last record, what differs in it, the number of its rows (0: any), the verdict on it
         self._theta: Any = None
         self._kind: Kind | None = None
@@ -103,7 +92,7 @@ class ModelFunction:
             out = self._regular(a.copy(), u, t, dt, theta)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
             return self._otherwise(Rows(a, u, t, dt, theta), kind, verdict, error)
-        return copies(out) if self._reuses else out
+        return copies(out) if self._trial.reuses else out
 
     def _theta_by_theta(
         self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Kind
@@ -136,26 +125,31 @@ class ModelFunction:
         verdict.calls += 1
         if kind is not None and kind.times:
             rows = rows.frozen()
+            if not _identical_times(verdict.times, rows):
+                verdict.times, verdict.next = rows[1:4], min(verdict.next, verdict.calls)
         return self._with_care(rows, kind, verdict)
 
     def _with_care(self, rows: Rows, kind: Kind | None, verdict: _Verdict) -> Result:
         """Together if that is right, else each time and theta by itself."""
         if not verdict.takes and kind is not None:
             return self._apart(rows, kind)
+        together: Result | None
         try:
-            if verdict.calls >= verdict.next and len(rows.a) > 1:
+            if len(rows.a) == 1 and not self._trial.tried_single:
+                together = self._trial.single(rows)
+            elif verdict.calls >= verdict.next and len(rows.a) > 1:
                 thorough = verdict.calls >= verdict.due
                 if thorough:
                     verdict.due = (2 if kind is None else 16) * verdict.calls
                 verdict.next = verdict.due
-                together = self._agreeing(rows, kind, thorough)
+                together = self._trial.agreeing(rows, kind, thorough, verdict.calls)
             else:
                 together = self._regular(*rows.fresh())
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
             return self._otherwise(rows, kind, verdict, error)
         if together is None:
             return self._otherwise(rows, kind, verdict)
-        return copies(together) if self._reuses else together
+        return copies(together) if self._trial.reuses else together
 
     def _otherwise(
         self, rows: Rows, kind: Kind | None, verdict: _Verdict, error: Exception | None = None
@@ -190,9 +184,9 @@ class ModelFunction:
         return verdict is None or verdict.takes
 
     def look_again(self) -> None:
-        """Look at the next call of each kind, briefly unless a thorough look is due."""
-        for verdict in self._verdicts.values():
-            if verdict.takes:
+        """Look at the next call of each kind, briefly unless a thorough look is due; not at particles."""
+        for kind, verdict in self._verdicts.items():
+            if verdict.takes and kind is not None:
                 verdict.next = verdict.calls + 1
 
     def _kind_of(self, rows: Rows) -> Kind | None:
@@ -214,7 +208,7 @@ class ModelFunction:
             )
         if "read-only" in str(error):
             text += "; a function must not write into what it is given: copy it first"
-        raise ModelError(text, placed=True, numeric=_is_numeric(error)) from error
+        raise ModelError(text, placed=True, numeric=is_numeric(error)) from error
 
     def _apart(self, rows: Rows, kind: Kind) -> Result:
         """Each time and theta in a call of its own.
@@ -239,96 +233,6 @@ class ModelFunction:
             raise lost
         return joined(parts, len(rows.a))
 
-    # ---- the test ---------------------------------------------------------------------------
 
-    def _agreeing(self, rows: Rows, kind: Kind | None, thorough: bool) -> Result | None:
-        """The results of one call, None where other calls of the same rows say otherwise."""
-        rng = np.random.default_rng((self._verdicts[kind].calls, len(rows.a)))
-        raw = self._regular(*rows.fresh())
-        together = copies(raw)
-        with np.errstate(all="ignore"):
-            order, ends = rng.permutation(len(rows.a)), rows.extremes(kind, rng)
-            if not thorough:
-                some, singles = order[: (len(order) + 1) // 2], self._singles(rows, kind, ends)
-                return together if self._like(rows, kind, together, some, singles) else None
-            singles = self._singles(rows, kind, [*ends, *order[:MORE]])
-            agrees = self._like(rows, kind, together, order, singles)
-            if not identical(raw, together):
-                self._reuses = True
-            agrees = agrees and self._agrees_when_spread(rows, kind, together, rng)
-            new = rows.a[order[:SINGLE_ROWS]]
-            self._seen = np.concatenate([new, self._seen])[:SEEN] if len(self._seen) else new
-        return together if agrees else None
-
-    def _agrees_when_spread(
-        self, rows: Rows, kind: Kind | None, known: Result, rng: np.random.Generator
-    ) -> bool:
-        """Whether scattered rows agree; yes where single ones cannot be calculated there."""
-        shapes = [rows.a, np.atleast_1d(rows.u), *(x for x in known if x is not None)]
-        taken = {n for x in shapes for n in np.shape(x)[1:]} | {len(shapes[1]), len(rows.theta)}
-        n = next((n for n in NUMBERS if n not in taken), max(taken) + 1)
-        for share in SPREADS:
-            drawn = rows.spread(kind, n, self._bounds, share, rng)
-            if len(self._seen):  # a condition may hold at some times and not at others
-                drawn.a[::2] = self._seen[rng.integers(0, len(self._seen), len(drawn.a[::2]))]
-            singles = self._singles(drawn, kind, range(SINGLE_ROWS))
-            if any(alone is None for _, alone in singles):
-                continue
-            try:
-                together = copies(self._regular(*drawn.fresh()))
-                return self._like(drawn, kind, together, rng.permutation(n)[: n // 2], singles)
-            except Exception:  # noqa: BLE001 - particles out there may be no concern of the model
-                if kind is not None:
-                    return False
-        return True
-
-    def _like(
-        self,
-        rows: Rows,
-        kind: Kind | None,
-        together: Result,
-        company: Indices,
-        singles: Iterable[tuple[int, Result | None]],
-    ) -> bool:
-        """Whether rows give the same in less company, in another order, and alone."""
-        sizes = sizes_of(together)
-        fewer = rows.take(kind, company)
-        now = copies(self._regular(*fewer.fresh()))
-        if not self._same(at_rows(together, company), now, fewer, sizes, kind):
-            return False
-        for i, alone in singles:
-            at = np.array([i])
-            if alone is not None and not self._same(
-                at_rows(together, at), alone, rows.alone(kind, at), sizes, kind
-            ):
-                return False
-        return True
-
-    def _singles(
-        self, rows: Rows, kind: Kind | None, at: Iterable[int]
-    ) -> list[tuple[int, Result | None]]:
-        """Some rows, each by itself; None where it cannot be calculated."""
-        return [(int(i), self._alone(rows, kind, int(i))) for i in at]
-
-    def _alone(self, rows: Rows, kind: Kind | None, i: int) -> Result | None:
-        """Row i by itself; None where it cannot be calculated."""
-        try:
-            return copies(self._regular(*rows.alone(kind, np.array([i])).fresh()))
-        except Exception as error:
-            if _is_numeric(error):
-                return None
-            raise
-
-    def _same(
-        self, known: Result, now: Result, rows: Rows, sizes: Result, kind: Kind | None
-    ) -> bool:
-        """Whether two results for the same rows agree but for rounding."""
-        if not differ(known, now, sizes, kind is None):
-            return True
-        nudged = copies(self._regular(*rows.nudged()))  # some functions magnify rounding
-        return not differ(known, now, sizes, kind is None, nudged)
-
-
-def _is_numeric(error: Exception) -> bool:
-    """Whether a calculation failed at these values, in contrast to a function that is wrong."""
-    return error.numeric if isinstance(error, ModelError) else isinstance(error, NUMERIC)
+def _identical_times(known: tuple[Any, ...], rows: Rows) -> bool:
+    return bool(known) and all(map(np.array_equal, known, rows[1:4]))

@@ -17,7 +17,7 @@ Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.intp]
 
 SPREAD = 0.1  # of a parameter's size, between rows of a test
-PERTURBATION = 1e-12  # relative: models may round their arguments to twelve digits
+PERTURBATION = 4e-12  # relative: models may round their arguments to twelve digits
 
 
 class Kind(NamedTuple):
@@ -136,12 +136,22 @@ class Rows(NamedTuple):
             yield runs[0] if len(runs) == 1 else np.concatenate(runs)
 
     def extremes(self, kind: Kind | None, rng: np.random.Generator) -> Indices:
-        """Where one of what differs is least and largest: a condition on it shows there first."""
-        columns = list(self.a.T) if kind is None else self._columns(kind)
-        if not columns:
-            return np.zeros(1, dtype=np.intp)
-        column = columns[rng.integers(len(columns))]
-        return np.array([np.argmin(column), np.argmax(column)])
+        """Rows where what differs is least and largest: a condition on it shows there first.
+
+        Of times all is looked at, of states and parameters one.
+        """
+        columns = list(self.a.T) if kind is None else []
+        if kind is not None:
+            columns = (
+                [self.theta[kind.fields[rng.integers(len(kind.fields))]]] if kind.fields else []
+            )
+            columns += self._columns(kind._replace(fields=()))
+            if kind.u and len(self.u) > 1:
+                columns += [self.u.max(axis=0), self.u.min(axis=0)]
+        elif columns:
+            columns = [columns[rng.integers(len(columns))]]
+        ends = {int(end(column)) for column in columns for end in (np.argmin, np.argmax)}
+        return np.array(sorted(ends or {0}), dtype=np.intp)
 
     def spread(
         self,
@@ -170,13 +180,14 @@ class Rows(NamedTuple):
             values.append(_frozen(moved))
         return drawn._replace(a=a, theta=drawn._with(kind.fields if kind else (), values))
 
-    def nudged(self) -> Rows:
-        """The same with states, inputs and parameters changed in the twelfth digit."""
-        factor = 1.0 + PERTURBATION
+    def nudged(self, sign: float) -> Rows:
+        """The same with states, inputs, time steps and parameters changed in the twelfth digit."""
+        factor = 1.0 + sign * PERTURBATION
         fields = [i for i, value in enumerate(self.theta) if isinstance(value, float)]
         return self._replace(
             a=self.a * factor,
             u=self.u if self.u is None else np.asarray(self.u) * factor,
+            dt=self.dt * factor,
             theta=self._with(tuple(fields), [self.theta[i] * factor for i in fields]),
         )
 
