@@ -24,11 +24,18 @@ def as_linear(model: MixedModel) -> MixedModel:
     if model.na == 0:
         return model
 
+    last: list[Any] = [None, None]  # theta and its points: asked for at every time step
+
+    def points(theta: Any) -> Array:
+        if last[0] is not theta:
+            last[:] = theta, start_probes(model, theta)
+        return np.asarray(last[1])
+
     def dynamics(a: Array, u: Array, t: float, dt: float, theta: Any) -> tuple[Any, Any, Any]:
-        return transition_matrices(model, theta, u, t, dt, start_probes(model, theta))
+        return transition_matrices(model, theta, u, t, dt, points(theta))
 
     def measurement(a: Array, u: Array, t: float, theta: Any) -> tuple[Any, Any, Any]:
-        return observation_matrices(model, theta, u, t, start_probes(model, theta))
+        return observation_matrices(model, theta, u, t, points(theta))
 
     def initial(theta: Any) -> tuple[Gaussian, Any, Any]:
         mean, P = linear_start(model, theta)
