@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from dataclasses import replace
 
@@ -116,8 +117,8 @@ def test_a_fault_goes_by_a_name_of_the_catalogue(name, key):
     assert effect.name == fault.name
     own = fault.draw(np.random.default_rng(0), 100.0, 1.0)
     endings = {p.name.rpartition("_")[2] for p in effect.parameters[1:]}
-    needed = {"time", "frequency", "sine"} & endings
-    assert needed <= set(fault.told(1.0, own))
+    needed = {"time", "frequency", "sine"} & endings  # the others have defaults near enough
+    assert needed | {""} <= set(fault.told(1.0, own))
 
 
 # ---- other units ----------------------------------------------------------------------------
@@ -259,10 +260,11 @@ def test_the_report_holds_every_figure_against_its_target():
 
 
 def test_every_cell_has_a_size_with_a_likelihood_ratio_that_can_be_named():
-    known = sizes.sizes()
-    wanted = {c.name for c in cells.every_cell() if c.hidden}
-    assert set(known) == wanted
-    assert all(value != 0.0 and np.isfinite(value) for value in known.values())
+    with sizes.FILE.open(newline="") as file:
+        kept = {line["cell"]: float(line["ratio"]) for line in csv.DictReader(file)}
+    assert set(kept) == {c.name for c in cells.every_cell() if c.hidden}
+    assert all(sizes.TARGET / 2.0 < ratio < 2.0 * sizes.TARGET for ratio in kept.values())
+    assert all(sizes.size_of(c) != 0.0 for c in cells.every_cell() if c.hidden)
 
 
 def test_other_words_are_of_faults_that_are_hidden():
@@ -303,6 +305,13 @@ def test_a_series_is_diagnosed_in_both_units(short):
     assert found["verdict"] in ("nothing", "named", "set", "unknown"), found["note"]
     assert found["twin"], found["note"]
     assert set(found) == {"system", "level", "hidden", *runs.BLANK}
+
+
+def test_a_plant_that_runs_away_is_a_row(short, monkeypatch):
+    monkeypatch.setattr(runs, "series_of", lambda *_: 1 / 0)
+    found = runs.row_of(short, [1, 2, 3], twin=True)
+    assert found["verdict"] == "crash"
+    assert "ZeroDivisionError" in str(found["note"])
 
 
 def test_a_crash_is_a_row(short, monkeypatch):

@@ -45,9 +45,11 @@ def onto(state: int, of: int, term: Term) -> Push:
     return push
 
 
-def force(name: str, state: int, of: int, term: Term, first: float) -> Fault:
+def force(
+    name: str, state: int, of: int, term: Term, first: float, most: float = math.inf
+) -> Fault:
     """Any force that depends on the state: size * term."""
-    return Fault(name, first, push=onto(state, of, term))
+    return Fault(name, first, most, push=onto(state, of, term))
 
 
 def sign(v: float, scale: float) -> float:

@@ -62,6 +62,7 @@ def root_friction(state: int, of: int, scale: float, first: float) -> Fault:
         of,
         lambda t, x, u, own: -sign(x[state], scale) * math.sqrt(abs(x[state]) / scale),
         first,
+        most=3.0 * first,
     )
 
 

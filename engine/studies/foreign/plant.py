@@ -85,11 +85,6 @@ class Fault:
     told: Callable[[float, Own], dict[str, float]] = field(default=lambda s, own: {"": s, **own})
 
     @property
-    def of_noise(self) -> bool:
-        """Whether it changes what is random, so that no extension wins all of it back."""
-        return self.noisy is not None or self.finish is not None
-
-    @property
     def outside(self) -> bool:
         """Whether no kind of the catalogue describes it."""
         return self.name.startswith("outside:")

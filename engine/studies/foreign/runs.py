@@ -62,7 +62,10 @@ def row_of(cell: Cell, seed: Sequence[int], twin: bool) -> Row:
     plan, size = cell.plan, size_of(cell)
     row["size_true"] = size if cell.hidden else np.nan
     base, free = plan.base(cell.level), plan.free(cell.level)
-    train, test, own = series_of(cell, size, seed)
+    try:
+        train, test, own = series_of(cell, size, seed)
+    except Exception as error:  # noqa: BLE001 - never a stop
+        return row | {"note": f"plant: {told(error)}"}
     began = time.perf_counter()
     try:
         found = diagnose(base, train, test=test, free=free, seed=seed[-1])

@@ -113,7 +113,7 @@ SYSTEM = System(
     PLANT,
     base,
     {
-        "norrbin": faults.force("cubic:rate", 1, 3, lambda t, x, u, own: -(x[1] ** 3), 0.005),
+        "rudder": faults.parameter_step("K", 0.1, 5.0),
         "dead-zone": faults.input_dead_zone("input-deadzone:rudder", 0, 1.0),
         "bias": sensors.bias("bias:gyro", 1, 0.05),
         "gain": sensors.gain("gain:gyro", 1, 0.0, 0.03),
