@@ -182,6 +182,7 @@ def test_a_run_that_is_no_longer_finite_has_diverged():
     )
     result = rbps_em(broken, SERIES.part(0, 20), n_iterations=5, recover=False)
     assert result.outcome is Outcome.DIVERGED
+    assert result.not_estimated == ()
     assert not result.outcome.success
     assert len(result.log_likelihood) == 1
     np.testing.assert_array_equal(result.trace[0], result.trace[1])

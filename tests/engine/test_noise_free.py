@@ -128,6 +128,15 @@ def test_resuming_gives_the_same_bits_and_the_same_words(case):
         again = engine.rbps_em(model, series, n_iterations=5, resume=resume, **options)
         np.testing.assert_array_equal(again.trace, whole.trace)
         assert again.message == whole.message
+    seen = []
+
+    def proposal(step):
+        seen.append(tuple(step.theta))
+        return engine.proposals.adapted(step)
+
+    engine.rbps_em(model, series, n_iterations=5, resume=whole, proposal=proposal, **options)
+    if model.na:  # only the last iteration was looked at again, with what it began from
+        assert set(seen) == {tuple(whole.trace[-2].tolist())}
 
 
 def test_what_nothing_depends_on_is_named(case):

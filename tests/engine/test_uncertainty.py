@@ -12,6 +12,7 @@ from engine.errors import NotSettledWarning
 from engine.outcome import Outcome
 from engine.quasi_ml import quasi_ml
 from engine.standard_errors import StandardErrors, likelihood, observed
+from engine.standard_errors.score import Score
 
 MODEL = engine.get_model("linear-2")
 SERIES = engine.simulate(MODEL, None, 40, np.random.default_rng(4)).series
@@ -91,9 +92,45 @@ def test_the_error_of_standard_errors_is_their_spread_over_seeds(many):
 
 
 def test_standard_errors_are_those_of_the_exact_likelihood(many):
-    exact = engine.standard_errors(MODEL, BEST, SERIES, exact=True).values[0]
+    """The Kalman filter's log-likelihood at three points knows its own curvature."""
+    found = engine.standard_errors(MODEL, BEST, SERIES, exact=True).values[0]
+    h = 0.5 * found  # the length of the differences
+    low, top, high = (
+        engine.kalman_smoother(MODEL, BEST["theta"] + s, SERIES).log_likelihood
+        for s in (-h, 0.0, h)
+    )
+    exact = h / np.sqrt(2.0 * top - low - high)
+    assert found == pytest.approx(exact, rel=0.05)
     each = np.array([one.values[0] for one in many])
     assert np.abs(each.mean() / exact - 1.0) < 0.15  # 12 particles have a bias
+
+
+def test_the_error_of_the_score_is_that_of_a_mean():
+    """Exactly, from the scores of the same smoothers."""
+    seeds = np.random.SeedSequence(3).spawn(5)
+    free = np.array([0])
+    score = Score.of(MODEL, BEST, [SERIES], free, 12, 12, exact=False)
+    each = np.array([score.at(score.x, which)[0][0] for which in seeds])
+    found = engine.standard_errors(MODEL, BEST, SERIES, replicates=5, seed=3, **SMALL)
+    assert found.score[0] == pytest.approx(each.mean())
+    assert found.score_error[0] == pytest.approx(each.std(ddof=1) / np.sqrt(5.0))
+    assert found.decrement == pytest.approx(each.mean() ** 2 * found.covariance[0, 0])
+
+
+def test_settled_is_within_half_a_standard_error():
+    """And the limit grows with the noise of the score: 0.25 + 3.84 times its variance in those errors."""
+    variance = np.array([[4.0]])
+    decrement, noise = observed._decrement(variance, np.array([[0.3]]))
+    assert (decrement, noise) == (pytest.approx(0.36), 0.0)
+    scores = np.array([[0.1], [0.5]])
+    decrement, noise = observed._decrement(variance, scores)
+    assert decrement == pytest.approx(0.36)
+    assert noise == pytest.approx(4.0 * (0.08 / 2.0) * 3.8415, rel=1e-4)
+    sd = engine.standard_errors(MODEL, TOP, LONG, exact=True).values[0]
+    assert engine.standard_errors(MODEL, TOP["theta"] + 0.4 * sd, LONG, exact=True).settled
+    with pytest.warns(NotSettledWarning) as told:
+        engine.standard_errors(MODEL, TOP["theta"] + 0.65 * sd, LONG, exact=True)
+    assert told[0].filename == __file__  # it points to the caller
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
