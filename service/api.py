@@ -30,6 +30,7 @@ from service.answers import (
     Trace,
 )
 from service.auth import Keys
+from service.bodies import json_route
 from service.examples import EXAMPLES
 from service.found import find_job, find_result
 from service.prepare import Request, check_limits, dump, find_model, prepare
@@ -61,7 +62,9 @@ def problem_answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys) -> APIRouter:
     """All calls, on a store."""
-    api = APIRouter(responses=problem_answers(401, 422))
+    api = APIRouter(
+        responses=problem_answers(401, 422), route_class=json_route(settings.max_values)
+    )
     Caller = Annotated[str, Depends(keys)]
 
     find = partial(find_job, store, keys)
@@ -144,7 +147,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         idempotency_key: IdempotencyKey = None,
     ) -> Response:
         files = {one.filename or f"file{i}": one.file.read() for i, one in enumerate(file)}
-        return put(with_files(request, files), caller, idempotency_key)
+        return put(with_files(request, files, settings.max_values), caller, idempotency_key)
 
     @api.post(
         "/preview",
@@ -158,7 +161,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             str | None, Form(max_length=200, description="column of time stamps; else one named so")
         ] = None,
     ) -> PreviewOut:
-        return preview(file.file.read(), file.filename or "", t, settings.max_samples)
+        return preview(file.file.read(), file.filename or "", t, settings)
 
     @api.get("/jobs", summary="Jobs, newest first")
     def jobs(
@@ -247,7 +250,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         return documents.job_status(row)
 
     @api.get("/livez", summary="The process is alive")
-    def livez() -> dict[str, str]:
+    async def livez() -> dict[str, str]:
         return {"status": "alive"}
 
     @api.get("/readyz", summary="Store and runner can be used", responses=problem_answers(503))

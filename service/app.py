@@ -11,7 +11,7 @@ from fastapi import FastAPI
 
 from service import job_pages, pages, problems
 from service.api import router
-from service.auth import Keys, check_exposure
+from service.auth import KeyFirst, Keys, check_exposure
 from service.limits import BodyLimit
 from service.runner import GUARD, LocalRunner, Runner, Terms
 from service.settings import Settings
@@ -51,6 +51,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         docs_url=None,  # these pages load scripts from other addresses
         redoc_url=None,
     )
+    app.add_middleware(KeyFirst, keys=keys)
     app.add_middleware(BodyLimit, max_body=settings.max_body, seconds=settings.body_seconds)
     app.add_middleware(pages.PageHeaders)
     app.router.routes.extend(pages.routes(keys.needed))  # before the JSON calls

@@ -17,7 +17,10 @@ from typing import Annotated
 
 from fastapi import Request, Security
 from fastapi.security import APIKeyHeader
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.limits import has_body
 from service.problems import Problem
 from service.settings import Settings
 
@@ -46,10 +49,15 @@ class Keys:
         self, request: Request, key: Annotated[str | None, Security(HEADER)] = None
     ) -> str:
         """FastAPI dependency: the caller's name, or a problem 401."""
+        return self.caller(request.headers)
+
+    def caller(self, headers: Headers) -> str:
+        """The name of who sends these headers. Raises Problem 401."""
         if not self.needed:
             return ""
+        key = headers.get("X-API-Key")
         if key is None:
-            scheme, _, key = request.headers.get("Authorization", "").partition(" ")
+            scheme, _, key = headers.get("Authorization", "").partition(" ")
             key = key if scheme.lower() == "bearer" else ""
         presented = digest_of(key)
         # All are compared, so the time tells nothing about which or how many there are.
@@ -58,6 +66,22 @@ class Keys:
             detail = "a valid API key is needed, as X-API-Key or as Authorization: Bearer"
             raise Problem(401, "unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
         return matches[0]
+
+
+class KeyFirst:
+    """ASGI middleware: who sends a body shows a key before anything of the body is read."""
+
+    def __init__(self, app: ASGIApp, keys: Keys) -> None:
+        self.app, self.keys = app, keys
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, or answer 401."""
+        if scope["type"] == "http" and has_body(headers := Headers(scope=scope)):
+            try:
+                self.keys.caller(headers)
+            except Problem as problem:
+                return await problem.response()(scope, receive, send)
+        return await self.app(scope, receive, send)
 
 
 def digest_of(key: str) -> str:

@@ -22,7 +22,7 @@ from service.prepare import ADAPTER, Request, find_model
 from service.problems import Problem, invalid
 from service.schemas import ModelReference
 
-UNPACKED = 20  # how many times its size a compressed file may unpack to, beyond 16 MiB
+SMALL = 1 << 22  # bytes that any file may hold
 
 
 class _FileSeries(BaseModel):
@@ -37,8 +37,13 @@ class _FileSeries(BaseModel):
     extra: list[str] = Field(default_factory=list, max_length=50)
 
 
-def with_files(text: str, files: Mapping[str, bytes]) -> Request:
-    """A request whose series, or test, name uploaded files; without ``series``, each file is one."""
+def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Request:
+    """A request whose series, or test, name uploaded files; without ``series``, each file is one.
+
+    A file may hold ``max_values`` numbers at most.
+    """
+    for name, data in files.items():
+        check_size(data, name, "file", max_values)
     try:
         body = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -81,7 +86,6 @@ def _read(
         there = ", ".join(files) or "none"
         raise invalid(f"{where}.file", f"no file '{wanted.file}' was uploaded; there are {there}")
     data = files[wanted.file]
-    check_unpacked(data, f"{where}.file")
     y, u = (
         _in_order(columns, channels, f"{where}.{name}")
         for name, columns, channels in zip(
@@ -146,23 +150,29 @@ def _in_order(
     return [columns[channel] for channel in channels]
 
 
-def check_unpacked(data: bytes, where: str) -> None:
-    """Refuse files that would unpack to far more than they are."""
-    most = max(16 << 20, UNPACKED * len(data))
+def check_size(data: bytes, filename: str, where: str, max_values: int) -> None:
+    """Refuse a file of more numbers than a job may hold, before anything is made of them."""
+    if Path(filename).suffix.lower() in (".csv", ".txt"):
+        cells = sum(map(data.count, (b"\n", b"\r", b",", b";", b"\t")))
+        if cells > max_values:
+            raise invalid(where, f"'{filename}' has more than the {max_values} cells allowed here")
+        return
+    most = max(SMALL, 8 * max_values)
+    size = len(data)
     if data[:2] == b"PK":
         try:
             with zipfile.ZipFile(io.BytesIO(data)) as archive:
                 size = sum(info.file_size for info in archive.infolist())
         except zipfile.BadZipFile:
             return  # the reader will say so
-    else:
-        size = _unpacked_mat(data, most) if data[:6] == b"MATLAB" else 0
+    elif data[:6] == b"MATLAB":
+        size = _unpacked_mat(data, most)
     if size > most:
-        raise invalid(where, f"unpacks to more than {most} bytes; save it uncompressed")
+        raise invalid(where, f"'{filename}' unpacks to more than the {most} bytes allowed here")
 
 
 def _unpacked_mat(data: bytes, most: int) -> int:
-    """Size of the compressed elements of a .mat file (version 5 to 7), counted up to ``most``."""
+    """Size of the elements of a .mat file (version 5 to 7), unpacked, counted up to ``most``."""
     order, at, size = "<" if data[126:128] == b"IM" else ">", 128, 0
     while at + 8 <= len(data) and size <= most:
         kind, length = struct.unpack(order + "II", data[at : at + 8])
@@ -174,5 +184,7 @@ def _unpacked_mat(data: bytes, most: int) -> int:
                     packed = stream.unconsumed_tail
             except zlib.error:
                 return size  # the reader will say so
+        else:
+            size += length
         at += 8 + length
     return size
