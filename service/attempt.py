@@ -33,7 +33,8 @@ from service import stages
 from service.logs import configure
 from service.prepare import load
 from service.problems import Problem
-from service.store import Attempt, Store
+from service.store import Store
+from service.transitions import Attempt
 
 log = logging.getLogger("service")
 

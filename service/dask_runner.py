@@ -27,7 +27,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.logs import configure
 from service.runner import Terms, warm_up, watch
-from service.store import Attempt, Store
+from service.store import Store
+from service.transitions import Attempt
 
 log = logging.getLogger("service")
 

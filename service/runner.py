@@ -24,7 +24,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.attempt import STORE_FAILED, main
 from service.problems import Problem
 from service.settings import Settings
-from service.store import Attempt, Store
+from service.store import Store
+from service.transitions import Attempt
 
 log = logging.getLogger("service")
 

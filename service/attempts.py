@@ -1,0 +1,168 @@
+"""The store as supervisors and workers use it: who may work on which task, and what they write."""
+
+from __future__ import annotations
+
+import json
+import time
+import uuid
+from collections.abc import Mapping
+from itertools import accumulate
+from typing import Any
+
+from sqlalchemy import func, insert, select, update
+
+from engine.model import Array
+from service.strict_json import dumps, finite
+from service.tables import connect, iterations, jobs, tasks
+from service.transitions import KEPT, Attempt, add_tasks, end, fail, lose, mine, of, put
+
+
+class Attempts:
+    """One database; usable from many threads, and from many processes by its URL."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+        self._engine = connect(url)
+        self._read = self._engine.execution_options(write=False)
+
+    def close(self) -> None:
+        """Close the pooled connections."""
+        self._engine.dispose()
+
+    def claim(self, holder: str, lease: float) -> Attempt | None:
+        """The first task of the queue, leased for so many seconds, or None."""
+        now, token = time.time(), uuid.uuid4().hex
+        first = (
+            select(tasks, jobs.c.id, jobs.c.status, jobs.c.run_seconds)
+            .join(jobs, jobs.c.seq == tasks.c.job)
+            .where(tasks.c.state == "queued")
+            .order_by(tasks.c.job, tasks.c.task)
+            .limit(1)
+        )
+        with self._read.begin() as sql:  # an idle service does not write
+            if sql.execute(first).first() is None:
+                return None
+        with self._engine.begin() as sql:
+            task = sql.execute(first.with_for_update(skip_locked=True, of=tasks)).first()
+            if task is None:
+                return None
+            sql.execute(
+                update(tasks)
+                .where(tasks.c.job == task.job, tasks.c.task == task.task)
+                .values(state="running", token=token, holder=holder, lease_until=now + lease)
+            )
+            if task.status == "accepted":
+                sql.execute(
+                    update(jobs)
+                    .where(jobs.c.seq == task.job)
+                    .values(status="running", started=now, updated=now)
+                )
+        return Attempt(task.job, task.id, task.task, token, task.losses, task.run_seconds)
+
+    def leased(self) -> int:
+        """How many tasks belong to an attempt, of whichever service."""
+        with self._read.begin() as sql:
+            query = select(func.count()).select_from(tasks).where(tasks.c.state == "running")
+            return int(sql.scalar(query) or 0)
+
+    def renew(self, attempt: Attempt, lease: float) -> bool:
+        """Keep the lease; False if the task is no longer this attempt's."""
+        with self._engine.begin() as sql:
+            return mine(sql, attempt, lease_until=time.time() + lease)
+
+    def holds(self, attempt: Attempt) -> bool:
+        """Whether the task is still this attempt's; reads only."""
+        with self._read.begin() as sql:
+            found = sql.scalar(select(func.count()).select_from(tasks).where(of(attempt)))
+        return bool(found)
+
+    def record(
+        self,
+        attempt: Attempt,
+        iteration: int,
+        rows: Mapping[int, Array],
+        estimate: Mapping[str, float] | None = None,
+        log_likelihood: float | None = None,
+        message: str = "",
+    ) -> bool:
+        """Write progress, with the iterations {k: row} done since the last time."""
+        with self._engine.begin() as sql:
+            if not mine(sql, attempt, iteration=iteration):
+                return False
+            key = {"job": attempt.job, "task": attempt.task}
+            if rows:
+                new = [
+                    key | {"k": k, "row": row.astype(float).tobytes()} for k, row in rows.items()
+                ]
+                sql.execute(insert(iterations), new)
+            progress: dict[str, Any] = {"updated": time.time()}
+            if message:
+                progress["message"] = message
+            progress["iteration"] = (
+                select(func.sum(tasks.c.iteration))
+                .where(tasks.c.job == attempt.job)
+                .scalar_subquery()
+            )
+            if estimate is not None:
+                progress |= {"estimate": dumps(estimate), "log_likelihood": finite(log_likelihood)}
+            sql.execute(update(jobs).where(jobs.c.seq == attempt.job).values(progress))
+        return True
+
+    def keep(self, attempt: Attempt, n: int, text: str) -> bool:
+        """Write the n-th text for a later attempt at the job's only task; they go when the job ends."""
+        with self._engine.begin() as sql:
+            if not mine(sql, attempt, state="running"):
+                return False
+            put(sql, attempt.job, f"{KEPT}{n:08d}", text)
+        return True
+
+    def finish(self, attempt: Attempt, result: Any, message: str = "") -> bool:
+        """The task is done. The last task of a stage starts the next; that of all ends the job."""
+        with self._engine.begin() as sql:
+            job = sql.execute(select(jobs).where(jobs.c.seq == attempt.job).with_for_update()).one()
+            if not mine(sql, attempt, state="done"):
+                return False
+            states = list(sql.scalars(select(tasks.c.state).where(tasks.c.job == attempt.job)))
+            ends = list(accumulate(json.loads(job.stages)))
+            last = attempt.task + 1 == ends[-1]
+            put(sql, attempt.job, "result" if last else f"task-{attempt.task}", dumps(result))
+            if last:
+                end(sql, attempt.job, "successful", time.time(), message=message)
+            elif set(states) == {"done"}:
+                stage = ends.index(len(states))
+                add_tasks(sql, attempt.job, ends[stage], ends[stage + 1])
+        return True
+
+    def fail(self, attempt: Attempt, problem: Mapping[str, Any]) -> bool:
+        """The job failed, for a reason another attempt would meet again."""
+        with self._engine.begin() as sql:
+            if not mine(sql, attempt, state="stopped"):
+                return False
+            fail(sql, attempt.job, problem)
+        return True
+
+    def lost(self, attempt: Attempt, cause: str, losses_allowed: int) -> bool:
+        """The worker died: queue the task again, or fail the job after too many losses."""
+        with self._engine.begin() as sql:
+            if not mine(sql, attempt, state="running"):
+                return False
+            lose(sql, attempt.job, attempt.task, attempt.losses, cause, losses_allowed)
+        return True
+
+    def release(self, attempt: Attempt) -> bool:
+        """Give a task back unharmed: the service stops and will go on with it later."""
+        with self._engine.begin() as sql:
+            return mine(sql, attempt, state="queued", token=None, lease_until=None)
+
+    def expire(self, losses_allowed: int) -> int:
+        """Queue tasks again whose lease ran out, so nobody watches them; how many."""
+        query = select(tasks).where(tasks.c.state == "running", tasks.c.lease_until < time.time())
+        with self._read.begin() as sql:
+            if sql.execute(query.limit(1)).first() is None:
+                return 0
+        with self._engine.begin() as sql:
+            expired = sql.execute(query.with_for_update(skip_locked=True)).all()
+            for task in expired:
+                cause = "the process that watched the worker disappeared"
+                lose(sql, task.job, task.task, task.losses, cause, losses_allowed)
+        return len(expired)
