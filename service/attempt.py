@@ -2,7 +2,7 @@
 
 The process dies with the service (or Dask worker) that started it, whatever that died of, so no
 computation goes on unwatched. It writes each iteration as progress and checkpoint; where the
-store answers that the task is not this attempt's any more (cancelled, lease lost), it leaves.
+store answers that the task is not this attempt's any more (cancelled, given to another), it leaves.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ class Attempts:
         """Close the pooled connections."""
         self._engine.dispose()
 
-    def claim(self, holder: str, lease: float) -> Attempt | None:
-        """The first task of the queue, leased for so many seconds, or None."""
+    def claim(self, holder: str) -> Attempt | None:
+        """The first task of the queue, or None; its heartbeat begins."""
         now, token = time.time(), uuid.uuid4().hex
         first = (
             select(tasks, jobs.c.id, jobs.c.status, jobs.c.run_seconds)
@@ -49,7 +49,7 @@ class Attempts:
             sql.execute(
                 update(tasks)
                 .where(tasks.c.job == task.job, tasks.c.task == task.task)
-                .values(state="running", token=token, holder=holder, lease_until=now + lease)
+                .values(state="running", token=token, holder=holder, beat=tasks.c.beat + 1)
             )
             if task.status == "accepted":
                 sql.execute(
@@ -59,16 +59,22 @@ class Attempts:
                 )
         return Attempt(task.job, task.id, task.task, token, task.losses, task.run_seconds)
 
-    def leased(self) -> int:
+    def running(self) -> int:
         """How many tasks belong to an attempt, of whichever service."""
         with self._read.begin() as sql:
             query = select(func.count()).select_from(tasks).where(tasks.c.state == "running")
             return int(sql.scalar(query) or 0)
 
-    def renew(self, attempt: Attempt, lease: float) -> bool:
-        """Keep the lease; False if the task is no longer this attempt's."""
+    def renew(self, attempt: Attempt) -> bool:
+        """One more heartbeat; False if the task is no longer this attempt's."""
         with self._engine.begin() as sql:
-            return mine(sql, attempt, lease_until=time.time() + lease)
+            return mine(sql, attempt, beat=tasks.c.beat + 1)
+
+    def beats(self) -> dict[str, int]:
+        """The heartbeats of all attempts, of whichever service, by their tokens."""
+        with self._read.begin() as sql:
+            query = select(tasks.c.token, tasks.c.beat).where(tasks.c.state == "running")
+            return {row.token: row.beat for row in sql.execute(query)}
 
     def holds(self, attempt: Attempt) -> bool:
         """Whether the task is still this attempt's; reads only."""
@@ -152,17 +158,19 @@ class Attempts:
     def release(self, attempt: Attempt) -> bool:
         """Give a task back unharmed: the service stops and will go on with it later."""
         with self._engine.begin() as sql:
-            return mine(sql, attempt, state="queued", token=None, lease_until=None)
+            return mine(sql, attempt, state="queued", token=None)
 
-    def expire(self, losses_allowed: int) -> int:
-        """Queue tasks again whose lease ran out, so nobody watches them; how many."""
-        query = select(tasks).where(tasks.c.state == "running", tasks.c.lease_until < time.time())
-        with self._read.begin() as sql:
-            if sql.execute(query.limit(1)).first() is None:
-                return 0
-        with self._engine.begin() as sql:
-            expired = sql.execute(query.with_for_update(skip_locked=True)).all()
-            for task in expired:
-                cause = "the process that watched the worker disappeared"
-                lose(sql, task.job, task.task, task.losses, cause, losses_allowed)
-        return len(expired)
+    def expire(self, silent: Mapping[str, int], losses_allowed: int) -> int:
+        """Queue tasks again whose heartbeats, by token, still stand where they stood; how many."""
+        lost = 0
+        for token, beat in silent.items():
+            query = select(tasks).where(
+                tasks.c.state == "running", tasks.c.token == token, tasks.c.beat == beat
+            )
+            with self._engine.begin() as sql:
+                task = sql.execute(query.with_for_update(skip_locked=True)).one_or_none()
+                if task is not None:
+                    cause = "the process that watched the worker disappeared"
+                    lose(sql, task.job, task.task, task.losses, cause, losses_allowed)
+                    lost += 1
+        return lost

@@ -47,7 +47,7 @@ class Settings:
 
     dask_scheduler: str = ""  # address of a Dask scheduler; without it, attempts run here
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)  # attempts at once
-    lease_seconds: float = 15.0  # an attempt nobody renews for so long is started again
+    lease_seconds: float = 15.0  # an attempt whose heartbeat stands still so long is started again
     losses_allowed: int = 2  # how often an attempt whose worker died is started again
     worker_memory: int = 0  # address space of a worker process; 0: no limit
     drain: bool = False  # on shutdown, wait for running attempts; else they go on after the start

@@ -3,7 +3,7 @@
 All SQL is here, in ``attempts`` and in ``transitions``; the tables are in ``tables``.
 
 A job has one or more tasks (computations). A task that is running belongs to an attempt, named
-by a token, for as long as its lease is renewed. Whoever writes says which attempt it is; the
+by a token, for as long as its heartbeat goes on. Whoever writes says which attempt it is; the
 write of an attempt that is no longer the task's own changes nothing and returns False.
 
     accepted --claim--> running --finish--> successful

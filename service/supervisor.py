@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 
+from service.clocks import Silence
 from service.runner import Runner
 from service.settings import Settings
 from service.store import Store
@@ -23,6 +24,7 @@ class Supervisor:
     def __init__(self, store: Store, runner: Runner, settings: Settings) -> None:
         self._store, self._runner, self._settings = store, runner, settings
         self._wake, self._stop = threading.Event(), threading.Event()
+        self._silence = Silence(settings.lease_seconds)
         self._holder = f"{socket.gethostname()}:{os.getpid()}"
         self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
         self.beat = time.monotonic()  # when it last looked at the store
@@ -65,10 +67,11 @@ class Supervisor:
             self._wake.wait(LOOK_SECONDS)
 
     def _look(self) -> None:
-        if n := self._store.expire(self._settings.losses_allowed):
-            log.warning("%d attempts lost their lease", n)
+        silent = self._silence.look(self._store.beats())
+        if silent and (n := self._store.expire(silent, self._settings.losses_allowed)):
+            log.warning("%d attempts are watched by nobody any more", n)
         while self._runner.free() > 0 and not self._stop.is_set():
-            attempt = self._store.claim(self._holder, self._settings.lease_seconds)
+            attempt = self._store.claim(self._holder)
             if attempt is None:
                 break
             self._runner.start(attempt)

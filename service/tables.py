@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlalchemy import (
     Column,
+    Connection,
     Double,
     Engine,
     ForeignKey,
@@ -21,7 +22,9 @@ from sqlalchemy import (
     UniqueConstraint,
     create_engine,
     event,
+    inspect,
 )
+from sqlalchemy.schema import CreateColumn
 
 metadata = MetaData()
 
@@ -57,7 +60,8 @@ jobs = Table(
 
 # One computation of a job, run by one worker process at a time. Tasks are numbered through the
 # job's stages; those of a stage exist once the stage before is done. ``token`` names the attempt
-# that may write; a worker with another token has lost its lease and stops.
+# that may write; a worker with another token has lost the task and stops. ``beat`` counts while somebody
+# watches over the attempt.
 tasks = Table(
     "tasks",
     metadata,
@@ -66,7 +70,7 @@ tasks = Table(
     Column("state", String(10), nullable=False),  # queued, running, done, stopped
     Column("token", String(32)),
     Column("holder", String(100)),
-    Column("lease_until", Double),
+    Column("beat", Integer, nullable=False, server_default="0"),
     Column("losses", Integer, nullable=False, default=0),
     Column("iteration", Integer, nullable=False, default=0),
     Index("tasks_state", "state", "job", "task"),
@@ -102,6 +106,7 @@ def connect(url: str) -> Engine:
     if not url.startswith("sqlite"):
         engine = create_engine(url, pool_size=10, max_overflow=20, pool_pre_ping=True)
         metadata.create_all(engine)
+        _add_columns(engine)
         return engine
     engine = create_engine(url, connect_args={"timeout": 30.0, "check_same_thread": False})
     if engine.url.database:
@@ -121,4 +126,29 @@ def connect(url: str) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 
     metadata.create_all(engine)
+    _add_columns(engine)
     return engine
+
+
+def _missing(sql: Connection) -> list[Column[Any]]:
+    there = inspect(sql)
+    return [
+        column
+        for table in metadata.sorted_tables
+        for names in [{one["name"] for one in there.get_columns(table.name)}]
+        for column in table.columns
+        if column.name not in names
+    ]
+
+
+def _add_columns(engine: Engine) -> None:
+    """Give the tables of an earlier version the columns they lack; columns they have too many stay."""
+    with engine.execution_options(write=False).begin() as sql:
+        if not _missing(sql):
+            return
+    with engine.begin() as sql:
+        if engine.dialect.name != "sqlite":  # where begin() has not locked out other services
+            sql.exec_driver_sql("LOCK TABLE jobs, tasks IN ACCESS EXCLUSIVE MODE")
+        for column in _missing(sql):
+            definition = CreateColumn(column).compile(dialect=engine.dialect)
+            sql.exec_driver_sql(f"ALTER TABLE {column.table.name} ADD COLUMN {definition}")

@@ -97,7 +97,7 @@ def lose(sql: Connection, seq: int, task: int, losses: int, cause: str, allowed:
     sql.execute(
         update(tasks)
         .where(tasks.c.job == seq, tasks.c.task == task)
-        .values(state="queued", token=None, lease_until=None, losses=losses + 1)
+        .values(state="queued", token=None, losses=losses + 1)
     )
     message = f"{cause}; goes on where it was (restart {losses + 1} of {allowed})"
     sql.execute(update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message))

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import httpx
@@ -137,6 +138,21 @@ def test_a_stopped_service_goes_on_where_it_was(spawn, catch, ended, dead, reque
     assert (job["status"], "restart" in job["message"]) == ("successful", False)
     assert "goes on after iteration" in (again.state / "log").read_text()
     assert without_seconds(again.client.get(f"{url}/results").json()) == expected
+
+
+def test_a_suspended_service_has_lost_nothing(spawn, catch, ended, request_, expected):
+    """Its own clock went on without it, far beyond the time after which silence is a loss."""
+    service = spawn(lease_seconds=1)
+    url, worker = catch(service, request_, iterations=5)
+    for pid in (service.process.pid, worker):
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(3.0)
+    for pid in (service.process.pid, worker):
+        os.kill(pid, signal.SIGCONT)
+    job = ended(service.client, url)
+    assert (job["status"], job["message"].count("restart")) == ("successful", 0)
+    assert (service.state / "log").read_text().count("attempt started") == 1
+    assert without_seconds(service.client.get(f"{url}/results").json()) == expected
 
 
 def test_memory_that_ends_is_taken_from_a_worker_first(spawn, catch, long):

@@ -2,42 +2,86 @@
 
 import json
 import threading
+import time
 
 import numpy as np
 import pytest
 
 from service import stages
 from service.attempt import StoredParts
+from service.clocks import Silence
 from service.prepare import load
-from service.store import KeyReused
+from service.store import KeyReused, Store
 
 
 def test_an_attempt_that_lost_its_task_cannot_write(store):
     job_id = store.create("estimate", "linear-2", {}, 10)
-    first = store.claim("one", lease=-1.0)
-    assert store.claim("two", 10.0) is None
-    assert store.expire(losses_allowed=2) == 1
-    second = store.claim("two", 10.0)
+    first = store.claim("one")
+    assert store.claim("two") is None
+    assert store.expire(store.beats(), losses_allowed=2) == 1
+    second = store.claim("two")
     assert (second.losses, second.task) == (1, first.task)
     assert not store.record(first, 1, {})
     assert not store.finish(first, {"mine": 1})
     assert not store.fail(first, {"detail": "mine"})
-    assert not store.renew(first, 10.0)
+    assert not store.renew(first)
     assert not store.lost(first, "gone", 2)
-    assert store.renew(second, 10.0)
+    assert store.renew(second)
     assert store.finish(second, {"mine": 2})
     assert store.document(second.job, "result") == b'{"mine":2}'
     assert store.job(job_id).status == "successful"
     assert not store.finish(second, {"mine": 3})
 
 
+@pytest.mark.parametrize("hours", [-1000, -1, 1, 1000])
+def test_a_wall_clock_that_is_set_changes_nothing(store, monkeypatch, hours):
+    """Neither is a task lost whose heart beats, nor one kept whose heart stands still."""
+    store.create("estimate", "linear-2", {}, 10, stages=[2])
+    alive, gone = store.claim("one"), store.claim("two")
+    now = [0.0]
+    silence = Silence(15.0, lambda: now[0])
+    silence.look(store.beats())
+    wall = time.time
+    monkeypatch.setattr(time, "time", lambda: wall() + 3600.0 * hours)
+    for _ in range(20):
+        now[0] += 1.0
+        assert store.renew(alive)
+        silent = silence.look(store.beats())
+    assert list(silent) == [gone.token]
+    assert store.expire(silent, 2) == 1
+    assert store.holds(alive)
+    assert store.claim("three").task == gone.task
+
+
+def test_a_heartbeat_that_went_on_meanwhile_is_no_loss(store):
+    store.create("estimate", "linear-2", {}, 10)
+    attempt = store.claim("one")
+    silent = store.beats()
+    assert store.renew(attempt)
+    assert store.expire(silent, 2) == 0
+    assert store.holds(attempt)
+
+
+def test_the_store_of_an_earlier_version_is_taken_over(store):
+    store.create("estimate", "linear-2", {"n": 1}, 10)
+    with store._engine.begin() as sql:
+        sql.exec_driver_sql("ALTER TABLE tasks DROP COLUMN beat")
+        sql.exec_driver_sql("ALTER TABLE tasks ADD COLUMN lease_until DOUBLE PRECISION")
+    newer = Store(store.url)
+    attempt = newer.claim("one")
+    assert newer.beats() == {attempt.token: 1}
+    assert newer.renew(attempt)
+    assert newer.finish(attempt, {})
+    newer.close()
+
+
 def test_what_an_attempt_keeps_is_there_for_the_next_and_goes_with_the_job(store):
     store.create("diagnose", "linear-2", {}, 100)
-    first = store.claim("one", 10.0)
+    first = store.claim("one")
     assert store.keep(first, 0, "0")
     assert store.keep(first, 1, '{"at": NaN}')
     assert store.lost(first, "killed", 2)
-    second = store.claim("two", 10.0)
+    second = store.claim("two")
     assert not store.keep(first, 2, "late")
     assert store.keep(second, 2, "2")
     assert store.kept(second.job) == ["0", '{"at": NaN}', "2"]
@@ -48,7 +92,7 @@ def test_what_an_attempt_keeps_is_there_for_the_next_and_goes_with_the_job(store
 
 def test_parts_of_another_version_or_of_before_it_was_begun_anew_are_left_alone(store, monkeypatch):
     store.create("diagnose", "linear-2", {}, 100)
-    first = store.claim("one", 10.0)
+    first = store.claim("one")
     parts = StoredParts(store, first)
     parts["asked"], parts["fit"], parts["screen"] = "one model", 1, 2
     assert dict(StoredParts(store, first)) == parts == {"asked": "one model", "fit": 1, "screen": 2}
@@ -72,26 +116,26 @@ def test_stages_follow_each_other_whoever_runs_them(store, estimation):
     plan = stages.plan(job.request)
     assert plan == [("fit", 2), ("choose", 1), ("resample", 2), ("summarize", 1)]
     made = store.create("estimate", "linear-2", request, 12, [n for _, n in plan])
-    first, second = store.claim("a", 10.0), store.claim("b", 10.0)
+    first, second = store.claim("a"), store.claim("b")
     assert (first.task, second.task) == (0, 1)
-    assert store.claim("c", 10.0) is None
+    assert store.claim("c") is None
     assert store.lost(first, "killed", 2)
-    first = store.claim("a", 10.0)
+    first = store.claim("a")
     assert (first.task, first.losses) == (0, 1)
     assert store.finish(second, {"n": 1})
-    assert store.claim("c", 10.0) is None
+    assert store.claim("c") is None
     assert store.finish(first, {"n": 0})
-    choose = store.claim("c", 10.0)
+    choose = store.claim("c")
     assert choose.task == 2
-    assert store.claim("d", 10.0) is None
+    assert store.claim("d") is None
     assert json.loads(store.document(choose.job, "task-1")) == {"n": 1}
     assert store.finish(choose, {"n": 2})
-    third, fourth = store.claim("a", 10.0), store.claim("b", 10.0)
+    third, fourth = store.claim("a"), store.claim("b")
     assert (third.task, fourth.task) == (3, 4)
     assert store.finish(third, {})
     assert store.finish(fourth, {})
     assert store.job(made).status == "running"
-    assert store.finish(store.claim("a", 10.0), {"n": 5})
+    assert store.finish(store.claim("a"), {"n": 5})
     assert store.job(made).status == "successful"
 
 
@@ -101,7 +145,7 @@ def test_many_claim_and_each_task_is_given_once_in_order(store):
 
     def claim(name):
         try:
-            while (attempt := store.claim(name, 10.0)) is not None:
+            while (attempt := store.claim(name)) is not None:
                 claimed.append(attempt.job_id)
                 assert store.finish(attempt, {"by": name})
         except Exception as error:  # noqa: BLE001 - shown by the assertion below
@@ -120,7 +164,7 @@ def test_many_claim_and_each_task_is_given_once_in_order(store):
 
 def test_iterations_come_back_with_the_same_bits(store):
     store.create("estimate", "linear-2", {}, 10)
-    attempt = store.claim("a", 10.0)
+    attempt = store.claim("a")
     rng = np.random.default_rng(0)
     rows = {k: np.append(rng.standard_normal(4), np.nan) for k in range(5)}
     assert store.record(attempt, 2, {k: rows[k] for k in (0, 1, 2)})
@@ -153,7 +197,7 @@ def test_a_key_names_one_job_however_many_ask(store):
 
 def test_dismissed_jobs_leave_no_data(store):
     made = store.create("estimate", "linear-2", {"y": [1, 2]}, 10)
-    attempt = store.claim("a", 10.0)
+    attempt = store.claim("a")
     assert store.record(attempt, 0, {0: np.zeros(5)})
     assert store.dismiss(made).status == "dismissed"
     assert not store.holds(attempt)
