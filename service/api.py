@@ -32,7 +32,7 @@ from service.answers import (
 from service.auth import Keys
 from service.bodies import json_route
 from service.examples import EXAMPLES
-from service.found import find_job, find_result
+from service.found import find_job, find_result, stopped_estimate
 from service.prepare import Request, check_limits, dump, find_model, prepare
 from service.preview import preview
 from service.problems import MEDIA_TYPE, Problem
@@ -69,14 +69,17 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
 
     find = partial(find_job, store, keys)
 
-    def put(request: Request, caller: str, key: str | None) -> Response:
-        check_limits(request, settings)
-        job = prepare(request)
+    def check_queue(caller: str) -> None:
         for owner, most in ((None, settings.max_queue), (caller, settings.max_queue_per_key)):
             counts = store.counts(owner)
             if counts.get("accepted", 0) + counts.get("running", 0) >= most:
                 detail = f"{most} jobs wait or run already; try again later"
                 raise Problem(429, "queue-full", detail, retry_after=30)
+
+    def put(request: Request, caller: str, key: str | None) -> Response:
+        check_limits(request, settings)
+        job = prepare(request)
+        check_queue(caller)
         try:
             job_id = store.create(
                 request.kind,
@@ -238,15 +241,39 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     def results(
         caller: Caller, http: HttpRequest, job_id: JobId, points: Points = None
     ) -> Response:
-        body = find_result(store, find(job_id, caller))
+        row = find(job_id, caller)
+        if (reached := stopped_estimate(store, row)) is not None:
+            body = dumps(reached).encode()
+        else:
+            body = find_result(store, row)
         if points is not None:
             body = dumps(thin_results(json.loads(body), points)).encode()
         return tagged(http, body)
 
-    @api.delete("/jobs/{job_id}", summary="Stop or remove a job", responses=problem_answers(404))
+    @api.delete(
+        "/jobs/{job_id}",
+        summary="Stop a job and keep what it has; remove the data of one that has ended",
+        responses=problem_answers(404),
+    )
     def dismiss(caller: Caller, job_id: JobId) -> JobStatus:
         find(job_id, caller)
         row = store.dismiss(job_id)
+        return documents.job_status(row)
+
+    @api.post(
+        "/jobs/{job_id}/resume",
+        summary="Go on with a failed or stopped job from its checkpoint",
+        responses=problem_answers(404, 409, 429),
+    )
+    def resume(caller: Caller, job_id: JobId) -> JobStatus:
+        row = find(job_id, caller)
+        if row.status == "successful" or row.removed:
+            why = "its data are gone" if row.removed else "it is successful"
+            raise Problem(409, "nothing-to-resume", f"job '{job_id}' cannot go on: {why}")
+        if row.status in ENDED:
+            check_queue(caller)
+        row = store.resume(job_id)
+        supervisor.wake()
         return documents.job_status(row)
 
     @api.get("/livez", summary="The process is alive")

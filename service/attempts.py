@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from itertools import accumulate
 from typing import Any
 
-from sqlalchemy import func, insert, select, update
+from sqlalchemy import and_, delete, func, insert, select, update
 
 from engine.model import Array
 from service.strict_json import dumps, finite
-from service.tables import connect, iterations, jobs, tasks
-from service.transitions import KEPT, Attempt, add_tasks, end, fail, lose, mine, of, put
+from service.tables import connect, documents, iterations, jobs, tasks
+from service.transitions import KEPT, Attempt, add_tasks, end, fail, locked, lose, mine, of, put
 
 
 class Attempts:
@@ -55,9 +55,13 @@ class Attempts:
                 sql.execute(
                     update(jobs)
                     .where(jobs.c.seq == task.job)
-                    .values(status="running", started=now, updated=now)
+                    .values(
+                        status="running",
+                        started=func.coalesce(jobs.c.started, now),
+                        updated=now,
+                    )
                 )
-        return Attempt(task.job, task.id, task.task, token, task.losses, task.run_seconds)
+        return Attempt(task.job, task.id, task.task, token, task.run_seconds)
 
     def running(self) -> int:
         """How many tasks belong to an attempt, of whichever service."""
@@ -93,6 +97,7 @@ class Attempts:
     ) -> bool:
         """Write progress, with the iterations {k: row} done since the last time."""
         with self._engine.begin() as sql:
+            locked(sql, attempt.job)
             if not mine(sql, attempt, iteration=iteration):
                 return False
             key = {"job": attempt.job, "task": attempt.task}
@@ -115,7 +120,7 @@ class Attempts:
         return True
 
     def keep(self, attempt: Attempt, n: int, text: str) -> bool:
-        """Write the n-th text for a later attempt at the job's only task; they go when the job ends."""
+        """Write the n-th text for a later attempt at the job's only task; they go when it is done."""
         with self._engine.begin() as sql:
             if not mine(sql, attempt, state="running"):
                 return False
@@ -125,7 +130,7 @@ class Attempts:
     def finish(self, attempt: Attempt, result: Any, message: str = "") -> bool:
         """The task is done. The last task of a stage starts the next; that of all ends the job."""
         with self._engine.begin() as sql:
-            job = sql.execute(select(jobs).where(jobs.c.seq == attempt.job).with_for_update()).one()
+            job = locked(sql, attempt.job)
             if not mine(sql, attempt, state="done"):
                 return False
             states = list(sql.scalars(select(tasks.c.state).where(tasks.c.job == attempt.job)))
@@ -133,7 +138,9 @@ class Attempts:
             last = attempt.task + 1 == ends[-1]
             put(sql, attempt.job, "result" if last else f"task-{attempt.task}", dumps(result))
             if last:
-                end(sql, attempt.job, "successful", time.time(), message=message)
+                left_over = and_(documents.c.job == job.seq, documents.c.name.startswith(KEPT))
+                sql.execute(delete(documents).where(left_over))
+                end(sql, job.seq, "successful", message=message)
             elif set(states) == {"done"}:
                 stage = ends.index(len(states))
                 add_tasks(sql, attempt.job, ends[stage], ends[stage + 1])
@@ -142,6 +149,7 @@ class Attempts:
     def fail(self, attempt: Attempt, problem: Mapping[str, Any]) -> bool:
         """The job failed, for a reason another attempt would meet again."""
         with self._engine.begin() as sql:
+            locked(sql, attempt.job)
             if not mine(sql, attempt, state="stopped"):
                 return False
             fail(sql, attempt.job, problem)
@@ -150,9 +158,10 @@ class Attempts:
     def lost(self, attempt: Attempt, cause: str, losses_allowed: int) -> bool:
         """The worker died: queue the task again, or fail the job after too many losses."""
         with self._engine.begin() as sql:
+            locked(sql, attempt.job)
             if not mine(sql, attempt, state="running"):
                 return False
-            lose(sql, attempt.job, attempt.task, attempt.losses, cause, losses_allowed)
+            lose(sql, attempt.job, attempt.task, cause, losses_allowed)
         return True
 
     def release(self, attempt: Attempt) -> bool:
@@ -168,9 +177,12 @@ class Attempts:
                 tasks.c.state == "running", tasks.c.token == token, tasks.c.beat == beat
             )
             with self._engine.begin() as sql:
-                task = sql.execute(query.with_for_update(skip_locked=True)).one_or_none()
-                if task is not None:
-                    cause = "the process that watched the worker disappeared"
-                    lose(sql, task.job, task.task, task.losses, cause, losses_allowed)
-                    lost += 1
+                if (task := sql.execute(query).one_or_none()) is None:
+                    continue
+                locked(sql, task.job)
+                if (task := sql.execute(query).one_or_none()) is None:  # while waiting for the lock
+                    continue
+                cause = "the process that watched the worker disappeared"
+                lose(sql, task.job, task.task, cause, losses_allowed)
+                lost += 1
         return lost

@@ -22,6 +22,8 @@ def job_status(row: Any) -> JobStatus:
     if row.status == "successful":
         links.append(Link(href=f"{here}/results", rel="results"))
         links.append(Link(href=f"{here}/report", rel="report"))
+    if row.status in ("failed", "dismissed") and not row.removed:
+        links.append(Link(href=f"{here}/resume", rel="resume"))
     progress = 100 if row.status == "successful" else 100 * row.iteration // max(row.iterations, 1)
     return JobStatus(
         jobID=row.id,

@@ -8,8 +8,9 @@ write of an attempt that is no longer the task's own changes nothing and returns
 
     accepted --claim--> running --finish--> successful
         |                  |--fail--------> failed
-        |                  |--lost, expire-> queued again (twice at most), then failed
+        |                  |--lost, expire-> queued again; too often at one place: failed
         +-----dismiss------+--------------> dismissed
+        +<----resume---- failed, dismissed
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Row, and_, delete, func, insert, or_, select
+from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select
 from sqlalchemy.exc import IntegrityError
 
 from engine.model import Array
 from service.attempts import Attempts
 from service.strict_json import dumps
 from service.tables import documents, iterations, jobs, pulse, tasks
-from service.transitions import KEPT, add, add_tasks, end, put
+from service.transitions import KEPT, add, add_tasks, end, forget, put, resume
 
 ENDED = ("successful", "failed", "dismissed")
 
@@ -202,13 +203,28 @@ class Store(Attempts):
         return [(one, None if one.row is None else np.frombuffer(one.row)) for one in found]
 
     def dismiss(self, job_id: str) -> Row[Any] | None:
-        """Stop a job, or remove what an ended one left; None if there is no such job."""
-        now = time.time()
+        """Stop a job, or remove the data of an ended one; None if there is no such job."""
         with self._engine.begin() as sql:
-            job = sql.execute(select(jobs).where(jobs.c.id == job_id)).one_or_none()
-            if job is None or job.status == "dismissed":
+            job = self._locked(sql, job_id)
+            if job is None or job.removed:
                 return job
-            end(sql, job.seq, "dismissed", now, message="dismissed by the client", problem=None)
-            for table in (documents, iterations):
-                sql.execute(delete(table).where(table.c.job == job.seq))
-            return sql.execute(select(jobs).where(jobs.c.id == job_id)).one()
+            if job.status in ENDED:
+                gone = "its data were removed by the client"
+                forget(sql, job.seq, status="dismissed", message=gone, problem=None)
+            else:
+                kept = "stopped by the client; what it had computed is kept, and it can be resumed"
+                end(sql, job.seq, "dismissed", message=kept, problem=None)
+            return self._locked(sql, job_id)
+
+    def resume(self, job_id: str) -> Row[Any] | None:
+        """Put a failed or dismissed job back into the queue, if its data are still there; the job."""
+        with self._engine.begin() as sql:
+            job = self._locked(sql, job_id)
+            if job is not None and job.status in ("failed", "dismissed") and not job.removed:
+                resume(sql, job.seq)
+            return self._locked(sql, job_id)
+
+    @staticmethod
+    def _locked(sql: Connection, job_id: str) -> Row[Any] | None:
+        query = select(jobs).where(jobs.c.id == job_id).with_for_update(key_share=True)
+        return sql.execute(query).one_or_none()

@@ -23,6 +23,7 @@ from sqlalchemy import (
     create_engine,
     event,
     inspect,
+    update,
 )
 from sqlalchemy.schema import CreateColumn
 
@@ -53,6 +54,9 @@ jobs = Table(
     Column("owner", String(64), nullable=False, default=""),  # name of the API key
     Column("idempotency_key", String(200)),
     Column("digest", String(64)),  # of the request, to compare repeats of an idempotency key
+    Column(
+        "removed", Integer, nullable=False, server_default="0"
+    ),  # 1: its data are no longer there
     Index("jobs_status", "status", "seq"),
     UniqueConstraint("owner", "idempotency_key"),
     sqlite_autoincrement=True,
@@ -72,6 +76,10 @@ tasks = Table(
     Column("holder", String(100)),
     Column("beat", Integer, nullable=False, server_default="0"),
     Column("losses", Integer, nullable=False, default=0),
+    Column(
+        "futile", Integer, nullable=False, server_default="0"
+    ),  # losses without a checkpoint between
+    Column("mark", Integer, nullable=False, server_default="0"),  # checkpoints at the latest loss
     Column("iteration", Integer, nullable=False, default=0),
     Index("tasks_state", "state", "job", "task"),
 )
@@ -88,7 +96,7 @@ iterations = Table(
 )
 
 # Large JSON, compressed: the request, the result, "task-i", what task i leaves to later stages, and
-# "kept-n", what a running diagnosis has finished.
+# "kept-n", what an unfinished diagnosis has finished.
 documents = Table(
     "documents",
     metadata,
@@ -152,3 +160,5 @@ def _add_columns(engine: Engine) -> None:
         for column in _missing(sql):
             definition = CreateColumn(column).compile(dialect=engine.dialect)
             sql.exec_driver_sql(f"ALTER TABLE {column.table.name} ADD COLUMN {definition}")
+            if column is jobs.c.removed:  # it was removed together with what it had computed
+                sql.execute(update(jobs).where(jobs.c.status == "dismissed").values(removed=1))

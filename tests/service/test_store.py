@@ -20,7 +20,7 @@ def test_an_attempt_that_lost_its_task_cannot_write(store):
     assert store.claim("two") is None
     assert store.expire(store.beats(), losses_allowed=2) == 1
     second = store.claim("two")
-    assert (second.losses, second.task) == (1, first.task)
+    assert second.task == first.task
     assert not store.record(first, 1, {})
     assert not store.finish(first, {"mine": 1})
     assert not store.fail(first, {"detail": "mine"})
@@ -63,11 +63,20 @@ def test_a_heartbeat_that_went_on_meanwhile_is_no_loss(store):
 
 
 def test_the_store_of_an_earlier_version_is_taken_over(store):
-    store.create("estimate", "linear-2", {"n": 1}, 10)
+    waiting = store.create("estimate", "linear-2", {"n": 1}, 10)
+    dismissed = store.create("estimate", "linear-2", {"n": 1}, 10)
+    store.dismiss(dismissed)
     with store._engine.begin() as sql:
-        sql.exec_driver_sql("ALTER TABLE tasks DROP COLUMN beat")
+        for table, column in (
+            ("tasks", "beat"),
+            ("tasks", "futile"),
+            ("tasks", "mark"),
+            ("jobs", "removed"),
+        ):
+            sql.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {column}")
         sql.exec_driver_sql("ALTER TABLE tasks ADD COLUMN lease_until DOUBLE PRECISION")
     newer = Store(store.url)
+    assert [newer.job(one).removed for one in (waiting, dismissed)] == [0, 1]
     attempt = newer.claim("one")
     assert newer.beats() == {attempt.token: 1}
     assert newer.renew(attempt)
@@ -121,7 +130,7 @@ def test_stages_follow_each_other_whoever_runs_them(store, estimation):
     assert store.claim("c") is None
     assert store.lost(first, "killed", 2)
     first = store.claim("a")
-    assert (first.task, first.losses) == (0, 1)
+    assert first.task == 0
     assert store.finish(second, {"n": 1})
     assert store.claim("c") is None
     assert store.finish(first, {"n": 0})
@@ -195,16 +204,101 @@ def test_a_key_names_one_job_however_many_ask(store):
         store.create("simulate", "m", {"n": 2}, 1, idempotency_key="k", owner="o")
 
 
-def test_dismissed_jobs_leave_no_data(store):
+def lose(store, rows=(), parts=()):
+    """An attempt that writes iterations or finished parts of a diagnosis, and is lost."""
+    attempt = store.claim("a")
+    if rows:
+        assert store.record(attempt, max(rows), {k: np.zeros(5) for k in rows})
+    for n in parts:
+        assert store.keep(attempt, n, "{}")
+    assert store.lost(attempt, "killed", 2)
+    return store.job(attempt.job_id)
+
+
+@pytest.mark.parametrize("what", ["rows", "parts"])
+def test_losses_count_only_where_nothing_was_reached_between_them(store, what):
+    store.create("estimate", "linear-2", {}, 100)
+    for i in range(5):  # far more than are allowed
+        job = lose(store, **{what: [2 * i + 1, 2 * i + 2]})
+        assert (job.status, "(restart 1 of 2)" in job.message) == ("running", True)
+    assert "(restart 2 of 2)" in lose(store).message
+    job = lose(store)
+    assert (job.status, job.message) == ("failed", "killed; given up after 3 attempts")
+    ((task, _),) = store.tasks(job.seq)
+    assert task.losses == 6
+
+
+def test_a_loss_before_the_first_checkpoint_counts(store):
+    store.create("estimate", "linear-2", {}, 100)
+    assert "(restart 1 of 2)" in lose(store, rows=[0]).message  # row 0 is the start
+    assert "(restart 2 of 2)" in lose(store).message
+    assert lose(store).status == "failed"
+
+
+def test_no_loss_is_allowed_where_none_is(store):
+    store.create("estimate", "linear-2", {}, 100)
+    attempt = store.claim("a")
+    assert store.record(attempt, 3, {3: np.zeros(5)})
+    assert store.expire(store.beats(), losses_allowed=0) == 1
+    assert store.job(attempt.job_id).status == "failed"
+
+
+@pytest.mark.parametrize("how", ["fails", "is lost", "is stopped", "is stopped in the queue"])
+def test_what_ended_before_its_result_goes_on(store, how):
+    made = store.create("estimate", "linear-2", {"n": 1}, 100, stages=[2, 1])
+    done = store.claim("a")
+    assert store.finish(done, {"task": 0})
+    if how == "is lost":
+        for _ in range(3):
+            lose(store)
+    elif how != "is stopped in the queue":
+        attempt = store.claim("a")
+        assert store.record(attempt, 1, {0: np.zeros(5), 1: np.ones(5)}, {"theta": 0.5}, 1.0)
+        assert store.fail(attempt, {"detail": "no"}) if how == "fails" else store.dismiss(made)
+        assert not store.record(attempt, 2, {2: np.ones(5)})
+    if how == "is stopped in the queue":
+        store.dismiss(made)
+    assert store.claim("a") is None
+    resumed = store.resume(made)
+    assert (resumed.status, resumed.problem, resumed.finished) == ("accepted", None, None)
+    assert store.resume(made).status == "accepted"  # and once more: no difference
+    again = store.claim("a")
+    assert (again.task, store.job(made).status) == (1, "running")
+    if how in ("fails", "is stopped"):
+        assert store.rows(again.job, 1)[0] == [0, 1]
+    assert "(restart 1 of 2)" in lose_again(store, again).message  # losses are counted anew
+    assert store.finish(store.claim("a"), {"task": 1})
+    assert store.finish(store.claim("a"), {"result": 1})
+    assert store.job(made).status == "successful"
+    assert store.resume(made).status == "successful"
+    assert store.claim("a") is None
+
+
+def lose_again(store, attempt):
+    assert store.lost(attempt, "killed", 2)
+    return store.job(attempt.job_id)
+
+
+def test_a_stopped_job_keeps_its_data_and_a_removed_one_does_not(store):
     made = store.create("estimate", "linear-2", {"y": [1, 2]}, 10)
     attempt = store.claim("a")
-    assert store.record(attempt, 0, {0: np.zeros(5)})
-    assert store.dismiss(made).status == "dismissed"
+    assert store.record(attempt, 1, {0: np.zeros(5), 1: np.ones(5)}, {"theta": 0.5}, 1.0)
+    assert store.keep(attempt, 0, "part")
+    assert (store.dismiss(made).status, store.job(made).removed) == ("dismissed", 0)
     assert not store.holds(attempt)
-    assert not store.record(attempt, 1, {1: np.zeros(5)})
+    assert not store.record(attempt, 2, {2: np.zeros(5)})
+    assert store.document(attempt.job, "request") == b'{"y":[1,2]}'
+    assert store.kept(attempt.job) == ["part"]
+    assert (store.rows(attempt.job)[0], store.job(made).estimate) == ([0, 1], '{"theta":0.5}')
+
+    assert (store.dismiss(made).status, store.job(made).removed) == ("dismissed", 1)
     assert store.document(attempt.job, "request") is None
-    assert store.rows(attempt.job)[0] == []
+    assert store.kept(attempt.job) == []
+    assert (store.rows(attempt.job)[0], store.job(made).estimate) == ([], None)
+    assert store.resume(made).status == store.dismiss(made).status == "dismissed"
+    assert store.claim("a") is None
     assert store.dismiss("none") is None
+    assert store.resume("none") is None
     assert store.counts() == {"dismissed": 1}
     store.check()
 
