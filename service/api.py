@@ -35,7 +35,7 @@ from service.examples import EXAMPLES
 from service.found import find_job, find_result, stopped_estimate
 from service.prepare import Request, check_limits, dump, find_model, prepare
 from service.preview import preview
-from service.problems import MEDIA_TYPE, Problem
+from service.problems import MEDIA_TYPE, Problem, invalid
 from service.schemas import JobRequest, ModelReference
 from service.settings import Settings
 from service.store import ENDED, KeyReused, Store
@@ -149,7 +149,12 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         file: Annotated[list[UploadFile], File(description="CSV, .mat or .npz")],
         idempotency_key: IdempotencyKey = None,
     ) -> Response:
-        files = {one.filename or f"file{i}": one.file.read() for i, one in enumerate(file)}
+        files: dict[str, bytes] = {}
+        for i, one in enumerate(file):
+            name = one.filename or f"file{i}"
+            if name in files:
+                raise invalid("file", f"two files are named '{name}'; give each a name of its own")
+            files[name] = one.file.read()
         return put(with_files(request, files, settings.max_values), caller, idempotency_key)
 
     @api.post(

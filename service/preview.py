@@ -12,6 +12,7 @@ from engine.model import Array
 from engine.series_files import READERS, TIME
 from engine.series_tables import Table
 from service.answers import ColumnOut, PreviewOut, TimeOut
+from service.columns import counts
 from service.problems import invalid
 from service.settings import Settings
 from service.thin import keep
@@ -103,6 +104,7 @@ def _column(table: Table, name: str) -> ColumnOut:
         minimum=_finite(there.min()) if there.size else None,
         maximum=_finite(there.max()) if there.size else None,
         problem=problem,
+        counts=counts(values),
         row=rows.tolist(),
         value=[_finite(x) for x in values[rows]],
         gaps=gaps,

@@ -138,18 +138,21 @@ class Evil:
 
 
 BASE = {"kind": "smooth", "model": "linear-2"}
+FILE = {"file": "a.csv"}
 BAD = {
-    "pickled npz": (BASE, "a.npz", npz(y=np.array([Evil()], dtype=object)), "series[0].file"),
+    "pickled npz": (BASE, "a.npz", npz(y=np.array([Evil()], dtype=object)), "not usable: 'y'"),
     "bomb": (BASE, "a.npz", npz(y=np.zeros(50_000_000)), "unpacks to more"),
     "mat bomb": (BASE, "a.mat", mat(y=np.zeros(20_000_000)), "unpacks to more"),
     "text": (BASE, "a.csv", csv([["y"], ["1"], ["x"]]), "line 3, column 'y'"),
     "encoding": (BASE, "a.csv", b"y\n1\n\xff\n", "UTF-8"),
     "path": (BASE, "../../etc/passwd", b"root", "must be .csv"),
-    "no column": (BASE, "a.csv", csv([["q"], ["1"]]), "no column"),
+    "no column": (BASE, "a.csv", csv([["q", "r"], ["1", "1"]]), "no column is channel 'y'"),
+    "no such column": (BASE | {"series": [FILE | {"y": ["q"]}]}, "a.csv", b"y\n1\n2\n", "no column 'q'"),
+    "two columns": (BASE | {"series": [FILE | {"y": ["y", "y"]}]}, "a.csv", b"y\n1\n2\n", "names 2"),
     "not there": (BASE | {"series": [{"file": "b.csv"}]}, "a.csv", b"", "no file 'b.csv'"),
     "unknown member": (BASE | {"series": [{"file": "a.csv", "x": 1}]}, "a.csv", b"", "series[0].x"),
     "wrong channel": (
-        BASE | {"series": [{"file": "a.csv", "y": {"q": "y"}}]}, "a.csv", b"y\n1\n2\n", "model's are y",
+        BASE | {"series": [FILE | {"y": {"q": "y"}}]}, "a.csv", b"y\n1\n2\n", "model's channels are y",
     ),
     "no kind": ({"model": "linear-2"}, "a.csv", b"y\n1\n2\n", "kind"),
     "bad option": (BASE | {"options": {"seed": "x"}}, "a.csv", b"y\n1\n2\n", "options.seed"),
@@ -164,6 +167,13 @@ def test_bad_uploads(client, name):
     assert answer.headers["content-type"] == "application/problem+json"
     assert words in answer.json()["detail"]
     assert not os.path.exists("/tmp/rbps-was-unpickled")
+
+
+def test_two_files_of_one_name_are_told_apart_by_the_client(client, data):
+    files = [("a.csv", csv([["y"], *data])), ("a.csv", csv([["y"], *data[:30]]))]
+    answer = post_files(client, BASE, *files)
+    assert answer.status_code == 422
+    assert "two files are named 'a.csv'" in answer.json()["detail"]
 
 
 def test_request_part_that_is_no_json(client):
