@@ -38,7 +38,11 @@ class Keys:
             name, _, digest = line.strip().partition(" ")
             if not re.fullmatch("[0-9a-fA-F]{64}", digest) or len(name) > 64:
                 raise ValueError(f"{file}, line {i + 1}: 'NAME SHA256' is needed")
+            if name in self._hashes:
+                raise ValueError(f"{file}, line {i + 1}: '{name}' is there twice")
             self._hashes[name] = digest.lower()
+        if file is not None and not self._hashes:  # else everybody would be let in
+            raise ValueError(f"{file} holds no key (python -m service.auth makes one)")
 
     @property
     def needed(self) -> bool:

@@ -228,10 +228,27 @@ def test_without_keys_only_loopback(make_client, tmp_path):
     assert Settings.from_env({"RBPS_OPEN_NETWORK": "yes"}).open_network
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "holds no key"),
+        ("# nobody yet\n\n", "holds no key"),
+        (f"anna {'0' * 64}\nanna {'1' * 64}\n", "line 2: 'anna' is there twice"),
+    ],
+)
+def test_a_keys_file_that_lets_everybody_in_or_somebody_out(make_client, tmp_path, text, words):
+    (tmp_path / "keys").write_text(text)
+    for host in ("127.0.0.1", "0.0.0.0"):
+        with pytest.raises(ValueError, match=words):
+            make_client(keys_file=tmp_path / "keys", host=host)
+
+
 def test_a_body_that_stops_halfway(make_client):
     client = make_client(body_seconds=0.2)
     with socket.create_connection(("127.0.0.1", client.port)) as slow:
-        slow.sendall(b"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n")
+        slow.sendall(
+            b"POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+        )
         slow.sendall(b"Content-Length: 100\r\n\r\n{")
         begin = time.monotonic()
         assert slow.recv(1000).startswith(b"HTTP/1.1 408")
@@ -242,7 +259,9 @@ def test_a_body_that_trickles(make_client):
     """No pause is too long, but all together are."""
     client = make_client(body_seconds=0.3)
     with socket.create_connection(("127.0.0.1", client.port)) as slow:
-        slow.sendall(b"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n")
+        slow.sendall(
+            b"POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+        )
         slow.sendall(b"Content-Length: 100000\r\n\r\n")
         slow.settimeout(0.05)
         begin = time.monotonic()
