@@ -13,6 +13,7 @@ from service import job_pages, pages, problems
 from service.api import router
 from service.auth import KeyFirst, Keys, check_exposure
 from service.limits import BodyLimit
+from service.origins import Origins
 from service.runner import GUARD, LocalRunner, Runner, Terms
 from service.settings import Settings
 from service.store import Store
@@ -52,6 +53,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         redoc_url=None,
     )
     app.add_middleware(KeyFirst, keys=keys)
+    if not keys.needed:
+        app.add_middleware(Origins, settings=settings)
     app.add_middleware(BodyLimit, max_body=settings.max_body, seconds=settings.body_seconds)
     app.add_middleware(pages.PageHeaders)
     app.router.routes.extend(pages.routes(keys.needed))  # before the JSON calls

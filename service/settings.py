@@ -44,6 +44,7 @@ class Settings:
 
     keys_file: Path | None = None  # API keys, see auth.py; without it, loopback only
     open_network: bool = False  # listen beyond loopback without keys
+    hosts: str = ""  # without keys: further names to answer to, with commas between
 
     dask_scheduler: str = ""  # address of a Dask scheduler; without it, attempts run here
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)  # attempts at once
