@@ -12,7 +12,6 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from sqlalchemy.exc import SQLAlchemyError
 
 import engine
-from engine.diagnose.extended import get_model
 from engine.diagnose.setting import Setting
 from engine.errors import OptionError
 from service import documents, metrics, stages
@@ -32,7 +31,7 @@ from service.answers import (
 from service.auth import Keys
 from service.bodies import json_route
 from service.examples import EXAMPLES
-from service.found import find_job, find_result, stopped_estimate
+from service.found import find_job, find_result, parameter_names, stopped_estimate
 from service.prepare import Request, check_limits, dump, find_model, prepare
 from service.preview import preview
 from service.problems import MEDIA_TYPE, Problem, invalid
@@ -219,7 +218,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     ) -> Response:
         row = find(job_id, caller)
         ks, rows = store.rows(row.seq, task, after)
-        names = list(json.loads(row.estimate)) if row.estimate else parameter_names(row.model)
+        names = parameter_names(store, row)
         if points is not None and len(ks) > points:
             kept = keep(rows[:, : len(names) + 1], points)
             ks, rows = [ks[i] for i in kept], rows[kept]
@@ -314,12 +313,3 @@ def tagged(http: HttpRequest, body: bytes, headers: dict[str, str] | None = None
     if etag in known or "*" in known:
         return Response(status_code=304, headers=headers)
     return Response(body, headers=headers, media_type="application/json")
-
-
-def parameter_names(model: str) -> list[str]:
-    """Parameter names of ``base+effect+...``."""
-    base, *effects = model.split("+")
-    try:
-        return list(get_model(base, effects).parameter_names)
-    except OptionError:  # a plug-in that has gone
-        return []

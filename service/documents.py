@@ -59,6 +59,8 @@ def _time(seconds: float) -> str:
 
 def trace(names: list[str], ks: list[int], rows: Array) -> Trace:
     """Iterations k with their rows (n, n_theta + 4), see ``tables.iterations``."""
+    if rows.size and rows.shape[1] != len(names) + 4:  # nobody can say any more what they are
+        names = [f"parameter {i + 1}" for i in range(rows.shape[1] - 4)]
     n = len(names)
     columns = [_numbers(column) for column in rows.reshape(len(ks), n + 4).T]
     return Trace(

@@ -50,6 +50,19 @@ def find_result(store: Store, row: Any) -> bytes:
     return body
 
 
+def parameter_names(store: Store, row: Any) -> list[str]:
+    """Of a job's rows; those of its model, which is asked where no estimate names them yet."""
+    if row.estimate:
+        return list(json.loads(row.estimate))
+    request = store.document(row.seq, "request")
+    if row.kind != "estimate" or request is None:
+        return []
+    try:
+        return list(load(json.loads(request)).model.parameter_names)
+    except Problem:  # a plug-in that has gone
+        return []
+
+
 def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
     """What a stopped estimation has reached, by its best start; None where there is nothing."""
     if row.kind != "estimate" or row.status != "dismissed" or row.removed:

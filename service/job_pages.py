@@ -13,9 +13,9 @@ from starlette.routing import BaseRoute, Route
 from engine.errors import OptionError
 from engine.report import RULES, OnPage, Report, make_report, report_html
 from service.answers import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
-from service.api import JobId, parameter_names, problem_answers, tagged
+from service.api import JobId, problem_answers, tagged
 from service.auth import Keys
-from service.found import find_job, find_result, roles
+from service.found import find_job, find_result, parameter_names, roles
 from service.pages import Page, prefers_html, render
 from service.problems import Problem, invalid
 from service.store import Store
@@ -50,7 +50,7 @@ def router(store: Store, keys: Keys) -> APIRouter:
     @api.get("/jobs/{job_id}/tasks", summary="Its computations", responses=problem_answers(404))
     def tasks(caller: Caller, job_id: JobId) -> Tasks:
         row = find(job_id, caller)
-        names = list(json.loads(row.estimate)) if row.estimate else parameter_names(row.model)
+        names = parameter_names(store, row)
         return Tasks(tasks=_tasks(row, names, store))
 
     @api.get(

@@ -6,6 +6,7 @@ API key where the service has keys; so a page shows nothing that the API would n
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, MutableMapping
 from functools import cache
 from importlib.metadata import version
@@ -94,7 +95,7 @@ def prefers_html(accept: str) -> bool:
     for part in accept.split(","):
         media, *parameters = (piece.strip().lower() for piece in part.split(";"))
         q = next((p[2:] for p in parameters if p.startswith("q=")), "1")
-        quality[media] = float(q) if q.replace(".", "", 1).isdigit() else 0.0
+        quality[media] = float(q) if re.fullmatch(r"[0-9]+(\.[0-9]*)?", q) else 0.0
     return _rank(quality, "text/html") > _rank(quality, "application/json")
 
 

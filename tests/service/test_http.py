@@ -6,6 +6,7 @@ import json
 import os
 import socket
 import time
+import zipfile
 
 import numpy as np
 import pytest
@@ -70,6 +71,24 @@ def test_thinning_keeps_the_extremes(client, ended):
         assert max(thin["states"][name]) == max(whole["states"][name])
     pairs = dict(zip(whole["t"], whole["y"]["y"], strict=True))
     assert all(pairs[t] == value for t, value in zip(thin["t"], thin["y"]["y"], strict=True))
+
+
+def test_a_model_with_a_long_name(client, estimation):
+    """Of more than 200 characters; also before the first estimate names its parameters."""
+    states = ("colored", "coulomb", "cubic", "deadzone", "drag", "hysteresis", "stribeck")
+    outputs = ("saturation-sensor", "cubic-sensor", "quantisation", "harmonic", "heavy-tails")
+    effects = [f"{kind}:{at}" for kind in states for at in "az"]
+    effects += [f"{kind}:y" for kind in outputs]
+    model = {"name": "linear-2", "with": effects}
+    assert len("+".join(["linear-2", *effects])) > 200
+    answer = client.post("/jobs", json=estimation(particles=5000) | {"model": model})
+    assert answer.status_code == 201, answer.text
+    url = answer.headers["location"]
+    for path in ("", "/trace", "/tasks", "/request"):
+        assert client.get(url + path).status_code == 200, path
+    client.delete(url)
+    for path in ("/trace", "/results"):
+        assert client.get(url + path).status_code in (200, 404), path
 
 
 def test_thin_trace(client, estimation, ended):
@@ -139,7 +158,23 @@ class Evil:
 
 BASE = {"kind": "smooth", "model": "linear-2"}
 FILE = {"file": "a.csv"}
+
+
+def claiming(rows):
+    """An .npz whose header claims so many rows."""
+    stored = zipfile.ZipFile(io.BytesIO(npz(y=np.zeros(1)))).read("y.npy")
+    header = stored.replace(b"(1,), }" + b" " * (len(rows) - 1), f"({rows},), }}".encode())
+    assert len(header) == len(stored)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("y.npy", header)
+    return out.getvalue()
+
+
 BAD = {
+    "many rows": (BASE, "a.npz", claiming("1000000000000"), "claims 8000000000000 bytes"),
+    "long cell": (BASE, "a.csv", b"y\n" + b"1" * 140_000, "field larger than field limit"),
+    "no such number": (BASE, "a.csv", b"y\n1_000\n2\n", "'1_000' is not a number"),
     "pickled npz": (BASE, "a.npz", npz(y=np.array([Evil()], dtype=object)), "not usable: 'y'"),
     "bomb": (BASE, "a.npz", npz(y=np.zeros(50_000_000)), "unpacks to more"),
     "mat bomb": (BASE, "a.mat", mat(y=np.zeros(20_000_000)), "unpacks to more"),
@@ -167,6 +202,14 @@ def test_bad_uploads(client, name):
     assert answer.headers["content-type"] == "application/problem+json"
     assert words in answer.json()["detail"]
     assert not os.path.exists("/tmp/rbps-was-unpickled")
+
+
+@pytest.mark.parametrize("name", ["many rows", "long cell"])
+def test_previews_of_files_that_are_not_what_they_seem(client, name):
+    _, filename, data, words = BAD[name]
+    answer = client.post("/preview", files={"file": (filename, data)})
+    assert answer.status_code == 422
+    assert words in answer.json()["detail"]
 
 
 def test_two_files_of_one_name_are_told_apart_by_the_client(client, data):
