@@ -8,6 +8,7 @@ import uvicorn
 
 from service.app import create_app
 from service.logs import configure
+from service.server import server_config
 from service.settings import Settings
 
 
@@ -19,7 +20,7 @@ def main() -> None:
         app = create_app(settings)
     except (ValueError, OSError) as error:
         sys.exit(f"rbps: {error}")
-    uvicorn.run(app, host=settings.host, port=settings.port, log_config=None)
+    uvicorn.Server(server_config(app, settings)).run()
 
 
 if __name__ == "__main__":

@@ -64,9 +64,14 @@ class Settings:
     max_queue: int = 1000  # jobs that wait or run
     max_queue_per_key: int = 1000
     body_seconds: float = 30.0  # longest pause within a body; the whole may take 20 times that
+    header_seconds: float = 20.0  # a connection has so long to send a request's headers
+    max_connections: int = 1000
 
     def __post_init__(self) -> None:
-        for name in ("workers", "lease_seconds", "run_seconds", "max_body", "max_queue"):
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"setting port = {self.port}; it must be 0 to 65535")
+        positive = ("workers", "lease_seconds", "run_seconds", "max_body", "max_queue")
+        for name in (*positive, "body_seconds", "header_seconds", "max_connections"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"setting {name} = {getattr(self, name)}; it must be positive")
 
