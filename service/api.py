@@ -9,7 +9,6 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Body, Depends, File, Form, Header, Path, Query, Response, UploadFile
 from fastapi import Request as HttpRequest
 from fastapi.responses import JSONResponse, PlainTextResponse
-from sqlalchemy.exc import SQLAlchemyError
 
 import engine
 from engine.diagnose.setting import Setting
@@ -37,7 +36,7 @@ from service.preview import preview
 from service.problems import MEDIA_TYPE, Problem, invalid
 from service.schemas import JobRequest, ModelReference
 from service.settings import Settings
-from service.store import ENDED, KeyReused, Store
+from service.store import ENDED, KeyReused, QueueFull, Store
 from service.strict_json import dumps
 from service.supervisor import Supervisor
 from service.thin import keep, thin_results
@@ -68,17 +67,13 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
 
     find = partial(find_job, store, keys)
 
-    def check_queue(caller: str) -> None:
-        for owner, most in ((None, settings.max_queue), (caller, settings.max_queue_per_key)):
-            counts = store.counts(owner)
-            if counts.get("accepted", 0) + counts.get("running", 0) >= most:
-                detail = f"{most} jobs wait or run already; try again later"
-                raise Problem(429, "queue-full", detail, retry_after=30)
+    def limits(caller: str) -> list[tuple[str | None, int]]:
+        own = [(caller, settings.queue_per_key)] if keys.needed else []
+        return [(None, settings.max_queue), *own]
 
     def put(request: Request, caller: str, key: str | None) -> Response:
         check_limits(request, settings)
         job = prepare(request)
-        check_queue(caller)
         try:
             job_id = store.create(
                 request.kind,
@@ -89,7 +84,10 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
                 request.run_seconds,
                 caller,
                 key,
+                limits(caller),
             )
+        except QueueFull as error:
+            raise queue_full(error) from None
         except KeyReused as error:
             detail = f"this Idempotency-Key came with another request, job {error}"
             raise Problem(422, "idempotency-key-reused", detail) from None
@@ -274,9 +272,10 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         if row.status == "successful" or row.removed:
             why = "its data are gone" if row.removed else "it is successful"
             raise Problem(409, "nothing-to-resume", f"job '{job_id}' cannot go on: {why}")
-        if row.status in ENDED:
-            check_queue(caller)
-        row = store.resume(job_id)
+        try:
+            row = store.resume(job_id, limits(caller))
+        except QueueFull as error:
+            raise queue_full(error) from None
         supervisor.wake()
         return documents.job_status(row)
 
@@ -286,15 +285,8 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
 
     @api.get("/readyz", summary="Store and runner can be used", responses=problem_answers(503))
     def readyz() -> dict[str, str]:
-        try:
-            store.check()
-        except SQLAlchemyError as error:
-            reason = str(error.__cause__ or error).splitlines()[0]
-            raise Problem(503, "not-ready", f"the store cannot be used: {reason}") from None
-        if not supervisor.alive():
-            raise Problem(503, "not-ready", "the supervisor does not run")
-        if not supervisor.places():
-            raise Problem(503, "not-ready", "the cluster has no worker, or cannot be reached")
+        if reason := supervisor.trouble():
+            raise Problem(503, "not-ready", reason)
         return {"status": "ready"}
 
     @api.get("/metrics", summary="Prometheus metrics", response_class=PlainTextResponse)
@@ -303,6 +295,12 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
 
     return api
+
+
+def queue_full(error: QueueFull) -> Problem:
+    """429 for a job that finds no place."""
+    detail = f"{error} jobs wait or run already; try again later"
+    return Problem(429, "queue-full", detail, retry_after=30)
 
 
 def tagged(http: HttpRequest, body: bytes, headers: dict[str, str] | None = None) -> Response:

@@ -30,20 +30,29 @@ class Attempts:
         self._engine.dispose()
 
     def claim(self, holder: str) -> Attempt | None:
-        """The first task of the queue, or None; its heartbeat begins."""
+        """The oldest task of the key with fewest attempts, or None; its heartbeat begins."""
         now, token = time.time(), uuid.uuid4().hex
+        busy = (
+            select(jobs.c.owner, func.count().label("n"))
+            .join(tasks, tasks.c.job == jobs.c.seq)
+            .where(tasks.c.state == "running")
+            .group_by(jobs.c.owner)
+            .subquery()
+        )
         first = (
             select(tasks, jobs.c.id, jobs.c.status, jobs.c.run_seconds)
             .join(jobs, jobs.c.seq == tasks.c.job)
+            .join(busy, busy.c.owner == jobs.c.owner, isouter=True)
             .where(tasks.c.state == "queued")
-            .order_by(tasks.c.job, tasks.c.task)
+            .order_by(func.coalesce(busy.c.n, 0), tasks.c.job, tasks.c.task)
             .limit(1)
         )
         with self._read.begin() as sql:  # an idle service does not write
             if sql.execute(first).first() is None:
                 return None
         with self._engine.begin() as sql:
-            task = sql.execute(first.with_for_update(skip_locked=True, of=tasks)).first()
+            both = first.with_for_update(skip_locked=True, key_share=True, of=[jobs, tasks])
+            task = sql.execute(both).first()
             if task is None:
                 return None
             sql.execute(

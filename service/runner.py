@@ -105,7 +105,11 @@ class LocalRunner:
         """Start an attempt and return at once."""
         thread = threading.Thread(target=self._run, args=(attempt,), name=attempt.job_id)
         self._threads[attempt.token] = thread
-        thread.start()
+        try:
+            thread.start()
+        except RuntimeError:  # the machine has no thread left
+            del self._threads[attempt.token]
+            raise
 
     def stop(self, drain: bool) -> None:
         """Let running attempts end (drain), or give them back to the queue; then return."""

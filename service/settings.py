@@ -62,7 +62,10 @@ class Settings:
     max_iterations: int = 100_000
     max_tasks: int = 1000  # starts, or bootstrap runs, of a job
     max_queue: int = 1000  # jobs that wait or run
-    max_queue_per_key: int = 1000
+    max_queue_per_key: int = 0  # of these, of one key; 0: a quarter
+    max_cost: float = (
+        2e10  # samples x iterations x particles of all starts and bootstrap runs of a job
+    )
     body_seconds: float = 30.0  # longest pause within a body; the whole may take 20 times that
     header_seconds: float = 20.0  # a connection has so long to send a request's headers
     max_connections: int = 1000
@@ -74,6 +77,16 @@ class Settings:
         for name in (*positive, "body_seconds", "header_seconds", "max_connections"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"setting {name} = {getattr(self, name)}; it must be positive")
+        if not 0 <= self.max_queue_per_key < self.max_queue:
+            raise ValueError(
+                f"setting max_queue_per_key = {self.max_queue_per_key}; it must be below max_queue = "
+                f"{self.max_queue}, or one key could keep all others out"
+            )
+
+    @property
+    def queue_per_key(self) -> int:
+        """How many jobs of one key may wait or run."""
+        return self.max_queue_per_key or max(1, self.max_queue // 4)
 
     @property
     def store_url(self) -> str:

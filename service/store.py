@@ -33,10 +33,17 @@ from service.tables import documents, iterations, jobs, pulse, tasks
 from service.transitions import KEPT, add, add_tasks, end, forget, put, resume
 
 ENDED = ("successful", "failed", "dismissed")
+Most = Sequence[
+    tuple[str | None, int]
+]  # how many jobs of an owner, or of all (None), may wait or run
 
 
 class KeyReused(Exception):  # noqa: N818 - it is the client that erred
     """An idempotency key came with another request; the argument is the first job's id."""
+
+
+class QueueFull(Exception):  # noqa: N818 - as above
+    """So many jobs wait or run already; the argument is their number."""
 
 
 class Store(Attempts):
@@ -52,12 +59,14 @@ class Store(Attempts):
         run_seconds: float | None = None,
         owner: str = "",
         idempotency_key: str | None = None,
+        most: Most = (),
     ) -> str:
         """Put a job at the end of the queue; its id, or that of the job with the same key.
 
-        Raises KeyReused if that job's request was another.
+        Raises KeyReused if that job's request was another, QueueFull beyond the limits ``most``.
         """
         now, job_id, text = time.time(), uuid.uuid4().hex, dumps(request)
+        digest = hashlib.sha256(text.encode()).hexdigest()
         values = {
             "id": job_id,
             "kind": kind,
@@ -70,26 +79,23 @@ class Store(Attempts):
             "run_seconds": run_seconds,
             "owner": owner,
             "idempotency_key": idempotency_key,
-            "digest": hashlib.sha256(text.encode()).hexdigest(),
+            "digest": digest,
         }
         try:
             with self._engine.begin() as sql:
+                if (first := _by_key(sql, owner, idempotency_key)) is not None:
+                    return _repeated(first, digest)
+                _check_room(sql, most)
                 seq = add(sql, values)
                 add_tasks(sql, seq, 0, stages[0])
                 put(sql, seq, "request", text)
-        except IntegrityError:
-            first = self._by_key(owner, idempotency_key)
+        except IntegrityError:  # another request with the key was faster
+            with self._read.begin() as sql:
+                first = _by_key(sql, owner, idempotency_key)
             if first is None:
                 raise
-            if first.digest != values["digest"]:
-                raise KeyReused(first.id) from None
-            return str(first.id)
+            return _repeated(first, digest)
         return job_id
-
-    def _by_key(self, owner: str, key: str | None) -> Row[Any] | None:
-        query = select(jobs).where(jobs.c.owner == owner, jobs.c.idempotency_key == key)
-        with self._read.begin() as sql:
-            return sql.execute(query).one_or_none()
 
     def job(self, job_id: str) -> Row[Any] | None:
         """One job, or None."""
@@ -216,11 +222,15 @@ class Store(Attempts):
                 end(sql, job.seq, "dismissed", message=kept, problem=None)
             return self._locked(sql, job_id)
 
-    def resume(self, job_id: str) -> Row[Any] | None:
-        """Put a failed or dismissed job back into the queue, if its data are still there; the job."""
+    def resume(self, job_id: str, most: Most = ()) -> Row[Any] | None:
+        """Put a failed or dismissed job back into the queue, if its data are still there; the job.
+
+        Raises QueueFull beyond the limits ``most``.
+        """
         with self._engine.begin() as sql:
             job = self._locked(sql, job_id)
             if job is not None and job.status in ("failed", "dismissed") and not job.removed:
+                _check_room(sql, most)
                 resume(sql, job.seq)
             return self._locked(sql, job_id)
 
@@ -228,3 +238,25 @@ class Store(Attempts):
     def _locked(sql: Connection, job_id: str) -> Row[Any] | None:
         query = select(jobs).where(jobs.c.id == job_id).with_for_update(key_share=True)
         return sql.execute(query).one_or_none()
+
+
+def _by_key(sql: Connection, owner: str, key: str | None) -> Row[Any] | None:
+    """The job that came first with an idempotency key."""
+    query = select(jobs).where(jobs.c.owner == owner, jobs.c.idempotency_key == key)
+    return None if key is None else sql.execute(query).one_or_none()
+
+
+def _repeated(first: Row[Any], digest: str) -> str:
+    """The id of the job that a repeated request asks for."""
+    if first.digest != digest:
+        raise KeyReused(first.id)
+    return str(first.id)
+
+
+def _check_room(sql: Connection, most: Most) -> None:
+    for owner, number in most:
+        query = select(func.count()).where(jobs.c.status.in_(("accepted", "running")))
+        if owner is not None:
+            query = query.where(jobs.c.owner == owner)
+        if (sql.scalar(query) or 0) >= number:
+            raise QueueFull(number)

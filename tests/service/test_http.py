@@ -244,7 +244,7 @@ def test_keys(make_client, tmp_path, estimation):
         assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")
     assert client.post("/jobs", json=estimation()).status_code == 401
     slow = estimation(iterations=100_000, particles=500)
-    made = client.post("/jobs", json=slow, headers=anna)
+    made = client.post("/jobs", json=slow, headers=anna | {"Idempotency-Key": "k"})
     url = made.headers["location"]
     bearer = {"Authorization": "Bearer key of anna"}
     assert client.get(url, headers=bearer).status_code == 200
@@ -254,6 +254,8 @@ def test_keys(make_client, tmp_path, estimation):
     assert client.get("/jobs", headers=boris).json()["jobs"] == []
     assert len(client.get("/jobs", headers=anna).json()["jobs"]) == 1
     assert client.post("/jobs", json=slow, headers=anna).status_code == 429
+    again = client.post("/jobs", json=slow, headers=anna | {"Idempotency-Key": "k"})
+    assert (again.status_code, again.headers["location"]) == (201, url)
     second = client.post("/jobs", json=slow, headers=boris)
     assert second.status_code == 201
     client.delete(url, headers=anna)

@@ -11,7 +11,7 @@ from service import stages
 from service.attempt import StoredParts
 from service.clocks import Silence
 from service.prepare import load
-from service.store import KeyReused, Store
+from service.store import KeyReused, QueueFull, Store
 
 
 def test_an_attempt_that_lost_its_task_cannot_write(store):
@@ -169,6 +169,90 @@ def test_many_claim_and_each_task_is_given_once_in_order(store):
     assert sorted(claimed) == sorted(made)
     first = [made.index(job) for job in claimed]
     assert all(abs(place - i) < 8 for i, place in enumerate(first))
+
+
+def test_the_key_with_fewest_attempts_goes_first_and_its_oldest_job(store):
+    """One job with many tasks, or many jobs of one key, keep nobody else waiting."""
+    for owner, n in (("a", 3), ("a", 1), ("b", 2), ("c", 1)):
+        store.create("estimate", "linear-2", {}, 10, stages=[n], owner=owner)
+    order = [store.claim("x") for _ in range(7)]
+    assert [(one.job, one.task) for one in order] == [
+        (1, 0), (3, 0), (4, 0),  # one of each key
+        (1, 1), (3, 1), (1, 2), (2, 0),
+    ]  # fmt: skip
+    assert store.claim("x") is None
+
+
+def test_limits_of_the_queue_and_who_is_not_counted_by_them(store):
+    most = [(None, 3), ("a", 2)]
+    first = store.create("simulate", "m", {}, 1, owner="a", idempotency_key="k", most=most)
+    store.create("simulate", "m", {}, 1, owner="a", most=most)
+    with pytest.raises(QueueFull, match="2"):
+        store.create("simulate", "m", {}, 1, owner="a", most=most)
+    again = store.create("simulate", "m", {}, 1, owner="a", idempotency_key="k", most=most)
+    assert again == first  # its job is there, however full the queue is
+    with pytest.raises(KeyReused):
+        store.create("simulate", "m", {"n": 2}, 1, owner="a", idempotency_key="k", most=most)
+    store.create("simulate", "m", {}, 1, owner="b", most=[(None, 3), ("b", 2)])
+    with pytest.raises(QueueFull, match="3"):
+        store.create("simulate", "m", {}, 1, owner="c", most=[(None, 3), ("c", 2)])
+    store.dismiss(first)
+    store.create("simulate", "m", {}, 1, owner="a", most=most)
+    with pytest.raises(QueueFull):
+        store.resume(first, most)
+    assert store.job(first).status == "dismissed"
+
+
+def test_no_more_jobs_than_allowed_however_many_come_at_once(tmp_path):
+    store, results = Store(f"sqlite:///{tmp_path}/a.sqlite"), []
+
+    def create():
+        try:
+            results.append(store.create("simulate", "m", {}, 1, most=[(None, 5)]))
+        except QueueFull:
+            results.append(None)
+
+    threads = [threading.Thread(target=create) for _ in range(20)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sum(one is not None for one in results) == 5
+    store.close()
+
+
+WRITERS = {
+    "record": lambda store, attempt: store.record(attempt, 1, {}),
+    "finish": lambda store, attempt: store.finish(attempt, {}),
+    "fail": lambda store, attempt: store.fail(attempt, {"detail": "no"}),
+    "lost": lambda store, attempt: store.lost(attempt, "killed", 2),
+    "expire": lambda store, attempt: store.expire({attempt.token: 1}, 2),
+    "dismiss": lambda store, attempt: store.dismiss(attempt.job_id),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_who_waits_for_a_job_holds_none_of_its_tasks(postgres, eventually, name):
+    """Locks are taken in one order, job before task, so that no two writers wait for each other."""
+    store = Store(postgres)
+    try:
+        store.create("estimate", "linear-2", {}, 10)
+        attempt = store.claim("a")
+        writer = threading.Thread(target=WRITERS[name], args=(store, attempt))
+        waiting = "SELECT count(*) FROM pg_locks WHERE NOT granted"
+        with store._engine.begin() as sql:
+            sql.exec_driver_sql(f"SELECT * FROM jobs WHERE seq = {attempt.job} FOR UPDATE")
+            writer.start()
+            with store._engine.begin() as other:
+                eventually(lambda: other.exec_driver_sql(waiting).scalar())
+                other.exec_driver_sql(
+                    f"SELECT * FROM tasks WHERE job = {attempt.job} FOR UPDATE NOWAIT"
+                )
+        writer.join()
+    finally:
+        with store._engine.begin() as sql:
+            sql.exec_driver_sql("TRUNCATE jobs CASCADE")
+        store.close()
 
 
 def test_iterations_come_back_with_the_same_bits(store):
