@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 
 import uvicorn
+from sqlalchemy import make_url
+from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from service.app import create_app
 from service.logs import configure
@@ -20,6 +22,11 @@ def main() -> None:
         app = create_app(settings)
     except (ValueError, OSError) as error:
         sys.exit(f"rbps: {error}")
+    except ArgumentError as error:  # it may hold a password, so it is not shown
+        sys.exit(f"rbps: RBPS_DATABASE_URL cannot be used: {error}")
+    except SQLAlchemyError as error:
+        reason = str(error.__cause__ or error).splitlines()[0]
+        sys.exit(f"rbps: the store {make_url(settings.store_url)!r} cannot be used: {reason}")
     uvicorn.Server(server_config(app, settings)).run()
 
 

@@ -1,6 +1,5 @@
 """The JSON calls; conventions of OGC API - Processes where they apply."""
 
-import hashlib
 import json
 from functools import partial
 from typing import Annotated, Any
@@ -29,6 +28,7 @@ from service.answers import (
 )
 from service.auth import Keys
 from service.bodies import json_route
+from service.etags import tagged
 from service.examples import EXAMPLES
 from service.found import find_job, find_result, parameter_names, stopped_estimate
 from service.prepare import Request, check_limits, dump, find_model, prepare
@@ -61,9 +61,10 @@ def problem_answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
 def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys) -> APIRouter:
     """All calls, on a store."""
     api = APIRouter(
-        responses=problem_answers(401, 422), route_class=json_route(settings.max_values)
+        responses=problem_answers(*keys.refusals, 422),
+        route_class=json_route(settings.max_values),
     )
-    Caller = Annotated[str, Depends(keys)]
+    Caller = Annotated[str, Depends(keys.dependency)]
 
     find = partial(find_job, store, keys)
 
@@ -301,13 +302,3 @@ def queue_full(error: QueueFull) -> Problem:
     """429 for a job that finds no place."""
     detail = f"{error} jobs wait or run already; try again later"
     return Problem(429, "queue-full", detail, retry_after=30)
-
-
-def tagged(http: HttpRequest, body: bytes, headers: dict[str, str] | None = None) -> Response:
-    """A JSON answer with an ETag, or 304 if the client has it already."""
-    etag = f'"{hashlib.sha256(body).hexdigest()[:24]}"'
-    known = [tag.strip() for tag in http.headers.get("If-None-Match", "").split(",")]
-    headers = {"ETag": etag, "Cache-Control": "no-cache"} | (headers or {})
-    if etag in known or "*" in known:
-        return Response(status_code=304, headers=headers)
-    return Response(body, headers=headers, media_type="application/json")

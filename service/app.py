@@ -34,6 +34,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     keys = Keys(settings.keys_file)
     check_exposure(settings, keys)
     store = Store(settings.store_url)
+    store.check()
     runner = make_runner(store, settings, lambda: supervisor.wake())
     supervisor = Supervisor(store, runner, settings)
 

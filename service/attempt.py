@@ -8,7 +8,6 @@ store answers that the task is not this attempt's any more (cancelled, given to 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import logging
 import os
@@ -31,6 +30,7 @@ from engine.errors import EngineError
 from engine.model import Array, Theta
 from service import stages
 from service.logs import configure
+from service.orphans import die_with_parent
 from service.prepare import load
 from service.problems import Problem
 from service.store import Store
@@ -193,8 +193,7 @@ def _die_with_parent() -> None:
     parent = parent_process()
     if parent is None:  # run by hand
         return
-    if sys.platform == "linux":  # the forkserver ends with the service, and this process with it
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+    die_with_parent()  # the forkserver ends with the service, and this process with it
 
     def watch() -> None:
         connection.wait([parent.sentinel])

@@ -12,6 +12,7 @@ import ipaddress
 import re
 import secrets
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +29,7 @@ HEADER = APIKeyHeader(name="X-API-Key", auto_error=False)
 
 
 class Keys:
-    """The keys of a service; called with a request's key, it names the caller ("" without keys)."""
+    """The keys of a service, and the names of those who show them ("" without keys)."""
 
     def __init__(self, file: Path | None) -> None:
         self._hashes: dict[str, str] = {}
@@ -49,11 +50,19 @@ class Keys:
         """Whether callers need a key."""
         return bool(self._hashes)
 
-    def __call__(
-        self, request: Request, key: Annotated[str | None, Security(HEADER)] = None
-    ) -> str:
-        """FastAPI dependency: the caller's name, or a problem 401."""
-        return self.caller(request.headers)
+    @property
+    def dependency(self) -> Callable[..., str]:
+        """FastAPI dependency: the caller's name, or a problem 401. Describes keys only where needed."""
+
+        def known(request: Request, key: Annotated[str | None, Security(HEADER)] = None) -> str:
+            return self.caller(request.headers)
+
+        return known if self.needed else lambda: ""
+
+    @property
+    def refusals(self) -> tuple[int, ...]:
+        """Statuses of refused callers: without a key, or from a foreign page."""
+        return (401,) if self.needed else (403, 421)
 
     def caller(self, headers: Headers) -> str:
         """The name of who sends these headers. Raises Problem 401."""

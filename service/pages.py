@@ -106,7 +106,7 @@ def _rank(quality: Mapping[str, float], media: str) -> float:
 
 
 class PageHeaders:
-    """ASGI middleware: what browsers need to be told about every answer."""
+    """ASGI middleware: what browsers need to be told about every answer; HEAD is answered as GET is."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -119,6 +119,8 @@ class PageHeaders:
                 _add_headers(MutableHeaders(raw=message["headers"]), scope["path"])
             await send(message)
 
+        if scope["type"] == "http" and scope["method"] == "HEAD":
+            scope = {**scope, "method": "GET"}  # the server knows, and sends no body
         await self.app(scope, receive, told if scope["type"] == "http" else send)
 
 

@@ -33,6 +33,8 @@ log = logging.getLogger("service")
 POLL_SECONDS = 0.25  # how soon a cancelled job's process is killed
 START_TRIES = 3
 GUARD = "create_app() and uvicorn.run() belong under `if __name__ == '__main__':`"
+# The forkserver is killed when the thread that started it ends (``preload``): one that lasts.
+_starter = ThreadPoolExecutor(1, "starter")
 _starting = threading.Lock()  # multiprocessing polls all children when it starts one
 
 
@@ -199,15 +201,19 @@ def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProce
     """Start a process; a forkserver that was killed is replaced by the next try."""
     for tries_left in reversed(range(START_TRIES)):
         try:
-            with _starting:
-                process = _context().Process(target=target, args=args, daemon=True)
-                process.start()
-            return process
+            return _starter.submit(_begin, target, args).result()
         except (OSError, EOFError):
             if not tries_left:
                 raise
             time.sleep(0.1)
     raise AssertionError("unreachable")
+
+
+def _begin(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
+    with _starting:
+        process = _context().Process(target=target, args=args, daemon=True)
+        process.start()
+    return process
 
 
 def _until_end(

@@ -118,7 +118,10 @@ def connect(url: str) -> Engine:
         return engine
     engine = create_engine(url, connect_args={"timeout": 30.0, "check_same_thread": False})
     if engine.url.database:
-        Path(engine.url.database).parent.mkdir(parents=True, exist_ok=True)
+        file = Path(engine.url.database)
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if not file.exists():  # it holds everybody's data; what lies beside it gets the same mode
+            file.touch(mode=0o600)
 
     @event.listens_for(engine, "connect")
     def _connect(connection: sqlite3.Connection, record: Any) -> None:

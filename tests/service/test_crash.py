@@ -190,6 +190,17 @@ def test_a_killed_forkserver_is_replaced(
     assert without_seconds(service.client.get(f"{url}/results").json()) == expected
 
 
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_a_forkserver_that_still_loads_goes_with_its_service(
+    spawn, children_of, dead, eventually, how
+):
+    """Loading takes seconds, or on a new machine minutes; nothing is compiled for nobody."""
+    service = spawn()
+    below = eventually(lambda: children_of(service.process.pid))
+    service.stop(how)
+    eventually(lambda: all(dead(pid) for pid in below))
+
+
 def test_a_stopped_service_goes_on_where_it_was(spawn, catch, ended, dead, request_, expected):
     """SIGTERM without draining: the task goes back to the queue unharmed, no loss is counted."""
     service = spawn(lease_seconds=1000)

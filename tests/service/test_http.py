@@ -27,8 +27,31 @@ def test_etags(client, finished, part):
     first = client.get(finished + part)
     again = client.get(finished + part, headers={"If-None-Match": f'"x", {first.headers["etag"]}'})
     assert (again.status_code, again.content) == (304, b"")
+    weak = client.get(finished + part, headers={"If-None-Match": f"W/{first.headers['etag']}"})
+    assert weak.status_code == 304  # as a proxy makes it that compresses
     other = client.get(finished + part, headers={"If-None-Match": '"x"'})
     assert (other.status_code, other.content) == (200, first.content)
+
+
+@pytest.mark.parametrize("path", ["/", "/jobs", "/models", "/livez", "/examples/nile.csv"])
+def test_head_is_get_without_a_body(client, path):
+    whole, head = client.get(path), client.head(path)
+    assert (head.status_code, head.content) == (200, b"")
+    for name in ("content-type", "content-length"):
+        assert head.headers[name] == whole.headers[name]
+
+
+def test_allow_names_every_method_of_an_address(client):
+    for verb, path, allowed in (
+        ("PUT", "/jobs", "GET, HEAD, POST"),
+        ("POST", "/jobs/x", "DELETE, GET, HEAD"),
+        ("DELETE", "/jobs", "GET, HEAD, POST"),
+        ("GET", "/jobs/x/resume", "POST"),
+        ("HEAD", "/preview", "POST"),
+        ("POST", "/livez", "GET, HEAD"),
+    ):
+        answer = client.request(verb, path)
+        assert (answer.status_code, answer.headers["allow"]) == (405, allowed), path
 
 
 def test_retry_after_while_there_is_something_to_wait_for(client, long, finished):

@@ -19,8 +19,9 @@ def change(**more):
 
 
 BAD = {
-    "no kind": (change(kind=None), "", None, "kind"),
-    "unknown kind": (change(kind="guess"), "", None, "diagnose"),
+    "no kind": (change(kind=None), "kind", None, "kind"),
+    "unknown kind": (change(kind="guess"), "kind", None, "diagnose"),
+    "kind missing": ({"model": "tanks"}, "kind", None, "kind"),
     "unknown member": (change(modle="tanks"), "modle", None, "Extra"),
     "unknown model": (change(model="tank"), "model", None, "tanks"),
     "effects": (change(model={"name": "tanks", "with": ["offset:y"]}), "model.with", None, "channels"),
@@ -96,6 +97,7 @@ def test_the_channel_is_named(client):
 def test_bodies_that_are_no_request(client, body, status):
     answer = client.post("/jobs", content=body, headers=JSON)
     assert answer.status_code == answer.json()["status"] == status
+    assert ("is not JSON: " in answer.json()["detail"]) == (status == 400)
     assert answer.headers["content-type"] == "application/problem+json"
 
 
