@@ -63,7 +63,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.include_router(router(store, supervisor, settings, keys))
     app.include_router(job_pages.router(store, keys))
     problems.install(app)
-    app.state.supervisor = supervisor
+    app.state.supervisor, app.state.store_url = supervisor, settings.store_url
     return app
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from sqlalchemy import and_, delete, func, insert, select, update
 
 from engine.model import Array
+from service.reserve import Reserve
 from service.strict_json import dumps, finite
 from service.tables import connect, documents, iterations, jobs, tasks
 from service.transitions import KEPT, Attempt, add_tasks, end, fail, locked, lose, mine, of, put
@@ -24,6 +25,8 @@ class Attempts:
         self.url = url
         self._engine = connect(url)
         self._read = self._engine.execution_options(write=False)
+        sqlite = self._engine.dialect.name == "sqlite"
+        self._reserve = Reserve(self._engine.url.database if sqlite else None)
 
     def close(self) -> None:
         """Close the pooled connections."""

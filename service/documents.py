@@ -19,7 +19,7 @@ def job_status(row: Any) -> JobStatus:
     """The status document of a row of ``jobs``."""
     here = f"/jobs/{row.id}"
     links = [Link(href=here, rel="self"), Link(href=f"{here}/trace", rel="trace")]
-    if row.status == "successful":
+    if row.status == "successful" and not row.removed:
         links.append(Link(href=f"{here}/results", rel="results"))
         links.append(Link(href=f"{here}/report", rel="report"))
     if row.status in ("failed", "dismissed") and not row.removed:

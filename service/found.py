@@ -37,7 +37,7 @@ def find_result(store: Store, row: Any) -> bytes:
     if row.status == "failed":
         raise Problem.of(json.loads(row.problem))
     if row.removed:
-        raise Problem(404, "dismissed", f"job '{row.id}' was dismissed; its data are gone")
+        raise Problem(404, "dismissed", f"of job '{row.id}' {row.message}")
     if row.status == "dismissed":
         detail = (
             f"job '{row.id}' was stopped before its results; POST /jobs/{row.id}/resume goes on"

@@ -54,6 +54,7 @@ class Settings:
     drain: bool = False  # on shutdown, wait for running attempts; else they go on after the start
     run_seconds: float = 6 * 3600.0  # longest run time of one attempt
 
+    keep_days: float = 0.0  # how long the data of ended jobs are kept; 0: until they are deleted
     max_body: int = 64 * 2**20
     max_series: int = 64
     max_samples: int = 200_000  # of all series of a job together

@@ -20,17 +20,18 @@ import time
 import uuid
 import zlib
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy.exc import IntegrityError, OperationalError
 
 from engine.model import Array
 from service.attempts import Attempts
 from service.strict_json import dumps
 from service.tables import documents, iterations, jobs, pulse, tasks
-from service.transitions import KEPT, add, add_tasks, end, forget, put, resume
+from service.transitions import KEPT, add, add_tasks, end, forget, locked, put, resume
 
 ENDED = ("successful", "failed", "dismissed")
 Most = Sequence[
@@ -209,7 +210,24 @@ class Store(Attempts):
         return [(one, None if one.row is None else np.frombuffer(one.row)) for one in found]
 
     def dismiss(self, job_id: str) -> Row[Any] | None:
-        """Stop a job, or remove the data of an ended one; None if there is no such job."""
+        """Stop a job, or remove the data of an ended one; None if there is no such job.
+
+        On a full disk too: that is when it is needed most.
+        """
+        try:
+            row = self._dismiss(job_id)
+            if row is not None and row.removed:
+                self._give_back()
+            return row
+        except OperationalError:
+            if not self._reserve.give_up():
+                raise
+        row = self._dismiss(job_id)
+        self._give_back()
+        self._reserve.fill()
+        return row
+
+    def _dismiss(self, job_id: str) -> Row[Any] | None:
         with self._engine.begin() as sql:
             job = self._locked(sql, job_id)
             if job is None or job.removed:
@@ -233,6 +251,29 @@ class Store(Attempts):
                 _check_room(sql, most)
                 resume(sql, job.seq)
             return self._locked(sql, job_id)
+
+    def purge(self, before: float) -> int:
+        """Remove the data of all jobs that ended before a Unix time; how many."""
+        old = select(jobs.c.seq).where(
+            jobs.c.status.in_(ENDED), jobs.c.removed == 0, jobs.c.finished < before
+        )
+        with self._read.begin() as sql:
+            found = list(sql.scalars(old))
+        for seq in found:  # one by one: nobody waits long for the lock
+            with self._engine.begin() as sql:
+                job = locked(sql, seq)
+                if job.status in ENDED:  # nobody has resumed it meanwhile
+                    forget(sql, seq, message="its data were removed after their time")
+        if found:
+            self._give_back()
+        return len(found)
+
+    def _give_back(self) -> None:
+        """Let SQLite's file shrink by what was removed, if it was made for that."""
+        if self._engine.dialect.name == "sqlite":
+            with suppress(OperationalError), self._engine.connect() as sql:
+                driver: Any = sql.connection.driver_connection
+                driver.executescript("PRAGMA incremental_vacuum")  # a plain execute frees one page
 
     @staticmethod
     def _locked(sql: Connection, job_id: str) -> Row[Any] | None:

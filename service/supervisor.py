@@ -12,6 +12,7 @@ import time
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.clocks import Silence
+from service.retention import Retention
 from service.runner import Runner
 from service.settings import Settings
 from service.store import Store
@@ -29,6 +30,7 @@ class Supervisor:
         self._store, self._runner, self._settings = store, runner, settings
         self._wake, self._stop = threading.Event(), threading.Event()
         self._silence = Silence(settings.lease_seconds)
+        self._retention = Retention(store, settings.keep_days)
         self._holder = f"{socket.gethostname()}:{os.getpid()}"
         self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
         self._trying, self._tried, self._store_trouble = threading.Lock(), -math.inf, ""
@@ -111,4 +113,5 @@ class Supervisor:
                 log.exception("the attempt cannot be started", extra={"job": attempt.job_id})
                 self._store.release(attempt)
                 break
+        self._retention.look()
         self.beat = time.monotonic()

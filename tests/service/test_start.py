@@ -11,7 +11,6 @@ import pytest
 from service.settings import Settings
 from service.store import Store
 
-
 NOBODY = "postgresql+psycopg://u:secret@127.0.0.1:1/x"
 
 
@@ -93,7 +92,7 @@ def test_the_store_is_its_owner_s_alone(tmp_path):
         store = Store(Settings(state_dir=tmp_path / "new").store_url)
         store.create("simulate", "m", {}, 1)
         files = [*(tmp_path / "new").iterdir()]
-        assert len(files) == 3  # with its journal
+        assert len(files) == 4  # with its journal and the reserve
         for file in (tmp_path / "new", *files):
             assert stat.S_IMODE(file.stat().st_mode) & 0o077 == 0, file
         store.close()
