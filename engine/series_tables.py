@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -43,6 +44,8 @@ class Table:
         if isinstance(values, np.ndarray):
             return values
         try:
+            if any("_" in cell for cell in values):  # Python reads 1_000 as a thousand
+                raise ValueError
             return np.array([cell or "nan" for cell in values], dtype=float)
         except ValueError:
             return np.array([self._number(name, i, cell) for i, cell in enumerate(values)])
@@ -51,16 +54,15 @@ class Table:
         text = cell.strip()
         if text.lower() in MISSING:
             return np.nan
-        try:
+        if _is_number(text):
             return float(text)
-        except ValueError:
-            hint = ""
-            if text.count(",") == 1 and _is_number(text.replace(",", ".")):
-                hint = "; it has a decimal comma, write a decimal point"
-            raise SeriesError(
-                f"{self.file}, line {self.lines[row]}, column '{name}': '{text[:40]}' is not a "
-                f"number{hint}"
-            ) from None
+        hint = ""
+        if text.count(",") == 1 and _is_number(text.replace(",", ".")):
+            hint = "; it has a decimal comma, write a decimal point"
+        raise SeriesError(
+            f"{self.file}, line {self.lines[row]}, column '{name}': '{text[:40]}' is not a "
+            f"number{hint}"
+        )
 
     def there(self) -> str:
         """What the file holds, for errors."""
@@ -84,19 +86,27 @@ def read_csv(data: bytes, file: str) -> Table:
     if first == len(lines):
         raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
     delimiter = max(DELIMITERS, key=lines[first].count)
-    names = [name.strip() for name in next(csv.reader([lines[first]], delimiter=delimiter))]
-    _check_header(names, file, first + 1)
-    rows, numbers = [], []
-    for row in (reader := csv.reader(lines[first + 1 :], delimiter=delimiter)):
-        # An empty line is a missing value where there is one column, nothing otherwise.
-        if not row and len(names) == 1:
-            row = [""]
-        if not row:
-            continue
-        if len(row) != len(names):
-            raise _ragged(row, names, file, first + 1 + reader.line_num)
-        rows.append(row)
-        numbers.append(first + 1 + reader.line_num)
+    last = len(lines)
+    while not lines[last - 1].strip():  # the file's end, however many lines it has
+        last -= 1
+    reader = csv.reader(lines[first:last], delimiter=delimiter)
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    try:
+        names = [name.strip() for name in next(reader)]
+        _check_header(names, file, first + 1)
+        for row in reader:
+            # An empty line is a missing value where there is one column, nothing otherwise.
+            if not row and len(names) == 1:
+                row = [""]
+            if not row:
+                continue
+            if len(row) != len(names):
+                raise _ragged(row, names, file, first + reader.line_num)
+            rows.append(row)
+            numbers.append(first + reader.line_num)
+    except csv.Error as error:  # a cell of more than 131,072 characters, an open quotation mark
+        raise SeriesError(f"{file}, line {first + reader.line_num}: {error}") from error
     columns = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
@@ -108,8 +118,10 @@ def read_npz(data: bytes, file: str) -> Table:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(info.file_size for info in archive.infolist())
-        if size > LARGEST:
-            raise SeriesError(f"{file} unpacks to {size} bytes; at most {LARGEST} are read")
+            if size > LARGEST:
+                raise SeriesError(f"{file} unpacks to {size} bytes; at most {LARGEST} are read")
+            for info in archive.infolist():
+                _check_array(archive, info)
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
             found = {}
             for name in stored.files:
@@ -119,9 +131,31 @@ def read_npz(data: bytes, file: str) -> Table:
                     found[name] = None
     except SeriesError:
         raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:
         raise SeriesError(f"{file} is not a readable .npz archive: {error}") from error
     return _from_arrays(found, file)
+
+
+def _check_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:
+    """Raise ValueError for an array whose header claims more than there is; room would be made for it."""
+    with archive.open(info) as stream:
+        if stream.read(6) != b"\x93NUMPY":
+            return
+        stream.seek(0)
+        version = np.lib.format.read_magic(stream)
+        readers = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }
+        if (
+            version not in readers
+        ):  # (3, 0) is for tables with named fields, which are not used here
+            return
+        shape, _, dtype = readers[version](stream)
+        there = info.file_size - stream.tell()
+    needed = math.prod(shape) * dtype.itemsize
+    if needed > there and not dtype.hasobject:
+        raise ValueError(f"the array '{info.filename}' claims {needed} bytes and has fewer")
 
 
 def read_mat(data: bytes, file: str) -> Table:
@@ -198,4 +232,4 @@ def _is_number(text: str) -> bool:
         float(text)
     except ValueError:
         return False
-    return True
+    return "_" not in text

@@ -5,9 +5,12 @@ from __future__ import annotations
 import sys
 
 import uvicorn
+from sqlalchemy import make_url
+from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from service.app import create_app
 from service.logs import configure
+from service.server import server_config
 from service.settings import Settings
 
 
@@ -19,7 +22,12 @@ def main() -> None:
         app = create_app(settings)
     except (ValueError, OSError) as error:
         sys.exit(f"rbps: {error}")
-    uvicorn.run(app, host=settings.host, port=settings.port, log_config=None)
+    except ArgumentError as error:  # it may hold a password, so it is not shown
+        sys.exit(f"rbps: RBPS_DATABASE_URL cannot be used: {error}")
+    except SQLAlchemyError as error:
+        reason = str(error.__cause__ or error).splitlines()[0]
+        sys.exit(f"rbps: the store {make_url(settings.store_url)!r} cannot be used: {reason}")
+    uvicorn.Server(server_config(app, settings)).run()
 
 
 if __name__ == "__main__":

@@ -155,6 +155,7 @@ class ColumnOut(BaseModel):
     minimum: float | None
     maximum: float | None
     problem: str | None = Field(description="why it cannot be used")
+    counts: bool = Field(description="goes up by the same step, as years and sample numbers do")
     row: list[int]
     value: list[float | None]
     gaps: list[tuple[int, int]] = Field(description="first and last row of missing values")

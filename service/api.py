@@ -1,6 +1,5 @@
 """The JSON calls; conventions of OGC API - Processes where they apply."""
 
-import hashlib
 import json
 from functools import partial
 from typing import Annotated, Any
@@ -9,10 +8,8 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Body, Depends, File, Form, Header, Path, Query, Response, UploadFile
 from fastapi import Request as HttpRequest
 from fastapi.responses import JSONResponse, PlainTextResponse
-from sqlalchemy.exc import SQLAlchemyError
 
 import engine
-from engine.diagnose.extended import get_model
 from engine.diagnose.setting import Setting
 from engine.errors import OptionError
 from service import documents, metrics, stages
@@ -30,14 +27,16 @@ from service.answers import (
     Trace,
 )
 from service.auth import Keys
+from service.bodies import json_route
+from service.etags import tagged
 from service.examples import EXAMPLES
-from service.found import find_job, find_result
+from service.found import find_job, find_result, parameter_names, stopped_estimate
 from service.prepare import Request, check_limits, dump, find_model, prepare
 from service.preview import preview
-from service.problems import MEDIA_TYPE, Problem
+from service.problems import MEDIA_TYPE, Problem, invalid
 from service.schemas import JobRequest, ModelReference
 from service.settings import Settings
-from service.store import ENDED, KeyReused, Store
+from service.store import ENDED, KeyReused, QueueFull, Store
 from service.strict_json import dumps
 from service.supervisor import Supervisor
 from service.thin import keep, thin_results
@@ -61,19 +60,21 @@ def problem_answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys) -> APIRouter:
     """All calls, on a store."""
-    api = APIRouter(responses=problem_answers(401, 422))
-    Caller = Annotated[str, Depends(keys)]
+    api = APIRouter(
+        responses=problem_answers(*keys.refusals, 422),
+        route_class=json_route(settings.max_values),
+    )
+    Caller = Annotated[str, Depends(keys.dependency)]
 
     find = partial(find_job, store, keys)
+
+    def limits(caller: str) -> list[tuple[str | None, int]]:
+        own = [(caller, settings.queue_per_key)] if keys.needed else []
+        return [(None, settings.max_queue), *own]
 
     def put(request: Request, caller: str, key: str | None) -> Response:
         check_limits(request, settings)
         job = prepare(request)
-        for owner, most in ((None, settings.max_queue), (caller, settings.max_queue_per_key)):
-            counts = store.counts(owner)
-            if counts.get("accepted", 0) + counts.get("running", 0) >= most:
-                detail = f"{most} jobs wait or run already; try again later"
-                raise Problem(429, "queue-full", detail, retry_after=30)
         try:
             job_id = store.create(
                 request.kind,
@@ -84,7 +85,10 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
                 request.run_seconds,
                 caller,
                 key,
+                limits(caller),
             )
+        except QueueFull as error:
+            raise queue_full(error) from None
         except KeyReused as error:
             detail = f"this Idempotency-Key came with another request, job {error}"
             raise Problem(422, "idempotency-key-reused", detail) from None
@@ -143,8 +147,13 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         file: Annotated[list[UploadFile], File(description="CSV, .mat or .npz")],
         idempotency_key: IdempotencyKey = None,
     ) -> Response:
-        files = {one.filename or f"file{i}": one.file.read() for i, one in enumerate(file)}
-        return put(with_files(request, files), caller, idempotency_key)
+        files: dict[str, bytes] = {}
+        for i, one in enumerate(file):
+            name = one.filename or f"file{i}"
+            if name in files:
+                raise invalid("file", f"two files are named '{name}'; give each a name of its own")
+            files[name] = one.file.read()
+        return put(with_files(request, files, settings.max_values), caller, idempotency_key)
 
     @api.post(
         "/preview",
@@ -158,7 +167,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             str | None, Form(max_length=200, description="column of time stamps; else one named so")
         ] = None,
     ) -> PreviewOut:
-        return preview(file.file.read(), file.filename or "", t, settings.max_samples)
+        return preview(file.file.read(), file.filename or "", t, settings)
 
     @api.get("/jobs", summary="Jobs, newest first")
     def jobs(
@@ -208,7 +217,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     ) -> Response:
         row = find(job_id, caller)
         ks, rows = store.rows(row.seq, task, after)
-        names = list(json.loads(row.estimate)) if row.estimate else parameter_names(row.model)
+        names = parameter_names(store, row)
         if points is not None and len(ks) > points:
             kept = keep(rows[:, : len(names) + 1], points)
             ks, rows = [ks[i] for i in kept], rows[kept]
@@ -235,32 +244,50 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     def results(
         caller: Caller, http: HttpRequest, job_id: JobId, points: Points = None
     ) -> Response:
-        body = find_result(store, find(job_id, caller))
+        row = find(job_id, caller)
+        if (reached := stopped_estimate(store, row)) is not None:
+            body = dumps(reached).encode()
+        else:
+            body = find_result(store, row)
         if points is not None:
             body = dumps(thin_results(json.loads(body), points)).encode()
         return tagged(http, body)
 
-    @api.delete("/jobs/{job_id}", summary="Stop or remove a job", responses=problem_answers(404))
+    @api.delete(
+        "/jobs/{job_id}",
+        summary="Stop a job and keep what it has; remove the data of one that has ended",
+        responses=problem_answers(404),
+    )
     def dismiss(caller: Caller, job_id: JobId) -> JobStatus:
         find(job_id, caller)
         row = store.dismiss(job_id)
         return documents.job_status(row)
 
+    @api.post(
+        "/jobs/{job_id}/resume",
+        summary="Go on with a failed or stopped job from its checkpoint",
+        responses=problem_answers(404, 409, 429),
+    )
+    def resume(caller: Caller, job_id: JobId) -> JobStatus:
+        row = find(job_id, caller)
+        if row.status == "successful" or row.removed:
+            why = "its data are gone" if row.removed else "it is successful"
+            raise Problem(409, "nothing-to-resume", f"job '{job_id}' cannot go on: {why}")
+        try:
+            row = store.resume(job_id, limits(caller))
+        except QueueFull as error:
+            raise queue_full(error) from None
+        supervisor.wake()
+        return documents.job_status(row)
+
     @api.get("/livez", summary="The process is alive")
-    def livez() -> dict[str, str]:
+    async def livez() -> dict[str, str]:
         return {"status": "alive"}
 
     @api.get("/readyz", summary="Store and runner can be used", responses=problem_answers(503))
     def readyz() -> dict[str, str]:
-        try:
-            store.check()
-        except SQLAlchemyError as error:
-            reason = str(error.__cause__ or error).splitlines()[0]
-            raise Problem(503, "not-ready", f"the store cannot be used: {reason}") from None
-        if not supervisor.alive():
-            raise Problem(503, "not-ready", "the supervisor does not run")
-        if not supervisor.places():
-            raise Problem(503, "not-ready", "the cluster has no worker, or cannot be reached")
+        if reason := supervisor.trouble():
+            raise Problem(503, "not-ready", reason)
         return {"status": "ready"}
 
     @api.get("/metrics", summary="Prometheus metrics", response_class=PlainTextResponse)
@@ -271,20 +298,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     return api
 
 
-def tagged(http: HttpRequest, body: bytes, headers: dict[str, str] | None = None) -> Response:
-    """A JSON answer with an ETag, or 304 if the client has it already."""
-    etag = f'"{hashlib.sha256(body).hexdigest()[:24]}"'
-    known = [tag.strip() for tag in http.headers.get("If-None-Match", "").split(",")]
-    headers = {"ETag": etag, "Cache-Control": "no-cache"} | (headers or {})
-    if etag in known or "*" in known:
-        return Response(status_code=304, headers=headers)
-    return Response(body, headers=headers, media_type="application/json")
-
-
-def parameter_names(model: str) -> list[str]:
-    """Parameter names of ``base+effect+...``."""
-    base, *effects = model.split("+")
-    try:
-        return list(get_model(base, effects).parameter_names)
-    except OptionError:  # a plug-in that has gone
-        return []
+def queue_full(error: QueueFull) -> Problem:
+    """429 for a job that finds no place."""
+    detail = f"{error} jobs wait or run already; try again later"
+    return Problem(429, "queue-full", detail, retry_after=30)

@@ -11,8 +11,9 @@ from fastapi import FastAPI
 
 from service import job_pages, pages, problems
 from service.api import router
-from service.auth import Keys, check_exposure
+from service.auth import KeyFirst, Keys, check_exposure
 from service.limits import BodyLimit
+from service.origins import Origins
 from service.runner import GUARD, LocalRunner, Runner, Terms
 from service.settings import Settings
 from service.store import Store
@@ -33,6 +34,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     keys = Keys(settings.keys_file)
     check_exposure(settings, keys)
     store = Store(settings.store_url)
+    store.check()
     runner = make_runner(store, settings, lambda: supervisor.wake())
     supervisor = Supervisor(store, runner, settings)
 
@@ -51,6 +53,9 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         docs_url=None,  # these pages load scripts from other addresses
         redoc_url=None,
     )
+    app.add_middleware(KeyFirst, keys=keys)
+    if not keys.needed:
+        app.add_middleware(Origins, settings=settings)
     app.add_middleware(BodyLimit, max_body=settings.max_body, seconds=settings.body_seconds)
     app.add_middleware(pages.PageHeaders)
     app.router.routes.extend(pages.routes(keys.needed))  # before the JSON calls
@@ -58,7 +63,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.include_router(router(store, supervisor, settings, keys))
     app.include_router(job_pages.router(store, keys))
     problems.install(app)
-    app.state.supervisor = supervisor
+    app.state.supervisor, app.state.store_url = supervisor, settings.store_url
     return app
 
 

@@ -2,13 +2,12 @@
 
 The process dies with the service (or Dask worker) that started it, whatever that died of, so no
 computation goes on unwatched. It writes each iteration as progress and checkpoint; where the
-store answers that the task is not this attempt's any more (cancelled, lease lost), it leaves.
+store answers that the task is not this attempt's any more (cancelled, given to another), it leaves.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import logging
 import os
@@ -31,9 +30,11 @@ from engine.errors import EngineError
 from engine.model import Array, Theta
 from service import stages
 from service.logs import configure
+from service.orphans import die_with_parent
 from service.prepare import load
 from service.problems import Problem
-from service.store import Attempt, Store
+from service.store import Store
+from service.transitions import Attempt
 
 log = logging.getLogger("service")
 
@@ -192,8 +193,7 @@ def _die_with_parent() -> None:
     parent = parent_process()
     if parent is None:  # run by hand
         return
-    if sys.platform == "linux":  # the forkserver ends with the service, and this process with it
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+    die_with_parent()  # the forkserver ends with the service, and this process with it
 
     def watch() -> None:
         connection.wait([parent.sentinel])

@@ -12,12 +12,16 @@ import ipaddress
 import re
 import secrets
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 from fastapi import Request, Security
 from fastapi.security import APIKeyHeader
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.limits import has_body
 from service.problems import Problem
 from service.settings import Settings
 
@@ -25,7 +29,7 @@ HEADER = APIKeyHeader(name="X-API-Key", auto_error=False)
 
 
 class Keys:
-    """The keys of a service; called with a request's key, it names the caller ("" without keys)."""
+    """The keys of a service, and the names of those who show them ("" without keys)."""
 
     def __init__(self, file: Path | None) -> None:
         self._hashes: dict[str, str] = {}
@@ -35,21 +39,38 @@ class Keys:
             name, _, digest = line.strip().partition(" ")
             if not re.fullmatch("[0-9a-fA-F]{64}", digest) or len(name) > 64:
                 raise ValueError(f"{file}, line {i + 1}: 'NAME SHA256' is needed")
+            if name in self._hashes:
+                raise ValueError(f"{file}, line {i + 1}: '{name}' is there twice")
             self._hashes[name] = digest.lower()
+        if file is not None and not self._hashes:  # else everybody would be let in
+            raise ValueError(f"{file} holds no key (python -m service.auth makes one)")
 
     @property
     def needed(self) -> bool:
         """Whether callers need a key."""
         return bool(self._hashes)
 
-    def __call__(
-        self, request: Request, key: Annotated[str | None, Security(HEADER)] = None
-    ) -> str:
-        """FastAPI dependency: the caller's name, or a problem 401."""
+    @property
+    def dependency(self) -> Callable[..., str]:
+        """FastAPI dependency: the caller's name, or a problem 401. Describes keys only where needed."""
+
+        def known(request: Request, key: Annotated[str | None, Security(HEADER)] = None) -> str:
+            return self.caller(request.headers)
+
+        return known if self.needed else lambda: ""
+
+    @property
+    def refusals(self) -> tuple[int, ...]:
+        """Statuses of refused callers: without a key, or from a foreign page."""
+        return (401,) if self.needed else (403, 421)
+
+    def caller(self, headers: Headers) -> str:
+        """The name of who sends these headers. Raises Problem 401."""
         if not self.needed:
             return ""
+        key = headers.get("X-API-Key")
         if key is None:
-            scheme, _, key = request.headers.get("Authorization", "").partition(" ")
+            scheme, _, key = headers.get("Authorization", "").partition(" ")
             key = key if scheme.lower() == "bearer" else ""
         presented = digest_of(key)
         # All are compared, so the time tells nothing about which or how many there are.
@@ -58,6 +79,22 @@ class Keys:
             detail = "a valid API key is needed, as X-API-Key or as Authorization: Bearer"
             raise Problem(401, "unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
         return matches[0]
+
+
+class KeyFirst:
+    """ASGI middleware: who sends a body shows a key before anything of the body is read."""
+
+    def __init__(self, app: ASGIApp, keys: Keys) -> None:
+        self.app, self.keys = app, keys
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, or answer 401."""
+        if scope["type"] == "http" and has_body(headers := Headers(scope=scope)):
+            try:
+                self.keys.caller(headers)
+            except Problem as problem:
+                return await problem.response()(scope, receive, send)
+        return await self.app(scope, receive, send)
 
 
 def digest_of(key: str) -> str:

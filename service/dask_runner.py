@@ -7,8 +7,8 @@ r"""Attempts on other machines: the same ``watch`` inside a task of a Dask clust
         python -m service
 
 Dask only says on which machine an attempt runs. Its worker starts the child process, keeps the
-lease, and kills the child; the store must be one that all machines reach (PostgreSQL). A worker
-that disappears is reported by the scheduler, one that is cut off by the end of its lease.
+heartbeat, and kills the child; the store must be one that all machines reach (PostgreSQL). A worker
+that disappears is reported by the scheduler, one that is cut off by its heartbeat.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.logs import configure
 from service.runner import Terms, warm_up, watch
-from service.store import Attempt, Store
+from service.store import Store
+from service.transitions import Attempt
 
 log = logging.getLogger("service")
 
@@ -73,10 +74,10 @@ class DaskRunner:
                 with contextlib.suppress(OSError):
                     self._client.close(timeout=1)
             self._places, self._client = 0, None
-            self._running.clear()  # what still runs of these keeps or loses its own lease
+            self._running.clear()  # what still runs of these keeps its own heartbeat
         # Another service of this store, or one that was killed, may have attempts in the cluster too;
-        # a task claimed beyond its places would lose its lease in Dask's queue.
-        return self._places - max(len(self._running), self._store.leased())
+        # a task claimed beyond its places would be silent in Dask's queue.
+        return self._places - max(len(self._running), self._store.running())
 
     def running(self) -> int:
         """How many attempts there are."""
@@ -109,7 +110,7 @@ class DaskRunner:
                 if future.status != "finished" and not self._stopped:
                     cause = "the machine or Dask worker that ran the computation disappeared"
                     self._store.lost(attempt, cause, self._terms.losses_allowed)
-        except SQLAlchemyError:  # the lease will run out
+        except SQLAlchemyError:  # nobody beats for it any more, and the task is queued again
             log.exception("the loss could not be written", extra={"job": attempt.job_id})
         self._on_free()
 

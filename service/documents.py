@@ -19,9 +19,11 @@ def job_status(row: Any) -> JobStatus:
     """The status document of a row of ``jobs``."""
     here = f"/jobs/{row.id}"
     links = [Link(href=here, rel="self"), Link(href=f"{here}/trace", rel="trace")]
-    if row.status == "successful":
+    if row.status == "successful" and not row.removed:
         links.append(Link(href=f"{here}/results", rel="results"))
         links.append(Link(href=f"{here}/report", rel="report"))
+    if row.status in ("failed", "dismissed") and not row.removed:
+        links.append(Link(href=f"{here}/resume", rel="resume"))
     progress = 100 if row.status == "successful" else 100 * row.iteration // max(row.iterations, 1)
     return JobStatus(
         jobID=row.id,
@@ -57,6 +59,8 @@ def _time(seconds: float) -> str:
 
 def trace(names: list[str], ks: list[int], rows: Array) -> Trace:
     """Iterations k with their rows (n, n_theta + 4), see ``tables.iterations``."""
+    if rows.size and rows.shape[1] != len(names) + 4:  # nobody can say any more what they are
+        names = [f"parameter {i + 1}" for i in range(rows.shape[1] - 4)]
     n = len(names)
     columns = [_numbers(column) for column in rows.reshape(len(ks), n + 4).T]
     return Trace(

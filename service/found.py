@@ -6,7 +6,12 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from engine.examine import estimate_document, model_document
+from service import documents
 from service.auth import Keys
+from service.prepare import load
 from service.problems import Problem
 from service.store import Store
 
@@ -31,13 +36,58 @@ def find_result(store: Store, row: Any) -> bytes:
     """The JSON text of a job's result. Raises Problem: why it failed, or that there is none."""
     if row.status == "failed":
         raise Problem.of(json.loads(row.problem))
+    if row.removed:
+        raise Problem(404, "dismissed", f"of job '{row.id}' {row.message}")
     if row.status == "dismissed":
-        raise Problem(404, "dismissed", f"job '{row.id}' was dismissed; it has no results")
+        detail = (
+            f"job '{row.id}' was stopped before its results; POST /jobs/{row.id}/resume goes on"
+        )
+        raise Problem(404, "dismissed", detail)
     body = store.document(row.seq, "result")
     if body is None:
         detail = f"job '{row.id}' is {row.status}; its results come when it is successful"
         raise Problem(404, "result-not-ready", detail, retry_after=1)
     return body
+
+
+def parameter_names(store: Store, row: Any) -> list[str]:
+    """Of a job's rows; those of its model, which is asked where no estimate names them yet."""
+    if row.estimate:
+        return list(json.loads(row.estimate))
+    request = store.document(row.seq, "request")
+    if row.kind != "estimate" or request is None:
+        return []
+    try:
+        return list(load(json.loads(request)).model.parameter_names)
+    except Problem:  # a plug-in that has gone
+        return []
+
+
+def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
+    """What a stopped estimation has reached, by its best start; None where there is nothing."""
+    if row.kind != "estimate" or row.status != "dismissed" or row.removed:
+        return None
+    starts = json.loads(row.stages)[0]
+    reached = [
+        (values[-4], -task.task)
+        for task, values in store.tasks(row.seq)[:starts]
+        if values is not None and np.isfinite(values[-4])
+    ]
+    if not reached:
+        return None
+    request = json.loads(store.document(row.seq, "request") or b"null")
+    job = load(request)
+    ks, rows = store.rows(row.seq, -max(reached)[1])
+    theta = rows[-1][: len(job.model.parameters)]
+    return {
+        "model": model_document(job.model),
+        "estimate": estimate_document(
+            job.model, theta, job.free or job.model.parameter_names, None
+        ),
+        "outcome": "stopped",
+        "message": f"Stopped after {ks[-1]} of at most {request['options']['iterations']} iterations.",
+        "trace": documents.trace(list(job.model.parameter_names), ks, rows).model_dump(),
+    }
 
 
 def roles(stages: Sequence[int]) -> list[str]:

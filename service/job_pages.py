@@ -13,9 +13,10 @@ from starlette.routing import BaseRoute, Route
 from engine.errors import OptionError
 from engine.report import RULES, OnPage, Report, make_report, report_html
 from service.answers import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
-from service.api import JobId, parameter_names, problem_answers, tagged
+from service.api import JobId, problem_answers
 from service.auth import Keys
-from service.found import find_job, find_result, roles
+from service.etags import tagged
+from service.found import find_job, find_result, parameter_names, roles
 from service.pages import Page, prefers_html, render
 from service.problems import Problem, invalid
 from service.store import Store
@@ -43,14 +44,14 @@ def page_routes(keys_needed: bool) -> list[BaseRoute]:
 
 def router(store: Store, keys: Keys) -> APIRouter:
     """The JSON calls behind the page."""
-    api = APIRouter(responses=problem_answers(401, 422))
-    Caller = Annotated[str, Depends(keys)]
+    api = APIRouter(responses=problem_answers(*keys.refusals, 422))
+    Caller = Annotated[str, Depends(keys.dependency)]
     find = partial(find_job, store, keys)
 
     @api.get("/jobs/{job_id}/tasks", summary="Its computations", responses=problem_answers(404))
     def tasks(caller: Caller, job_id: JobId) -> Tasks:
         row = find(job_id, caller)
-        names = list(json.loads(row.estimate)) if row.estimate else parameter_names(row.model)
+        names = parameter_names(store, row)
         return Tasks(tasks=_tasks(row, names, store))
 
     @api.get(

@@ -6,6 +6,7 @@ import json
 import logging
 import sys
 import time
+from collections import Counter
 
 
 class JsonLines(logging.Formatter):
@@ -27,9 +28,33 @@ class JsonLines(logging.Formatter):
         return json.dumps(line)
 
 
+class Sparse(logging.Filter):
+    """Of warnings and errors of one place, few a minute: a client could fill the disk with them."""
+
+    def __init__(self, most: int = 5, seconds: float = 60.0) -> None:
+        super().__init__()
+        self._most, self._seconds = most, seconds
+        self._begun: dict[object, float] = {}
+        self._count: Counter[object] = Counter()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether to write the record; the first of another minute says how many were left out."""
+        if record.levelno < logging.WARNING:
+            return True
+        place = (record.name, record.lineno, str(record.msg).partition("\n")[0])
+        now = time.monotonic()
+        if now - self._begun.setdefault(place, now) > self._seconds:
+            if (left_out := self._count[place] - self._most) > 0:
+                record.msg = f"{record.msg} ({left_out} more like this were not written)"
+            self._begun[place], self._count[place] = now, 0
+        self._count[place] += 1
+        return self._count[place] <= self._most
+
+
 def configure() -> None:
     """Log to standard error."""
     handler = logging.StreamHandler()
+    handler.addFilter(Sparse())
     if not sys.stderr.isatty():
         handler.setFormatter(JsonLines())
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)

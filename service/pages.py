@@ -6,6 +6,7 @@ API key where the service has keys; so a page shows nothing that the API would n
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, MutableMapping
 from functools import cache
 from importlib.metadata import version
@@ -94,7 +95,7 @@ def prefers_html(accept: str) -> bool:
     for part in accept.split(","):
         media, *parameters = (piece.strip().lower() for piece in part.split(";"))
         q = next((p[2:] for p in parameters if p.startswith("q=")), "1")
-        quality[media] = float(q) if q.replace(".", "", 1).isdigit() else 0.0
+        quality[media] = float(q) if re.fullmatch(r"[0-9]+(\.[0-9]*)?", q) else 0.0
     return _rank(quality, "text/html") > _rank(quality, "application/json")
 
 
@@ -105,7 +106,7 @@ def _rank(quality: Mapping[str, float], media: str) -> float:
 
 
 class PageHeaders:
-    """ASGI middleware: what browsers need to be told about every answer."""
+    """ASGI middleware: what browsers need to be told about every answer; HEAD is answered as GET is."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -118,6 +119,8 @@ class PageHeaders:
                 _add_headers(MutableHeaders(raw=message["headers"]), scope["path"])
             await send(message)
 
+        if scope["type"] == "http" and scope["method"] == "HEAD":
+            scope = {**scope, "method": "GET"}  # the server knows, and sends no body
         await self.app(scope, receive, told if scope["type"] == "http" else send)
 
 

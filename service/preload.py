@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import logging
 
-import engine  # noqa: F401
-import service.attempt  # noqa: F401
+from service.orphans import die_with_parent
+
+die_with_parent()  # before what takes seconds, or on a new machine minutes: nobody is asked meanwhile
+
+import engine  # noqa: E402, F401
+import service.attempt  # noqa: E402, F401
 
 try:
     from engine.warm import warm

@@ -20,6 +20,7 @@ from engine.series import Series
 from service.problems import Problem, invalid
 from service.schemas import (
     DiagnoseRequest,
+    EstimateOptions,
     EstimateRequest,
     InputIn,
     JobRequest,
@@ -106,6 +107,23 @@ def check_limits(request: Request, settings: Settings) -> None:
         ("bootstrap", settings.max_tasks),
     ):
         _limit(f"options.{name}", name, options.get(name) or 0, most)
+    if isinstance(request, EstimateRequest):
+        _check_cost(request.options, samples, settings.max_cost)
+
+
+def _check_cost(options: EstimateOptions, samples: int, most: float) -> None:
+    """Refuse a study that would cost more than the settings allow; one run alone is limited by its time."""
+    runs = options.starts + options.bootstrap
+    exact = options.method == "rts-em"
+    particles = 2 if exact else options.particles + (options.trajectories or options.particles)
+    cost = samples * options.iterations * particles
+    if runs > 1 and runs * cost > most:
+        field = "bootstrap" if options.bootstrap > options.starts else "starts"
+        raise invalid(
+            f"options.{field}",
+            f"{runs} estimations of {samples} samples x {options.iterations} iterations x {particles} "
+            f"particles and trajectories; this service allows {int(most // max(cost, 1))} of that size",
+        )
 
 
 def _limit(field: str, what: str, value: int, most: int) -> None:

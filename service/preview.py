@@ -12,21 +12,23 @@ from engine.model import Array
 from engine.series_files import READERS, TIME
 from engine.series_tables import Table
 from service.answers import ColumnOut, PreviewOut, TimeOut
+from service.columns import counts
 from service.problems import invalid
+from service.settings import Settings
 from service.thin import keep
-from service.uploads import check_unpacked
+from service.uploads import check_size
 
 POINTS = 2000  # about so many values of each column
 GAPS = 200  # the longest gaps of each column
 COLUMNS = 200
 
 
-def preview(data: bytes, filename: str, time: str | None, max_samples: int) -> PreviewOut:
+def preview(data: bytes, filename: str, time: str | None, settings: Settings) -> PreviewOut:
     """Columns with their range, thinned values and gaps. Raises Problem 422 about ``file`` or ``t``.
 
     ``time`` names the column of time stamps; None takes one that is called time.
     """
-    table = _read(data, filename)
+    table, max_samples = _read(data, filename, settings.max_values), settings.max_samples
     longest = max((len(column) for column in table.columns.values()), default=0)
     if longest > max_samples:
         raise invalid("file", f"{longest} rows; this service allows {max_samples}")
@@ -47,12 +49,12 @@ def preview(data: bytes, filename: str, time: str | None, max_samples: int) -> P
     )
 
 
-def _read(data: bytes, filename: str) -> Table:
+def _read(data: bytes, filename: str, max_values: int) -> Table:
     suffix = Path(filename).suffix.lower()
     if suffix not in READERS:
         sheet = "; a spreadsheet can be saved as CSV" if suffix in (".xls", ".xlsx", ".ods") else ""
         raise invalid("file", f"must be a .csv, .mat or .npz file, not '{filename}'{sheet}")
-    check_unpacked(data, "file")
+    check_size(data, filename, "file", max_values)
     try:
         return READERS[suffix](data, Path(filename).name)
     except SeriesError as error:
@@ -102,6 +104,7 @@ def _column(table: Table, name: str) -> ColumnOut:
         minimum=_finite(there.min()) if there.size else None,
         maximum=_finite(there.max()) if there.size else None,
         problem=problem,
+        counts=counts(values),
         row=rows.tolist(),
         value=[_finite(x) for x in values[rows]],
         gaps=gaps,

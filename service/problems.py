@@ -13,6 +13,8 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
+from starlette.types import Scope
 
 log = logging.getLogger("service")
 
@@ -95,6 +97,8 @@ def _from_validation(error: RequestValidationError) -> Problem:
     errors = []
     for item in error.errors()[:20]:
         location = list(item["loc"])
+        if str(item.get("type", "")).startswith("union_tag"):
+            location.append("kind")
         if location[:1] == ["body"] and len(location) > 1 and item.get("type") != "json_invalid":
             location = [part for i, part in enumerate(location) if i != 1 or part not in _KINDS]
         message = re.sub(r"^Value error, ", "", str(item["msg"]))
@@ -106,6 +110,18 @@ def _from_validation(error: RequestValidationError) -> Problem:
                        for e in errors[:3])  # fmt: skip
     broken = any(item.get("type") == "json_invalid" for item in error.errors())
     return Problem(400 if broken else 422, "not-json" if broken else "validation", detail, errors)
+
+
+def _methods(app: FastAPI, scope: Scope) -> set[str]:
+    """What an address can be asked with; several routes may share it, one of each method."""
+    every = ("GET", "POST", "DELETE", "PUT", "PATCH")
+    found = {
+        method
+        for method in every
+        for route in app.routes
+        if route.matches({**scope, "method": method})[0] is Match.FULL
+    }
+    return found | {"HEAD"} if "GET" in found else found
 
 
 _BODIES = ("application/json", "multipart/form-data")
@@ -132,6 +148,8 @@ def install(app: FastAPI) -> None:
         kind = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
         response = Problem(error.status_code, kind, str(error.detail)).response()
         response.headers.update(error.headers or {})
+        if error.status_code == 405:
+            response.headers["Allow"] = ", ".join(sorted(_methods(app, request.scope)))
         return response
 
     @app.exception_handler(SQLAlchemyError)

@@ -22,15 +22,19 @@ from typing import Protocol
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.attempt import STORE_FAILED, main
+from service.clocks import Awake
 from service.problems import Problem
 from service.settings import Settings
-from service.store import Attempt, Store
+from service.store import Store
+from service.transitions import Attempt
 
 log = logging.getLogger("service")
 
 POLL_SECONDS = 0.25  # how soon a cancelled job's process is killed
 START_TRIES = 3
 GUARD = "create_app() and uvicorn.run() belong under `if __name__ == '__main__':`"
+# The forkserver is killed when the thread that started it ends (``preload``): one that lasts.
+_starter = ThreadPoolExecutor(1, "starter")
 _starting = threading.Lock()  # multiprocessing polls all children when it starts one
 
 
@@ -83,7 +87,7 @@ class LocalRunner:
         self._on_free = on_free
         self._threads: dict[str, threading.Thread] = {}
         self._stopping = threading.Event()
-        self._warm = threading.Event()  # claimed before, an attempt's lease could end in waiting
+        self._warm = threading.Event()  # claimed before, an attempt could be silent in waiting
         self._warming = threading.Thread(target=self._warm_up, name="warm-up")
         self._warming.start()
 
@@ -103,7 +107,11 @@ class LocalRunner:
         """Start an attempt and return at once."""
         thread = threading.Thread(target=self._run, args=(attempt,), name=attempt.job_id)
         self._threads[attempt.token] = thread
-        thread.start()
+        try:
+            thread.start()
+        except RuntimeError:  # the machine has no thread left
+            del self._threads[attempt.token]
+            raise
 
     def stop(self, drain: bool) -> None:
         """Let running attempts end (drain), or give them back to the queue; then return."""
@@ -131,8 +139,8 @@ class LocalRunner:
 def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Event) -> None:
     """Run an attempt in a process of its own until it ends; nothing of it is left on return.
 
-    Keeps the lease, and kills the process when the task is no longer the attempt's (cancelled,
-    lease lost), when its time is up, or when the service stops.
+    Keeps the heartbeat, and kills the process when the task is no longer the attempt's (cancelled,
+    or given to another), when its time is up, or when the service stops.
     """
     job = {"job": attempt.job_id}
     try:
@@ -152,17 +160,17 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
             cause()
         elif store.holds(attempt):  # ended without a word to the store
             store.lost(attempt, _epitaph(process), terms.losses_allowed)
-    except SQLAlchemyError:  # the lease will run out, and then the task is queued again
+    except SQLAlchemyError:  # nobody beats for it any more, and the task is queued again
         log.exception("the end of the attempt could not be written", extra=job)
     log.info("attempt ended, exit code %s", process.exitcode, extra=job)
 
 
 def _started(store: Store, attempt: Attempt, terms: Terms) -> BaseProcess:
-    """Spawn; the lease is kept meanwhile, for a new forkserver has to load the engine first."""
+    """Spawn; the heartbeat goes on meanwhile, for a new forkserver has to load the engine first."""
     with ThreadPoolExecutor(1) as pool:
         process = pool.submit(spawn, store.url, attempt, terms.memory)
         while wait([process], terms.lease / 4).not_done:
-            store.renew(attempt, terms.lease)
+            store.renew(attempt)
         return process.result()
 
 
@@ -193,15 +201,19 @@ def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProce
     """Start a process; a forkserver that was killed is replaced by the next try."""
     for tries_left in reversed(range(START_TRIES)):
         try:
-            with _starting:
-                process = _context().Process(target=target, args=args, daemon=True)
-                process.start()
-            return process
+            return _starter.submit(_begin, target, args).result()
         except (OSError, EOFError):
             if not tries_left:
                 raise
             time.sleep(0.1)
     raise AssertionError("unreachable")
+
+
+def _begin(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
+    with _starting:
+        process = _context().Process(target=target, args=args, daemon=True)
+        process.start()
+    return process
 
 
 def _until_end(
@@ -212,19 +224,19 @@ def _until_end(
     process: BaseProcess,
 ) -> Callable[[], object] | None:
     """Wait; returns what to write to the store once the process is dead, if anything."""
-    started = renewed = time.monotonic()
+    awake, renewed = Awake(max(terms.lease / 4, 2 * POLL_SECONDS)), 0.0
     run_seconds = min(terms.run_seconds, attempt.run_seconds or terms.run_seconds)
     while not connection.wait([process.sentinel], POLL_SECONDS):
-        now = time.monotonic()
+        now = awake.look()
         if stopping.is_set():
             return lambda: store.release(attempt)
-        if now - started > run_seconds:
+        if now > run_seconds:
             detail = f"the computation took longer than the {run_seconds:g} s it may take"
             problem = Problem(422, "run-time-exceeded", detail).document()
             return lambda: store.fail(attempt, problem)
         try:
-            if now - renewed > terms.lease / 4:
-                mine, renewed = store.renew(attempt, terms.lease), now
+            if now - renewed >= terms.lease / 4:
+                mine, renewed = store.renew(attempt), now
             else:
                 mine = store.holds(attempt)
         except SQLAlchemyError as error:

@@ -64,6 +64,10 @@ Table = Annotated[
 ]
 
 
+# Of a long list that is wrong throughout, the first mistake is told; a million would be worked on for long.
+_FIRST = Field(fail_fast=True)
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, arbitrary_types_allowed=True)
 
@@ -73,6 +77,7 @@ class _Strict(BaseModel):
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Values = dict[Annotated[str, Field(max_length=200)], Number]
+Names = Annotated[list[Annotated[str, Field(max_length=200)]], _FIRST]
 
 
 class SettingIn(_Strict):
@@ -95,9 +100,7 @@ class ModelReference(_Strict):
 
     model_config = ConfigDict(extra="forbid", strict=True, serialize_by_alias=True)
     name: str = Field(max_length=200)
-    effects: list[Annotated[str, Field(max_length=200)]] = Field(
-        default_factory=list, alias="with", max_length=20
-    )
+    effects: Names = Field(default_factory=list, alias="with", max_length=20)
     setting: SettingIn | None = Field(
         default=None, description="null means the span and time step of the first series"
     )
@@ -122,7 +125,7 @@ ExtraName = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^+:>]
 
 class _Timed(_Strict):
     dt: float | None = Field(default=None, gt=0, allow_inf_nan=False, description="time step, s")
-    t: list[float] | None = Field(
+    t: Annotated[list[float], _FIRST] | None = Field(
         default=None, description="time stamps, s, increasing; instead of dt"
     )
 
@@ -134,7 +137,7 @@ class _Timed(_Strict):
 
 
 class _Recorded(_Timed):
-    extra: dict[ExtraName, list[Number]] | None = Field(
+    extra: dict[ExtraName, Annotated[list[Number], _FIRST]] | None = Field(
         default=None,
         max_length=50,
         description="channels by name that were recorded beside y and u, without gaps; a diagnosis asks "
@@ -160,10 +163,10 @@ class EstimateParameters(_Strict):
     """Where the estimation starts and what it may change."""
 
     start: Values = Field(default_factory=dict, description="start values; else the defaults")
-    free: list[Annotated[str, Field(max_length=200)]] | None = Field(
+    free: Names | None = Field(
         default=None, min_length=1, description="parameters to estimate; null means all"
     )
-    ranges: dict[Annotated[str, Field(max_length=200)], list[Number]] = Field(
+    ranges: dict[Annotated[str, Field(max_length=200)], Annotated[list[Number], _FIRST]] = Field(
         default_factory=dict, description="where further starts are drawn, name: [low, high]"
     )
 
@@ -180,7 +183,7 @@ class DiagnoseParameters(_Strict):
     """Where the model's own estimation starts and what it may change."""
 
     start: Values = Field(default_factory=dict, description="start values; else the defaults")
-    free: list[Annotated[str, Field(max_length=200)]] | None = Field(
+    free: Names | None = Field(
         default=None, min_length=1, description="parameters to estimate; null means all"
     )
 
@@ -242,7 +245,7 @@ class DiagnoseOptions(_Strict):
     """What to look for, and how sure to be."""
 
     alpha: float = Field(default=0.05, gt=0, lt=1, description="chance of an alarm without cause")
-    effects: list[Annotated[str, Field(max_length=200)]] | None = Field(
+    effects: Names | None = Field(
         default=None, min_length=1, max_length=500, description="kinds or names; null means all"
     )
     max_effects: int = Field(
@@ -259,7 +262,7 @@ class EstimateRequest(_Strict):
 
     kind: Literal["estimate"]
     model: ModelChoice
-    series: list[SeriesIn] = Field(min_length=1)
+    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
     parameters: EstimateParameters = EstimateParameters()
     options: EstimateOptions = EstimateOptions()
     run_seconds: RunSeconds = None
@@ -270,7 +273,7 @@ class SmoothRequest(_Strict):
 
     kind: Literal["smooth"]
     model: ModelChoice
-    series: list[SeriesIn] = Field(min_length=1)
+    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
     parameters: FixedParameters = FixedParameters()
     options: SmoothOptions = SmoothOptions()
     run_seconds: RunSeconds = None
@@ -281,7 +284,7 @@ class SimulateRequest(_Strict):
 
     kind: Literal["simulate"]
     model: ModelChoice
-    series: list[InputIn] = Field(default_factory=list)
+    series: Annotated[list[InputIn], _FIRST] = Field(default_factory=list)
     parameters: FixedParameters = FixedParameters()
     options: SimulateOptions = SimulateOptions()
     run_seconds: RunSeconds = None

@@ -44,29 +44,50 @@ class Settings:
 
     keys_file: Path | None = None  # API keys, see auth.py; without it, loopback only
     open_network: bool = False  # listen beyond loopback without keys
+    hosts: str = ""  # without keys: further names to answer to, with commas between
 
     dask_scheduler: str = ""  # address of a Dask scheduler; without it, attempts run here
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)  # attempts at once
-    lease_seconds: float = 15.0  # an attempt nobody renews for so long is started again
+    lease_seconds: float = 15.0  # an attempt whose heartbeat stands still so long is started again
     losses_allowed: int = 2  # how often an attempt whose worker died is started again
     worker_memory: int = 0  # address space of a worker process; 0: no limit
     drain: bool = False  # on shutdown, wait for running attempts; else they go on after the start
     run_seconds: float = 6 * 3600.0  # longest run time of one attempt
 
+    keep_days: float = 0.0  # how long the data of ended jobs are kept; 0: until they are deleted
     max_body: int = 64 * 2**20
     max_series: int = 64
     max_samples: int = 200_000  # of all series of a job together
+    max_values: int = 2_000_000  # numbers of a request or a file: all channels of all samples
     max_particles: int = 10_000
     max_iterations: int = 100_000
     max_tasks: int = 1000  # starts, or bootstrap runs, of a job
     max_queue: int = 1000  # jobs that wait or run
-    max_queue_per_key: int = 1000
+    max_queue_per_key: int = 0  # of these, of one key; 0: a quarter
+    max_cost: float = (
+        2e10  # samples x iterations x particles of all starts and bootstrap runs of a job
+    )
     body_seconds: float = 30.0  # longest pause within a body; the whole may take 20 times that
+    header_seconds: float = 20.0  # a connection has so long to send a request's headers
+    max_connections: int = 1000
 
     def __post_init__(self) -> None:
-        for name in ("workers", "lease_seconds", "run_seconds", "max_body", "max_queue"):
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"setting port = {self.port}; it must be 0 to 65535")
+        positive = ("workers", "lease_seconds", "run_seconds", "max_body", "max_queue")
+        for name in (*positive, "body_seconds", "header_seconds", "max_connections"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"setting {name} = {getattr(self, name)}; it must be positive")
+        if not 0 <= self.max_queue_per_key < self.max_queue:
+            raise ValueError(
+                f"setting max_queue_per_key = {self.max_queue_per_key}; it must be below max_queue = "
+                f"{self.max_queue}, or one key could keep all others out"
+            )
+
+    @property
+    def queue_per_key(self) -> int:
+        """How many jobs of one key may wait or run."""
+        return self.max_queue_per_key or max(1, self.max_queue // 4)
 
     @property
     def store_url(self) -> str:

@@ -6,9 +6,20 @@ import json
 import math
 from typing import Any
 
+PART = 20_000  # elements of a list that are written at once
+
 
 def dumps(value: Any) -> str:
-    """JSON text; numbers that are not finite become null."""
+    """JSON text; numbers that are not finite become null.
+
+    Long lists are written in parts: no other thread of the process runs while the library writes one.
+    """
+    if isinstance(value, dict) and all(isinstance(key, str) for key in value):
+        return "{" + ",".join(f"{json.dumps(k)}:{dumps(item)}" for k, item in value.items()) + "}"
+    if isinstance(value, list | tuple) and len(value) > PART:
+        return f"[{','.join(dumps(value[i : i + PART])[1:-1] for i in range(0, len(value), PART))}]"
+    if isinstance(value, list | tuple) and any(isinstance(item, dict) for item in value):
+        return f"[{','.join(map(dumps, value))}]"
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))
     except ValueError:

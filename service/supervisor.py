@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
 import threading
 import time
 
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.clocks import Silence
+from service.retention import Retention
 from service.runner import Runner
 from service.settings import Settings
 from service.store import Store
@@ -15,6 +20,7 @@ from service.store import Store
 log = logging.getLogger("service")
 
 LOOK_SECONDS = 0.5  # how often to look at the store without being woken
+TRY_SECONDS = 3.0  # how long it is believed that the store can be written
 
 
 class Supervisor:
@@ -23,8 +29,11 @@ class Supervisor:
     def __init__(self, store: Store, runner: Runner, settings: Settings) -> None:
         self._store, self._runner, self._settings = store, runner, settings
         self._wake, self._stop = threading.Event(), threading.Event()
+        self._silence = Silence(settings.lease_seconds)
+        self._retention = Retention(store, settings.keep_days)
         self._holder = f"{socket.gethostname()}:{os.getpid()}"
         self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
+        self._trying, self._tried, self._store_trouble = threading.Lock(), -math.inf, ""
         self.beat = time.monotonic()  # when it last looked at the store
 
     def start(self) -> None:
@@ -38,6 +47,32 @@ class Supervisor:
     def alive(self) -> bool:
         """Whether it looked at the store of late."""
         return self._thread.is_alive() and time.monotonic() - self.beat < 10.0
+
+    def trouble(self) -> str:
+        """Why no job can be computed now; empty if nothing is wrong.
+
+        Whether the store can be written is tried by one caller every few seconds, as it waits for other
+        writers; the others are told what was found last.
+        """
+        if self._trying.acquire(blocking=False):
+            try:
+                if time.monotonic() - self._tried > TRY_SECONDS:
+                    self._store_trouble = self._try_store()
+                    self._tried = time.monotonic()
+            finally:
+                self._trying.release()
+        if self._store_trouble:
+            return f"the store cannot be used: {self._store_trouble}"
+        if not self.alive():
+            return "the supervisor does not run"
+        return "" if self.places() else "the cluster has no worker, or cannot be reached"
+
+    def _try_store(self) -> str:
+        try:
+            self._store.check()
+        except SQLAlchemyError as error:
+            return str(error.__cause__ or error).splitlines()[0]
+        return ""
 
     def running(self) -> int:
         """How many attempts the runner has."""
@@ -65,11 +100,18 @@ class Supervisor:
             self._wake.wait(LOOK_SECONDS)
 
     def _look(self) -> None:
-        if n := self._store.expire(self._settings.losses_allowed):
-            log.warning("%d attempts lost their lease", n)
+        silent = self._silence.look(self._store.beats())
+        if silent and (n := self._store.expire(silent, self._settings.losses_allowed)):
+            log.warning("%d attempts are watched by nobody any more", n)
         while self._runner.free() > 0 and not self._stop.is_set():
-            attempt = self._store.claim(self._holder, self._settings.lease_seconds)
+            attempt = self._store.claim(self._holder)
             if attempt is None:
                 break
-            self._runner.start(attempt)
+            try:
+                self._runner.start(attempt)
+            except Exception:  # it has not begun: no loss, and the next look tries again
+                log.exception("the attempt cannot be started", extra={"job": attempt.job_id})
+                self._store.release(attempt)
+                break
+        self._retention.look()
         self.beat = time.monotonic()

@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlalchemy import (
     Column,
+    Connection,
     Double,
     Engine,
     ForeignKey,
@@ -21,7 +22,10 @@ from sqlalchemy import (
     UniqueConstraint,
     create_engine,
     event,
+    inspect,
+    update,
 )
+from sqlalchemy.schema import CreateColumn
 
 metadata = MetaData()
 
@@ -50,6 +54,9 @@ jobs = Table(
     Column("owner", String(64), nullable=False, default=""),  # name of the API key
     Column("idempotency_key", String(200)),
     Column("digest", String(64)),  # of the request, to compare repeats of an idempotency key
+    Column(
+        "removed", Integer, nullable=False, server_default="0"
+    ),  # 1: its data are no longer there
     Index("jobs_status", "status", "seq"),
     UniqueConstraint("owner", "idempotency_key"),
     sqlite_autoincrement=True,
@@ -57,7 +64,8 @@ jobs = Table(
 
 # One computation of a job, run by one worker process at a time. Tasks are numbered through the
 # job's stages; those of a stage exist once the stage before is done. ``token`` names the attempt
-# that may write; a worker with another token has lost its lease and stops.
+# that may write; a worker with another token has lost the task and stops. ``beat`` counts while somebody
+# watches over the attempt.
 tasks = Table(
     "tasks",
     metadata,
@@ -66,8 +74,12 @@ tasks = Table(
     Column("state", String(10), nullable=False),  # queued, running, done, stopped
     Column("token", String(32)),
     Column("holder", String(100)),
-    Column("lease_until", Double),
+    Column("beat", Integer, nullable=False, server_default="0"),
     Column("losses", Integer, nullable=False, default=0),
+    Column(
+        "futile", Integer, nullable=False, server_default="0"
+    ),  # losses without a checkpoint between
+    Column("mark", Integer, nullable=False, server_default="0"),  # checkpoints at the latest loss
     Column("iteration", Integer, nullable=False, default=0),
     Index("tasks_state", "state", "job", "task"),
 )
@@ -84,7 +96,7 @@ iterations = Table(
 )
 
 # Large JSON, compressed: the request, the result, "task-i", what task i leaves to later stages, and
-# "kept-n", what a running diagnosis has finished.
+# "kept-n", what an unfinished diagnosis has finished.
 documents = Table(
     "documents",
     metadata,
@@ -102,15 +114,24 @@ def connect(url: str) -> Engine:
     if not url.startswith("sqlite"):
         engine = create_engine(url, pool_size=10, max_overflow=20, pool_pre_ping=True)
         metadata.create_all(engine)
+        _add_columns(engine)
         return engine
     engine = create_engine(url, connect_args={"timeout": 30.0, "check_same_thread": False})
     if engine.url.database:
-        Path(engine.url.database).parent.mkdir(parents=True, exist_ok=True)
+        file = Path(engine.url.database)
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if not file.exists():  # it holds everybody's data; what lies beside it gets the same mode
+            file.touch(mode=0o600)
 
     @event.listens_for(engine, "connect")
     def _connect(connection: sqlite3.Connection, record: Any) -> None:
         connection.isolation_level = None  # transactions begin below, not in the driver
-        for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON"):
+        for pragma in (
+            "auto_vacuum=INCREMENTAL",
+            "journal_mode=WAL",
+            "synchronous=NORMAL",
+            "foreign_keys=ON",
+        ):
             connection.execute(f"PRAGMA {pragma}")
 
     @event.listens_for(engine, "begin")
@@ -121,4 +142,31 @@ def connect(url: str) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 
     metadata.create_all(engine)
+    _add_columns(engine)
     return engine
+
+
+def _missing(sql: Connection) -> list[Column[Any]]:
+    there = inspect(sql)
+    return [
+        column
+        for table in metadata.sorted_tables
+        for names in [{one["name"] for one in there.get_columns(table.name)}]
+        for column in table.columns
+        if column.name not in names
+    ]
+
+
+def _add_columns(engine: Engine) -> None:
+    """Give the tables of an earlier version the columns they lack; columns they have too many stay."""
+    with engine.execution_options(write=False).begin() as sql:
+        if not _missing(sql):
+            return
+    with engine.begin() as sql:
+        if engine.dialect.name != "sqlite":  # where begin() has not locked out other services
+            sql.exec_driver_sql("LOCK TABLE jobs, tasks IN ACCESS EXCLUSIVE MODE")
+        for column in _missing(sql):
+            definition = CreateColumn(column).compile(dialect=engine.dialect)
+            sql.exec_driver_sql(f"ALTER TABLE {column.table.name} ADD COLUMN {definition}")
+            if column is jobs.c.removed:  # it was removed together with what it had computed
+                sql.execute(update(jobs).where(jobs.c.status == "dismissed").values(removed=1))

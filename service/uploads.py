@@ -18,11 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from engine.diagnose.setting import Setting
 from engine.errors import SeriesError
 from engine.series_files import READERS, read_series_bytes
+from engine.series_tables import Table
+from service.columns import match
 from service.prepare import ADAPTER, Request, find_model
 from service.problems import Problem, invalid
 from service.schemas import ModelReference
 
-UNPACKED = 20  # how many times its size a compressed file may unpack to, beyond 16 MiB
+SMALL = 1 << 22  # bytes that any file may hold
 
 
 class _FileSeries(BaseModel):
@@ -37,8 +39,13 @@ class _FileSeries(BaseModel):
     extra: list[str] = Field(default_factory=list, max_length=50)
 
 
-def with_files(text: str, files: Mapping[str, bytes]) -> Request:
-    """A request whose series, or test, name uploaded files; without ``series``, each file is one."""
+def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Request:
+    """A request whose series, or test, name uploaded files; without ``series``, each file is one.
+
+    A file may hold ``max_values`` numbers at most.
+    """
+    for name, data in files.items():
+        check_size(data, name, "file", max_values)
     try:
         body = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -81,14 +88,9 @@ def _read(
         there = ", ".join(files) or "none"
         raise invalid(f"{where}.file", f"no file '{wanted.file}' was uploaded; there are {there}")
     data = files[wanted.file]
-    check_unpacked(data, f"{where}.file")
-    y, u = (
-        _in_order(columns, channels, f"{where}.{name}")
-        for name, columns, channels in zip(
-            ("y", "u"), (wanted.y, wanted.u), _channels(body.get("model")), strict=True
-        )
-    )
+    outputs, inputs = _channels(body.get("model"))
     try:
+        y, u = _matched(data, wanted, outputs, inputs, where)
         series = read_series_bytes(data, wanted.file, y, u, wanted.t, wanted.dt)
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
@@ -98,6 +100,35 @@ def _read(
     if wanted.extra:
         read["extra"] = _extra(wanted, data, f"{where}.extra")
     return read
+
+
+def _matched(
+    data: bytes,
+    wanted: _FileSeries,
+    outputs: list[str],
+    inputs: list[str],
+    where: str,
+) -> tuple[list[str] | None, list[str] | None]:
+    """Columns of y and u in the order of the model's channels."""
+    suffix = Path(wanted.file).suffix.lower()
+    if suffix not in READERS or not outputs:  # told when it is read, or with the model
+        return None, None
+    table = READERS[suffix](data, wanted.file)
+    given = _given(wanted.y, table, outputs, f"{where}.y")
+    given |= _given(wanted.u, table, inputs, f"{where}.u")
+    found = match(table, outputs, inputs, given, {*wanted.extra, wanted.t or ""})
+    for member, channels in (("y", outputs), ("u", inputs)):
+        for channel in channels:
+            if channel not in found and channel not in wanted.extra:
+                series = {"file": wanted.file, member: {channel: "COLUMN"}}
+                hint = f'"series": [{json.dumps(series)}]'
+                raise invalid(
+                    f"{where}.{member}",
+                    f"no column is channel '{channel}'; say which it is with {hint}. There are "
+                    f"{table.there()}",
+                    channel=channel,
+                )
+    return [found[one] for one in outputs], [found[one] for one in inputs if one in found]
 
 
 def _extra(wanted: _FileSeries, data: bytes, where: str) -> dict[str, list[float]]:
@@ -134,35 +165,46 @@ def _channels(model: Any) -> tuple[list[str], list[str]]:
     return list(found.outputs), list(found.inputs)
 
 
-def _in_order(
-    columns: list[str] | dict[str, str] | None, channels: list[str], where: str
-) -> list[str] | None:
-    """Columns in the order of the model's channels."""
-    if not isinstance(columns, dict):
+def _given(
+    columns: list[str] | dict[str, str] | None, table: Table, channels: list[str], where: str
+) -> dict[str, str]:
+    """{channel: column} as the request has it; in a list an array's name means all its columns."""
+    there = f"the model's channels are {', '.join(channels) or 'none'}"
+    if columns is None:
+        return {}
+    if isinstance(columns, dict):
+        if unknown := sorted(set(columns) - set(channels)):
+            raise invalid(where, f"names the channels {', '.join(unknown)}; {there}")
         return columns
-    if set(columns) != set(channels):
-        needed = ", ".join(channels) or "none"
-        raise invalid(where, f"names the channels {', '.join(columns)}; the model's are {needed}")
-    return [columns[channel] for channel in channels]
+    each = [column for name in columns for column in table.groups.get(name, [name])]
+    if len(each) != len(channels):
+        raise invalid(where, f"names {len(each)} columns; {there}")
+    return dict(zip(channels, each, strict=True))
 
 
-def check_unpacked(data: bytes, where: str) -> None:
-    """Refuse files that would unpack to far more than they are."""
-    most = max(16 << 20, UNPACKED * len(data))
+def check_size(data: bytes, filename: str, where: str, max_values: int) -> None:
+    """Refuse a file of more numbers than a job may hold, before anything is made of them."""
+    if Path(filename).suffix.lower() in (".csv", ".txt"):
+        cells = sum(map(data.count, (b"\n", b"\r", b",", b";", b"\t")))
+        if cells > max_values:
+            raise invalid(where, f"'{filename}' has more than the {max_values} cells allowed here")
+        return
+    most = max(SMALL, 8 * max_values)
+    size = len(data)
     if data[:2] == b"PK":
         try:
             with zipfile.ZipFile(io.BytesIO(data)) as archive:
                 size = sum(info.file_size for info in archive.infolist())
         except zipfile.BadZipFile:
             return  # the reader will say so
-    else:
-        size = _unpacked_mat(data, most) if data[:6] == b"MATLAB" else 0
+    elif data[:6] == b"MATLAB":
+        size = _unpacked_mat(data, most)
     if size > most:
-        raise invalid(where, f"unpacks to more than {most} bytes; save it uncompressed")
+        raise invalid(where, f"'{filename}' unpacks to more than the {most} bytes allowed here")
 
 
 def _unpacked_mat(data: bytes, most: int) -> int:
-    """Size of the compressed elements of a .mat file (version 5 to 7), counted up to ``most``."""
+    """Size of the elements of a .mat file (version 5 to 7), unpacked, counted up to ``most``."""
     order, at, size = "<" if data[126:128] == b"IM" else ">", 128, 0
     while at + 8 <= len(data) and size <= most:
         kind, length = struct.unpack(order + "II", data[at : at + 8])
@@ -174,5 +216,7 @@ def _unpacked_mat(data: bytes, most: int) -> int:
                     packed = stream.unconsumed_tail
             except zlib.error:
                 return size  # the reader will say so
+        else:
+            size += length
         at += 8 + length
     return size

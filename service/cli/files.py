@@ -11,9 +11,10 @@ import numpy as np
 from engine.errors import SeriesError
 from engine.model import MixedModel
 from engine.series import Series
-from engine.series_files import READERS, TIME, is_channel, read_series
+from engine.series_files import READERS, TIME, read_series
 from engine.series_tables import Table
 from service.cli.ending import wrong
+from service.columns import match
 
 
 @dataclass(frozen=True)
@@ -29,12 +30,10 @@ class Columns:
 def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, str]:
     """A data file as the model's series, and a line that says what was read as what.
 
-    Channels are columns of their own name (or with ``y_``, ``u_`` before it), unless ``columns`` says
-    otherwise; where none of them is found, the columns named y..., u....
+    Which column is which channel, ``columns`` says, else ``service.columns.match``.
     """
     table = _table(path, model, columns)
-    y = _assigned(table, model.outputs, columns, "y")
-    u = _assigned(table, model.inputs, columns, "u")
+    y, u = _assigned(table, model, columns)
     try:
         found = read_series(
             path, y=y, u=u if model.inputs else [], t=columns.time, dt=columns.dt
@@ -53,14 +52,13 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
     except SeriesError as error:
         text = str(error)
         raise wrong(text if path.name in text else f"{path.name}: {text}") from None
-    read = [*(y.values() if y else found.y_names), *(u.values() if u else found.u_names)]
-    return series, _said(path, series, read, table, columns)
+    return series, _said(path, series, [*y.values(), *u.values()], table, columns)
 
 
 def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
     """Times and inputs of a data file; y is missing throughout."""
     table = _table(path, model, columns)
-    u = _assigned(table, model.inputs, columns, "u")
+    _, u = _assigned(table, model, columns, "u")
     some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
     try:
         found = read_series(
@@ -98,27 +96,20 @@ def _table(path: Path, model: MixedModel, columns: Columns) -> Table:
 
 
 def _assigned(
-    table: Table, channels: Mapping[str, str], columns: Columns, prefix: str
-) -> dict[str, str] | None:
-    """{channel: column}, or None to take the columns named y... or u...."""
-    out, missing = {}, []
-    for channel in channels:
-        names = [columns.of[channel]] if channel in columns.of else [channel, f"{prefix}_{channel}"]
-        column = next((name for name in names if name in table.columns), None)
-        if column is None:
-            missing.append(channel)
-        else:
-            out[channel] = column
-    if not missing:
-        return out
-    recognised = [name for name in table.columns if is_channel(name, prefix)]
-    if not out and len(recognised) == len(missing):
-        return None
-    what = "output" if prefix == "y" else "input"
-    raise wrong(
-        f"{table.file}: no column for the {what} '{missing[0]}'; say which it is with "
-        f"--map {missing[0]}=COLUMN. There are {', '.join(table.columns)}"
-    )
+    table: Table, model: MixedModel, columns: Columns, members: str = "yu"
+) -> tuple[dict[str, str], dict[str, str]]:
+    """{output: column}, {input: column}; members tells whether both are needed."""
+    outputs = list(model.outputs) if "y" in members else []
+    other = {*columns.extra, columns.time or ""}
+    found = match(table, outputs, model.inputs, columns.of, other)
+    for what, channels in (("output", outputs), ("input", model.inputs)):
+        for channel in channels:
+            if channel not in found:
+                raise wrong(
+                    f"{table.file}: no column for the {what} '{channel}'; say which it is with "
+                    f"--map {channel}=COLUMN. There are {', '.join(table.columns)}"
+                )
+    return {one: found[one] for one in outputs}, {one: found[one] for one in model.inputs}
 
 
 def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns: Columns) -> str:

@@ -1,6 +1,6 @@
 // One job: live while it runs, then its report.
 
-import { announce, duration, element, get, number, poll, Problem, remove, when } from "/static/api.js";
+import { announce, duration, element, get, number, poll, post, Problem, remove, when } from "/static/api.js";
 import { Convergence } from "/static/job/convergence.js";
 import { showReport } from "/static/job/results.js";
 import { download } from "/static/job/download.js";
@@ -55,7 +55,8 @@ function show(job) {
     job.finished && `ended ${when(job.finished)}`].filter(Boolean).join(", ");
   const going = !ENDED.includes(job.status);
   by("stop").hidden = !going;
-  by("repeat").hidden = job.status === "dismissed";
+  by("resume").hidden = !resumable(job);
+  by("repeat").hidden = job.status === "dismissed" && !resumable(job);
   by("repeat").href = `/?job=${id}`;
   by("progress").hidden = !going;
   if (going) {
@@ -66,6 +67,10 @@ function show(job) {
   }
   if (said && said !== job.status) announce(`The job is ${job.status}.`);
   said = job.status;
+}
+
+function resumable(job) {
+  return job.links.some((link) => link.rel === "resume");
 }
 
 function facts(job) {
@@ -117,7 +122,9 @@ async function end(job) {
   if (job.status === "failed") return failed(job);
   if (job.status === "dismissed") {
     by("problem").hidden = false;
-    by("problem").textContent = "This job was stopped; what it had computed is gone.";
+    by("problem").textContent = resumable(job) ? "This job was stopped; what it had computed is kept."
+      : "This job was dismissed; its data are gone.";
+    if (resumable(job)) await showHowFar(job);
     return undefined;
   }
   const report = await get(`${here}/report`);
@@ -146,6 +153,10 @@ async function failed(job) {
     by("advice").hidden = !error.advice;
     by("advice").textContent = error.advice;
   }
+  await showHowFar(job);
+}
+
+async function showHowFar(job) {
   const { tasks } = await get(`${here}/tasks`);
   showAttempts(tasks);
   await convergence.update(tasks, job.model);
@@ -153,16 +164,29 @@ async function failed(job) {
   by("live-title").textContent = "How far it came";
 }
 
-by("stop").addEventListener("click", async () => {
-  if (!confirm("Stop this job? What it has computed so far will be gone.")) return;
-  by("stop").disabled = true;
-  try {
-    show(await remove(here));
-    by("problem").hidden = false;
-    by("problem").textContent = "This job was stopped; what it had computed is gone.";
-  } catch (error) {
-    if (!(error instanceof Problem)) throw error;
-    by("problem").hidden = false;
-    by("problem").textContent = error.message;
-  }
+function onClick(button, action) {
+  by(button).addEventListener("click", async () => {
+    by(button).disabled = true;
+    try {
+      await action();
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+      by("problem").hidden = false;
+      by("problem").textContent = error.message;
+    } finally {
+      by(button).disabled = false;
+    }
+  });
+}
+
+onClick("stop", async () => {
+  if (!confirm("Stop this job? What it has computed so far is kept, and it can go on later.")) return;
+  const job = await remove(here);
+  show(job);
+  await end(job);
+});
+
+onClick("resume", async () => {
+  await post(`${here}/resume`);
+  location.reload();
 });

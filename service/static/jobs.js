@@ -90,8 +90,9 @@ function actions(job, name) {
     type: "button", class: "small", "data-key": `${key} ${job.jobID}`, "aria-label": `${text}: ${name}`, onclick,
   }, text);
   const link = (text, href, label) => element("a", { class: "button small", href, "data-key": `${text} ${job.jobID}`, "aria-label": `${label}: ${name}` }, text);
-  if (LIVE.has(job.status)) return [button("Cancel", "end", () => end(job, "Cancel this job?", "It stops at once, and what it has computed so far is removed.", "Cancel the job"))];
-  if (job.status === "dismissed") return [];
+  if (LIVE.has(job.status)) return [button("Stop", "end", () => end(job, "Stop this job?", "It stops at once; what it has computed so far is kept, and it can go on later.", "Stop the job"))];
+  const kept = job.links.some((one) => one.rel === "resume");
+  if (job.status === "dismissed" && !kept) return [];
   return [
     link("Repeat", `/?job=${job.jobID}`, "Repeat with changes"),
     ...(job.kind === "diagnose" && job.status === "successful" ? [link("Extend", `/?job=${job.jobID}&extension=1`, "Estimate the extension it found")] : []),

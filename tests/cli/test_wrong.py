@@ -41,7 +41,7 @@ WRONG = {
     "too few particles": (("fit", "flows.csv", *LEVEL, "--particles", "1"), "Invalid value for '--particles'"),
     "unknown channel": (("fit", "flows.csv", *LEVEL, "--map", "rain=flow"), "--map rain=flow: model 'local-level' has no output or input 'rain'; it has flow"),
     "unknown column": (("fit", "flows.csv", *LEVEL, "--map", "flow=rain"), "--map flow=rain: flows.csv has no column 'rain'; there are year, flow"),
-    "no column": (("fit", "flows.csv", "-m", "mine.py"), "flows.csv: no column for the output 'reading'; say which it is with --map reading=COLUMN. There are year, flow"),
+    "no column": (("fit", "rain.csv", "-m", "mine.py"), "rain.csv: no column for the output 'reading'; say which it is with --map reading=COLUMN. There are year, flow, rain"),
     "no column of times": (("fit", "flows.csv", *LEVEL, "--time", "t"), "no column 't'"),
     "text in a column": (("fit", "text.csv", *LEVEL), "text.csv, line 3, column 'flow': 'wet' is not a number"),
     "no text": (("fit", "noise.csv", *LEVEL), "noise.csv, line 1: not UTF-8 text"),
@@ -93,6 +93,7 @@ def folder(tmp_path):
         np.savez(stream, asked=told, rows=np.zeros((1, 7)), left=none)
     with (tmp_path / "evil.state").open("wb") as stream:
         np.savez(stream, asked=np.array([{}], dtype=object), rows=np.zeros((1, 7)))
+    (tmp_path / "rain.csv").write_text("year,flow,rain\n1,2,3\n2,2,1\n3,1,1\n")
     return tmp_path
 
 

@@ -8,8 +8,11 @@ import pytest
 
 import engine
 from engine.data import nile
+from engine.series_tables import read_csv
 from service.auth import digest_of
+from service.columns import counts, match
 from tests.e2e.browser import eventually, ready, service
+from tests.service.test_columns import CASES, text
 
 
 def write(path, **columns):
@@ -336,3 +339,35 @@ def test_100_000_samples(visit, tmp_path):
         page.keyboard.press(key)
         spoken.add(page.evaluate("document.activeElement.ariaLabel"))
     assert len(spoken) == 4  # the cursor moves by what is drawn, so that steps can be seen
+
+
+def test_columns_are_matched_as_the_service_does(visit):
+    """The page has the rules of ``service.columns`` once more; here they meet the same files."""
+    page = visit("/")
+    ready(page)
+    words = ["flow", "Flow", "flow_in", "flow_V", "y", "y1", "u_flow", "level", "t", "year", "rain"]
+    rng = np.random.default_rng(1)
+    cases = [CASES[name][:3] for name in CASES]
+    for _ in range(200):
+        columns = ",".join(rng.permutation(words)[: rng.integers(1, 6)])
+        names = [str(one) for one in rng.permutation(["flow", "level", "rate"])]
+        cut = rng.integers(0, 4)
+        cases.append((columns, " ".join(names[:cut]), " ".join(names[cut : rng.integers(cut, 4)])))
+    asked, expected = [], []
+    for columns, outputs, inputs in cases:
+        table = read_csv(text(columns).encode(), "a.csv")
+        found = match(table, outputs.split(), inputs.split(), {})
+        members = dict.fromkeys(outputs.split(), "y") | dict.fromkeys(inputs.split(), "u")
+        expected.append({f"{members[one]}.{one}": column for one, column in found.items()})
+        channels = [{"member": member, "name": one} for one, member in members.items()]
+        counting = [name for name in table.columns if counts(table.column(name))]
+        asked.append([channels, list(table.columns), counting])
+    found = page.evaluate(
+        """async (asked) => {
+            const { match } = await import("/static/start/match.js");
+            return asked.map(([channels, columns, counting]) =>
+                Object.fromEntries(match(channels, columns, new Set(counting))));
+        }""",
+        asked,
+    )
+    assert found == expected

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import io
 import pickle
+import struct
 import time
+import warnings
+import zipfile
+from contextlib import suppress
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.io import savemat
 
 from engine.data import nile
@@ -204,3 +210,62 @@ def test_nile():
     assert series.y[0, 0] == 1120
     assert series.y.mean() == pytest.approx(919.35)
     assert series.dt == 1.0
+
+
+def claiming(shape):
+    """An .npz whose array has eight bytes and claims to have more."""
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}"
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        text = header.ljust(117) + "\n"
+        archive.writestr(
+            "y.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", 118) + text.encode() + bytes(8)
+        )
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "words"),
+    [
+        (b"y\n" + b"1" * 200_000, "a.csv", "a.csv, line 2: field larger than field limit"),
+        (b'y,u\n"' + b"1,1\n" * 50_000, "a.csv", "a.csv, line .*: field larger than field limit"),
+        (b"y" * 200_000 + b"\n1\n", "a.csv", "a.csv, line 1: field larger"),
+        (claiming("(1000000000000,)"), "a.npz", "claims 8000000000000 bytes and has fewer"),
+        (claiming("(2,)"), "a.npz", "claims 16 bytes"),
+        (b"y\n1_000\n2\n", "a.csv", "line 2, column 'y': '1_000' is not a number"),
+        (b"y\nx\n1_000\n", "a.csv", "line 2, column 'y': 'x' is not a number"),
+        (b"1_0,u\n1,2\n3,4\n", "a.csv", "no column is named y"),  # a name, and no number
+    ],
+)
+def test_cells_and_arrays_that_are_not_what_they_seem(data, name, words):
+    with pytest.raises(SeriesError, match=words):
+        read_series_bytes(data, name)
+
+
+@pytest.mark.parametrize("end", ["", "\n", "\n\n\n", "\n \n\r\n"])
+def test_empty_lines_at_the_end_are_no_samples(end):
+    assert read_series_bytes(f"y\n1\n\n3{end}".encode(), "a.csv").y.tolist()[::2] == [[1.0], [3.0]]
+    assert len(read_series_bytes(f"y\n1\n\n3{end}".encode(), "a.csv")) == 3
+    assert len(read_series_bytes(f"y,u\n1,2\n3,4{end}".encode(), "a.csv")) == 2
+
+
+FILES = {
+    "a.csv": b'# made\nt;y;u\n0;1;"2"\n1;;3\n2;3;4\n',
+    "a.npz": npz(y=np.arange(12.0).reshape(6, 2), t=np.arange(6)),
+    "a.mat": mat(y=np.arange(6.0)[:, None], dt=0.5),
+}
+
+
+@given(st.sampled_from(sorted(FILES)), st.data())
+@settings(max_examples=300, deadline=None)
+def test_whatever_the_bytes_they_are_a_series_or_a_series_error(name, data):
+    """Files with some bytes changed, cut off or repeated: nothing else is raised."""
+    whole = bytearray(FILES[name])
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(whole) - 1))
+        whole[at] = data.draw(st.integers(0, 255))
+    cut = data.draw(st.integers(1, len(whole)))
+    piece = bytes(whole[:cut]) if data.draw(st.booleans()) else bytes(whole) + bytes(whole[cut:])
+    with suppress(SeriesError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        read_series_bytes(piece, name)

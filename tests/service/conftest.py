@@ -11,7 +11,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ import uvicorn
 
 import engine
 from service.app import create_app
+from service.server import server_config
 from service.settings import Settings
 from service.store import Store
 from service.tables import metadata
@@ -122,8 +124,8 @@ class Served(httpx.Client):
     def __init__(self, settings: Settings) -> None:
         self.app = create_app(settings)
         self.port = free_port()
-        config = uvicorn.Config(self.app, port=self.port, log_config=None)
-        self.server = uvicorn.Server(config)
+        here = replace(settings, host="127.0.0.1", port=self.port)
+        self.server = uvicorn.Server(server_config(self.app, here))
         self.thread = threading.Thread(target=self.server.run)
         self.thread.start()
         while not self.server.started:
@@ -173,15 +175,20 @@ class Spawned:
     """``python -m service`` on a free port."""
 
     def __init__(
-        self, state: Path, environment: dict[str, str] | None = None, **settings: Any
+        self,
+        state: Path,
+        environment: dict[str, str] | None = None,
+        before: Sequence[str] = (),
+        **settings: Any,
     ) -> None:
         port = free_port()
         values = {"port": port, "state_dir": state, "workers": 1} | settings
+        self.port = port
         env = {f"RBPS_{name.upper()}": str(value) for name, value in values.items()}
         self.state = state
         self.log = open(state / "log", "ab")  # noqa: SIM115 - closed in stop
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "service"],
+            [*before, sys.executable, "-m", "service"],
             env=os.environ | (environment or {}) | env,
             stderr=self.log,
         )
@@ -214,6 +221,8 @@ def spawn(tmp_path: Path) -> Iterator[Callable[..., Spawned]]:
     for one in made:
         if one.process.poll() is None:
             one.stop()
+        one.client.close()
+        one.log.close()
 
 
 def parent(pid: int) -> int:

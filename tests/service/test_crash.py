@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import httpx
@@ -97,22 +98,85 @@ def test_a_diagnosis_goes_on_with_what_a_killed_worker_had_finished(
     assert without_times(results[0]) == without_times(results[1])
 
 
-def test_a_worker_that_always_dies_fails_the_job(
+def kill_worker(service, workers, eventually, dead):
+    (worker,) = eventually(lambda: workers(service.process.pid))
+    os.kill(worker, signal.SIGKILL)
+    eventually(lambda: dead(worker))
+
+
+def test_a_worker_that_always_dies_at_one_place_fails_the_job_and_it_can_be_resumed(
     spawn, workers, wait, ended, eventually, dead, long
 ):
     service = spawn()
+    long["options"]["particles"] = 10_000  # its first iteration does not end before it is killed
     url = service.client.post("/jobs", json=long).headers["location"]
-    wait(service.client, url, lambda job: job["iteration"] >= 1)
     for restart in range(3):
-        wait(service.client, url, lambda job, n=restart: f"restart {n} " in job["message"] or not n)
-        (worker,) = eventually(lambda: workers(service.process.pid))
-        os.kill(worker, signal.SIGKILL)
-        eventually(lambda pid=worker: dead(pid))
+        wait(
+            service.client,
+            url,
+            lambda job, n=restart: (
+                f"restart {n} " in job["message"] or (not n and job["status"] == "running")
+            ),
+        )
+        kill_worker(service, workers, eventually, dead)
     job = ended(service.client, url)
-    assert job["status"] == "failed"
+    assert (job["status"], job["iteration"]) == ("failed", 0)
     assert "given up after 3 attempts" in job["message"]
     answer = service.client.get(f"{url}/results")
     assert (answer.status_code, answer.json()["title"]) == (500, "worker lost")
+    assert {"href": f"{url}/resume", "rel": "resume", "title": ""} in job["links"]
+    assert service.client.post(f"{url}/resume").json()["status"] in ("accepted", "running")
+    wait(service.client, url, lambda job: job["status"] == "running")
+    kill_worker(service, workers, eventually, dead)
+    wait(service.client, url, lambda job: "restart 1 of 2" in job["message"])
+
+
+def test_losses_with_progress_between_them_do_not_add_up(
+    spawn, workers, wait, ended, eventually, dead, request_, expected
+):
+    """Five of them, where two are allowed at one place."""
+    service = spawn()
+    url = service.client.post("/jobs", json=request_).headers["location"]
+    for k in range(5):
+        wait(service.client, url, lambda job, k=k: job["iteration"] >= 8 * (k + 1))
+        kill_worker(service, workers, eventually, dead)
+        wait(service.client, url, lambda job: "restart 1 of 2" in job["message"])
+    job = ended(service.client, url)
+    assert job["status"] == "successful", job["message"]
+    assert without_seconds(service.client.get(f"{url}/results").json()) == expected
+    assert service.client.get(f"{url}/tasks").json()["tasks"][0]["restarts"] == 5
+
+
+def test_a_stopped_job_goes_on_where_it_was(make_client, wait, ended, request_, expected):
+    client = make_client(workers=1)
+    url = client.post("/jobs", json=request_).headers["location"]
+    wait(client, url, lambda job: job["iteration"] >= 10)
+    stopped = client.delete(url).json()
+    assert stopped["status"] == "dismissed"
+    assert stopped["estimate"]["theta"] is not None
+    reached = client.get(f"{url}/results").json()
+    last = reached["trace"]["iteration"][-1]
+    assert reached["outcome"] == "stopped"
+    assert last >= 10
+    assert reached["estimate"]["theta"]["value"] == reached["trace"]["theta"]["theta"][-1]
+    assert reached["estimate"]["theta"]["standard_error"] is None
+    assert f"after {last} of at most 100" in reached["message"]
+    assert client.get(f"{url}/trace").json()["iteration"] == reached["trace"]["iteration"]
+    assert client.get(f"{url}/request").status_code == 200
+    assert client.get(f"{url}/report").status_code == 404
+
+    assert client.post(f"{url}/resume").status_code == 200
+    job = ended(client, url)
+    assert job["status"] == "successful", job["message"]
+    found = without_seconds(client.get(f"{url}/results").json())
+    assert found == expected
+    assert client.post(f"{url}/resume").status_code == 409
+
+    assert client.delete(url).json()["status"] == "dismissed"
+    assert client.get(f"{url}/trace").json()["iteration"] == []
+    answer = client.post(f"{url}/resume")
+    assert (answer.status_code, "its data are gone" in answer.json()["detail"]) == (409, True)
+    assert client.post("/jobs/none/resume").status_code == 404
 
 
 def test_a_killed_forkserver_is_replaced(
@@ -126,6 +190,17 @@ def test_a_killed_forkserver_is_replaced(
     assert without_seconds(service.client.get(f"{url}/results").json()) == expected
 
 
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_a_forkserver_that_still_loads_goes_with_its_service(
+    spawn, children_of, dead, eventually, how
+):
+    """Loading takes seconds, or on a new machine minutes; nothing is compiled for nobody."""
+    service = spawn()
+    below = eventually(lambda: children_of(service.process.pid))
+    service.stop(how)
+    eventually(lambda: all(dead(pid) for pid in below))
+
+
 def test_a_stopped_service_goes_on_where_it_was(spawn, catch, ended, dead, request_, expected):
     """SIGTERM without draining: the task goes back to the queue unharmed, no loss is counted."""
     service = spawn(lease_seconds=1000)
@@ -137,6 +212,21 @@ def test_a_stopped_service_goes_on_where_it_was(spawn, catch, ended, dead, reque
     assert (job["status"], "restart" in job["message"]) == ("successful", False)
     assert "goes on after iteration" in (again.state / "log").read_text()
     assert without_seconds(again.client.get(f"{url}/results").json()) == expected
+
+
+def test_a_suspended_service_has_lost_nothing(spawn, catch, ended, request_, expected):
+    """Its own clock went on without it, far beyond the time after which silence is a loss."""
+    service = spawn(lease_seconds=1)
+    url, worker = catch(service, request_, iterations=5)
+    for pid in (service.process.pid, worker):
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(3.0)
+    for pid in (service.process.pid, worker):
+        os.kill(pid, signal.SIGCONT)
+    job = ended(service.client, url)
+    assert (job["status"], job["message"].count("restart")) == ("successful", 0)
+    assert (service.state / "log").read_text().count("attempt started") == 1
+    assert without_seconds(service.client.get(f"{url}/results").json()) == expected
 
 
 def test_memory_that_ends_is_taken_from_a_worker_first(spawn, catch, long):

@@ -170,7 +170,7 @@ def test_workers_that_another_service_uses_are_not_free(
 def test_what_ends_after_the_service_has_stopped_is_let_alone(store):
     runner = DaskRunner(store, "tcp://nowhere", Terms(10.0, 10.0, 2, 0), lambda: None)
     store.create("estimate", "linear-2", {}, 10)
-    attempt = store.claim("a", 10.0)
+    attempt = store.claim("a")
     runner.stop(drain=True)
     runner._done(attempt, SimpleNamespace(status="cancelled"))
     assert store.holds(attempt)

@@ -19,8 +19,9 @@ def change(**more):
 
 
 BAD = {
-    "no kind": (change(kind=None), "", None, "kind"),
-    "unknown kind": (change(kind="guess"), "", None, "diagnose"),
+    "no kind": (change(kind=None), "kind", None, "kind"),
+    "unknown kind": (change(kind="guess"), "kind", None, "diagnose"),
+    "kind missing": ({"model": "tanks"}, "kind", None, "kind"),
     "unknown member": (change(modle="tanks"), "modle", None, "Extra"),
     "unknown model": (change(model="tank"), "model", None, "tanks"),
     "effects": (change(model={"name": "tanks", "with": ["offset:y"]}), "model.with", None, "channels"),
@@ -96,6 +97,7 @@ def test_the_channel_is_named(client):
 def test_bodies_that_are_no_request(client, body, status):
     answer = client.post("/jobs", content=body, headers=JSON)
     assert answer.status_code == answer.json()["status"] == status
+    assert ("is not JSON: " in answer.json()["detail"]) == (status == 400)
     assert answer.headers["content-type"] == "application/problem+json"
 
 
@@ -145,6 +147,32 @@ def test_limits(make_client, estimation, long):
     assert client.post("/jobs", json=small).status_code == 201
 
 
+def test_studies_cost_no_more_than_allowed(make_client, estimation):
+    """By what all runs together compute, not by their number."""
+    client = make_client(max_cost=1e6, workers=1)
+    samples = 60
+
+    def post(**options):
+        answer = client.post("/jobs", json=estimation(**options))
+        if answer.status_code == 201:
+            client.delete(answer.headers["location"])
+            return None
+        return answer.json()["errors"][0]
+
+    most = int(1e6 / (samples * 5 * 40))  # 5 iterations, 20 particles and as many trajectories
+    assert post(starts=most) is None
+    error = post(starts=most + 1)
+    assert (error["field"], f"allows {most} of that size" in error["message"]) == (
+        "options.starts",
+        True,
+    )
+    assert post(bootstrap=most)["field"] == "options.bootstrap"
+    assert post(bootstrap=most - 1) is None
+    assert post(starts=2, iterations=1000)["field"] == "options.starts"
+    assert post(iterations=1000) is None  # one run is limited by its time
+    assert post(method="rts-em", bootstrap=10 * most) is None
+
+
 def test_settings_from_the_environment():
     settings = Settings.from_env({"RBPS_PORT": "81", "RBPS_STATE_DIR": "/x", "HOME": "/"})
     assert (settings.port, settings.store_url) == (81, "sqlite:////x/rbps.sqlite")
@@ -152,5 +180,7 @@ def test_settings_from_the_environment():
         Settings.from_env({"RBPS_PROT": "81"})
     with pytest.raises(ValueError, match="RBPS_PORT='x' is not of type int"):
         Settings.from_env({"RBPS_PORT": "x"})
-    with pytest.raises(ValueError, match="workers = 0"):
-        Settings(workers=0)
+    for wrong in ("workers = 0", "port = 99999", "max_queue_per_key = 1000"):
+        name, _, value = wrong.partition(" = ")
+        with pytest.raises(ValueError, match=wrong):
+            Settings(**{name: int(value)})

@@ -123,8 +123,9 @@ def test_results_before_the_end_cancel_and_list(client, long, wait, eventually, 
     assert (answer.status_code, answer.json()["status"]) == (200, "dismissed")
     eventually(lambda: not client.app.state.supervisor.running())
     assert time.monotonic() - begin < 2.0 * patience
-    assert client.get(f"{url}/results").status_code == 404
+    assert client.get(f"{url}/results").json()["outcome"] == "stopped"
     assert client.delete(url).json()["status"] == "dismissed"
+    assert client.get(f"{url}/results").status_code == 404
     listed = client.get("/jobs?status=dismissed").json()["jobs"]
     assert [job["jobID"] for job in listed] == [url.removeprefix("/jobs/")]
 

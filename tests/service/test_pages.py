@@ -26,6 +26,9 @@ BROWSER = "text/html,application/xhtml+xml,application/xml;q=0.9,image/avif,*/*;
         ("text/html;q=0.5, application/json", False),
         ("text/html;q=0.9, application/json;q=0.8", True),
         ("text/html;q=nan", False),
+        ("text/html;q=\u00b2", False),
+        ("text/html;q=\u0661", False),
+        ("text/html;q=1.", True),
     ],
 )
 def test_preference(accept, html):

@@ -2,42 +2,95 @@
 
 import json
 import threading
+import time
 
 import numpy as np
 import pytest
 
 from service import stages
 from service.attempt import StoredParts
+from service.clocks import Silence
 from service.prepare import load
-from service.store import KeyReused
+from service.store import KeyReused, QueueFull, Store
 
 
 def test_an_attempt_that_lost_its_task_cannot_write(store):
     job_id = store.create("estimate", "linear-2", {}, 10)
-    first = store.claim("one", lease=-1.0)
-    assert store.claim("two", 10.0) is None
-    assert store.expire(losses_allowed=2) == 1
-    second = store.claim("two", 10.0)
-    assert (second.losses, second.task) == (1, first.task)
+    first = store.claim("one")
+    assert store.claim("two") is None
+    assert store.expire(store.beats(), losses_allowed=2) == 1
+    second = store.claim("two")
+    assert second.task == first.task
     assert not store.record(first, 1, {})
     assert not store.finish(first, {"mine": 1})
     assert not store.fail(first, {"detail": "mine"})
-    assert not store.renew(first, 10.0)
+    assert not store.renew(first)
     assert not store.lost(first, "gone", 2)
-    assert store.renew(second, 10.0)
+    assert store.renew(second)
     assert store.finish(second, {"mine": 2})
     assert store.document(second.job, "result") == b'{"mine":2}'
     assert store.job(job_id).status == "successful"
     assert not store.finish(second, {"mine": 3})
 
 
+@pytest.mark.parametrize("hours", [-1000, -1, 1, 1000])
+def test_a_wall_clock_that_is_set_changes_nothing(store, monkeypatch, hours):
+    """Neither is a task lost whose heart beats, nor one kept whose heart stands still."""
+    store.create("estimate", "linear-2", {}, 10, stages=[2])
+    alive, gone = store.claim("one"), store.claim("two")
+    now = [0.0]
+    silence = Silence(15.0, lambda: now[0])
+    silence.look(store.beats())
+    wall = time.time
+    monkeypatch.setattr(time, "time", lambda: wall() + 3600.0 * hours)
+    for _ in range(20):
+        now[0] += 1.0
+        assert store.renew(alive)
+        silent = silence.look(store.beats())
+    assert list(silent) == [gone.token]
+    assert store.expire(silent, 2) == 1
+    assert store.holds(alive)
+    assert store.claim("three").task == gone.task
+
+
+def test_a_heartbeat_that_went_on_meanwhile_is_no_loss(store):
+    store.create("estimate", "linear-2", {}, 10)
+    attempt = store.claim("one")
+    silent = store.beats()
+    assert store.renew(attempt)
+    assert store.expire(silent, 2) == 0
+    assert store.holds(attempt)
+
+
+def test_the_store_of_an_earlier_version_is_taken_over(store):
+    waiting = store.create("estimate", "linear-2", {"n": 1}, 10)
+    dismissed = store.create("estimate", "linear-2", {"n": 1}, 10)
+    store.dismiss(dismissed)
+    with store._engine.begin() as sql:
+        for table, column in (
+            ("tasks", "beat"),
+            ("tasks", "futile"),
+            ("tasks", "mark"),
+            ("jobs", "removed"),
+        ):
+            sql.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {column}")
+        sql.exec_driver_sql("ALTER TABLE tasks ADD COLUMN lease_until DOUBLE PRECISION")
+    newer = Store(store.url)
+    assert [newer.job(one).removed for one in (waiting, dismissed)] == [0, 1]
+    attempt = newer.claim("one")
+    assert newer.beats() == {attempt.token: 1}
+    assert newer.renew(attempt)
+    assert newer.finish(attempt, {})
+    newer.close()
+
+
 def test_what_an_attempt_keeps_is_there_for_the_next_and_goes_with_the_job(store):
     store.create("diagnose", "linear-2", {}, 100)
-    first = store.claim("one", 10.0)
+    first = store.claim("one")
     assert store.keep(first, 0, "0")
     assert store.keep(first, 1, '{"at": NaN}')
     assert store.lost(first, "killed", 2)
-    second = store.claim("two", 10.0)
+    second = store.claim("two")
     assert not store.keep(first, 2, "late")
     assert store.keep(second, 2, "2")
     assert store.kept(second.job) == ["0", '{"at": NaN}', "2"]
@@ -48,7 +101,7 @@ def test_what_an_attempt_keeps_is_there_for_the_next_and_goes_with_the_job(store
 
 def test_parts_of_another_version_or_of_before_it_was_begun_anew_are_left_alone(store, monkeypatch):
     store.create("diagnose", "linear-2", {}, 100)
-    first = store.claim("one", 10.0)
+    first = store.claim("one")
     parts = StoredParts(store, first)
     parts["asked"], parts["fit"], parts["screen"] = "one model", 1, 2
     assert dict(StoredParts(store, first)) == parts == {"asked": "one model", "fit": 1, "screen": 2}
@@ -72,26 +125,26 @@ def test_stages_follow_each_other_whoever_runs_them(store, estimation):
     plan = stages.plan(job.request)
     assert plan == [("fit", 2), ("choose", 1), ("resample", 2), ("summarize", 1)]
     made = store.create("estimate", "linear-2", request, 12, [n for _, n in plan])
-    first, second = store.claim("a", 10.0), store.claim("b", 10.0)
+    first, second = store.claim("a"), store.claim("b")
     assert (first.task, second.task) == (0, 1)
-    assert store.claim("c", 10.0) is None
+    assert store.claim("c") is None
     assert store.lost(first, "killed", 2)
-    first = store.claim("a", 10.0)
-    assert (first.task, first.losses) == (0, 1)
+    first = store.claim("a")
+    assert first.task == 0
     assert store.finish(second, {"n": 1})
-    assert store.claim("c", 10.0) is None
+    assert store.claim("c") is None
     assert store.finish(first, {"n": 0})
-    choose = store.claim("c", 10.0)
+    choose = store.claim("c")
     assert choose.task == 2
-    assert store.claim("d", 10.0) is None
+    assert store.claim("d") is None
     assert json.loads(store.document(choose.job, "task-1")) == {"n": 1}
     assert store.finish(choose, {"n": 2})
-    third, fourth = store.claim("a", 10.0), store.claim("b", 10.0)
+    third, fourth = store.claim("a"), store.claim("b")
     assert (third.task, fourth.task) == (3, 4)
     assert store.finish(third, {})
     assert store.finish(fourth, {})
     assert store.job(made).status == "running"
-    assert store.finish(store.claim("a", 10.0), {"n": 5})
+    assert store.finish(store.claim("a"), {"n": 5})
     assert store.job(made).status == "successful"
 
 
@@ -101,7 +154,7 @@ def test_many_claim_and_each_task_is_given_once_in_order(store):
 
     def claim(name):
         try:
-            while (attempt := store.claim(name, 10.0)) is not None:
+            while (attempt := store.claim(name)) is not None:
                 claimed.append(attempt.job_id)
                 assert store.finish(attempt, {"by": name})
         except Exception as error:  # noqa: BLE001 - shown by the assertion below
@@ -118,9 +171,93 @@ def test_many_claim_and_each_task_is_given_once_in_order(store):
     assert all(abs(place - i) < 8 for i, place in enumerate(first))
 
 
+def test_the_key_with_fewest_attempts_goes_first_and_its_oldest_job(store):
+    """One job with many tasks, or many jobs of one key, keep nobody else waiting."""
+    for owner, n in (("a", 3), ("a", 1), ("b", 2), ("c", 1)):
+        store.create("estimate", "linear-2", {}, 10, stages=[n], owner=owner)
+    order = [store.claim("x") for _ in range(7)]
+    assert [(one.job, one.task) for one in order] == [
+        (1, 0), (3, 0), (4, 0),  # one of each key
+        (1, 1), (3, 1), (1, 2), (2, 0),
+    ]  # fmt: skip
+    assert store.claim("x") is None
+
+
+def test_limits_of_the_queue_and_who_is_not_counted_by_them(store):
+    most = [(None, 3), ("a", 2)]
+    first = store.create("simulate", "m", {}, 1, owner="a", idempotency_key="k", most=most)
+    store.create("simulate", "m", {}, 1, owner="a", most=most)
+    with pytest.raises(QueueFull, match="2"):
+        store.create("simulate", "m", {}, 1, owner="a", most=most)
+    again = store.create("simulate", "m", {}, 1, owner="a", idempotency_key="k", most=most)
+    assert again == first  # its job is there, however full the queue is
+    with pytest.raises(KeyReused):
+        store.create("simulate", "m", {"n": 2}, 1, owner="a", idempotency_key="k", most=most)
+    store.create("simulate", "m", {}, 1, owner="b", most=[(None, 3), ("b", 2)])
+    with pytest.raises(QueueFull, match="3"):
+        store.create("simulate", "m", {}, 1, owner="c", most=[(None, 3), ("c", 2)])
+    store.dismiss(first)
+    store.create("simulate", "m", {}, 1, owner="a", most=most)
+    with pytest.raises(QueueFull):
+        store.resume(first, most)
+    assert store.job(first).status == "dismissed"
+
+
+def test_no_more_jobs_than_allowed_however_many_come_at_once(tmp_path):
+    store, results = Store(f"sqlite:///{tmp_path}/a.sqlite"), []
+
+    def create():
+        try:
+            results.append(store.create("simulate", "m", {}, 1, most=[(None, 5)]))
+        except QueueFull:
+            results.append(None)
+
+    threads = [threading.Thread(target=create) for _ in range(20)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sum(one is not None for one in results) == 5
+    store.close()
+
+
+WRITERS = {
+    "record": lambda store, attempt: store.record(attempt, 1, {}),
+    "finish": lambda store, attempt: store.finish(attempt, {}),
+    "fail": lambda store, attempt: store.fail(attempt, {"detail": "no"}),
+    "lost": lambda store, attempt: store.lost(attempt, "killed", 2),
+    "expire": lambda store, attempt: store.expire({attempt.token: 1}, 2),
+    "dismiss": lambda store, attempt: store.dismiss(attempt.job_id),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_who_waits_for_a_job_holds_none_of_its_tasks(postgres, eventually, name):
+    """Locks are taken in one order, job before task, so that no two writers wait for each other."""
+    store = Store(postgres)
+    try:
+        store.create("estimate", "linear-2", {}, 10)
+        attempt = store.claim("a")
+        writer = threading.Thread(target=WRITERS[name], args=(store, attempt))
+        waiting = "SELECT count(*) FROM pg_locks WHERE NOT granted"
+        with store._engine.begin() as sql:
+            sql.exec_driver_sql(f"SELECT * FROM jobs WHERE seq = {attempt.job} FOR UPDATE")
+            writer.start()
+            with store._engine.begin() as other:
+                eventually(lambda: other.exec_driver_sql(waiting).scalar())
+                other.exec_driver_sql(
+                    f"SELECT * FROM tasks WHERE job = {attempt.job} FOR UPDATE NOWAIT"
+                )
+        writer.join()
+    finally:
+        with store._engine.begin() as sql:
+            sql.exec_driver_sql("TRUNCATE jobs CASCADE")
+        store.close()
+
+
 def test_iterations_come_back_with_the_same_bits(store):
     store.create("estimate", "linear-2", {}, 10)
-    attempt = store.claim("a", 10.0)
+    attempt = store.claim("a")
     rng = np.random.default_rng(0)
     rows = {k: np.append(rng.standard_normal(4), np.nan) for k in range(5)}
     assert store.record(attempt, 2, {k: rows[k] for k in (0, 1, 2)})
@@ -151,16 +288,101 @@ def test_a_key_names_one_job_however_many_ask(store):
         store.create("simulate", "m", {"n": 2}, 1, idempotency_key="k", owner="o")
 
 
-def test_dismissed_jobs_leave_no_data(store):
+def lose(store, rows=(), parts=()):
+    """An attempt that writes iterations or finished parts of a diagnosis, and is lost."""
+    attempt = store.claim("a")
+    if rows:
+        assert store.record(attempt, max(rows), {k: np.zeros(5) for k in rows})
+    for n in parts:
+        assert store.keep(attempt, n, "{}")
+    assert store.lost(attempt, "killed", 2)
+    return store.job(attempt.job_id)
+
+
+@pytest.mark.parametrize("what", ["rows", "parts"])
+def test_losses_count_only_where_nothing_was_reached_between_them(store, what):
+    store.create("estimate", "linear-2", {}, 100)
+    for i in range(5):  # far more than are allowed
+        job = lose(store, **{what: [2 * i + 1, 2 * i + 2]})
+        assert (job.status, "(restart 1 of 2)" in job.message) == ("running", True)
+    assert "(restart 2 of 2)" in lose(store).message
+    job = lose(store)
+    assert (job.status, job.message) == ("failed", "killed; given up after 3 attempts")
+    ((task, _),) = store.tasks(job.seq)
+    assert task.losses == 6
+
+
+def test_a_loss_before_the_first_checkpoint_counts(store):
+    store.create("estimate", "linear-2", {}, 100)
+    assert "(restart 1 of 2)" in lose(store, rows=[0]).message  # row 0 is the start
+    assert "(restart 2 of 2)" in lose(store).message
+    assert lose(store).status == "failed"
+
+
+def test_no_loss_is_allowed_where_none_is(store):
+    store.create("estimate", "linear-2", {}, 100)
+    attempt = store.claim("a")
+    assert store.record(attempt, 3, {3: np.zeros(5)})
+    assert store.expire(store.beats(), losses_allowed=0) == 1
+    assert store.job(attempt.job_id).status == "failed"
+
+
+@pytest.mark.parametrize("how", ["fails", "is lost", "is stopped", "is stopped in the queue"])
+def test_what_ended_before_its_result_goes_on(store, how):
+    made = store.create("estimate", "linear-2", {"n": 1}, 100, stages=[2, 1])
+    done = store.claim("a")
+    assert store.finish(done, {"task": 0})
+    if how == "is lost":
+        for _ in range(3):
+            lose(store)
+    elif how != "is stopped in the queue":
+        attempt = store.claim("a")
+        assert store.record(attempt, 1, {0: np.zeros(5), 1: np.ones(5)}, {"theta": 0.5}, 1.0)
+        assert store.fail(attempt, {"detail": "no"}) if how == "fails" else store.dismiss(made)
+        assert not store.record(attempt, 2, {2: np.ones(5)})
+    if how == "is stopped in the queue":
+        store.dismiss(made)
+    assert store.claim("a") is None
+    resumed = store.resume(made)
+    assert (resumed.status, resumed.problem, resumed.finished) == ("accepted", None, None)
+    assert store.resume(made).status == "accepted"  # and once more: no difference
+    again = store.claim("a")
+    assert (again.task, store.job(made).status) == (1, "running")
+    if how in ("fails", "is stopped"):
+        assert store.rows(again.job, 1)[0] == [0, 1]
+    assert "(restart 1 of 2)" in lose_again(store, again).message  # losses are counted anew
+    assert store.finish(store.claim("a"), {"task": 1})
+    assert store.finish(store.claim("a"), {"result": 1})
+    assert store.job(made).status == "successful"
+    assert store.resume(made).status == "successful"
+    assert store.claim("a") is None
+
+
+def lose_again(store, attempt):
+    assert store.lost(attempt, "killed", 2)
+    return store.job(attempt.job_id)
+
+
+def test_a_stopped_job_keeps_its_data_and_a_removed_one_does_not(store):
     made = store.create("estimate", "linear-2", {"y": [1, 2]}, 10)
-    attempt = store.claim("a", 10.0)
-    assert store.record(attempt, 0, {0: np.zeros(5)})
-    assert store.dismiss(made).status == "dismissed"
+    attempt = store.claim("a")
+    assert store.record(attempt, 1, {0: np.zeros(5), 1: np.ones(5)}, {"theta": 0.5}, 1.0)
+    assert store.keep(attempt, 0, "part")
+    assert (store.dismiss(made).status, store.job(made).removed) == ("dismissed", 0)
     assert not store.holds(attempt)
-    assert not store.record(attempt, 1, {1: np.zeros(5)})
+    assert not store.record(attempt, 2, {2: np.zeros(5)})
+    assert store.document(attempt.job, "request") == b'{"y":[1,2]}'
+    assert store.kept(attempt.job) == ["part"]
+    assert (store.rows(attempt.job)[0], store.job(made).estimate) == ([0, 1], '{"theta":0.5}')
+
+    assert (store.dismiss(made).status, store.job(made).removed) == ("dismissed", 1)
     assert store.document(attempt.job, "request") is None
-    assert store.rows(attempt.job)[0] == []
+    assert store.kept(attempt.job) == []
+    assert (store.rows(attempt.job)[0], store.job(made).estimate) == ([], None)
+    assert store.resume(made).status == store.dismiss(made).status == "dismissed"
+    assert store.claim("a") is None
     assert store.dismiss("none") is None
+    assert store.resume("none") is None
     assert store.counts() == {"dismissed": 1}
     store.check()
 

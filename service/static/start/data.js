@@ -2,7 +2,7 @@
 
 import { element, number, post, Problem } from "/static/api.js";
 import { chart } from "/static/charts.js";
-import { guess } from "/static/start/guess.js";
+import { match } from "/static/start/match.js";
 import { withUnit } from "/static/start/model.js";
 
 const by = (id) => document.getElementById(id);
@@ -113,7 +113,7 @@ export class DataCard {
     this.showFacts();
     const columns = this.columns();
     const usable = columns.filter((one) => !one.problem).map((one) => one.name);
-    const guessed = this.job ? new Map() : guess(this.channels, usable.filter((name) => name !== by("time").value), columns.length - usable.length);
+    const guessed = this.job ? new Map() : match(this.channels, usable.filter((name) => name !== by("time").value), new Set(columns.filter((one) => one.counts).map((one) => one.name)));
     this.selects = new Map();
     const rows = this.channels.map((channel, i) => {
       const key = `${channel.member}.${channel.name}`;

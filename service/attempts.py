@@ -1,0 +1,200 @@
+"""The store as supervisors and workers use it: who may work on which task, and what they write."""
+
+from __future__ import annotations
+
+import json
+import time
+import uuid
+from collections.abc import Mapping
+from itertools import accumulate
+from typing import Any
+
+from sqlalchemy import and_, delete, func, insert, select, update
+
+from engine.model import Array
+from service.reserve import Reserve
+from service.strict_json import dumps, finite
+from service.tables import connect, documents, iterations, jobs, tasks
+from service.transitions import KEPT, Attempt, add_tasks, end, fail, locked, lose, mine, of, put
+
+
+class Attempts:
+    """One database; usable from many threads, and from many processes by its URL."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+        self._engine = connect(url)
+        self._read = self._engine.execution_options(write=False)
+        sqlite = self._engine.dialect.name == "sqlite"
+        self._reserve = Reserve(self._engine.url.database if sqlite else None)
+
+    def close(self) -> None:
+        """Close the pooled connections."""
+        self._engine.dispose()
+
+    def claim(self, holder: str) -> Attempt | None:
+        """The oldest task of the key with fewest attempts, or None; its heartbeat begins."""
+        now, token = time.time(), uuid.uuid4().hex
+        busy = (
+            select(jobs.c.owner, func.count().label("n"))
+            .join(tasks, tasks.c.job == jobs.c.seq)
+            .where(tasks.c.state == "running")
+            .group_by(jobs.c.owner)
+            .subquery()
+        )
+        first = (
+            select(tasks, jobs.c.id, jobs.c.status, jobs.c.run_seconds)
+            .join(jobs, jobs.c.seq == tasks.c.job)
+            .join(busy, busy.c.owner == jobs.c.owner, isouter=True)
+            .where(tasks.c.state == "queued")
+            .order_by(func.coalesce(busy.c.n, 0), tasks.c.job, tasks.c.task)
+            .limit(1)
+        )
+        with self._read.begin() as sql:  # an idle service does not write
+            if sql.execute(first).first() is None:
+                return None
+        with self._engine.begin() as sql:
+            both = first.with_for_update(skip_locked=True, key_share=True, of=[jobs, tasks])
+            task = sql.execute(both).first()
+            if task is None:
+                return None
+            sql.execute(
+                update(tasks)
+                .where(tasks.c.job == task.job, tasks.c.task == task.task)
+                .values(state="running", token=token, holder=holder, beat=tasks.c.beat + 1)
+            )
+            if task.status == "accepted":
+                sql.execute(
+                    update(jobs)
+                    .where(jobs.c.seq == task.job)
+                    .values(
+                        status="running",
+                        started=func.coalesce(jobs.c.started, now),
+                        updated=now,
+                    )
+                )
+        return Attempt(task.job, task.id, task.task, token, task.run_seconds)
+
+    def running(self) -> int:
+        """How many tasks belong to an attempt, of whichever service."""
+        with self._read.begin() as sql:
+            query = select(func.count()).select_from(tasks).where(tasks.c.state == "running")
+            return int(sql.scalar(query) or 0)
+
+    def renew(self, attempt: Attempt) -> bool:
+        """One more heartbeat; False if the task is no longer this attempt's."""
+        with self._engine.begin() as sql:
+            return mine(sql, attempt, beat=tasks.c.beat + 1)
+
+    def beats(self) -> dict[str, int]:
+        """The heartbeats of all attempts, of whichever service, by their tokens."""
+        with self._read.begin() as sql:
+            query = select(tasks.c.token, tasks.c.beat).where(tasks.c.state == "running")
+            return {row.token: row.beat for row in sql.execute(query)}
+
+    def holds(self, attempt: Attempt) -> bool:
+        """Whether the task is still this attempt's; reads only."""
+        with self._read.begin() as sql:
+            found = sql.scalar(select(func.count()).select_from(tasks).where(of(attempt)))
+        return bool(found)
+
+    def record(
+        self,
+        attempt: Attempt,
+        iteration: int,
+        rows: Mapping[int, Array],
+        estimate: Mapping[str, float] | None = None,
+        log_likelihood: float | None = None,
+        message: str = "",
+    ) -> bool:
+        """Write progress, with the iterations {k: row} done since the last time."""
+        with self._engine.begin() as sql:
+            locked(sql, attempt.job)
+            if not mine(sql, attempt, iteration=iteration):
+                return False
+            key = {"job": attempt.job, "task": attempt.task}
+            if rows:
+                new = [
+                    key | {"k": k, "row": row.astype(float).tobytes()} for k, row in rows.items()
+                ]
+                sql.execute(insert(iterations), new)
+            progress: dict[str, Any] = {"updated": time.time()}
+            if message:
+                progress["message"] = message
+            progress["iteration"] = (
+                select(func.sum(tasks.c.iteration))
+                .where(tasks.c.job == attempt.job)
+                .scalar_subquery()
+            )
+            if estimate is not None:
+                progress |= {"estimate": dumps(estimate), "log_likelihood": finite(log_likelihood)}
+            sql.execute(update(jobs).where(jobs.c.seq == attempt.job).values(progress))
+        return True
+
+    def keep(self, attempt: Attempt, n: int, text: str) -> bool:
+        """Write the n-th text for a later attempt at the job's only task; they go when it is done."""
+        with self._engine.begin() as sql:
+            if not mine(sql, attempt, state="running"):
+                return False
+            put(sql, attempt.job, f"{KEPT}{n:08d}", text)
+        return True
+
+    def finish(self, attempt: Attempt, result: Any, message: str = "") -> bool:
+        """The task is done. The last task of a stage starts the next; that of all ends the job."""
+        with self._engine.begin() as sql:
+            job = locked(sql, attempt.job)
+            if not mine(sql, attempt, state="done"):
+                return False
+            states = list(sql.scalars(select(tasks.c.state).where(tasks.c.job == attempt.job)))
+            ends = list(accumulate(json.loads(job.stages)))
+            last = attempt.task + 1 == ends[-1]
+            put(sql, attempt.job, "result" if last else f"task-{attempt.task}", dumps(result))
+            if last:
+                left_over = and_(documents.c.job == job.seq, documents.c.name.startswith(KEPT))
+                sql.execute(delete(documents).where(left_over))
+                end(sql, job.seq, "successful", message=message)
+            elif set(states) == {"done"}:
+                stage = ends.index(len(states))
+                add_tasks(sql, attempt.job, ends[stage], ends[stage + 1])
+        return True
+
+    def fail(self, attempt: Attempt, problem: Mapping[str, Any]) -> bool:
+        """The job failed, for a reason another attempt would meet again."""
+        with self._engine.begin() as sql:
+            locked(sql, attempt.job)
+            if not mine(sql, attempt, state="stopped"):
+                return False
+            fail(sql, attempt.job, problem)
+        return True
+
+    def lost(self, attempt: Attempt, cause: str, losses_allowed: int) -> bool:
+        """The worker died: queue the task again, or fail the job after too many losses."""
+        with self._engine.begin() as sql:
+            locked(sql, attempt.job)
+            if not mine(sql, attempt, state="running"):
+                return False
+            lose(sql, attempt.job, attempt.task, cause, losses_allowed)
+        return True
+
+    def release(self, attempt: Attempt) -> bool:
+        """Give a task back unharmed: the service stops and will go on with it later."""
+        with self._engine.begin() as sql:
+            return mine(sql, attempt, state="queued", token=None)
+
+    def expire(self, silent: Mapping[str, int], losses_allowed: int) -> int:
+        """Queue tasks again whose heartbeats, by token, still stand where they stood; how many."""
+        lost = 0
+        for token, beat in silent.items():
+            query = select(tasks).where(
+                tasks.c.state == "running", tasks.c.token == token, tasks.c.beat == beat
+            )
+            with self._engine.begin() as sql:
+                if (task := sql.execute(query).one_or_none()) is None:
+                    continue
+                locked(sql, task.job)
+                if (task := sql.execute(query).one_or_none()) is None:  # while waiting for the lock
+                    continue
+                cause = "the process that watched the worker disappeared"
+                lose(sql, task.job, task.task, cause, losses_allowed)
+                lost += 1
+        return lost

@@ -1,0 +1,86 @@
+"""Which column of a file is which channel of a model: one answer for command line, upload and page.
+
+In this order: a column of the channel's name; of that name with ``y_`` or ``u_`` before it, as written
+files have it; of that name with a unit behind it (``voltage_V``), where there is only one; the columns
+called y... or u..., where they are as many as the channels; the only column of numbers that is left, for
+the only output that is left. The page does the same in ``static/start/match.js``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from engine.errors import SeriesError
+from engine.series_files import TIME, is_channel
+from engine.series_tables import Table
+
+Test = Callable[[str, str, str], bool]  # column, channel, y or u
+
+
+def match(
+    table: Table,
+    outputs: Iterable[str],
+    inputs: Iterable[str],
+    given: Mapping[str, str],
+    other: Collection[str] = (),
+) -> dict[str, str]:
+    """{channel: column}, with what is ``given``, for all channels that have a column.
+
+    ``other`` are columns that are something else.
+    """
+    found = dict(given)
+    roles = {"y": list(outputs), "u": list(inputs)}
+    taken = {*found.values(), *other}
+    left = [name for name in table.columns if name not in taken and not TIME.fullmatch(name)]
+
+    def take(channel: str, column: str) -> None:
+        found[channel] = column
+        left.remove(column)
+
+    for test in _BY_NAME:
+        for prefix, channels in roles.items():
+            for channel in channels:
+                named = [column for column in left if test(column, channel, prefix)]
+                if channel not in found and len(named) == 1:
+                    take(channel, named[0])
+    for prefix, channels in roles.items():
+        open_ = [channel for channel in channels if channel not in found]
+        array = table.groups.get(prefix, [])
+        called = [
+            name for name in left if (name in array if len(array) > 1 else is_channel(name, prefix))
+        ]
+        if len(called) == len(open_):
+            for channel, column in zip(open_, called, strict=True):
+                take(channel, column)
+    open_ = [channel for channels in roles.values() for channel in channels if channel not in found]
+    if len(open_) == 1 and open_[0] in roles["y"]:
+        numbers = [column for column in left if _measured(table, column)]
+        if len(numbers) == 1:
+            take(open_[0], numbers[0])
+    return found
+
+
+_BY_NAME: Sequence[Test] = (
+    lambda column, channel, prefix: column == channel,
+    lambda column, channel, prefix: column.lower() == channel.lower(),
+    lambda column, channel, prefix: column.lower() == f"{prefix}_{channel}".lower(),
+    lambda column, channel, prefix: (
+        column.lower().startswith(channel.lower()) and not column[len(channel) :][:1].isalnum()
+    ),
+)
+
+
+def _measured(table: Table, name: str) -> bool:
+    """Whether a column holds numbers that do not just count, as years and sample numbers do."""
+    try:
+        return not counts(table.column(name))
+    except SeriesError:
+        return False
+
+
+def counts(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
+    """Whether values go up by the same step throughout: a clock, or a number of the row."""
+    steps = np.diff(values)
+    return bool(steps.size and steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0))

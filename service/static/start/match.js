@@ -1,0 +1,39 @@
+// Which column is which channel: match(channels, columns, counting) -> Map("y.flow" -> column).
+//
+// The rules are those of service/columns.py, where they are told; a test compares the two. ``columns``
+// are those that can be used, ``counting`` those of them that only count, as years do.
+
+const TIME = /^(t|time)([ _]?[[(]?s[\])]?)?$/i;
+const BY_NAME = [
+  (column, { name }) => column === name,
+  (column, { name }) => column.toLowerCase() === name.toLowerCase(),
+  (column, { name, member }) => column.toLowerCase() === `${member}_${name}`.toLowerCase(),
+  (column, { name }) => column.toLowerCase().startsWith(name.toLowerCase()) && !/^[\p{L}\p{N}]/u.test(column.slice(name.length)),
+];
+
+export function match(channels, columns, counting) {
+  const found = new Map();
+  let left = columns.filter((column) => !TIME.test(column));
+  const open = (member) => channels.filter((one) => (!member || one.member === member) && !found.has(key(one)));
+  const take = (channel, column) => {
+    found.set(key(channel), column);
+    left = left.filter((one) => one !== column);
+  };
+  for (const test of BY_NAME) {
+    for (const channel of open()) {
+      const named = left.filter((column) => test(column, channel));
+      if (named.length === 1) take(channel, named[0]);
+    }
+  }
+  for (const member of ["y", "u"]) {
+    const called = left.filter((column) => new RegExp(`^${member}(?!\\p{L})`, "iu").test(column));
+    if (called.length === open(member).length) open(member).forEach((channel, i) => take(channel, called[i]));
+  }
+  const numbers = left.filter((column) => !counting.has(column));
+  if (open().length === 1 && open("y").length === 1 && numbers.length === 1) take(open()[0], numbers[0]);
+  return found;
+}
+
+function key({ member, name }) {
+  return `${member}.${name}`;
+}

@@ -1,0 +1,150 @@
+"""What happens to a job's rows, within a transaction of the caller."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Row, and_, delete, func, insert, select, update
+
+from service.strict_json import dumps
+from service.tables import documents, iterations, jobs, tasks
+
+KEPT = "kept-"  # names of documents that serve an attempt's successor
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """The right to work on one task of a job."""
+
+    job: int
+    job_id: str
+    task: int
+    token: str
+    run_seconds: float | None
+
+
+def put(sql: Connection, seq: int, name: str, text: str) -> None:
+    """Write a document of the job."""
+    body = zlib.compress(text.encode(), 1)
+    sql.execute(insert(documents).values(job=seq, name=name, body=body))
+
+
+def add(sql: Connection, values: dict[str, Any]) -> int:
+    """Add a job; its seq."""
+    key = sql.execute(insert(jobs).values(values)).inserted_primary_key
+    return int(key[0]) if key else 0
+
+
+def add_tasks(sql: Connection, seq: int, start: int, stop: int) -> None:
+    """Put the tasks of a stage into the queue."""
+    new = [{"job": seq, "task": i, "state": "queued"} for i in range(start, stop)]
+    sql.execute(insert(tasks), new)
+
+
+def of(attempt: Attempt) -> Any:
+    """The condition that a task is this attempt's."""
+    return and_(
+        tasks.c.job == attempt.job,
+        tasks.c.task == attempt.task,
+        tasks.c.token == attempt.token,
+        tasks.c.state == "running",
+    )
+
+
+def mine(sql: Connection, attempt: Attempt, **values: Any) -> bool:
+    """Change the task if it is still this attempt's; whether it was."""
+    return sql.execute(update(tasks).where(of(attempt)).values(values)).rowcount == 1
+
+
+def locked(sql: Connection, seq: int) -> Row[Any]:
+    """The job, locked against other changes. Who will change a job and tasks of it locks the job first."""
+    query = select(jobs).where(jobs.c.seq == seq)
+    return sql.execute(query.with_for_update(key_share=True)).one()
+
+
+def end(sql: Connection, seq: int, status: str, **values: Any) -> None:
+    """End the job, and stop what of it still waits or runs; its checkpoints stay."""
+    sql.execute(
+        update(tasks)
+        .where(tasks.c.job == seq, tasks.c.state.in_(("queued", "running")))
+        .values(state="stopped")
+    )
+    now = time.time()
+    sql.execute(
+        update(jobs)
+        .where(jobs.c.seq == seq)
+        .values(status=status, finished=now, updated=now, **values)
+    )
+
+
+def fail(sql: Connection, seq: int, problem: Mapping[str, Any]) -> None:
+    """End the job with the problem document that tells why."""
+    detail = str(problem.get("detail", ""))
+    cause = str(problem.get("type", "")).rpartition(":")[2]
+    end(sql, seq, "failed", message=detail, problem=dumps(problem), cause=cause)
+
+
+def lose(sql: Connection, seq: int, task: int, cause: str, allowed: int) -> None:
+    """Queue a task again whose attempt was lost, or fail the job.
+
+    It fails when more attempts than ``allowed`` were lost one after the other without a checkpoint
+    between them: another would be lost at the same place.
+    """
+    this = and_(tasks.c.job == seq, tasks.c.task == task)
+    row = sql.execute(select(tasks).where(this)).one()
+    mark = _checkpoints(sql, seq, task)
+    futile = 1 if mark > row.mark else row.futile + 1
+    if futile > allowed:
+        detail = f"{cause}; given up after {futile} attempts"
+        problem = {
+            "type": "urn:rbps:problem:worker-lost", "title": "worker lost",
+            "status": 500, "detail": detail,
+        }  # fmt: skip
+        fail(sql, seq, problem)
+        return
+    sql.execute(
+        update(tasks)
+        .where(this)
+        .values(state="queued", token=None, losses=row.losses + 1, futile=futile, mark=mark)
+    )
+    message = f"{cause}; goes on where it was (restart {futile} of {allowed})"
+    sql.execute(update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message))
+
+
+def _checkpoints(sql: Connection, seq: int, task: int) -> int:
+    """How far another attempt at the task would go on: iterations, or finished parts of a diagnosis."""
+    rows = select(func.max(iterations.c.k)).where(
+        iterations.c.job == seq, iterations.c.task == task
+    )
+    parts = (
+        select(func.count())
+        .select_from(documents)
+        .where(documents.c.job == seq, documents.c.name.startswith(KEPT))
+    )
+    return (sql.scalar(rows) or 0) + (sql.scalar(parts) or 0)
+
+
+def resume(sql: Connection, seq: int) -> None:
+    """Queue what was stopped of an ended job; losses are counted anew."""
+    sql.execute(
+        update(tasks)
+        .where(tasks.c.job == seq, tasks.c.state == "stopped")
+        .values(state="queued", token=None, futile=0)
+    )
+    values = {"status": "accepted", "finished": None, "problem": None, "cause": None}
+    message = "taken up again; goes on where it was"
+    sql.execute(
+        update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message, **values)
+    )
+
+
+def forget(sql: Connection, seq: int, **values: Any) -> None:
+    """Remove all data of an ended job; its row stays."""
+    for table in (documents, iterations):
+        sql.execute(delete(table).where(table.c.job == seq))
+    gone = {"removed": 1, "estimate": None, "log_likelihood": None, "updated": time.time()}
+    sql.execute(update(jobs).where(jobs.c.seq == seq).values(gone | values))

@@ -1,0 +1,87 @@
+"""Columns become channels alike on the command line, in an upload and on the page."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+
+from engine.series_tables import read_csv, read_npz
+from service.columns import match
+
+CASES = {  # columns, outputs, inputs, what is found
+    "names": ("a,b", "a", "b", {"a": "a", "b": "b"}),
+    "case": ("Level,LEVEL2", "level", "", {"level": "Level"}),
+    "both cases": ("Level,level", "level", "", {"level": "level"}),
+    "as written": ("t,y_level,u_pump", "level", "pump", {"level": "y_level", "pump": "u_pump"}),
+    "unit": ("voltage_V,current [A]", "voltage", "current", {"voltage": "voltage_V", "current": "current [A]"}),
+    "no unit": ("voltages,other", "voltage", "", {}),
+    "two units": ("flow_in,flow_out", "flow", "", {}),
+    "called y and u": ("t,y1,y2,u", "a b", "c", {"a": "y1", "b": "y2", "c": "u"}),
+    "too many called y": ("y1,y2", "a", "", {}),
+    "only one left": ("year,flow", "level", "", {"level": "flow"}),
+    "two left": ("year,flow,rain", "level", "", {}),
+    "none left": ("year,t", "level", "", {}),
+    "only for outputs": ("year,flow,level", "level", "pump", {"level": "level"}),
+    "two open": ("year,flow", "level rate", "", {}),
+    "an exact name first": ("flow_in,flow", "flow", "", {"flow": "flow"}),
+    "time is time": ("time,level_V", "level", "", {"level": "level_V"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_match(name):
+    columns, outputs, inputs, expected = CASES[name]
+    table = read_csv(text(columns).encode(), "a.csv")
+    assert match(table, outputs.split(), inputs.split(), {}) == expected
+
+
+def text(columns):
+    """A file of these columns; year and t count, the others measure something."""
+    names = columns.split(",")
+    rows = [[i if one in ("year", "t") else (7 * i) % 5 for one in names] for i in range(4)]
+    return "\n".join([columns, *(",".join(map(str, row)) for row in rows)])
+
+
+def test_arrays_of_a_file_are_channels_in_their_order():
+    stream = io.BytesIO()
+    np.savez(stream, y=np.ones((3, 2)), u=np.ones((3, 2)), y_names=["p", "q"])
+    table = read_npz(stream.getvalue(), "a.npz")
+    found = match(table, ["a", "b"], ["c", "d"], {})
+    assert found == {"a": "p", "b": "q", "c": "u1", "d": "u2"}
+
+
+def test_what_is_given_is_used_and_not_given_twice():
+    table = read_csv(text("a,b,c").encode(), "x.csv")
+    assert match(table, ["a", "b"], [], {"a": "b"}) == {"a": "b"}
+    assert match(table, ["a"], [], {}, other=["a"]) == {}
+
+
+def test_the_service_takes_its_own_example(client, ended):
+    """As in the README: flows of the Nile beside their years."""
+    example = client.get("/examples/nile.csv").content
+    assert example.startswith(b"year,flow")
+    for name in ("flows.csv", "nile.csv"):
+        request = {"kind": "estimate", "model": "local-level", "options": {"iterations": 2}}
+        answer = client.post(
+            "/jobs/upload", data={"request": json.dumps(request)}, files={"file": (name, example)}
+        )
+        assert answer.status_code == 201, answer.text
+        body = client.get(f"{answer.headers['location']}/request").json()
+        assert body["series"][0]["y"][:3] == [[1120.0], [1160.0], [963.0]]
+        client.delete(answer.headers["location"])
+
+
+def test_the_hint_is_what_helps(client):
+    request = {"kind": "smooth", "model": "local-level"}
+    data = text("year,depth,rain").encode()
+    files = {"file": ("a.csv", data)}
+    answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
+    assert answer.status_code == 422
+    error = answer.json()["errors"][0]
+    assert (error["field"], error["channel"]) == ("series[0].y", "flow")
+    hint = error["message"].partition(" with ")[2].partition(". There")[0]
+    request |= json.loads("{" + hint.replace("COLUMN", "depth") + "}")
+    answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
+    assert answer.status_code == 201
+    client.delete(answer.headers["location"])

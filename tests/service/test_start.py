@@ -1,0 +1,100 @@
+"""A service that cannot start says so in one sentence, and leaves nothing running."""
+
+import os
+import sqlite3
+import stat
+import subprocess
+import sys
+
+import pytest
+
+from service.settings import Settings
+from service.store import Store
+
+NOBODY = "postgresql+psycopg://u:secret@127.0.0.1:1/x"
+
+
+def corrupt(folder):
+    (folder / "rbps.sqlite").write_bytes(b"no database at all\n" * 1000)
+    return "the store sqlite:///.*rbps.sqlite cannot be used: file is not a database"
+
+
+def locked_away(folder):
+    Store(Settings(state_dir=folder).store_url).close()
+    with sqlite3.connect(folder / "rbps.sqlite") as sql:
+        sql.execute(
+            "CREATE TRIGGER no BEFORE INSERT ON pulse BEGIN SELECT RAISE(ABORT, 'read-only'); END"
+        )
+    return "the store sqlite:///.*rbps.sqlite cannot be used: read-only"
+
+
+def a_folder(folder):
+    (folder / "rbps.sqlite").mkdir()
+    return "the store sqlite:///.*rbps.sqlite cannot be used: unable to open database file"
+
+
+@pytest.mark.parametrize("spoil", [corrupt, locked_away, a_folder])
+def test_a_store_that_cannot_be_used(tmp_path, spoil, match):
+    match(spoil(tmp_path), started(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("PORT", "99999", "setting port = 99999; it must be 0 to 65535"),
+        ("PORT", "x", "RBPS_PORT='x' is not of type int"),
+        ("STATE_DIR", "/dev/null", "/dev/null"),
+        ("KEYS_FILE", "/none", "No such file or directory: '/none'"),
+        ("DATABASE_URL", "nonsense", "Could not parse SQLAlchemy URL"),
+        (
+            "DATABASE_URL",
+            "postgresql+psycopg://u:secret@127.0.0.1:1/x",
+            r"the store .*\*\*\*@127.*cannot be used",
+        ),
+    ],
+)
+def test_settings_that_cannot_be_used(tmp_path, match, name, value, words):
+    said = started(tmp_path, **{f"RBPS_{name}": value})
+    match(words, said)
+    assert "secret" not in said
+
+
+def started(folder, **env):
+    """What it says."""
+    values = {"RBPS_STATE_DIR": str(folder), "RBPS_PORT": "0"} | env
+    ended = subprocess.run(
+        [sys.executable, "-m", "service"],
+        env=os.environ | values,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert ended.returncode == 1
+    assert ended.stdout == ""
+    (line,) = ended.stderr.strip().splitlines()
+    return line
+
+
+@pytest.fixture
+def match():
+    import re
+
+    def check(pattern, text):
+        assert text.startswith("rbps: ")
+        assert re.search(pattern, text), text
+
+    return check
+
+
+def test_the_store_is_its_owner_s_alone(tmp_path):
+    before = os.umask(0o022)
+    try:
+        store = Store(Settings(state_dir=tmp_path / "new").store_url)
+        store.create("simulate", "m", {}, 1)
+        files = [*(tmp_path / "new").iterdir()]
+        assert len(files) == 4  # with its journal and the reserve
+        for file in (tmp_path / "new", *files):
+            assert stat.S_IMODE(file.stat().st_mode) & 0o077 == 0, file
+        store.close()
+    finally:
+        os.umask(before)
