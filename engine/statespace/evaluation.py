@@ -22,6 +22,8 @@ else, it is decided which calls a function takes:
 
 from __future__ import annotations
 
+import traceback
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -32,6 +34,15 @@ from engine.statespace.plan import Plan, plan_of, stacked
 from engine.statespace.refutation import count_refutation
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, is_numeric
+
+ENGINE = str(Path(__file__).parents[1])  # this package's own files
+
+
+def line_of(error: BaseException) -> str:
+    """Where in the user's own file an error was raised, "" where that is not known."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if not any(part in f.filename for part in ("site-packages", ENGINE))]
+    return f"{Path(own[-1].filename).name}, line {own[-1].lineno}; " if own else ""
 
 
 class _Verdict:
@@ -204,7 +215,7 @@ class ModelFunction:
         else:
             text = (
                 f"model '{self.model}': {self.name} raised {type(error).__name__}: {error} "
-                f"({rows.place()})"
+                f"({line_of(error)}{rows.place()})"
             )
         if "read-only" in str(error):
             text += "; a function must not write into what it is given: copy it first"

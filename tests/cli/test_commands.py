@@ -340,9 +340,10 @@ def test_diagnose_for_machines(rbps, flows):
 
 def test_diagnose_asks_about_extra_columns(rbps, tmp_path):
     rng = np.random.default_rng(0)
-    level, rain = rng.standard_normal((2, 80))
+    own, rain, read = rng.standard_normal((3, 80))
+    level = 1100 + np.cumsum(np.append(0.0, 20 * own + 60 * rain)[:-1])  # the rain of before
     with (tmp_path / "run.csv").open("w", newline="") as stream:
-        table = zip(100 * level + 300 * rain + 1100, rain, strict=True)
+        table = zip(level + 30 * read, rain, strict=True)
         csv.writer(stream).writerows([["flow", "rain"], *table])
     result = rbps("diagnose", "run.csv", "-m", "local-level", "--extra", "rain", "--effects",
                   "extra-input,bias", "--json")  # fmt: skip
