@@ -32,7 +32,8 @@ GOOD = 0.25  # of the expected gain; expected is twice what a quadratic function
 ENOUGH = 1e-3  # an expected gain in log-likelihood below this ends the search
 TRIALS = 8  # sizes tried for a parameter of unknown scale
 PATIENCE = 3  # iterations before a search may be given up as hopeless
-DAMPING = 1e-8
+DAMPING = 1e-8  # of the information scaled to a unit diagonal
+RIDGE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +260,7 @@ def whitening(S: Array, observed: NDArray[np.bool_]) -> Array:
     """S_t^{-1/2} (T, ny, ny) by Cholesky, with zero rows and columns for missing channels."""
     ny = S.shape[1]
     there = observed[:, :, None] & observed[:, None, :]
-    ridge = 1e-12 * np.trace(S, axis1=1, axis2=2)[:, None, None] * np.eye(ny)
+    ridge = RIDGE * np.eye(ny) * S  # of each channel's own variance, whatever their units
     safe = np.where(there, S + ridge, np.eye(ny))
     inverse = np.linalg.inv(np.linalg.cholesky(safe))
     out: Array = np.where(there, inverse, 0.0)

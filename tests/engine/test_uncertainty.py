@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -105,15 +107,16 @@ def test_standard_errors_are_those_of_the_exact_likelihood(many):
     assert np.abs(each.mean() / exact - 1.0) < 0.15  # 12 particles have a bias
 
 
-def test_the_error_of_the_score_is_that_of_a_mean():
+@pytest.mark.parametrize("R", [2, 5])
+def test_the_error_of_the_score_is_that_of_a_mean(R):
     """Exactly, from the scores of the same smoothers."""
-    seeds = np.random.SeedSequence(3).spawn(5)
+    seeds = np.random.SeedSequence(3).spawn(R)
     free = np.array([0])
     score = Score.of(MODEL, BEST, [SERIES], free, 12, 12, exact=False)
     each = np.array([score.at(score.x, which)[0][0] for which in seeds])
-    found = engine.standard_errors(MODEL, BEST, SERIES, replicates=5, seed=3, **SMALL)
+    found = engine.standard_errors(MODEL, BEST, SERIES, replicates=R, seed=3, **SMALL)
     assert found.score[0] == pytest.approx(each.mean())
-    assert found.score_error[0] == pytest.approx(each.std(ddof=1) / np.sqrt(5.0))
+    assert found.score_error[0] == pytest.approx(each.std(ddof=1) / np.sqrt(R))
     assert found.decrement == pytest.approx(each.mean() ** 2 * found.covariance[0, 0])
 
 
@@ -214,6 +217,19 @@ def test_a_bound_that_the_likelihood_draws_away_from_is_named():
     with pytest.warns(NotSettledWarning):
         found = engine.standard_errors(model, at, series, ["q", "r"], exact=True)
     assert not found.settled
+
+
+@pytest.mark.parametrize(("x", "sign"), [(0.0, 1.0), (1.0, -1.0)])
+def test_how_strongly_a_bound_must_be_left(x, sign):
+    """Half a standard error of complete data, beyond the noise of the score."""
+    score = SimpleNamespace(x=np.array([x]), bounds=(np.zeros(1), np.ones(1)), names=("k",))
+    for pull, named in ((6.0, ["k"]), (4.0, []), (-6.0, [])):
+        scores = np.full((4, 1), sign * pull)
+        assert observed._drawn_inside(score, scores, np.array([100.0])) == named
+    noisy = sign * np.array([[0.0], [12.0]])
+    assert observed._drawn_inside(score, noisy, np.array([100.0])) == []
+    score.x = np.array([0.5])
+    assert observed._drawn_inside(score, np.full((4, 1), 9.0), np.array([100.0])) == []
 
 
 def test_intervals_about_another_maximum_say_so():

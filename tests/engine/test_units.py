@@ -16,7 +16,7 @@ from engine.ekf import ekf
 from engine.linear_cost import rb_ffbsi_linear
 from engine.moment_filter import moment_path
 from engine.ps_em import ps_em
-from engine.quasi_ml import quasi_ml
+from engine.quasi_ml import quasi_ml, whitening
 from tests.engine.models_for_tests import (
     awkward_series,
     draw,
@@ -258,3 +258,11 @@ def test_noise_free_states_are_told_apart_in_any_unit(unit):
         assert np.isfinite(filtered.log_likelihood)
         np.testing.assert_array_equal(smoothed.a, np.broadcast_to(smoothed.a[:1], smoothed.a.shape))
         assert len(np.unique(smoothed.a[0])) > 5
+
+
+def test_channels_of_very_different_size_are_whitened_alike():
+    """A ridge by the trace of S would drown the small channel."""
+    S = np.array([[[2.0, 0.5], [0.5, 1.0]]])
+    D = np.diag([1e-9, 1e9])
+    there = np.ones((1, 2), dtype=bool)
+    np.testing.assert_allclose(whitening(D @ S @ D, there) @ D, whitening(S, there), atol=1e-12)
