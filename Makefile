@@ -3,7 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo serve test lint tables bench warm load chaos bench-dask
+.PHONY: setup demo serve test lint tables bench warm load large-bodies chaos bench-dask
 
 setup: .venv/ready
 
@@ -40,9 +40,13 @@ bench: setup
 warm: setup
 	$(BIN)/python -m engine.warm
 
-# The service under 200 jobs and 50 polling clients; and killed at 50 random moments.
+# The service under 200 jobs and 50 polling clients; under one large body; and killed, suspended and
+# with its clock set at 50 random moments.
 load: setup
 	$(BIN)/python -m tests.benchmarks.load
+
+large-bodies: setup
+	$(BIN)/python -m tests.benchmarks.large_bodies
 
 chaos: setup
 	$(BIN)/python -m tests.benchmarks.chaos

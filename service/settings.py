@@ -58,7 +58,7 @@ class Settings:
     max_body: int = 64 * 2**20
     max_series: int = 64
     max_samples: int = 200_000  # of all series of a job together
-    max_values: int = 2_000_000  # numbers of a request or a file: all channels of all samples
+    max_values: int = 1_000_000  # numbers of a request or a file: all channels of all samples
     max_particles: int = 10_000
     max_iterations: int = 100_000
     max_tasks: int = 1000  # starts, or bootstrap runs, of a job

@@ -1,18 +1,22 @@
-"""``make chaos``: kill -9 at 50 random moments under load; every job ends as it would have, bit by bit.
+"""``make chaos``: 50 blows at random moments under load; every job ends as it would have, bit by bit.
 
     python -m tests.benchmarks.chaos [--kills 50] [--jobs 80] [--seed 0] [--results ...] [--keep ...]
 
 Eight clients each keep one job in the service, of every kind, with several starts and a bootstrap,
-some that must fail and some that are cancelled. Meanwhile SIGKILL hits, in an order drawn from the
-seed: a worker; the forkserver above the workers; the service process, in which the supervisor is a
-thread; all processes of the service at once. What each kind of job leaves is compared with what an
-undisturbed service gives. Exits with 1 if a promise is broken. Writes ``service-chaos.md`` and two
-tables of what ``.md`` sums up.
+some that must fail, some that are cancelled, some that are stopped and resumed. Meanwhile SIGKILL hits,
+in an order drawn from the seed: a worker; the forkserver above the workers; the service process, in
+which the supervisor is a thread; all processes of the service at once. All of them are also suspended
+for longer than silence is waited for (SIGSTOP, SIGCONT), and started again with a clock that is an hour
+or a day off (libfaketime, where it is installed). The setting for losses is the default, two at one
+place. At the end one more job loses its worker five times, with iterations between. What each kind of
+job leaves is compared with what an undisturbed service gives. Exits with 1 if a promise is broken.
+Writes ``service-chaos.md`` and two tables of what ``.md`` sums up.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import json
 import os
@@ -38,7 +42,18 @@ CLIENTS, WORKERS, LEASE = 8, 2, 2.0
 PAUSE = (0.05, 3.0)  # s, uniform
 AFTER_JOB = 0.75  # chance that the pause begins when one more job has ended
 PATIENCE = 600.0  # s; a job that has not ended by then hangs
-SHARES = {"worker": 0.4, "forkserver": 0.2, "supervisor": 0.2, "whole service": 0.2}
+SHARES = {
+    "worker": 0.2,
+    "forkserver": 0.2,
+    "supervisor": 0.2,
+    "whole service": 0.1,
+    "suspended": 0.15,
+    "clock set": 0.15,
+}
+SUSPEND = 3.0 * LEASE  # s
+STEPS = ("-3600", "+3600", "-86400", "+86400", "+0")  # s, of the clock of a service started again
+LOSSES, BETWEEN = 5, 20  # of one job's worker, with so many iterations between
+FAKETIME = next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -51,6 +66,7 @@ def jobs() -> dict[str, dict[str, Any]]:
         "estimate": request(0, iterations=60),
         "starts and bootstrap": request(1, 80, 20, starts=3, bootstrap=3),
         "estimate, cancelled": request(2, iterations=20_000),
+        "estimate, resumed": request(8, iterations=60),
         "estimate, PS-EM": request(3, 100, 40, method="ps-em"),
         "smooth": {"kind": "smooth", "model": "linear-2", "options": {"particles": 1000}} | data,
         "estimate, errors": request(4, iterations=40, standard_errors=True),
@@ -96,7 +112,7 @@ class Client(threading.Thread):
     def _one(self, i: int, name: str, body: dict[str, Any]) -> dict[str, Any]:
         headers = {"Idempotency-Key": f"job {i}"}
         job = self.ask("POST", "/jobs", json=body, headers=headers).json()["jobID"]
-        end, before = time.monotonic() + PATIENCE, 0
+        end, before, stopped = time.monotonic() + PATIENCE, 0, False
         while time.monotonic() < end:
             status = self.ask("GET", f"/jobs/{job}").json()
             if status["kind"] == "estimate" and status["iteration"] < before:
@@ -106,8 +122,19 @@ class Client(threading.Thread):
                 return {"job": job, "status": status["status"], "left": left(self, job)}
             if right_end(name) == "dismissed" and before >= 5:
                 self.ask("DELETE", f"/jobs/{job}")
+            if name.endswith("resumed") and before >= 5 and not stopped:
+                stopped = self._stop_and_resume(job)
             time.sleep(0.2)
         return {"job": job, "status": f"hangs: {status['status']}", "left": None}
+
+    def _stop_and_resume(self, job: str) -> bool:
+        """DELETE once, for a second would remove the data; what comes back says whether it was in time."""
+        with contextlib.suppress(httpx.TransportError):  # it may have been done all the same
+            self.http.delete(f"/jobs/{job}")
+        if self.ask("GET", f"/jobs/{job}").json()["status"] == "dismissed":
+            self.ask("POST", f"/jobs/{job}/resume")
+            return True
+        return False
 
     def ask(self, verb: str, path: str, **more: Any) -> httpx.Response:
         """As a careful client: again until there is an answer."""
@@ -129,11 +156,11 @@ class Client(threading.Thread):
 def left(client: Client, job: str) -> Any:
     """All a job left: results or problem, without times; and the trace of every iteration."""
     results = client.ask("GET", f"/jobs/{job}/results").json()
+    if results.get("outcome") == "stopped":
+        return None
     traces = client.ask("GET", f"/jobs/{job}/trace").json()
     for document in (traces, results.get("trace") or {}):
         document.pop("seconds", None)
-    if results.get("title") == "dismissed":
-        return None
     return {"results": results, "trace": traces}
 
 
@@ -185,7 +212,10 @@ def targets(service: ServiceProcess, what: str, which: float) -> list[int]:
         if time.monotonic() > end:
             raise RuntimeError(f"there is no {what}")
         time.sleep(0.01)
-    return [service.process.pid, *(service.below() if what == "whole service" else [])]
+    return [
+        service.process.pid,
+        *(service.below() if what in ("whole service", "clock set") else []),
+    ]
 
 
 def command(pid: int) -> str:
@@ -204,21 +234,65 @@ def strike(service: ServiceProcess, kill: Kill, clients: list[Client]) -> int:
             raise RuntimeError("all clients have given up")
         time.sleep(0.01)
     time.sleep(kill.pause)
+    if kill.what == "suspended":
+        return suspend(service)
+    if kill.what == "clock set" and FAKETIME is not None:
+        step = STEPS[int(kill.which * len(STEPS))]
+        service.environment = {
+            "LD_PRELOAD": str(FAKETIME),
+            "FAKETIME": step,
+            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        }
     for pid in targets(service, kill.what, kill.which):
         try:
             os.kill(pid, signal.SIGKILL)
             hit += 1
         except ProcessLookupError:
             pass
-    if kill.what in ("supervisor", "whole service"):
+    if kill.what in ("supervisor", "whole service", "clock set"):
         service.process.wait()
         service.start()  # not waited for: the next kill may hit it before it answers
     return hit
 
 
+def suspend(service: ServiceProcess) -> int:
+    """All processes stand still, and go on."""
+    pids = [service.process.pid, *service.below()]
+    for how in (signal.SIGSTOP, signal.SIGCONT):
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, how)
+        if how == signal.SIGSTOP:
+            time.sleep(SUSPEND)
+    return len(pids)
+
+
+def lose_repeatedly(service: ServiceProcess) -> dict[str, Any]:
+    """One job whose worker is killed LOSSES times, with BETWEEN iterations between; and an undisturbed one."""
+    client = Client(service.url, iter(()), 0, threading.Event())
+    body = request(9, 400, (LOSSES + 2) * BETWEEN)
+    found = []
+    for kills in (0, LOSSES):
+        job = client.ask("POST", "/jobs", json=body).json()["jobID"]
+        for k in range(kills):
+            while client.ask("GET", f"/jobs/{job}").json()["iteration"] < (k + 1) * BETWEEN:
+                time.sleep(0.05)
+            os.kill(targets(service, "worker", 0.0)[0], signal.SIGKILL)
+        while (status := client.ask("GET", f"/jobs/{job}").json()["status"]) not in ENDED:
+            time.sleep(0.1)
+        restarts = client.ask("GET", f"/jobs/{job}/tasks").json()["tasks"][0]["restarts"]
+        found.append({"status": status, "restarts": restarts, "left": left(client, job)})
+    calm, lost = found
+    return {
+        "restarts": lost["restarts"],
+        "status": lost["status"],
+        "same_bits": calm["left"] == lost["left"],
+    }
+
+
 def disturbed(state: Path, kills: int, n: int, seed: int) -> dict[str, Any]:
     """The run itself: kills, jobs, and what the log says about each attempt."""
-    service = ServiceProcess(state, workers=WORKERS, lease_seconds=LEASE, losses_allowed=kills)
+    service = ServiceProcess(state, workers=WORKERS, lease_seconds=LEASE)
     numbers, done = Numbers(), threading.Event()
     clients = [Client(service.url, numbers, n, done) for _ in range(CLIENTS)]
     begin, killed = time.monotonic(), []
@@ -235,6 +309,7 @@ def disturbed(state: Path, kills: int, n: int, seed: int) -> dict[str, Any]:
             client.join()
     seconds = time.monotonic() - begin
     service.wait_until_up()
+    repeated = lose_repeatedly(service)
     listed = clients[0].ask("GET", "/jobs?limit=1000").json()["jobs"]
     service.stop()
     end = time.monotonic() + 10.0
@@ -244,7 +319,8 @@ def disturbed(state: Path, kills: int, n: int, seed: int) -> dict[str, Any]:
         "kills": killed,
         "jobs": sorted((one for c in clients for one in c.found), key=lambda one: one["number"]),
         "broken": [text for client in clients for text in client.broken],
-        "listed": len(listed),
+        "repeated": repeated,
+        "listed": len(listed) - 2,
         "orphans": len(orphans),
         "seconds": seconds,
         "log": [
@@ -357,20 +433,27 @@ def report(
             not row["same_bits"] for row in compared
         ),
         "tasks computed to their end twice": sum(row["ended_twice"] for row in rows),
+        "a job that lost its worker five times with progress between, failed or differs": int(
+            run["repeated"] != {"restarts": LOSSES, "status": "successful", "same_bits": True}
+        ),
         "jobs that hang": sum(row["status"].startswith("hangs") for row in rows),
         "processes left behind": run["orphans"],
         "answers 500 or 503, progress that went back": len(run["broken"]),
     }
     interrupted = [row for row in compared if row["interrupted"]]
     lines = [
-        "# The service under kill -9",
+        "# The service under kill -9, suspended, and with its clock set",
         "",
-        f"`make chaos`: {len(run['kills'])} times SIGKILL at random moments (seed {seed}), "
-        f"{CLIENTS} clients that keep one job each in the service, {WORKERS} workers, a lease of "
-        f"{LEASE:g} s. The supervisor is a thread of the service process; to kill it is to kill that "
-        "process. An attempt may be lost as often as there are kills (the setting's default is 2).",
+        f"`make chaos`: {len(run['kills'])} blows at random moments (seed {seed}), "
+        f"{CLIENTS} clients that keep one job each in the service, {WORKERS} workers; silence of "
+        f"{LEASE:g} s is a loss, and two at one place are allowed. The supervisor is a thread of the "
+        "service process; to kill it is to kill that process. 'Suspended': all processes stand still for "
+        f"{SUSPEND:g} s. 'Clock set': all are killed, and started with a clock that is "
+        f"{', '.join(STEPS)} s off"
+        + ("" if FAKETIME else " (not here: libfaketime is not installed)")
+        + ".",
         "",
-        "| killed | times |",
+        "| blow | times |",
         "| --- | ---: |",
         *(f"| {what} | {kinds[what]} |" for what in SHARES),
         "",

@@ -3,9 +3,10 @@
     python -m tests.benchmarks.load [--jobs 200] [--clients 50] [--results FOLDER]
 
 All jobs are sent at once and wait in the queue; the clients ask about them once a second each, as
-``Retry-After`` tells them to. Times are those a client sees, and only of requests sent while jobs
-waited, so that all workers had something to do. Exits with 1 if the median is 50 ms or more, an
-answer was wrong, the store was locked, or the queue's order was not kept. Writes
+``Retry-After`` tells them to. Beside them one client sends bodies of 64 MiB, which no job can hold, and
+bodies with as many numbers as are allowed, all through. Times are those a client sees, and only of
+requests sent while jobs waited, so that all workers had something to do. Exits with 1 if the median is
+50 ms or more, an answer was wrong, the store was locked, or the queue's order was not kept. Writes
 ``service-load.md``.
 """
 
@@ -25,6 +26,7 @@ from typing import Any
 import httpx
 import numpy as np
 
+from tests.benchmarks.large_bodies import array
 from tests.benchmarks.machine import Watch
 from tests.benchmarks.service_process import ENDED, ServiceProcess, request
 
@@ -38,6 +40,10 @@ CALLS = {  # what a client asks, how often of 20 times, right answers
     "GET /jobs/{id}/results": (2, {200, 404}),  # 404 result-not-ready
     "GET /jobs": (2, {200}),
     "GET /metrics": (1, {200}),
+}
+LARGE = {  # what the client with large bodies sends, and the right answer
+    "POST /jobs, 64 MiB": (lambda: array(32 << 20), 413),
+    "POST /jobs, as many numbers as are allowed": (lambda: array(999_000), 422),
 }
 
 
@@ -54,13 +60,22 @@ class Load:
     async def run(self) -> list[dict[str, Any]]:
         """Submit all, poll until all have ended; their last status documents."""
         polling = asyncio.create_task(self._poll_all())
+        large = asyncio.create_task(self._send_large())
         bodies = [json.dumps(request(seed, iterations=25)).encode() for seed in range(4)]
         for i in range(self.n_jobs):
             answer = await self._ask("POST", "/jobs", "POST /jobs", {201}, content=bodies[i % 4])
             self.jobs.append(answer.json()["jobID"])
             self.waiting.add(self.jobs[-1])
         await polling
+        await large
         return [(await self.http.get(f"/jobs/{job}")).json() for job in self.jobs]
+
+    async def _send_large(self) -> None:
+        bodies = [(call, make(), {right}) for call, (make, right) in LARGE.items()]
+        while self.waiting or len(self.jobs) < self.n_jobs:
+            for call, body, right in bodies:
+                await self._ask("POST", "/jobs", call, right, content=body)
+                await asyncio.sleep(PAUSE)
 
     async def _poll_all(self) -> None:
         await asyncio.gather(*(self._poll(number) for number in range(self.n_clients)))
@@ -94,7 +109,7 @@ class Load:
 
 async def load(url: str, jobs: int, clients: int) -> tuple[Load, list[dict[str, Any]]]:
     """Put the service under load."""
-    limits = httpx.Limits(max_connections=clients + 1)
+    limits = httpx.Limits(max_connections=clients + 2)
     async with httpx.AsyncClient(base_url=url, timeout=60, limits=limits) as http:
         made = Load(http, jobs, clients)
         return made, await made.run()
@@ -119,6 +134,7 @@ def report(
         all_ms = np.append(all_ms, ms)
         rows.append((call, ms))
     rows.append(("all", all_ms))
+    rows += [(call, np.array([1e3 * took for _, took in made.answers[call]])) for call in LARGE]
     median = float(np.median(all_ms))
     promises = {
         "jobs that were not successful": sum(job["status"] != "successful" for job in ended),
@@ -130,8 +146,9 @@ def report(
         "# The service under load",
         "",
         f"`make load`: {len(ended)} estimations sent at once, {made.n_clients} clients that ask once "
-        f"a second each, {WORKERS} workers. Milliseconds as a client sees them, of requests sent "
-        f"while jobs waited; the client shares the machine. A median below {MEDIAN_MS:g} ms is asked.",
+        f"a second each, one client that sends large bodies, {WORKERS} workers. Milliseconds as a client "
+        f"sees them, of requests sent while jobs waited; the client shares the machine. A median below "
+        f"{MEDIAN_MS:g} ms is asked.",
         "",
         "| call | answers | median | 95 % | 99 % | max |",
         "| --- | ---: | ---: | ---: | ---: | ---: |",

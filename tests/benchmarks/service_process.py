@@ -32,6 +32,7 @@ class ServiceProcess:
         self._env = os.environ | {f"RBPS_{k.upper()}": str(v) for k, v in values.items()}
         self._log = (state / "log").open("ab")
         self.log = state / "log"
+        self.environment: dict[str, str] = {}  # of the next start, beyond this process's own
         self.url = f"http://127.0.0.1:{port}"
         self.start()
         self.wait_until_up()
@@ -39,7 +40,8 @@ class ServiceProcess:
     def start(self) -> None:
         """Start; it does not answer yet."""
         command = [sys.executable, "-m", "service"]
-        self.process = subprocess.Popen(command, env=self._env, stderr=self._log)
+        env = self._env | self.environment
+        self.process = subprocess.Popen(command, env=env, stderr=self._log)
 
     def wait_until_up(self) -> None:
         """Return when it answers."""
