@@ -60,6 +60,10 @@ class Effect:
         """The parameter that is zero when the effect is absent."""
         return self.parameters[0]
 
+    def with_free_zero(self) -> Effect:
+        """The same effect with the zero it counts from estimated too."""
+        return replace(self, held=tuple(name for name in self.held if name != self.zero))
+
     def apply(self, model: MixedModel) -> MixedModel:
         """The extended model, named ``model+kind:channel``, its parameters after the model's own."""
         taken = set(model.parameter_names) & {p.name for p in self.parameters}

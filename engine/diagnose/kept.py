@@ -65,7 +65,8 @@ class Kept:
         """A refit of an effect of ``model``."""
 
         def made(kept: Any) -> Refit:
-            return Refit(effect, _fit(kept, effect.apply(model)), kept["gain"], kept["score"])
+            own = effect.with_free_zero() if effect.zero in kept["free"] else effect
+            return Refit(own, _fit(kept, effect.apply(model)), kept["gain"], kept["score"])
 
         return self._part(f"refit {effect.name}", compute, _of_refit, made)
 

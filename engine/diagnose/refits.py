@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -118,14 +118,13 @@ def _with_zero(refit: Refit, null: float, series: Series) -> Refit:
     effect, known = refit.effect, refit.fit
     if effect.zero is None or known.given_up or not refit.score > 0.0:
         return refit
-    freed = replace(effect, held=tuple(name for name in effect.held if name != effect.zero))
     try:
         found = quasi_ml(
             known.model, series, known.theta, [*known.free, effect.zero], tolerance=TOLERANCE
         )
     except (EngineError, np.linalg.LinAlgError):
         return refit
-    again = _weighed(freed, found, null, series)
+    again = _weighed(effect.with_free_zero(), found, null, series)
     return again if again.score > refit.score else refit
 
 
