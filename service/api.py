@@ -5,7 +5,7 @@ from functools import partial
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Body, Depends, File, Form, Header, Path, Query, Response, UploadFile
+from fastapi import APIRouter, Body, Depends, File, Form, Path, Query, Response, UploadFile
 from fastapi import Request as HttpRequest
 from fastapi.responses import JSONResponse, PlainTextResponse
 
@@ -21,7 +21,6 @@ from service.answers import (
     ModelList,
     ModelOut,
     PreviewOut,
-    ProblemOut,
     Results,
     Status,
     Trace,
@@ -31,9 +30,10 @@ from service.bodies import json_route
 from service.etags import tagged
 from service.examples import EXAMPLES
 from service.found import find_job, find_result, parameter_names, stopped_estimate
+from service.openapi import LINKS, IdempotencyKey, JobId, Points, problem_answers
 from service.prepare import Request, check_limits, dump, find_model, prepare
 from service.preview import preview
-from service.problems import MEDIA_TYPE, Problem, invalid
+from service.problems import Problem, invalid
 from service.schemas import JobRequest, ModelReference
 from service.settings import Settings
 from service.store import ENDED, KeyReused, QueueFull, Store
@@ -41,21 +41,6 @@ from service.strict_json import dumps
 from service.supervisor import Supervisor
 from service.thin import keep, thin_results
 from service.uploads import with_files
-
-JobId = Annotated[str, Path(max_length=64, description="the job's `jobID`")]
-Points = Annotated[
-    int | None, Query(ge=2, le=10**6, description="about so many rows, extremes kept")
-]
-IdempotencyKey = Annotated[
-    str | None,
-    Header(min_length=1, max_length=200, description="a repeat returns the first job"),
-]
-
-
-def problem_answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """OpenAPI entries for problem documents."""
-    content = {MEDIA_TYPE: {"schema": ProblemOut.model_json_schema()}}
-    return {status: {"description": "problem", "content": content} for status in statuses}
 
 
 def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys) -> APIRouter:
@@ -129,7 +114,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     posted: dict[str, Any] = {
         "status_code": 201,
         "response_model": JobStatus,
-        "responses": problem_answers(400, 408, 413, 415, 429),
+        "responses": problem_answers(400, 408, 413, 415, 429) | {201: {"links": LINKS}},
     }
 
     @api.post("/jobs", summary="Submit a job", **posted)

@@ -13,10 +13,10 @@ from starlette.routing import BaseRoute, Route
 from engine.errors import OptionError
 from engine.report import RULES, OnPage, Report, make_report, report_html
 from service.answers import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
-from service.api import JobId, problem_answers
 from service.auth import Keys
 from service.etags import tagged
 from service.found import find_job, find_result, parameter_names, roles
+from service.openapi import JobId, problem_answers
 from service.pages import Page, prefers_html, render
 from service.problems import Problem, invalid
 from service.store import Store

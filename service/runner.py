@@ -124,6 +124,8 @@ class LocalRunner:
         """Let the forkserver load the engine, or on a new machine compile its kernels."""
         try:
             warm_up()
+        except (OSError, EOFError):  # the first attempt tries again, and is given back if it fails
+            log.exception("no worker process could be started to load the engine ahead")
         finally:
             self._warm.set()
             self._on_free()

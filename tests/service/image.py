@@ -1,9 +1,8 @@
-"""A Dockerfile carried out without an engine: each stage in a clean root, then run as it would be.
+"""The image as an engine makes it: built by ``buildah``, which needs no daemon, and run as it would be.
 
-What is understood is what ``docker/Dockerfile`` uses. A stage starts from a copy of a minimal Debian
-root; ``RUN`` is a ``chroot`` with nothing of this machine's environment; packages come from a folder
-of wheels. A container is a process in namespaces of its own (mounts, network, processes) whose root
-is mounted read-only, without capabilities, as the image's user.
+The base is a minimal Debian root with Python, in place of the official Python image; packages come from a
+folder of wheels. A container is a process in namespaces of its own (mounts, network, processes) whose
+root is the image's, mounted read-only, without capabilities, as the image's user.
 """
 
 from __future__ import annotations
@@ -15,11 +14,9 @@ import shlex
 import shutil
 import subprocess
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-PATH = "/usr/local/bin:/usr/local/sbin:/usr/sbin:/usr/bin:/sbin:/bin"
 
 
 def instructions(text: str) -> list[tuple[str, str]]:
@@ -34,102 +31,56 @@ def instructions(text: str) -> list[tuple[str, str]]:
 
 @dataclass
 class Image:
-    """A root folder and how to start it."""
+    """A root folder and how to start it, as the image says."""
 
     root: Path
-    env: dict[str, str] = field(default_factory=lambda: {"PATH": PATH})
-    workdir: str = "/"
-    user: str = "root"
-    entrypoint: list[str] = field(default_factory=list)
-    command: list[str] = field(default_factory=list)
-    volumes: list[str] = field(default_factory=list)
-    healthcheck: list[str] = field(default_factory=list)
-
-    def inside(self, path: str) -> Path:
-        """The path as seen from outside."""
-        return self.root / (Path(self.workdir) / path).relative_to("/")
+    env: dict[str, str]
+    user: str
+    entrypoint: list[str]
+    command: list[str]
+    volumes: list[str]
+    healthcheck: list[str]
 
 
-def build(
-    dockerfile: str, context: Path, base: Path, folder: Path, arguments: dict[str, str]
-) -> Image:
-    """Carry out all stages; each FROM is a copy of ``base``. ``arguments`` are --build-arg.
+class Buildah:
+    """Images and containers in a folder of their own."""
 
-    Raises CalledProcessError where a command fails.
-    """
-    stages: dict[str, Image] = {}
-    image = Image(base)
-    build_env: dict[str, str] = {}
-    for name, argument in instructions(dockerfile):
-        argument = (
-            _expanded(argument, image.env) if name not in ("RUN", "CMD", "ENTRYPOINT") else argument
+    def __init__(self, folder: Path) -> None:
+        places = ["--root", str(folder / "storage"), "--runroot", str(folder / "run")]
+        self._command = ["buildah", "--storage-driver", "vfs", *places]
+
+    def __call__(self, *words: str | Path) -> str:
+        """Carry out a command; what it prints. Raises CalledProcessError with its errors shown."""
+        command = [*self._command, *map(str, words)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, (
+            f"{shlex.join(command)}\n{done.stdout[-3000:]}{done.stderr[-3000:]}"
         )
-        match name:
-            case "FROM":
-                words = argument.split()
-                image = Image(folder / f"stage-{len(stages)}")
-                subprocess.run(
-                    ["cp", "-a", "--reflink=auto", str(base), str(image.root)], check=True
-                )
-                stages[words[2] if len(words) > 2 else str(len(stages))] = image
-                build_env = {}
-            case "ARG":
-                key, _, default = argument.partition("=")
-                build_env[key] = arguments.get(key, default.strip('"'))
-            case "ENV":
-                image.env |= dict(word.split("=", 1) for word in shlex.split(argument))
-            case "WORKDIR":
-                image.workdir = argument
-                image.inside(".").mkdir(parents=True, exist_ok=True)
-            case "COPY":
-                _copy(argument, image, stages, context)
-            case "RUN":
-                env = image.env | build_env | {"HOME": "/root", "PIP_NO_INDEX": "1"}
-                _chroot(image, ["sh", "-c", argument], env | {"PIP_FIND_LINKS": "/wheels"})
-            case "USER":
-                image.user = argument
-            case "VOLUME":
-                image.volumes.append(argument)
-            case "ENTRYPOINT":
-                image.entrypoint = json.loads(argument)
-            case "CMD":
-                image.command = json.loads(argument)
-            case "HEALTHCHECK":
-                image.healthcheck = json.loads(argument.partition(" CMD ")[2])
-            case "EXPOSE":
-                pass
-            case _:
-                raise ValueError(f"{name} is not understood")
-    return image
+        return done.stdout.strip()
 
 
-def _expanded(text: str, env: dict[str, str]) -> str:
-    return re.sub(r"\$(\w+)", lambda found: env.get(found[1], ""), text)
-
-
-def _copy(argument: str, image: Image, stages: dict[str, Image], context: Path) -> None:
-    words = argument.split()
-    root = context
-    if words[0].startswith("--from="):
-        root = stages[words.pop(0).removeprefix("--from=")].root
-    *sources, target = words
-    for source in sources:
-        found, to = root / source.lstrip("/"), image.inside(target)
-        if found.is_dir():
-            ignore = shutil.ignore_patterns("__pycache__") if root == context else None
-            shutil.copytree(found, to, symlinks=True, ignore=ignore, dirs_exist_ok=True)
-        else:
-            to = to / found.name if target.endswith("/") else to
-            to.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(found, to)
-
-
-def _chroot(image: Image, command: list[str], env: dict[str, str]) -> None:
-    shell = f"cd {image.workdir} && exec {shlex.join(command)}"
-    words = [f"{key}={value}" for key, value in env.items()]
-    subprocess.run(
-        ["chroot", str(image.root), "/usr/bin/env", "-i", *words, "/bin/sh", "-c", shell],
-        check=True,
+def build(context: Path, base: Path, wheels: Path, folder: Path) -> Image:
+    """Build ``docker/Dockerfile`` on a root folder that becomes its base image."""
+    buildah = Buildah(folder)
+    scratch = buildah("from", "scratch")
+    buildah("add", "--quiet", scratch, base, "/")
+    buildah("commit", "--quiet", scratch, "base")
+    buildah("rm", scratch)
+    buildah(
+        "build", "--isolation", "chroot", "--format", "docker", "--layers=false", "--pull-never",
+        "--build-arg", "BASE=localhost/base", "--volume", f"{wheels}:/wheels:ro",
+        "--file", context / "docker/Dockerfile", "--tag", "rbps", context,
+    )  # fmt: skip
+    config = json.loads(buildah("inspect", "--type", "image", "rbps"))["Docker"]["config"]
+    container = buildah("from", "--pull-never", "localhost/rbps")
+    return Image(
+        root=Path(buildah("mount", container)),
+        env=dict(word.split("=", 1) for word in config["Env"]),
+        user=config["User"],
+        entrypoint=config["Entrypoint"],
+        command=config["Cmd"],
+        volumes=list(config["Volumes"]),
+        healthcheck=config["Healthcheck"]["Test"][1:],
     )
 
 
@@ -144,12 +95,13 @@ class Container:
         env: dict[str, str] | None = None,
         network: Container | None = None,
         log: Any = None,
+        mounts: dict[Path, str] | None = None,
+        entrypoint: list[str] | None = None,
     ) -> None:
         self.image, self.env = image, image.env | (env or {})
         account = [line.split(":") for line in (image.root / "etc/passwd").read_text().splitlines()]
-        self.uid, self.gid, self.home = next(
-            (int(a[2]), int(a[3]), a[5]) for a in account if a[0] == image.user
-        )
+        self.uid, self.gid = map(int, image.user.split(":"))
+        self.home = next(a[5] for a in account if int(a[2]) == self.uid)
         root = str(image.root)
         script = ["set -e", f"mount --bind {root} {root}", f"mount -o remount,bind,ro {root}"]
         for place in ("tmp", "dev/shm"):
@@ -161,9 +113,12 @@ class Container:
                 shutil.copytree(image.root / volume.strip("/"), outside)
                 os.chown(outside, self.uid, self.gid)
             script.append(f"mount --bind {outside} {root}{volume}")
+        for outside, inside in (mounts or {}).items():
+            script.append(f"mount --bind {outside} {root}{inside}")
         if network is None:
             script.append("ip link set lo up")
-        words = [*image.entrypoint, *(command or image.command)]
+        start = image.entrypoint if entrypoint is None else entrypoint
+        words = [*start, *(image.command if command is None else command)]
         script.append("exec " + shlex.join(["chroot", root, *self._as_user(words)]))
         unshare = ["unshare", "--mount", "--pid", "--fork", "--kill-child"]
         unshare += ["--net"] if network is None else []

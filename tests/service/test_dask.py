@@ -1,13 +1,16 @@
 """The same promises on a Dask cluster: a real scheduler and two worker processes."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import yaml
 
 pytest.importorskip("distributed")
 
@@ -18,15 +21,20 @@ from service.runner import Terms
 class Cluster:
     """A scheduler and two worker processes of one thread each."""
 
-    def __init__(self, folder, port):
-        self.address, self.folder = f"tcp://127.0.0.1:{port}", folder
+    def __init__(self, folder, port, protocol="tcp", environment=None):
+        self.address, self.folder = f"{protocol}://127.0.0.1:{port}", folder
+        self.environment = environment or {}
         self.start()
 
     def start(self):
-        env = os.environ | {
-            "DASK_DISTRIBUTED__WORKER__DAEMON": "False",
-            "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
-        }
+        env = (
+            os.environ
+            | self.environment
+            | {
+                "DASK_DISTRIBUTED__WORKER__DAEMON": "False",
+                "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
+            }
+        )
         dask = [sys.executable, "-m", "dask"]
         commands = [
             [*dask, "scheduler", "--host", self.address, "--no-dashboard"],
@@ -165,6 +173,34 @@ def test_workers_that_another_service_uses_are_not_free(
         assert service.client.delete(url).json()["status"] == "dismissed"
     job = ended(service.client, waiting)
     assert job["status"] == "successful", job["message"]
+
+
+def test_members_of_a_cluster_show_certificates(
+    spawn, free_ports, tmp_path, eventually, estimation, ended
+):
+    """With the settings of compose.yaml: who has none is turned away."""
+    if not shutil.which("openssl"):
+        pytest.skip("openssl is not installed; it makes the certificates")
+    docker = Path(__file__).parents[2] / "docker"
+    folder = tmp_path / "tls"
+    folder.mkdir()
+    subprocess.run(["sh", docker / "certificates", folder], check=True)
+    settings = yaml.safe_load((docker / "compose.yaml").read_text())["x-tls"]
+    tls = {name: value.replace("/tls/", f"{folder}/") for name, value in settings.items()}
+    cluster = Cluster(tmp_path, free_ports(), "tls", tls)
+    try:
+        service = spawn(environment=tls, dask_scheduler=cluster.address)
+        eventually(lambda: "rbps_workers 2" in service.client.get("/metrics").text)
+        url = service.client.post("/jobs", json=estimation()).headers["location"]
+        assert ended(service.client, url)["status"] == "successful"
+        for address in (cluster.address, cluster.address.replace("tls:", "tcp:")):
+            stranger = f"import distributed; distributed.Client({address!r}, timeout=5)"
+            assert subprocess.run(
+                [sys.executable, "-c", stranger], capture_output=True, check=False
+            ).returncode
+        service.stop()
+    finally:
+        cluster.stop()
 
 
 def test_what_ends_after_the_service_has_stopped_is_let_alone(store):

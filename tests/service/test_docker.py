@@ -1,4 +1,4 @@
-"""The image without a Docker engine: what its files say, and its commands run in a clean root."""
+"""The image: what its files say; and built by buildah and started, where that and debootstrap are."""
 
 import json
 import os
@@ -20,6 +20,7 @@ TEXT = (ROOT / "docker" / "Dockerfile").read_text()
 DOCKERFILE = instructions(TEXT)
 COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text())
 SERVICES = COMPOSE["services"]
+PINNED = r"[\w./-]+:[\w.-]*\d[\w.-]*@sha256:[0-9a-f]{64}"
 
 
 # ---- what a linter would say ----------------------------------------------------------------
@@ -33,13 +34,13 @@ def last_stage():
 def test_dockerfile():
     known = {
         "FROM", "ENV", "WORKDIR", "COPY", "ARG", "RUN", "USER", "VOLUME", "EXPOSE", "HEALTHCHECK",
-        "ENTRYPOINT", "CMD",
+        "ENTRYPOINT", "CMD", "STOPSIGNAL",
     }  # fmt: skip
     assert {name for name, _ in DOCKERFILE} <= known
     assert TEXT.startswith("# syntax=docker/dockerfile:1\n")
     bases = [argument.split()[0] for name, argument in DOCKERFILE if name == "FROM"]
-    assert len(bases) == 2
-    assert all(re.fullmatch(r"[\w./-]+:[\w.-]*\d[\w.-]*", base) for base in bases), "a pinned tag"
+    assert bases == ["${BASE}", "${BASE}"]
+    assert re.fullmatch(rf"BASE={PINNED}", dict(DOCKERFILE[:1])["ARG"])
     for name, argument in DOCKERFILE:
         if name == "WORKDIR":
             assert argument.startswith("/")
@@ -53,7 +54,7 @@ def test_dockerfile():
     (check,) = [argument for name, argument in final if name == "HEALTHCHECK"]
     assert "/livez" in " ".join(json.loads(check.partition(" CMD ")[2]))
     after_user = [name for name, _ in final][[name for name, _ in final].index("USER") :]
-    assert ("USER", "rbps") in final
+    assert ("USER", "10001:10001") in final, "by number, which a cluster can check"
     assert not {"RUN", "COPY"} & set(after_user)
 
 
@@ -67,25 +68,72 @@ def test_only_what_the_image_needs_is_sent_to_the_engine():
                 assert f"!{source}" in ignored
 
 
+def test_every_package_is_known_by_its_hash():
+    """All that the project and its cluster need, at the versions that the tests run with."""
+    text = (ROOT / "docker" / "requirements.txt").read_text()
+    entries = re.split(r"\n(?=[a-z])", re.sub(r"^#.*\n", "", text, flags=re.MULTILINE).strip())
+    pinned = {}
+    for entry in entries:
+        name, version = re.match(r"([\w.-]+)==([\w.+-]+)", entry).groups()
+        assert re.search(r"--hash=sha256:[0-9a-f]{64}", entry), name
+        pinned[normal(name)] = version
+    constraints = dict(
+        line.split("==")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if "==" in line
+    )
+    known = {normal(name): version for name, version in constraints.items()}
+    assert {name: known[name] for name in pinned if name in known} == {
+        name: version for name, version in pinned.items() if name in known
+    }
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = project["project"]["optional-dependencies"]
+    asked = [*project["build-system"]["requires"], *project["project"]["dependencies"]]
+    asked += [*extras["postgres"], *(one for one in extras["cluster"] if "rbps[" not in one)]
+    assert {normal(re.match(r"[\w.-]+", one)[0]) for one in asked} <= set(pinned)
+    assert "--require-hashes" in TEXT
+
+
+def normal(name):
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
 def test_compose_profiles_and_guards():
-    assert set(COMPOSE) <= {"services", "volumes", "x-image"}
+    assert set(COMPOSE) <= {"services", "volumes", "x-image", "x-tls"}
     plain = [name for name, one in SERVICES.items() if "profiles" not in one]
     assert plain == ["service"]
     assert {p for one in SERVICES.values() for p in one.get("profiles", ())} == {"cluster"}
     known = {
-        "build", "image", "init", "read_only", "tmpfs", "cap_drop", "security_opt", "restart",
+        "build", "image", "init", "read_only", "tmpfs", "cap_drop", "security_opt", "restart", "user",
         "environment", "ports", "volumes", "profiles", "healthcheck", "command", "depends_on",
+        "mem_limit", "pids_limit", "cpus", "stop_grace_period", "entrypoint",
     }  # fmt: skip
     for name, one in SERVICES.items():
         assert set(one) <= known, name
-        assert one["restart"] == "unless-stopped"
+        assert one["restart"] == ("no" if name == "certificates" else "unless-stopped")
+        assert one["read_only"], name
+        assert one["cap_drop"] == ["ALL"]
+        assert one["security_opt"] == ["no-new-privileges:true"]
+        assert {"mem_limit", "pids_limit", "cpus", "stop_grace_period"} <= set(one), name
+        assert all(re.search(r":size=\d+[mg]\b", place) for place in one["tmpfs"]), name
         if one["image"] == "rbps":
-            assert one["read_only"], name
-            assert one["cap_drop"] == ["ALL"]
-            assert one["security_opt"] == ["no-new-privileges:true"]
             assert (ROOT / "docker" / one["build"]["context"] / one["build"]["dockerfile"]).exists()
+        else:
+            assert re.fullmatch(PINNED, one["image"])
+            assert re.fullmatch(r"[1-9]\d*:[1-9]\d*", one["user"])
         for port in one.get("ports", ()):
             assert port.startswith("127.0.0.1:"), "published beyond this machine without keys"
+    text = (ROOT / "docker" / "compose.yaml").read_text()
+    assert "PASSWORD:-" not in text, "a password that everybody knows"
+
+
+def test_the_cluster_s_members_show_certificates():
+    for name in ("scheduler", "worker", "front"):
+        env = SERVICES[name]["environment"]
+        assert env["DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION"] == "True"
+        for role in ("SCHEDULER", "WORKER", "CLIENT"):
+            assert env[f"DASK_DISTRIBUTED__COMM__TLS__{role}__CERT"] == "/tls/cert.pem"
+        assert "tls:/tls:ro" in SERVICES[name]["volumes"]
 
 
 def test_compose_names_what_there_is():
@@ -95,7 +143,7 @@ def test_compose_names_what_there_is():
         for other, how in one.get("depends_on", {}).items():
             has_check = "healthcheck" in SERVICES[other] or SERVICES[other]["image"] == "rbps"
             assert how["condition"] != "service_healthy" or has_check
-        values = {key: re.sub(r"\$\{\w+:-(\w+)\}", r"\1", str(value))
+        values = {key: re.sub(r"\$\{\w+:\?[^}]*\}", "secret", str(value))
                   for key, value in one.get("environment", {}).items()}  # fmt: skip
         Settings.from_env(values)  # no unknown RBPS_ variable
         for text in [*values.values(), *(one.get("command") or ())]:
@@ -108,13 +156,15 @@ def test_compose_names_what_there_is():
 
 @pytest.fixture(scope="module")
 def image(tmp_path_factory):
-    """The image with its extra ``cluster``, built stage by stage in clean roots.
+    """The image, built in a folder of its own.
 
     The environment variable DEBIAN_ROOT may name a minimal root, else debootstrap makes one.
     """
-    tools = ("chroot", "unshare", "nsenter", "mount", "debootstrap")
-    if os.getuid() != 0 or not all(map(shutil.which, tools)):
-        pytest.skip("clean roots need to be root, and debootstrap")
+    tools = ("buildah", "chroot", "unshare", "nsenter", "mount", "debootstrap")
+    if missing := [name for name in tools if not shutil.which(name)]:
+        pytest.skip(f"not installed: {', '.join(missing)}")
+    if os.getuid() != 0:
+        pytest.skip("only root can mount the image's root")
     folder = tmp_path_factory.mktemp("image")
     base = folder / "base"
     if given := os.environ.get("DEBIAN_ROOT"):
@@ -124,9 +174,11 @@ def image(tmp_path_factory):
     python = base / "usr/local/bin/python"  # what the official Python image has
     python.unlink(missing_ok=True)
     python.symlink_to("/usr/bin/python3")
-    wheels(base / "wheels")
-    made = build(TEXT, ROOT, base, folder, {"EXTRAS": "cluster"})
+    (base / "etc/pip.conf").write_text("[global]\nno-index = true\nfind-links = /wheels\n")
+    wheels(folder / "wheels")
+    made = build(ROOT, base, folder / "wheels", folder)
     yield made
+    subprocess.run(["umount", "-l", str(made.root)], check=False, capture_output=True)
     shutil.rmtree(folder)
 
 
@@ -138,20 +190,16 @@ def debian(folder):
     mirror = next(
         line.split()[0] for line in targets.stdout.splitlines() if line.endswith(" bookworm")
     )
-    packages = "--include=python3,python3-venv"
+    packages = "--include=python3,python3-venv,ca-certificates"
     command = ["debootstrap", "--variant=minbase", packages, "bookworm", str(folder), mirror]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
 def wheels(folder):
-    """All that pip will ask for within."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    extras = project["project"]["optional-dependencies"]
-    asked = [*project["build-system"]["requires"], *project["project"]["dependencies"]]
-    asked += [one for name in ("postgres", "cluster") for one in extras[name] if "rbps[" not in one]
-    command = [sys.executable, "-m", "pip", "download", "-qq", "--dest", str(folder)]
-    command += ["--only-binary=:all:", "--python-version=3.11", "-c", str(ROOT / "constraints.txt")]
-    subprocess.run([*command, *asked], check=True)
+    """All that pip will ask for within, checked as it will be there."""
+    command = [sys.executable, "-m", "pip", "download", "-qq", "--dest", str(folder), "--no-deps"]
+    command += ["--only-binary=:all:", "--python-version=3.11", "--require-hashes"]
+    subprocess.run([*command, "-r", str(ROOT / "docker" / "requirements.txt")], check=True)
 
 
 @pytest.fixture
@@ -247,12 +295,20 @@ print(json.dumps({
 
 
 @pytest.mark.slow
-def test_the_cluster_of_compose(image, start):
-    """Scheduler, workers and service with the commands and variables of compose.yaml."""
+def test_the_cluster_of_compose(image, start, tmp_path):
+    """Certificates, scheduler, workers and service with the commands and variables of compose.yaml."""
     hosts = image.root / "etc/hosts"
     hosts.write_text("127.0.0.1 localhost scheduler database\n")
+    tls = tmp_path / "tls"
+    tls.mkdir(mode=0o700)
+    os.chown(tls, 10001, 10001)
+    mounts = {tls: "/tls"}
+    one = SERVICES["certificates"]
+    made = start(entrypoint=one["entrypoint"], command=[], mounts=mounts)
+    assert made.process.wait(60) == 0
+    assert {file.name for file in tls.iterdir()} == {"ca.pem", "cert.pem", "key.pem"}
     one = SERVICES["scheduler"]
-    scheduler = start(command=one["command"], env=one["environment"])
+    scheduler = start(command=one["command"], env=one["environment"], mounts=mounts)
     check = one["healthcheck"]["test"][1:]
     for _ in range(600):
         if not scheduler.execute(check).returncode:
@@ -260,10 +316,12 @@ def test_the_cluster_of_compose(image, start):
     else:
         raise AssertionError("the scheduler is not healthy")
     one = SERVICES["worker"]
-    start(command=one["command"], env=one["environment"], network=scheduler)
+    start(command=one["command"], env=one["environment"], network=scheduler, mounts=mounts)
     env = dict(SERVICES["front"]["environment"])
     env["RBPS_DATABASE_URL"] = "sqlite:////var/lib/rbps/cluster.sqlite"  # one machine, one volume
-    front = start(env=env, network=scheduler)
+    front = start(env=env, network=scheduler, mounts=mounts)
     front.wait_until_healthy()
     job = json.loads(python(front, RUN))
     assert job["status"] == "successful", job["message"]
+    stranger = "import distributed; distributed.Client('tcp://scheduler:8786', timeout=5)"
+    assert front.execute(["python", "-c", stranger]).returncode != 0

@@ -15,7 +15,7 @@ CALLS = [
     "POST /jobs", "POST /jobs/upload", "GET /jobs", "GET /jobs/{job_id}", "GET /jobs/{job_id}/request",
     "GET /jobs/{job_id}/trace", "GET /jobs/{job_id}/results", "GET /jobs/{job_id}/tasks",
     "GET /jobs/{job_id}/report", "GET /jobs/{job_id}/charts",
-    "DELETE /jobs/{job_id}", "GET /livez", "GET /readyz", "GET /metrics",
+    "DELETE /jobs/{job_id}", "POST /jobs/{job_id}/resume", "GET /livez", "GET /readyz", "GET /metrics",
 ]  # fmt: skip
 PLAIN = ("GET /", "GET /livez", "GET /readyz")  # nothing in them can be wrong
 KEY = "the key of the fuzz test"
@@ -73,6 +73,59 @@ def test_call(operations, call, mode):
         )
 
     run()
+
+
+SERIES = {"model": "local-level", "series": [{"y": [1.0, None, 2.0, 1.5, 0.5] * 8}]}
+ACCEPTED = [
+    SERIES | {"kind": "estimate", "options": {"iterations": 3, "particles": 10}},
+    SERIES | {"kind": "smooth", "options": {"particles": 10}},
+    {"kind": "simulate", "model": "linear-2", "options": {"samples": 10}},
+]
+
+
+def test_calls_one_after_the_other(operations):
+    """What one call made, the next ones use: watched, stopped, resumed, removed, in any order."""
+    asked = []
+
+    class Workflow(operations["POST /jobs"].schema.as_state_machine()):
+        def get_call_kwargs(self, case):
+            return {"headers": {"X-API-Key": KEY}}
+
+        def before_call(self, case):
+            """Of generated jobs none would be accepted: they name no model that there is."""
+            if case.operation.label == "POST /jobs":
+                case.body = ACCEPTED[len(asked) % len(ACCEPTED)]
+                case.headers, case.media_type = {}, "application/json"
+
+        def after_call(self, response, case):
+            asked.append((case.operation.label, response.status_code))
+
+        def validate_response(self, response, case, additional_checks=(), **kwargs):
+            excluded = [
+                schemathesis.checks.positive_data_acceptance,
+                schemathesis.checks.negative_data_rejection,
+                schemathesis.checks.ensure_resource_availability,  # a job without results is a 404
+                schemathesis.checks.use_after_free,  # what was removed has a status that says so
+            ]
+            case.validate_response(
+                response, additional_checks=additional_checks, excluded_checks=excluded,
+                headers={"X-API-Key": KEY},
+            )  # fmt: skip
+
+    Workflow.run(
+        settings=settings(
+            max_examples=15,
+            stateful_step_count=8,
+            deadline=None,
+            derandomize=True,
+            database=None,
+            suppress_health_check=list(HealthCheck),
+        )
+    )
+    made = [label for label, status in asked if status == 201]
+    of_jobs = {label for label, status in asked if "{job_id}" in label and status == 200}
+    assert made
+    assert {"GET /jobs/{job_id}", "DELETE /jobs/{job_id}", "POST /jobs/{job_id}/resume"} <= of_jobs
 
 
 KINDS = {
