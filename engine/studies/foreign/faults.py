@@ -67,16 +67,6 @@ def step(name: str, state: int, of: int, first: float) -> Fault:
     )
 
 
-def ramp(name: str, state: int, of: int, first: float) -> Fault:
-    """A force that grows from the start of the record."""
-    return Fault(
-        name,
-        first,
-        push=onto(state, of, lambda t, x, u, own: t),
-        told=lambda s, own: {"": s, "start": 0.0},
-    )
-
-
 def harmonic(name: str, state: int, of: int, first: float) -> Fault:
     """A force that swings at one frequency."""
 

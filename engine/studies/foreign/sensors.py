@@ -102,15 +102,6 @@ def clip(name: str, channel: int, top: float, first: float, most: float) -> Faul
     )
 
 
-def cubic(name: str, channel: int, zero: float, first: float) -> Fault:
-    """Its characteristic bends: y + size (y - zero)^3."""
-    return Fault(
-        name,
-        first,
-        read=lambda y, h, s, own: _at(y, channel, y[:, channel] + s * (y[:, channel] - zero) ** 3),
-    )
-
-
 def outliers(name: str, channel: int, first: float) -> Fault:
     """A share (the size) of the readings has OUTLIER times the usual noise."""
 

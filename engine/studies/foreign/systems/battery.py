@@ -110,7 +110,7 @@ SYSTEM = System(
         "ageing": faults.parameter_step("R0", 0.1, 5.0),
         "outliers": sensors.outliers("heavy-tails:terminal", 0, 0.03),
         "jump": sensors.step("step:terminal", 0, 5.0),
-        "coloured": sensors.coloured("colored:terminal", 0, 10.0, SENSORS["ordinary"][0], 0.5),
+        "hum": sensors.harmonic("harmonic:terminal", 0, 3.0),
         "saturating": outside.saturating(1, 2, 40.0, 0.5),
     },
     known=("C", "r"),

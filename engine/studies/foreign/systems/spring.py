@@ -117,7 +117,7 @@ SYSTEM = System(
             "coulomb:velocity", 1, 2, lambda t, x, u, own: -faults.sign(x[1], 150.0), 300.0
         ),
         "hysteresis": faults.hysteresis("hysteresis:velocity", 1, 1, 2, 5.0, -100.0),
-        "gain": faults.parameter_step("k", 0.1, 5.0),
+        "pole": faults.pole("pole:velocity", 1, 1, 2, 0.08, -10.0),
         "clip": sensors.clip("saturation-sensor:laser", 0, 62.0, 4.0, 11.0),
         "play": outside.play(0, 0.5),
     },
