@@ -247,9 +247,10 @@ def derivatives(
             d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
             d_S = f.S[:, 2::2] - f.S[:, 1::2]
             root = whitening(f.S[:, 0], one.observed)
-            z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None]).reshape(n, -1)
+            z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None])
+            z = z.reshape(n, root.shape[0] * root.shape[1])
             E = root[:, None] @ (d_S / distances[:, None, None]) @ root[:, None].swapaxes(-1, -2)
-            E = E.swapaxes(0, 1).reshape(n, -1)
+            E = E.swapaxes(0, 1).reshape(n, root.size)
             H += z @ z.T + 0.5 * E @ E.T
     if not (np.isfinite(g).all() and np.isfinite(H).all()):
         value = -np.inf

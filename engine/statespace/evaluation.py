@@ -42,7 +42,9 @@ def line_of(error: BaseException) -> str:
     """Where in the user's own file an error was raised, "" where that is not known."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if not any(part in f.filename for part in ("site-packages", ENGINE))]
-    return f"{Path(own[-1].filename).name}, line {own[-1].lineno}; " if own else ""
+    if not own:
+        return ""
+    return f"{Path(own[-1].filename).name}, line {own[-1].lineno}, in {own[-1].name}; "
 
 
 class _Verdict:

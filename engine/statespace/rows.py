@@ -168,7 +168,8 @@ class Rows(NamedTuple):
         """
         drawn = self.take(kind, rng.integers(0, len(self.a), n))
         with np.errstate(all="ignore"):
-            width = np.maximum(np.nanstd(self.a, axis=0), share * np.abs(drawn.a))
+            known = np.nan_to_num(self.a, nan=0.0, posinf=0.0, neginf=0.0)  # a state may be lost
+            width = np.maximum(known.std(axis=0), share * np.abs(drawn.a))
         a = drawn.a + np.where(np.isfinite(width), width, 0.0) * rng.uniform(
             -1.0, 1.0, drawn.a.shape
         )

@@ -122,7 +122,8 @@ def test_a_model_that_fails(rbps, folder):
     result = rbps("fit", "data.csv", "-m", "mine.py", *QUICK)
     assert result.exit_code == 1
     assert (
-        "ZeroDivisionError: division by zero (mine.py, line 6; called at t = 7 s" in result.stderr
+        "ZeroDivisionError: division by zero (mine.py, line 6, in dynamics; called at t = 7 s"
+        in result.stderr
     )
 
 

@@ -175,11 +175,13 @@ def test_a_filter_that_stays_collapsed_makes_the_run_lost():
 
 
 def test_a_run_that_is_no_longer_finite_has_diverged():
-    """The dynamics return NaN: the log-likelihood is not finite, theta stays where it was."""
+    """The dynamics return NaN at a time: the log-likelihood is not finite, theta stays where it was."""
     model = random_walk()
-    broken = replace(
-        model, dynamics=lambda a, u, t, dt, theta: (a * np.nan, np.zeros((1, 0)), [[0.1]])
-    )
+
+    def dynamics(a, u, t, dt, theta):
+        return [np.where(np.equal(t, 6.0), np.nan, 1.0) * a[:, 0]], np.zeros((1, 0)), [[0.1]]
+
+    broken = replace(model, dynamics=dynamics)
     result = rbps_em(broken, SERIES.part(0, 20), n_iterations=5, recover=False)
     assert result.outcome is Outcome.DIVERGED
     assert result.not_estimated == ()

@@ -289,7 +289,7 @@ def test_what_was_made_from_calls_that_turn_out_wrong_is_made_again():
 @pytest.mark.parametrize("name", engine.model_names())
 def test_shipped_models_are_evaluated_in_one_call(name):
     """No verdict against a function that takes everything, from rounding or anything else."""
-    model = engine.get_model(name)
+    model = replace(engine.get_model(name))  # nothing is known of its calls yet
     rng = np.random.default_rng(0)
     series = engine.simulate(
         model, None, 60, rng, u=rng.standard_normal((60, model.nu)), dt=0.1
@@ -342,7 +342,7 @@ def test_a_parameter_at_which_a_function_has_no_value_is_lost_alone():
     got = moment_filter(model, thetas, series).log_likelihood
     assert np.isneginf(got[1])
     assert np.isfinite(got[[0, 2]]).all()
-    with pytest.raises(ModelError, match=r"dynamics raised ValueError: .* \(called at t = 0 s"):
+    with pytest.raises(ModelError, match=r"dynamics raised ValueError: .*called at t = 0 s"):
         moment_filter(model, thetas[1:2], series)
 
 

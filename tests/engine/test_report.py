@@ -195,7 +195,8 @@ def test_states_and_simulations():
 
 
 def test_names_are_escaped(diagnosis):
-    evil = replace(LEVEL, outputs={EVIL: EVIL}, linear={EVIL: "<b>"}, description=EVIL)
+    names = {"outputs": {EVIL: EVIL}, "linear": {f"{EVIL} of a state": "<b>"}, "reference": {}}
+    evil = replace(LEVEL, description=EVIL, **names)
     found = diagnose(
         evil, nile(), effects=["bias", "step", "ramp"], seed=1, theta={"q": 1500.0, "r": 15000.0}
     ).to_dict()

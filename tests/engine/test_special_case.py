@@ -41,6 +41,7 @@ def decoupled(per_particle: bool) -> engine.MixedModel:
     return replace(
         BASE,
         linear={"z1": "1", "z2": "1"},
+        reference={},
         dynamics=dynamics,
         measurement=measurement,
         initial=initial,
@@ -126,6 +127,7 @@ def test_switching_model_against_enumeration() -> None:
         fixed = replace(
             BASE,
             nonlinear={},
+            reference={},
             dynamics=lambda a, u, t, dt, theta, p=path: ([0.8 * p[int(t)]], [[0.7]], [[0.2]]),
             measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[0.3]]),
             initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), np.zeros(1), np.eye(1)),

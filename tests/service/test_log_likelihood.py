@@ -12,8 +12,6 @@ import engine
 from service import stages
 from service.kinds import LIKELIHOOD_RUNS, describe, log_likelihood, mean_error
 from service.prepare import load
-from service.settings import Settings
-from service.supervisor import Supervisor
 
 MODEL = engine.get_model("linear-2")
 SERIES = engine.simulate(MODEL, None, 60, np.random.default_rng(4)).series
@@ -71,11 +69,3 @@ def test_the_bootstrap_states_the_spread_of_its_estimates(estimation):
         np.sqrt(((thetas - thetas.mean()) ** 2).sum() / 8.0)
     )
     assert found["estimate"]["theta"]["interval"] == np.quantile(thetas, [0.025, 0.975]).tolist()
-
-
-def test_the_supervisor_allows_as_many_losses_as_it_is_told():
-    store, runner = Mock(), Mock()
-    store.expire.return_value, store.claim.return_value = 0, None
-    runner.free.return_value = 1
-    Supervisor(store, runner, Settings(losses_allowed=3))._look()
-    assert store.expire.call_args.args[-1] == 3

@@ -71,7 +71,7 @@ def test_good_and_broken_and_misbehaving_models(
     assert models["broken_plugins"]["quits"] == "SystemExit: no licence"
     faults = {
         0: ("successful", ""),
-        1: ("failed", "ZeroDivisionError: the valve is shut (laboratory.py, line 8, in dynamics)"),
+        1: ("failed", "ZeroDivisionError: the valve is shut (laboratory.py, line 8, in dynamics"),
         2: ("failed", "finite"),
         3: ("failed", "longer than the 6 s"),
         4: ("failed", "memory"),
@@ -125,7 +125,7 @@ def test_a_full_disk(spawn, catch, dead, estimation, ended, eventually):
     assert client.get(url).status_code == 200
     eventually(lambda: dead(worker))  # it could not write, and nobody could write about it
     limit([service.process.pid], 0)
-    assert client.get("/readyz").status_code == 200
+    eventually(lambda: client.get("/readyz").status_code == 200)  # tried every few seconds
     job = ended(client, url)
     assert job["status"] == "successful"
     assert ended(client, client.post("/jobs", json=estimation()).headers["location"])
