@@ -222,6 +222,7 @@ def test_the_noise_along_a_run_asks_a_model_one_time_at_a_time():
         nonlinear={},
         linear={"a": ""},
         inputs={"u": ""},
+        reference={},
     )
     series = Series(np.zeros(10), np.linspace(-1.0, 2.0, 10), dt=1.0)
     fit = SimpleNamespace(model=model, theta=model.theta())
