@@ -10,6 +10,7 @@ from engine.studies.foreign.systems import SYSTEMS
 from engine.studies.foreign.written import System
 
 CLEAN = "clean"
+NO_TRACE = ("pendulum:root@ordinary",)  # no size tried gave a likelihood ratio: nothing to be found
 
 
 @dataclass(frozen=True)
