@@ -59,7 +59,7 @@ def _cells(euler: bool) -> tuple[Cell, ...]:
     ]
     for turn, (name, key, fault) in enumerate(planned):
         out.append(Cell(name, key, fault.level or LEVELS[turn % 2]))
-    return tuple(out)
+    return tuple(cell for cell in out if cell.name not in NO_TRACE)
 
 
 def inside(euler: bool = False) -> list[Cell]:
