@@ -217,7 +217,9 @@ class MixedModel(BaseModel):
                 as_matrix(Q, M, nx, nx, "dynamics: Q"),
             )
 
-        return ModelFunction(regular, self.name, "dynamics", (self.lower, self.upper))
+        return ModelFunction(
+            regular, self.dynamics, self.name, "dynamics", (self.lower, self.upper)
+        )
 
     @cached_property
     def observations(self) -> ModelFunction:
@@ -232,7 +234,9 @@ class MixedModel(BaseModel):
                 as_matrix(R, M, ny, ny, "measurement: R"),
             )
 
-        return ModelFunction(regular, self.name, "measurement", (self.lower, self.upper))
+        return ModelFunction(
+            regular, self.measurement, self.name, "measurement", (self.lower, self.upper)
+        )
 
     def with_parameters(self, parameters: Sequence[Parameter]) -> MixedModel:
         """The same functions with parameters described otherwise; what is known of their calls is kept."""

@@ -11,6 +11,7 @@ import numpy as np
 from engine.errors import OptionError
 from engine.kernels.gaussian import log_normal_common, psd_cholesky
 from engine.model import Array, Density, Gaussian, MixedModel
+from engine.statespace.evaluation import hands_rows_on
 
 NEGLIGIBLE = 1e-12  # of the largest variance: below this there is no randomness to condition on
 AFFINE = 1e-10  # relative: how far off its tangent a function may be and count as affine
@@ -94,12 +95,14 @@ def promote(model: MixedModel, names: Sequence[str]) -> MixedModel:
     stay = np.array([i for i in range(nz) if i not in out], dtype=int)
     order = np.concatenate([np.arange(na), na + out, na + stay])
 
+    @hands_rows_on
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         f, A, Q = model.transition(a[:, :na], u, t, dt, theta)
         f = f + _times(A.take(out, -1), a[:, na:])
         A, Q = A.take(order, -2).take(stay, -1), Q.take(order, -2).take(order, -1)
         return f.take(order, 1), A, Q
 
+    @hands_rows_on
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
         h, C, R = model.observation(a[:, :na], u, t, theta)
         return h + _times(C.take(out, -1), a[:, na:]), C.take(stay, -1), R

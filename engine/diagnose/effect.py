@@ -17,6 +17,7 @@ import numpy as np
 from engine.errors import OptionError
 from engine.model import Array, MixedModel, Parameter
 from engine.promote import promote
+from engine.statespace.evaluation import hands_rows_on
 
 FAMILIES = ("state", "measurement", "noise", "input", "time")
 
@@ -73,6 +74,9 @@ class Effect:
                 "effects",
             )
         extended = self.extend(model)
+        for function in (extended.dynamics, extended.measurement):
+            if _is_own(self.extend) and _is_own(function):
+                hands_rows_on(function)
         return replace(
             extended,
             name=f"{model.name}+{self.name}",
@@ -80,6 +84,11 @@ class Effect:
             equations=(*model.equations, f"{self.name}: {self.equation}"),
             description=f"{model.description} With {self.title}.".strip(),
         )
+
+
+def _is_own(function: Any) -> bool:
+    """Whether a function was written here, and so keeps the rows of its arguments apart."""
+    return getattr(function, "__module__", "").startswith("engine.diagnose")
 
 
 class Split:

@@ -15,7 +15,7 @@ else, it is decided which calls a function takes:
   of them is made again: see :mod:`engine.statespace.refutation`.
 - Rows of one time and one theta are particles, which no loop can help: where they influence each
   other (``a[0]`` for ``a[:, 0]``, ``np.any(a > 1)``), ModelError is raised, with the remedy. This is looked
-  at in the 1st, 2nd, 4th, 8th, ... call.
+  at in the 1st, 2nd, 4th, 8th, ... call, among states of other times.
 
 "No" is for good and "yes" is asked again. Verdicts belong to one model object and are not pickled.
 """
@@ -47,6 +47,15 @@ def line_of(error: BaseException) -> str:
     return f"{Path(own[-1].filename).name}, line {own[-1].lineno}, in {own[-1].name}; "
 
 
+def hands_rows_on(function: Any) -> Any:
+    """Mark a function of the engine's own that evaluates another model with the rows it is given.
+
+    The test is then made of the functions of that model alone.
+    """
+    function.hands_rows_on = True
+    return function
+
+
 class _Verdict:
     """Whether calls of a kind are taken, how many there were, and the next one not to be trusted."""
 
@@ -65,13 +74,14 @@ class _Verdict:
 class ModelFunction:
     """One function of a model; ``regular`` calls it and gives its results their regular shapes.
 
-    ``model`` and ``name`` are for errors; ``bounds`` (low, high), each (n_theta,), limit the
-    parameters of the test.
+    ``function`` is the one it calls, ``model`` and ``name`` are for errors; ``bounds`` (low, high), each
+    (n_theta,), limit the parameters of the test.
     """
 
     def __init__(
-        self, regular: Regular, model: str, name: str, bounds: tuple[Array, Array]
+        self, regular: Regular, function: Any, model: str, name: str, bounds: tuple[Array, Array]
     ) -> None:
+        self._trusted = getattr(function, "hands_rows_on", False)
         self._regular, self._trial = regular, Trial(regular, bounds)
         self.model, self.name = model, name
         self._verdicts: dict[Kind | None, _Verdict] = {None: _Verdict()}
@@ -84,6 +94,8 @@ class ModelFunction:
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """The function's results for all rows. Raises ModelError naming function, time and shapes."""
+        if self._trusted:
+            return self._handed_on(a, u, t, dt, theta)
         kind, verdict = self._kind, self._verdict
         if not (
             t.__class__ is float
@@ -106,6 +118,13 @@ class ModelFunction:
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
             return self._otherwise(Rows(a, u, t, dt, theta), kind, verdict, error)
         return copies(out) if self._trial.reuses else out
+
+    def _handed_on(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
+        """What the engine's own function makes of the results of another model's."""
+        try:
+            return self._regular(a, u, t, dt, theta)
+        except Exception as error:  # noqa: BLE001 - a user's function may raise anything
+            self._fail(error, Rows(a, u, t, dt, theta))
 
     def _theta_by_theta(
         self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Kind
@@ -153,8 +172,8 @@ class ModelFunction:
             elif verdict.calls >= verdict.next and len(rows.a) > 1:
                 thorough = verdict.calls >= verdict.due
                 if thorough:
-                    verdict.due = (2 if kind is None else 16) * verdict.calls
-                verdict.next = verdict.due
+                    verdict.due = 16 * verdict.calls
+                verdict.next = min(verdict.due, 2 * verdict.calls) if kind is None else verdict.due
                 together = self._trial.agreeing(rows, kind, thorough, verdict.calls)
             else:
                 together = self._regular(*rows.fresh())
@@ -189,6 +208,8 @@ class ModelFunction:
 
     def takes(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> bool:
         """Whether such rows are evaluated in one call; tries it if none were yet."""
+        if self._trusted:
+            return True
         rows = Rows(a, regular_input(u, len(a)), t, dt, theta)
         kind = self._kind_of(rows)
         if kind is not None and (kind not in self._verdicts):

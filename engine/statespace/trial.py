@@ -53,17 +53,38 @@ class Trial:
         with np.errstate(all="ignore"):
             ends = rows.extremes(kind, rng)
             if not thorough:
-                some = np.concatenate([ends, rng.integers(0, M, min(M, COMPANY))])
-                singles = self._singles(rows, kind, [*ends, *some[-MORE:]])
-                return together if self._like(rows, kind, together, some, singles) else None
+                agrees = self._agrees_briefly(rows, kind, together, ends, rng)
+                return together if agrees else None
             order = rng.permutation(M)
             singles = self._singles(rows, kind, [*ends, *order[:MORE]])
             agrees = self._like(rows, kind, together, order, singles)
             self._see_reuse(rows, raw, together)
             agrees = agrees and self._agrees_when_spread(rows, kind, together, rng)
-            new = rows.a[order[:SINGLE_ROWS]]
-            self._seen = np.concatenate([new, self._seen])[:SEEN] if len(self._seen) else new
+            self._remember(rows.a[order[:SINGLE_ROWS]])
         return together if agrees else None
+
+    def _agrees_briefly(
+        self,
+        rows: Rows,
+        kind: Kind | None,
+        together: Result,
+        ends: Indices,
+        rng: np.random.Generator,
+    ) -> bool:
+        """Whether some rows agree: with what they were together, or particles among those seen before."""
+        some = np.concatenate([ends, rng.integers(0, len(rows.a), min(len(rows.a), COMPANY))])
+        if kind is not None:
+            singles = self._singles(rows, kind, [*ends, *some[-MORE:]])
+            return self._like(rows, kind, together, some, singles)
+        mixed = rows._replace(a=np.concatenate([rows.a[some], self._seen]))
+        self._remember(rows.a[some[-SINGLE_ROWS:]])
+        n = len(mixed.a)
+        singles = self._singles(mixed, None, [0, n - 1, *rng.integers(0, n, MORE)])
+        mixture = copies(self._regular(*mixed.fresh()))
+        return self._like(mixed, None, mixture, rng.permutation(n)[: n // 2], singles)
+
+    def _remember(self, a: Array) -> None:
+        self._seen = np.concatenate([a, self._seen])[:SEEN] if len(self._seen) else a
 
     def single(self, rows: Rows) -> Result:
         """The results for a single row, after seeing whether another call writes into them."""

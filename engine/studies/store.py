@@ -45,8 +45,11 @@ class Store:
             )
         self.wall, self.workers = meta["wall_seconds"], meta["workers"]
         with self.csv.open(newline="") as file:
-            csv.field_size_limit(LARGEST)  # whole documents are among the values
-            lines = list(csv.reader(file))
+            usual = csv.field_size_limit(LARGEST)  # whole documents are among the values
+            try:
+                lines = list(csv.reader(file))
+            finally:
+                csv.field_size_limit(usual)  # it holds for the whole process
         if not lines:
             return
         self.columns = lines[0]

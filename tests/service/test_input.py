@@ -131,7 +131,8 @@ def test_limits(make_client, estimation, long):
         for _ in range(20):
             yield b" " * 1000
 
-    assert client.post("/jobs", content=pieces()).status_code == 413
+    as_json = {"Content-Type": "application/json"}
+    assert client.post("/jobs", content=pieces(), headers=as_json).status_code == 413
     answer = client.post("/jobs", json=estimation())
     assert answer.json()["errors"][0]["field"] == "series[0]"
     small = estimation(iterations=10_000) | {"series": [{"y": [0.0, 1.0, 0.0]}] * 3}
