@@ -30,7 +30,7 @@ import numpy as np
 
 from engine.errors import EngineError, ModelError
 from engine.statespace.compare import Result, copies, joined
-from engine.statespace.plan import Plan, plan_of, stacked
+from engine.statespace.plan import Plan, plan_of
 from engine.statespace.refutation import count_refutation
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, is_numeric
@@ -110,6 +110,19 @@ class ModelFunction:
             kind, verdict = None, self._verdicts[None]
         if kind is not None and not verdict.takes:
             return self._theta_by_theta(a, u, t, dt, theta, kind)
+        return self._as_before(a, u, t, dt, theta, kind, verdict)
+
+    def _as_before(
+        self,
+        a: Array,
+        u: Array,
+        t: float,
+        dt: float,
+        theta: Any,
+        kind: Kind | None,
+        verdict: _Verdict,
+    ) -> Result:
+        """One call, of a kind that was seen and taken; looked at with care when that is due."""
         verdict.calls += 1
         if verdict.calls >= verdict.next:
             return self._with_care(Rows(a, u, t, dt, theta), kind, verdict)
@@ -129,19 +142,18 @@ class ModelFunction:
     def _theta_by_theta(
         self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Kind
     ) -> Result:
-        """A call for each theta, as a filter needs it at every time step: its rows follow each other."""
-        if self._plan.theta is not theta or len(a) != self._plan.M:
-            rows = Rows(a, u, t, dt, theta)
-            self._plan = plan_of(rows, kind)
-        if not self._plan.parts:
-            return self._apart(Rows(a, u, t, dt, theta), kind)
+        """A call for each theta, as a filter needs it at every time step."""
+        plan = self._plan
+        if plan.theta is not theta or len(a) != plan.M:
+            plan = self._plan = plan_of(Rows(a, u, t, dt, theta), kind)
         try:
-            each = [self(a[at], u, t, dt, plain) for at, plain in self._plan.parts]
+            alike = self._verdicts[None]
+            each = [self._as_before(a[at], u, t, dt, own, None, alike) for at, own in plan.parts]
         except ModelError as error:
             if not error.numeric:
                 raise
             return self._apart(Rows(a, u, t, dt, theta), kind)
-        return stacked(each, self._plan.counts)
+        return plan.stacked(each)
 
     def _first_look(self, rows: Rows) -> Result:
         """A call of other arguments than the last one."""

@@ -14,46 +14,53 @@ from engine.statespace.rows import Array, Indices, Kind, Rows
 
 @dataclass(frozen=True)
 class Plan:
-    """For M rows with the record ``theta``: each slice of rows with its record of plain numbers.
+    """For M rows with the record ``theta``: the rows of each parameter vector, and it as plain numbers.
 
-    No ``parts`` where the rows of a theta do not follow each other.
+    ``counts`` are their numbers; ``back`` puts the rows of all parts, one part after the other, into
+    their places, None where they are there already.
     """
 
     theta: Any = None
     M: int = 0
-    parts: Sequence[tuple[slice, Any]] = ()
+    parts: Sequence[tuple[slice | Indices, Any]] = ()
     counts: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    back: Indices | None = None
+
+    def stacked(self, each: Sequence[Result]) -> Result:
+        """The results of the parts as one."""
+        out: list[Array | None] = [self._placed(np.concatenate([values for values, *_ in each]))]
+        for matrices in zip(*(result[1:] for result in each), strict=True):
+            if matrices[0] is None:
+                out.append(None)
+            elif all(matrix.ndim == 2 for matrix in matrices):
+                out.append(self._placed(np.repeat(np.stack(matrices), self.counts, axis=0)))
+            else:
+                shape = matrices[0].shape[-2:]
+                pairs = zip(matrices, self.counts, strict=True)
+                out.append(
+                    self._placed(
+                        np.concatenate([np.broadcast_to(m, (n, *shape)) for m, n in pairs])
+                    )
+                )
+        return tuple(out)
+
+    def _placed(self, values: Array) -> Array:
+        return values if self.back is None else values[self.back]
 
 
 def plan_of(rows: Rows, kind: Kind) -> Plan:
     """The plan for rows that differ in parameters only."""
-    M = len(rows.a)
-    if kind.times:
-        return Plan(rows.theta, M)
-    parts = []
-    for at in rows.groups(kind):
-        if at[-1] - at[0] + 1 != len(at):
-            return Plan(rows.theta, M)
+    parts: list[tuple[slice | Indices, Any]] = []
+    groups = sorted(rows.groups(kind), key=lambda at: at[0])
+    for at in groups:
         plain = [
             value if i not in kind.fields else value[at[0]] for i, value in enumerate(rows.theta)
         ]
         own = type(rows.theta)(*(float(value) for value in plain))
-        parts.append((slice(int(at[0]), int(at[-1]) + 1), own))
-    parts.sort(key=lambda part: part[0].start)
-    counts = np.array([at.stop - at.start for at, _ in parts], dtype=np.intp)
-    return Plan(rows.theta, M, parts, counts)
-
-
-def stacked(each: Sequence[Result], counts: Indices) -> Result:
-    """The results of groups of rows that follow each other, as one."""
-    out: list[Array | None] = [np.concatenate([values for values, *_ in each])]
-    for matrices in zip(*(result[1:] for result in each), strict=True):
-        if matrices[0] is None:
-            out.append(None)
-        elif all(matrix.ndim == 2 for matrix in matrices):
-            out.append(np.repeat(np.stack(matrices), counts, axis=0))
-        else:
-            shape = matrices[0].shape[-2:]
-            whole = [np.broadcast_to(m, (n, *shape)) for m, n in zip(matrices, counts, strict=True)]
-            out.append(np.concatenate(whole))
-    return tuple(out)
+        together = at[-1] - at[0] + 1 == len(at)
+        parts.append((slice(int(at[0]), int(at[-1]) + 1) if together else at, own))
+    counts = np.array([len(at) for at in groups], dtype=np.intp)
+    order = np.concatenate(groups)
+    sorted_already = bool((order[1:] > order[:-1]).all())
+    back = None if sorted_already else np.argsort(order)
+    return Plan(rows.theta, len(rows.a), parts, counts, back)
