@@ -17,6 +17,7 @@ from engine.diagnose.screen import Score, Screen
 from engine.diagnose.screening import TAILS_ALARM
 from engine.diagnose.setting import Setting
 from engine.diagnose.tails import KIND as TAILS
+from engine.diagnose.tails import tails_left
 from engine.errors import EngineError
 from engine.quasi_ml import QuasiFit
 from engine.series import Series
@@ -24,6 +25,8 @@ from engine.series import Series
 REFITS = 12  # effects refitted in a round
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
 AT_LEAST = 6  # ... unless it is among the first few: large effects bend the scores of others
+PULSE = "pulse"
+AGAIN = 0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
 REACH = 0.5  # of the best score: a refit left half-way that has this much is taken up again
 
 SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")  # by a fitted Q
@@ -95,7 +98,27 @@ def refit_best(
         found = _made(partial(kept.refit, fit.model, score.effect, once))
         if found is not None:
             refits.append(found)
-    return settle(seen, followed(refits, series, fit, kept), series, setting)
+    refits = without_one_of_many(followed(refits, series, fit, kept), seen, series)
+    return settle(seen, refits, series, setting)
+
+
+def without_one_of_many(refits: Sequence[Refit], seen: Screen, series: Series) -> list[Refit]:
+    """The refits without a pulse of a reading that leads, where more such readings are left beside it.
+
+    A pulse of an output is one bad reading. Where the tails of the errors are still heavy with that
+    reading explained, it is the largest of several: outliers.
+    """
+    named = [r for r in refits if r.effect.kind != GENERIC]
+    leading = max(named, key=lambda r: r.score, default=None)
+    if leading is None or leading.effect.kind != PULSE:
+        return list(refits)
+    channel = leading.effect.channel
+    tails = [s for s in seen.scores if s.effect.kind == TAILS and s.effect.channel == channel]
+    if not tails or not any(r.effect.kind == TAILS and r.effect.channel == channel for r in refits):
+        return list(refits)
+    if tails_left(leading.fit, tails[0].effect, series) > AGAIN:
+        return list(refits)
+    return [r for r in refits if (r.effect.kind, r.effect.channel) != (PULSE, channel)]
 
 
 def followed(

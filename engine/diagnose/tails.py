@@ -21,7 +21,7 @@ from engine.diagnose.setting import Kind, Setting
 from engine.heavy_tails import with_mixture
 from engine.kernels.filtering import condition, draw_prior
 from engine.model import Array, MixedModel, Parameter, stacked
-from engine.moment_filter import MomentPath
+from engine.moment_filter import MomentPath, moment_path
 from engine.quasi_ml import QuasiFit
 from engine.rbpf import Filtered, rbpf
 from engine.series import Series
@@ -104,6 +104,14 @@ def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array
         np.zeros(width),
         known=(max(z, 0.0) ** 2, float(norm.sf(z))),
     )
+
+
+def tails_left(fit: QuasiFit, effect: Effect, series: Series, seed: int = 0) -> float:
+    """The p-value of an effect's kurtosis test on a fitted model; 1 where it says nothing."""
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
+    test = tail_test(effect, fit.model, path, errors)
+    return 1.0 if test is None or test.known is None else test.known[1]
 
 
 def prediction_pit(filtered: Filtered, rng: np.random.Generator) -> Array:
