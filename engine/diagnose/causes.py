@@ -23,6 +23,7 @@ from engine.quasi_ml import QuasiFit, quasi_ml, whitening
 from engine.series import Series
 from engine.warm_start import WarmStart
 
+MANY = 1000.0  # times the model's noise: beyond it a number says nothing more
 MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
 
 Callback = Callable[[str, float], Any]
@@ -90,7 +91,7 @@ def find_causes(
     level = misfit(found.final, series, outliers=has_tails(found))
     if level > MISFIT:
         notes.append(
-            f"One-step errors are {np.sqrt(level):.1f} times what the model's noise allows, after "
+            f"One-step errors are {_times(np.sqrt(level))} what the model's noise allows, after "
             "everything that was found: the model is far from these data, or badly started (theta=)."
         )
         verdict = Verdict.UNKNOWN
@@ -154,3 +155,8 @@ class Clock:
         """Tell the caller, who may stop the run by raising StopIteration."""
         if self.callback is not None:
             self.callback(stage, fraction)
+
+
+def _times(factor: float) -> str:
+    """A ratio as one says it."""
+    return f"{factor:.1f} times" if factor < MANY else f"more than {MANY:.0f} times"

@@ -160,6 +160,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         return on_base(model, split, dynamics=dynamics)
 
     unit = "s" if origin is None else setting.unit(signal)
+    noise = "measurement" if at_output else "process"
     further = [
         Parameter(f"{name}_per", scale, unit, (POSITIVE, np.inf), "to which the size refers")
     ]
@@ -173,7 +174,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         "variance",
         channel,
         "noise",
-        f"{'measurement' if at_output else 'process'} noise of {target} that changes with {what}",
+        f"{noise} noise of {target} that changes with {'time' if origin is None else what}",
         f"log variance of the noise of {target} + {name} * {what} / {name}_per",
         (Parameter(name, 0.0, "1", (-20.0, 20.0), "change of the log variance"), *further),
         extend,

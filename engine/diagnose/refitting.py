@@ -26,7 +26,9 @@ REFITS = 12  # effects refitted in a round
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
 AT_LEAST = 6  # ... unless it is among the first few: large effects bend the scores of others
 PULSE = "pulse"
-AGAIN = 0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
+AGAIN = (
+    0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
+)
 REACH = 0.5  # of the best score: a refit left half-way that has this much is taken up again
 
 SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")  # by a fitted Q
@@ -98,27 +100,26 @@ def refit_best(
         found = _made(partial(kept.refit, fit.model, score.effect, once))
         if found is not None:
             refits.append(found)
-    refits = without_one_of_many(followed(refits, series, fit, kept), seen, series)
+    refits = without_one_of_many(followed(refits, series, fit, kept), series)
     return settle(seen, refits, series, setting)
 
 
-def without_one_of_many(refits: Sequence[Refit], seen: Screen, series: Series) -> list[Refit]:
-    """The refits without a pulse of a reading that leads, where more such readings are left beside it.
+def without_one_of_many(refits: Sequence[Refit], series: Series) -> list[Refit]:
+    """The refits without the pulse of a reading, where more such readings are left beside it.
 
-    A pulse of an output is one bad reading. Where the tails of the errors are still heavy with that
-    reading explained, it is the largest of several: outliers.
+    A pulse of an output is one bad reading. Where that or outliers lead, and the tails of the errors are
+    still heavy with that reading explained, it is the largest of several: outliers.
     """
     named = [r for r in refits if r.effect.kind != GENERIC]
     leading = max(named, key=lambda r: r.score, default=None)
-    if leading is None or leading.effect.kind != PULSE:
+    if leading is None or leading.effect.kind not in (PULSE, TAILS):
         return list(refits)
-    channel = leading.effect.channel
-    tails = [s for s in seen.scores if s.effect.kind == TAILS and s.effect.channel == channel]
-    if not tails or not any(r.effect.kind == TAILS and r.effect.channel == channel for r in refits):
+    there = {r.effect.kind: r for r in named if r.effect.channel == leading.effect.channel}
+    if PULSE not in there or TAILS not in there:
         return list(refits)
-    if tails_left(leading.fit, tails[0].effect, series) > AGAIN:
+    if tails_left(there[PULSE].fit, there[TAILS].effect, series) > AGAIN:
         return list(refits)
-    return [r for r in refits if (r.effect.kind, r.effect.channel) != (PULSE, channel)]
+    return [r for r in refits if r is not there[PULSE]]
 
 
 def followed(

@@ -196,8 +196,14 @@ def row(**values):
 def test_the_same_thing_in_other_words_counts_as_the_truth():
     assert figures.exact(row(verdict="named", causes="force:air"))
     assert figures.exact(row(verdict="named", causes="input-offset:heater"))
-    assert not figures.exact(row(verdict="named", causes="force:wall"))
-    assert not figures.exact(row(verdict="set", causes="force:air"))
+    assert not figures.exact(row(verdict="named", causes="step:wall"))
+    own = {"verdict": "set", "causes": "force:air"}
+    assert figures.exact(row(**own, set="force:air input-offset:heater"))
+    assert not figures.named_exactly(row(**own, set="force:air input-offset:heater"))
+    assert not figures.exact(row(**own, set="force:air step:air"))
+    assert not figures.exact(
+        row(**(own | {"causes": "force:air bias:thermometer"}), set="force:air")
+    )
     assert not figures.exact(row(verdict="named", causes="force:air step:air"))
     assert figures.wrong(row(verdict="named", causes="force:air step:air"))
     assert not figures.wrong(row(verdict="set", causes="step:air"))

@@ -30,9 +30,16 @@ def alarm(row: Row) -> bool:
     return row["verdict"] in ("named", "set", "unknown")
 
 
-def exact(row: Row) -> bool:
+def named_exactly(row: Row) -> bool:
     """Named, rightly, and nothing else."""
     return row["verdict"] == "named" and right(row, str(row["causes"]))
+
+
+def exact(row: Row) -> bool:
+    """One cause, and it is right: named, or a set whose names all are words for the same thing."""
+    names = str(row["set"]).split()
+    one = row["verdict"] == "set" and len(str(row["causes"]).split()) == 1
+    return named_exactly(row) or (one and all(right(row, name) for name in names))
 
 
 def wrong(row: Row) -> bool:

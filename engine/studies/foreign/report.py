@@ -33,13 +33,14 @@ with the model that a user would write for it, in the units of the field, with s
 {TARGET:.0f} (`sizes.csv`), from other series. Sensors' noise: *ordinary*, some 5 % of the signal, or *fine*,
 some 0.1 %.
 
-*Exact*: verdict `named` and nothing but the truth, effects that are the same thing in other words counted as
-one: |cos| of their footprints above {SAME:g} on pilot series (`alike.csv`), or equal by the plant's
-equations (`alike.py`). *In set*: the truth is in the set of the first round. *Wrong*: `named`, but not the
-truth alone. *Oracle*: the largest refitted likelihood less costs, knowing that there is something to be
-named. *Twin*: the same numbers in other units of every channel, of time and of the parameters, with other
-zeros where a channel has none of its own or the model declares it. A crash counts against the names.
-Intervals are Wilson's, 95 %; that of the share is bootstrapped.
+*Exact*: verdict `named` and nothing but the truth, or a `set` of nothing but words for it, effects that are
+the same thing in other words counted as one: |cos| of their footprints above {SAME:g} on pilot series
+(`alike.csv`), or equal by the plant's equations (`alike.py`). *In set*: the truth is in the set of the
+first round. *Wrong*: `named`, but not the truth alone. *Oracle*: the largest refitted likelihood less
+costs, knowing that there is something to be named. *Twin*: the same numbers in other units of every
+channel, of time and of the parameters, with other zeros where a channel has none of its own or the model
+declares it. A crash counts against the names. Intervals are Wilson's, 95 %; that of the share is
+bootstrapped.
 """
 
 
@@ -102,6 +103,7 @@ def summary(nothing: Sequence[Row], hidden: Sequence[Row], outside: Sequence[Row
             str(exact),
             f.met(exact, lambda v, low, high: v >= 0.8),
         ],
+        ["... said as one name", "", str(rate(strong, f.named_exactly)), ""],
         ["... the oracle", "", str(rate(strong, f.oracle_right)), ""],
         [
             "... as a share of it",

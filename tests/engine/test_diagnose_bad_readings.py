@@ -1,0 +1,42 @@
+"""One bad reading is a pulse; where more of them are left beside it, they are outliers."""
+
+import numpy as np
+
+import engine
+from engine import diagnose
+from engine.diagnose import Verdict
+from engine.series import Series
+
+LEVEL = engine.get_model("local-level")
+N = 300
+
+
+def readings(bad, seed=0):
+    """A slow level with noise of 120; ``bad`` maps rows to errors in standard deviations of it."""
+    rng = np.random.default_rng(seed)
+    y = 1000.0 + np.cumsum(rng.normal(0.0, 20.0, N)) + rng.normal(0.0, 120.0, N)
+    for row, error in bad.items():
+        y[row] += 120.0 * error
+    return Series(y=y[:, None])
+
+
+def names(found):
+    return [cause.effect for cause in found.causes]
+
+
+def looked_at(bad):
+    return diagnose(LEVEL, readings(bad), effects=["pulse", "heavy-tails", "step", "level"], seed=1)
+
+
+def test_one_bad_reading_is_said_to_be_one():
+    found = looked_at({150: 9.0})
+    (output,) = LEVEL.outputs
+    assert found.causes[0].equivalent[0] == f"pulse:{output}"
+
+
+def test_the_largest_of_several_bad_readings_is_not_the_cause():
+    """The largest alone gains more than a share of outliers does, of which there are few."""
+    found = looked_at({150: 10.0, 40: -4.5, 230: 4.5, 270: -5.0})
+    (output,) = LEVEL.outputs
+    assert found.verdict is Verdict.NAMED
+    assert names(found) == [f"heavy-tails:{output}"]
