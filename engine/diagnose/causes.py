@@ -14,6 +14,7 @@ from engine.diagnose.contradictions import undetermined
 from engine.diagnose.decide import PATCHES, patchwork, verdict_of
 from engine.diagnose.diagnosis import Verdict
 from engine.diagnose.kept import NOTHING, Kept
+from engine.diagnose.lack_of_fit import LEVEL, lack_of_fit
 from engine.diagnose.search import OUTLYING, Search, search
 from engine.diagnose.setting import Setting, setting_for
 from engine.diagnose.tails import KIND as TAILS
@@ -25,6 +26,8 @@ from engine.warm_start import WarmStart
 
 MANY = 1000.0  # times the model's noise: beyond it a number says nothing more
 MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
+
+NAMES = (Verdict.NAMED, Verdict.SET)
 
 Callback = Callable[[str, float], Any]
 
@@ -88,6 +91,10 @@ def find_causes(
     if against:
         notes.extend(against)
         verdict = Verdict.UNKNOWN
+    shape = _shape_left(found, series, setting, seed) if verdict in NAMES else None
+    if shape is not None:
+        notes.append(shape)
+        verdict = Verdict.UNKNOWN
     level = misfit(found.final, series, outliers=has_tails(found))
     if level > MISFIT:
         notes.append(
@@ -97,6 +104,20 @@ def find_causes(
         verdict = Verdict.UNKNOWN
     clock.stop()
     return Causes(base, setting, found, verdict, tuple(notes))
+
+
+def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> str | None:
+    """A sentence where what is left beside the named effects depends on the states.
+
+    On the states that they push, where they do: it is their shape that is in doubt.
+    """
+    if has_tails(found):  # the moment filter does not see outliers
+        return None
+    named = [r.refits[0].effect for r in found.rounds if r.equivalent]
+    pushed = {e.channel.rpartition("->")[2] for e in named if e.family == "state"}
+    targets = [name for name in setting.targets if name in pushed] or setting.targets
+    lacks = lack_of_fit(found.final, series, targets, list(setting.states), seed)
+    return lacks.sentence if lacks is not None and lacks.p_value <= LEVEL else None
 
 
 def fit_base(
