@@ -10,7 +10,7 @@ setup: .venv/ready
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	$(BIN)/python -m engine.warm
+	$(BIN)/python -m engine.compile_kernels
 	touch $@
 
 demo: setup
@@ -32,13 +32,13 @@ lint: setup
 # Every table and figure of the source documents at full size: about three hours on two cores,
 # resumable; a short version: make tables RUNS=8
 tables: setup
-	$(BIN)/python -m engine.studies all $(if $(RUNS),--runs $(RUNS))
+	$(BIN)/python -m tests.studies all $(if $(RUNS),--runs $(RUNS))
 
 bench: setup
 	$(BIN)/python -m tests.benchmarks.bench_em
 
 warm: setup
-	$(BIN)/python -m engine.warm
+	$(BIN)/python -m engine.compile_kernels
 
 # The service under 200 jobs and 50 polling clients; under one large body; and killed, suspended and
 # with its clock set at 50 random moments.

@@ -4,38 +4,39 @@ Start with :func:`get_model` or your own :class:`MixedModel`, put measured data 
 :class:`Series`, and estimate with :func:`rbps_em`.
 """
 
-from engine.conditional import condition_on_trajectories
-from engine.densities import GaussianMixture, StudentT
+from engine.data.series import Series
 from engine.diagnose import Diagnosis, diagnose, register_effect
 from engine.diagnose.extended import get_model
-from engine.discretize import discretize
-from engine.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
 from engine.errors import EngineError, ModelError, NotSettledWarning, OptionError, SeriesError
-from engine.examine import Examination, examine
-from engine.free_run import free_run
-from engine.heavy_tails import with_mixture, with_student_t
-from engine.kalman import kalman_smoother
-from engine.linear_cost import rb_ffbsi_linear
-from engine.model import Gaussian, MixedModel, Parameter, Theta
-from engine.nonlinear import NonlinearModel, as_general
-from engine.nonlinear_smoother import filter_general, smooth_general
-from engine.outcome import Outcome
-from engine.particle import ParticleFiltered, ParticleSmoothed, ffbsi, particle_filter
-from engine.ps_em import ps_em
-from engine.rb_ffbsi import Smoothed, rb_ffbsi
-from engine.rbpf import Filtered, rbpf
-from engine.registry import model_names, plugin_errors, register
-from engine.report import write_report
-from engine.series import Series
-from engine.simulate import Simulation, simulate
-from engine.simulation_fit import fit_simulation
-from engine.special_case import SpecialCase, gaussian_case, rb_ffbsi_special, rbpf_special
-from engine.standard_errors import (
+from engine.estimation.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
+from engine.estimation.outcome import Outcome
+from engine.estimation.ps_em import ps_em
+from engine.estimation.uncertainty import (
     LikelihoodIntervals,
     StandardErrors,
     likelihood_intervals,
     standard_errors,
 )
+from engine.filters.heavy_tails import with_mixture, with_student_t
+from engine.filters.kalman import kalman_smoother
+from engine.filters.particle import ParticleFiltered, particle_filter
+from engine.filters.rbpf import Filtered, rbpf
+from engine.models.registry import model_names, plugin_errors, register
+from engine.presentation.examination import Examination, examine
+from engine.presentation.report import write_report
+from engine.simulation.fit import fit_simulation
+from engine.simulation.free_run import free_run
+from engine.simulation.simulate import Simulation, simulate
+from engine.smoothers.exact_conditional import condition_on_trajectories
+from engine.smoothers.ffbsi import ParticleSmoothed, ffbsi
+from engine.smoothers.general import filter_general, smooth_general
+from engine.smoothers.linear_cost import rb_ffbsi_linear
+from engine.smoothers.rb_ffbsi import Smoothed, rb_ffbsi
+from engine.smoothers.special_case import SpecialCase, gaussian_case, rb_ffbsi_special, rbpf_special
+from engine.statespace.densities import GaussianMixture, StudentT
+from engine.statespace.discretization import discretize
+from engine.statespace.general import NonlinearModel, as_general
+from engine.statespace.model import Gaussian, MixedModel, Parameter, Theta
 
 __all__ = [
     "Checkpoint",

@@ -10,7 +10,7 @@ from fastapi import Request as HttpRequest
 from fastapi.responses import JSONResponse, PlainTextResponse
 
 import engine
-from engine.diagnose.setting import Setting
+from engine.diagnose.effects.setting import Setting
 from engine.errors import OptionError
 from service import documents, metrics, stages
 from service.answers import (

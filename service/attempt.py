@@ -25,9 +25,9 @@ from typing import Any, NoReturn
 import numpy as np
 from sqlalchemy.exc import SQLAlchemyError
 
-from engine.diagnose.kept import ASKED
+from engine.diagnose.search.checkpoint import ASKED
 from engine.errors import EngineError
-from engine.model import Array, Theta
+from engine.statespace.model import Array, Theta
 from service import stages
 from service.logs import configure
 from service.orphans import die_with_parent

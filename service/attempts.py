@@ -11,7 +11,7 @@ from typing import Any
 
 from sqlalchemy import and_, delete, func, insert, select, update
 
-from engine.model import Array
+from engine.statespace.model import Array
 from service.reserve import Reserve
 from service.strict_json import dumps, finite
 from service.tables import connect, documents, iterations, jobs, tasks

@@ -12,9 +12,9 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
+from engine.data.files import TIME, is_channel
+from engine.data.tables import Table
 from engine.errors import SeriesError
-from engine.series_files import TIME, is_channel
-from engine.series_tables import Table
 
 Test = Callable[[str, str, str], bool]  # column, channel, y or u
 

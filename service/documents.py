@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import engine
-from engine.model import Array, MixedModel
+from engine.statespace.model import Array, MixedModel
 from service.answers import JobStatus, Link, ModelOut, ParameterOut, Trace
 from service.schemas import ModelReference
 

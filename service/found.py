@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.examine import estimate_document, model_document
+from engine.presentation.examination import estimate_document, model_document
 from service import documents
 from service.auth import Keys
 from service.prepare import load

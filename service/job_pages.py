@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.routing import BaseRoute, Route
 
 from engine.errors import OptionError
-from engine.report import RULES, OnPage, Report, make_report, report_html
+from engine.presentation.report import RULES, OnPage, Report, make_report, report_html
 from service.answers import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
 from service.auth import Keys
 from service.etags import tagged

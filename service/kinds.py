@@ -8,17 +8,17 @@ from typing import Any, Protocol
 import numpy as np
 
 import engine
+from engine.data.series import Series
 from engine.errors import ModelError, NotSettledWarning
-from engine.examine import (
+from engine.estimation.uncertainty import LikelihoodIntervals, StandardErrors
+from engine.presentation.examination import (
     covariance_of,
     estimate_document,
     examination,
     model_document,
     states_document,
 )
-from engine.model import Array, MixedModel, Theta
-from engine.series import Series
-from engine.standard_errors import LikelihoodIntervals, StandardErrors
+from engine.statespace.model import Array, MixedModel, Theta
 from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest

@@ -12,7 +12,7 @@ import engine  # noqa: E402, F401
 import service.attempt  # noqa: E402, F401
 
 try:
-    from engine.warm import warm
+    from engine.compile_kernels import warm
 
     warm()
 except Exception:  # the first job will meet the same error and tell its owner

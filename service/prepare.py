@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from engine.diagnose.catalogue import effect_kinds, extend
-from engine.diagnose.setting import Setting
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import effect_kinds, extend
+from engine.diagnose.effects.setting import Setting
 from engine.errors import EngineError, OptionError, SeriesError
-from engine.model import Array, MixedModel, Theta
-from engine.registry import get_model
-from engine.series import Series
+from engine.models.registry import get_model
+from engine.statespace.model import Array, MixedModel, Theta
 from service.problems import Problem, invalid
 from service.schemas import (
     DiagnoseRequest,

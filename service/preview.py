@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.files import READERS, TIME
+from engine.data.tables import Table
 from engine.errors import SeriesError
-from engine.model import Array
-from engine.series_files import READERS, TIME
-from engine.series_tables import Table
+from engine.statespace.model import Array
 from service.answers import ColumnOut, PreviewOut, TimeOut
 from service.columns import counts
 from service.problems import invalid

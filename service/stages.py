@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 import engine
+from engine.data.series import Series
 from engine.errors import ModelError
-from engine.expectation import parameter_scale
-from engine.model import Theta
-from engine.series import Series
+from engine.estimation.expectation import parameter_scale
+from engine.statespace.model import Theta
 from service import diagnoses, kinds
 from service.kinds import Progress
 from service.prepare import Prepared, Request

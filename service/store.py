@@ -27,7 +27,7 @@ import numpy as np
 from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select
 from sqlalchemy.exc import IntegrityError, OperationalError
 
-from engine.model import Array
+from engine.statespace.model import Array
 from service.attempts import Attempts
 from service.strict_json import dumps
 from service.tables import documents, iterations, jobs, pulse, tasks

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.report.thin import keep
+from engine.presentation.report.downsample import keep
 
 __all__ = ["keep", "thin_results"]
 

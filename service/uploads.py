@@ -15,10 +15,10 @@ import numpy as np
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from engine.diagnose.setting import Setting
+from engine.data.files import READERS, read_series_bytes
+from engine.data.tables import Table
+from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
-from engine.series_files import READERS, read_series_bytes
-from engine.series_tables import Table
 from service.columns import match
 from service.prepare import ADAPTER, Request, find_model
 from service.problems import Problem, invalid

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from importlib.resources import files
 
-from engine.series import Series
-from engine.series_files import read_series_bytes
+from engine.data.files import read_series_bytes
+from engine.data.series import Series
 
 
 def nile() -> Series:

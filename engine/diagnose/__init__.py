@@ -21,30 +21,31 @@ from functools import partial
 
 import numpy as np
 
-from engine.diagnose.bootstrap import STAGE, first_round_p
-from engine.diagnose.catalogue import (
+from engine.data.series import Series
+from engine.diagnose.diagnosis import Diagnosis
+from engine.diagnose.effects.catalogue import (
     all_effects,
     effect_kinds,
     extend,
     make_effect,
     register_effect,
 )
-from engine.diagnose.causes import Callback, Clock, find_causes, fit_base, has_tails
-from engine.diagnose.contradictions import particle_word
-from engine.diagnose.decide import cause_of, detectable_of
-from engine.diagnose.diagnosis import Cause, Detectable, Diagnosis, LookAlike, Verdict
-from engine.diagnose.effect import Effect
-from engine.diagnose.gain import Gain, measure_gain, measure_gain_interleaved
-from engine.diagnose.kept import Parts, kept_of
-from engine.diagnose.runs import covariance_of
-from engine.diagnose.search import Search
-from engine.diagnose.spare_inputs import with_inputs
-from engine.diagnose.substeps import prepare
-from engine.diagnose.symptoms import Symptoms, check_data, find_symptoms
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.spare_inputs import with_inputs
+from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
+from engine.diagnose.search.bootstrap import STAGE, first_round_p
+from engine.diagnose.search.checkpoint import Parts, kept_of
+from engine.diagnose.search.contradictions import particle_word
+from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
+from engine.diagnose.search.pipeline import Callback, Clock, find_causes, fit_base, has_tails
+from engine.diagnose.search.search import Search
+from engine.diagnose.search.substeps import prepare
+from engine.diagnose.search.verdict import cause_of, detectable_of
+from engine.diagnose.symptoms.runs import covariance_of
+from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.errors import OptionError, SeriesError
-from engine.model import MixedModel, ThetaLike
-from engine.quasi_ml import QuasiFit
-from engine.series import Series
+from engine.estimation.quasi_ml import QuasiFit
+from engine.statespace.model import MixedModel, ThetaLike
 
 __all__ = [
     "Cause",

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from engine import registry
-from engine.diagnose.catalogue import extend
-from engine.model import MixedModel
-from engine.quasi_ml import QuasiFit
+from engine.diagnose.effects.catalogue import extend
+from engine.estimation.quasi_ml import QuasiFit
+from engine.models import registry
+from engine.statespace.model import MixedModel
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis

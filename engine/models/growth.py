@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from engine.densities import StudentT
-from engine.model import Array, Gaussian, MixedModel, Parameter
-from engine.nonlinear import NonlinearModel, as_general
+from engine.statespace.densities import StudentT
+from engine.statespace.general import NonlinearModel, as_general
+from engine.statespace.model import Array, Gaussian, MixedModel, Parameter
 
 EMPTY = np.zeros((1, 0))
 

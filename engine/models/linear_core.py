@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from engine.discretize import discretize
-from engine.model import Array
+from engine.statespace.discretization import discretize
+from engine.statespace.model import Array
 
 # values (..., n), the last one dt -> F (..., nx, nx), G (..., nx, nu), Qc (..., nx, nx)
 Build: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.model import Array, Gaussian, MixedModel, Parameter
+from engine.statespace.model import Array, Gaussian, MixedModel, Parameter
 
 A = np.eye(1)
 C = np.eye(1)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.model import Array, Gaussian, MixedModel, Parameter
+from engine.statespace.model import Array, Gaussian, MixedModel, Parameter
 
 Q = 0.01 * np.eye(4)
 R = 0.1 * np.eye(2)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.model import Array, Gaussian, MixedModel, Parameter
 from engine.models.linear_core import LinearCore
+from engine.statespace.model import Array, Gaussian, MixedModel, Parameter
 
 C = np.zeros((1, 1))
 Z1 = np.zeros(1)

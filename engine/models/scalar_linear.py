@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.model import Array, Gaussian, MixedModel, Parameter
-from engine.nonlinear import as_general
+from engine.statespace.general import as_general
+from engine.statespace.model import Array, Gaussian, MixedModel, Parameter
 
 EMPTY = np.zeros((1, 0))
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.model import Array, Gaussian, MixedModel, Parameter
 from engine.models.linear_core import LinearCore
+from engine.statespace.model import Array, Gaussian, MixedModel, Parameter
 
 C = np.array([[1.0, 0.0]])
 START = Gaussian([0.0], [[0.01**2]])  # m/s: records begin near rest

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.model import Array, Gaussian, MixedModel, Parameter
 from engine.models.linear_core import LinearCore
+from engine.statespace.model import Array, Gaussian, MixedModel, Parameter
 
 C = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
 START = Gaussian([0.0], [[0.1**2]])  # m: records begin near rest

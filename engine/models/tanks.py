@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.model import Array, Gaussian, MixedModel, Parameter
+from engine.statespace.model import Array, Gaussian, MixedModel, Parameter
 
 C = np.zeros((1, 1))
 START = Gaussian([6.0, 5.0], np.diag([4.0, 2.5]) ** 2)  # V: anywhere in the tanks

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
+from engine.arrays import Array as Array
+
 Indices: TypeAlias = NDArray[np.intp]
 
 SPREAD = 0.1  # of a parameter's size, between rows of a test

@@ -60,6 +60,11 @@ def stacked(matrix: Array) -> Array:
     return matrix[None] if matrix.ndim == 2 else matrix
 
 
+def through(A: Array, z: Array) -> Array:
+    """A z for each row of z (K, nz): A (n, nz) or (K, n, nz) -> (K, n)."""
+    return z @ A.T if A.ndim == 2 else np.einsum("kij,kj->ki", A, z)
+
+
 def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
     """A nested list whose entries are numbers or (M,)."""
     if rows * columns == 0:

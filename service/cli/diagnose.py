@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 import engine
+from engine.data.series import Series
 from engine.diagnose import Verdict, all_effects, effect_kinds
-from engine.diagnose.report import page
-from engine.diagnose.setting import Setting
-from engine.diagnose.spare_inputs import with_inputs
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.errors import EngineError, OptionError
-from engine.model import MixedModel
-from engine.series import Series
+from engine.presentation.diagnosis_text import page
+from engine.statespace.model import MixedModel
 from service import diagnoses, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, Interrupt, wrong

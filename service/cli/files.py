@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from engine.data.files import READERS, TIME, read_series
+from engine.data.series import Series
+from engine.data.tables import Table
 from engine.errors import SeriesError
-from engine.model import MixedModel
-from engine.series import Series
-from engine.series_files import READERS, TIME, read_series
-from engine.series_tables import Table
+from engine.statespace.model import MixedModel
 from service.cli.ending import wrong
 from service.columns import match
 

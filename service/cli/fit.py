@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from engine import plots, words
+from engine import words
+from engine.data.series import Series
 from engine.errors import ModelError
-from engine.free_run import free_run
-from engine.model import MixedModel
-from engine.series import Series
+from engine.presentation import plots
+from engine.simulation.free_run import free_run
+from engine.statespace.model import MixedModel
 from service import stages, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, wrong

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.catalogue import all_effects
-from engine.diagnose.setting import Setting
-from engine.model import MixedModel
-from engine.registry import get_model, model_names, plugin_errors
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.setting import Setting
+from engine.models.registry import get_model, model_names, plugin_errors
+from engine.statespace.model import MixedModel
 from engine.words import number, tidy
 from service import strict_json
 from service.cli.references import model_of, with_effects

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from engine import plots
-from engine.report import write_report
+from engine.presentation import plots
+from engine.presentation.report import write_report
 from service import strict_json
 from service.cli.ending import Ending, about_file, wrong
 from service.cli.values import about

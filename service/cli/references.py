@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from engine.diagnose.catalogue import extend
-from engine.diagnose.setting import Setting
-from engine.model import MixedModel
-from engine.model_check import check_model
-from engine.registry import get_model, model_names
-from engine.series import Series
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import extend
+from engine.diagnose.effects.setting import Setting
+from engine.models.registry import get_model, model_names
+from engine.statespace.checks import check_model
+from engine.statespace.model import MixedModel
 from service.cli.ending import wrong
 from service.cli.values import about
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from engine import plots
-from engine.diagnose.catalogue import make_effect
-from engine.diagnose.setting import Setting
-from engine.model import Array, MixedModel
-from engine.series import Series
-from engine.series_files import csv_text, write_series
+from engine.data.files import csv_text, write_series
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.presentation import plots
+from engine.statespace.model import Array, MixedModel
 from service import kinds, strict_json
 from service.cli import references
 from service.cli.ending import wrong

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from engine.model import Array, Theta
+from engine.statespace.model import Array, Theta
 from service import strict_json
 from service.cli.ending import Interrupt
 from service.cli.experiment import Experiment

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from engine.model import Array
+from engine.statespace.model import Array
 from service.cli.ending import wrong
 
 FORMAT = 2

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from engine.errors import EngineError
-from engine.model import MixedModel, Theta
+from engine.statespace.model import MixedModel, Theta
 from service.cli.ending import wrong
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 import engine
-from engine.linear_cost import backward_draws
+from engine.smoothers.linear_cost import backward_draws
 
 RESULTS = Path(__file__).parent / "results"
 T = 100

@@ -23,10 +23,10 @@ import numpy as np
 
 import engine
 from engine.diagnose import diagnose, extend
-from engine.diagnose.catalogue import all_effects
-from engine.diagnose.causes import fit_base
-from engine.diagnose.search import screen_effects
-from engine.diagnose.setting import setting_for
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.search.pipeline import fit_base
+from engine.diagnose.search.search import screen_effects
 
 RESULTS = Path(__file__).parent / "results"
 MODEL = "mixed-4"

@@ -26,10 +26,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 from engine import condition_on_trajectories, get_model, rb_ffbsi, rbpf, rbps_em, simulate
-from engine.e_steps import rbps_step
-from engine.expectation import Moments, expectation
-from engine.maximization import maximize
-from engine.points import Points
+from engine.estimation.e_steps import rbps_step
+from engine.estimation.expectation import expectation
+from engine.estimation.maximization import maximize
+from engine.smoothers.moments import Moments
+from engine.statespace.points import Points
 from tests.benchmarks import compiled_mixed4
 
 T, M, N = 200, 50, 50

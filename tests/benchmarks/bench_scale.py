@@ -28,9 +28,10 @@ from typing import Any
 import numpy as np
 
 import engine
-from engine.expectation import Moments, expectation
-from engine.maximization import maximize
-from engine.points import Points
+from engine.estimation.expectation import expectation
+from engine.estimation.maximization import maximize
+from engine.smoothers.moments import Moments
+from engine.statespace.points import Points
 
 RESULTS = Path(__file__).parent / "results"
 LENGTHS = (1_000, 10_000, 100_000)

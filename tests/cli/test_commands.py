@@ -17,7 +17,7 @@ import pytest
 import engine
 from engine import words
 from engine.data import nile
-from engine.series_files import read_series, write_series
+from engine.data.files import read_series, write_series
 from service import stages
 from service.examples import EXAMPLES
 from service.kinds import simulate as simulated_by_the_service

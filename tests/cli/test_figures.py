@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import engine
-from engine import plots
 from engine.data import nile
-from engine.free_run import Bands
+from engine.presentation import plots
+from engine.simulation.free_run import Bands
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ def commands():
 @pytest.mark.skipif(not commands(), reason="the README's section has no rbps commands")
 def test_the_readmes_commands_work(rbps, tmp_path):
     from engine.data import nile
-    from engine.series_files import write_series
+    from engine.data.files import write_series
 
     write_series(nile(), tmp_path / "flows.csv")
     for arguments in commands():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.series_files import write_series
+from engine.data.files import write_series
 from service.cli import diagnose
 from service.cli.state import Asked
 from service.cli.state_file import read

@@ -11,7 +11,7 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
-from engine.diagnose import causes
+from engine.diagnose.search import pipeline as causes
 from service.cli import diagnose, outputs
 from service.cli.state_file import FORMAT, read, write
 from tests.cli.test_commands import MINE, QUICK

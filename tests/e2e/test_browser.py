@@ -8,7 +8,7 @@ import pytest
 
 import engine
 from engine.data import nile
-from engine.series_tables import read_csv
+from engine.data.tables import read_csv
 from service.auth import digest_of
 from service.columns import counts, match
 from tests.e2e.browser import eventually, ready, service

@@ -3,8 +3,8 @@
 import numpy as np
 
 import engine
-from engine.diagnose.hide import hide
-from engine.diagnose.spare_inputs import with_inputs
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.spare_inputs import with_inputs
 
 T = 400
 DT = 0.1

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from engine import Gaussian, MixedModel, Parameter, Series
-from engine.model import Array
+from engine.statespace.model import Array
 
 ROOT_Q = 0.3 * np.array(
     [[1.0, 0, 0, 0], [0.3, 0.8, 0, 0], [0.5, -0.2, 0.9, 0], [-0.4, 0.3, 0.2, 0.7]]

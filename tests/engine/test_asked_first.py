@@ -1,9 +1,9 @@
 """Which effects a report lists first."""
 
 import engine
-from engine.diagnose.catalogue import all_effects
-from engine.diagnose.setting import Setting
-from engine.report.asked import FIRST, asked_first
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.setting import Setting
+from engine.presentation.report.priority import FIRST, asked_first
 
 
 def test_friction_sensors_and_timing_come_first():

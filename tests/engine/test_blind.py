@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.diagnose.catalogue import make_effect
-from engine.studies.blind import figures
-from engine.studies.blind.bases import BASES, typical
-from engine.studies.blind.cells import BOOTSTRAP, CLEAN, HARD, HIDDEN, OTHER, UNLISTED, USUAL, Cell
-from engine.studies.blind.hidden import draw
-from engine.studies.blind.outside import play
-from engine.studies.blind.report import BLIND
-from engine.studies.blind.rules import Rule, decided
-from engine.studies.blind.runs import work
-from engine.studies.blind.sizes import size
+from engine.diagnose.effects.catalogue import make_effect
+from tests.studies.blind import figures
+from tests.studies.blind.bases import BASES, typical
+from tests.studies.blind.cells import BOOTSTRAP, CLEAN, HARD, HIDDEN, OTHER, UNLISTED, USUAL, Cell
+from tests.studies.blind.hidden import draw
+from tests.studies.blind.outside import play
+from tests.studies.blind.report import BLIND
+from tests.studies.blind.rules import Rule, decided
+from tests.studies.blind.runs import work
+from tests.studies.blind.sizes import size
 
 EVERY = [*USUAL, *HARD, *OTHER, *UNLISTED, *BOOTSTRAP]
 

@@ -4,8 +4,8 @@ import numpy as np
 
 import engine
 from engine import diagnose
+from engine.data.series import Series
 from engine.diagnose import Verdict
-from engine.series import Series
 
 LEVEL = engine.get_model("local-level")
 N = 300

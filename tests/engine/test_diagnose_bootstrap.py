@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from engine.diagnose.bootstrap import bootstrap_p
-from engine.diagnose.search import screen_effects
-from engine.diagnose.setting import setting_for
-from engine.quasi_ml import quasi_ml
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.search.bootstrap import bootstrap_p
+from engine.diagnose.search.search import screen_effects
+from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, hidden
 
 KINDS = ["coulomb", "drag", "bias", "gain", "force", "level"]

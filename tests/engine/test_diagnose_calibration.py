@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from engine.diagnose import calibration, search
-from engine.diagnose.calibration import BOLDEST, boldness, calibrated, decides, sequential_p
-from engine.diagnose.catalogue import all_effects
-from engine.diagnose.columns import Column, Projection
-from engine.diagnose.screen import make_test, screen
-from engine.diagnose.setting import Setting
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.score_columns import Column, Projection
+from engine.diagnose.screening.screen import make_test, screen
+from engine.diagnose.search import calibration, search
+from engine.diagnose.search.calibration import BOLDEST, boldness, calibrated, decides, sequential_p
 from tests.engine.hidden_effects import DRIVE
 
 ALPHA = 0.05

@@ -7,17 +7,17 @@ import pytest
 
 import engine
 from engine.diagnose import all_effects, diagnose, effect_kinds, extend, make_effect
-from engine.diagnose.causes import find_causes
-from engine.diagnose.columns import static_column
-from engine.diagnose.decide import set_of
-from engine.diagnose.hide import hide
-from engine.diagnose.lattice import lattice_step
-from engine.diagnose.rounds import MARGIN
-from engine.diagnose.runs import noise_free
-from engine.diagnose.setting import Setting, setting_for
-from engine.diagnose.spare_inputs import with_inputs
-from engine.moment_filter import moment_filter, moment_path
-from engine.quasi_ml import log_likelihoods
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.quantization import lattice_step
+from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.spare_inputs import with_inputs
+from engine.diagnose.screening.score_columns import static_column
+from engine.diagnose.search.pipeline import find_causes
+from engine.diagnose.search.rounds import MARGIN
+from engine.diagnose.search.verdict import set_of
+from engine.diagnose.symptoms.runs import noise_free
+from engine.estimation.quasi_ml import log_likelihoods
+from engine.filters.sigma_point import moment_filter, moment_path
 from tests.engine.hidden_effects import CASES, DRIVE, DT, T, case, hidden, levels, smooth
 
 BY_NAME_ONLY = {"offset"}  # another word for bias

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose import causes, contradictions
-from engine.diagnose.catalogue import make_effect
-from engine.diagnose.causes import find_causes
-from engine.diagnose.contradictions import particle_word, undetermined
-from engine.diagnose.decide import _look_alikes
-from engine.diagnose.refits import Refit
-from engine.diagnose.setting import Setting
-from engine.quasi_ml import QuasiFit
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.search import contradictions
+from engine.diagnose.search import pipeline as causes
+from engine.diagnose.search.contradictions import particle_word, undetermined
+from engine.diagnose.search.pipeline import find_causes
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.verdict import _look_alikes
+from engine.estimation.quasi_ml import QuasiFit
 from tests.engine.hidden_effects import DRIVE, hidden
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.catalogue import make_effect
-from engine.diagnose.columns import Projection, parameter_columns
-from engine.diagnose.disturbances import best_frequencies, pulse_scores
-from engine.diagnose.families import family_test, grid
-from engine.diagnose.setting import setting_for
-from engine.moment_filter import moment_filter, moment_path
-from engine.quasi_ml import quasi_ml
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
+from engine.diagnose.screening.score_columns import Projection, parameter_columns
+from engine.diagnose.screening.time_scan import family_test, grid
+from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.sigma_point import moment_filter, moment_path
 from tests.engine.hidden_effects import DRIVE, DT, hidden, levels
 
 

@@ -8,11 +8,11 @@ import pytest
 import engine
 from engine import diagnose
 from engine.data import nile
-from engine.diagnose import catalogue
-from engine.diagnose import kept as keeping
-from engine.diagnose.hide import hide
+from engine.data.series import Series
+from engine.diagnose.effects import catalogue
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.search import checkpoint as keeping
 from engine.errors import OptionError
-from engine.series import Series
 from tests.engine.hidden_effects import DRIVE, levels
 
 LEVEL = engine.get_model("local-level")

@@ -5,10 +5,10 @@ import pytest
 
 import engine
 from engine.diagnose import Verdict
-from engine.diagnose.effect import Effect, add_to_state
-from engine.diagnose.lack_of_fit import lack_of_fit
-from engine.quasi_ml import quasi_ml
-from engine.simulate import simulate
+from engine.diagnose.effects.effect import Effect, add_to_state
+from engine.diagnose.search.lack_of_fit import lack_of_fit
+from engine.estimation.quasi_ml import quasi_ml
+from engine.simulation.simulate import simulate
 from tests.engine.hidden_effects import DRIVE, DT, levels
 from tests.engine.other_units import Units
 

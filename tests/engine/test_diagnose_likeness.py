@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from engine.diagnose import likeness, refitting
-from engine.diagnose.catalogue import make_effect
-from engine.diagnose.likeness import TIE, distinct
-from engine.diagnose.setting import Setting
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.search import likeness, refitting
+from engine.diagnose.search.likeness import TIE, distinct
 from tests.engine.hidden_effects import DRIVE
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from engine.data import nile
+from engine.data.series import Series
 from engine.diagnose import diagnose, extend, make_effect
-from engine.diagnose.adoption import Decision, decide, in_full, in_short
-from engine.diagnose.decide import set_of
-from engine.diagnose.diagnosis import Verdict
-from engine.diagnose.gain import (
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.gain.adoption import Decision, decide, in_full, in_short
+from engine.diagnose.gain.gain import (
     Gain,
     diebold_mariano,
     every_fifth,
@@ -22,22 +23,21 @@ from engine.diagnose.gain import (
     measure_gain,
     measure_gain_interleaved,
 )
-from engine.diagnose.hide import hide
-from engine.diagnose.latex import to_latex
-from engine.diagnose.plain import plain
-from engine.diagnose.refits import Refit
-from engine.diagnose.report import unnamed
-from engine.diagnose.rounds import UNNAMED_MARGIN, Round
-from engine.diagnose.runs import start_state
-from engine.diagnose.setting import Setting, setting_for
-from engine.diagnose.simulation_gain import OutputGain, bootstrap_means, noise_level
+from engine.diagnose.gain.simulation_gain import OutputGain, bootstrap_means, noise_level
+from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.rounds import UNNAMED_MARGIN, Round
+from engine.diagnose.search.verdict import set_of
+from engine.diagnose.symptoms.runs import start_state
+from engine.estimation.quasi_ml import quasi_ml
+from engine.json_values import plain
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
 from engine.models.mixed_4 import MODEL as MIXED
 from engine.models.tanks import MODEL as TANKS
-from engine.quasi_ml import quasi_ml
-from engine.series import Series
-from engine.simulate import simulate
+from engine.presentation.diagnosis_text import unnamed
+from engine.presentation.equations import to_latex
+from engine.simulation.simulate import simulate
 
 
 def biased(T, seed, size):
@@ -108,7 +108,7 @@ def test_an_extension_that_predicts_worse_is_not_adopted():
     worse = quasi_ml(extended.model, clean.part(0, 200), [*base.theta, 0.0], ["theta"])
     theta = np.array(worse.theta)
     theta[0] = 1.9  # a coupling far from the data's
-    from engine.model import Theta
+    from engine.statespace.model import Theta
 
     bad = replace(worse, theta=Theta(theta, worse.model.parameter_names))
     gain = measure_gain(base, bad, clean.part(200, 300), clean.part(0, 200), seed=1)
@@ -253,7 +253,7 @@ def test_the_scored_terms_are_those_of_the_whole_filter():
     series = simulate(LINEAR, None, 200, np.random.default_rng(6)).series
     base, extended = fits(LINEAR, "force:z", series.part(0, 150))
     gain = measure_gain(base, extended, series.part(150, 200), series.part(0, 150))
-    from engine.kalman import kalman_smoother
+    from engine.filters.kalman import kalman_smoother
 
     def held_out(fit):
         whole = kalman_smoother(fit.model, fit.theta, series).log_likelihood
@@ -383,7 +383,7 @@ def test_a_step_is_not_judged_by_a_record_with_a_clock_of_its_own():
 
 
 def test_an_extension_that_simulates_worse_and_predicts_no_better_is_not_adopted():
-    from engine.model import Theta
+    from engine.statespace.model import Theta
 
     rng = np.random.default_rng(9)
     u = np.repeat(rng.uniform(0.5, 5.0, 20), 15)

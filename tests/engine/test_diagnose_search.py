@@ -7,14 +7,14 @@ import pytest
 from scipy.stats import chi2, kstest
 
 import engine
-from engine.diagnose.catalogue import all_effects, make_effect
-from engine.diagnose.columns import Column, Projection
-from engine.diagnose.refits import Refit, cost
-from engine.diagnose.rounds import Round
-from engine.diagnose.screen import make_test, screen
-from engine.diagnose.search import confirmed
-from engine.diagnose.setting import Setting
-from engine.quasi_ml import quasi_ml
+from engine.diagnose.effects.catalogue import all_effects, make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.score_columns import Column, Projection
+from engine.diagnose.screening.screen import make_test, screen
+from engine.diagnose.search.refits import Refit, cost
+from engine.diagnose.search.rounds import Round
+from engine.diagnose.search.search import confirmed
+from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, hidden
 
 

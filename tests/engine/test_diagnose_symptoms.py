@@ -9,22 +9,29 @@ import numpy as np
 import pytest
 
 from engine.data import nile
-from engine.diagnose.compare import against_run, lost_at
-from engine.diagnose.data_checks import check_data
-from engine.diagnose.regions import Errors, by_frequency, by_signal, cut, most_telling, newey_west
-from engine.diagnose.residuals import auxiliary, standardised, whiteness
-from engine.diagnose.runs import covariance_of, smoothed, start_state
-from engine.diagnose.sentences import overall
-from engine.diagnose.symptoms import find_symptoms
-from engine.kalman import kalman_smoother
+from engine.data.series import Series
+from engine.diagnose.symptoms.compare import against_run, lost_at
+from engine.diagnose.symptoms.data_checks import check_data
+from engine.diagnose.symptoms.error_localization import (
+    Errors,
+    by_frequency,
+    by_signal,
+    cut,
+    most_telling,
+    newey_west,
+)
+from engine.diagnose.symptoms.residuals import auxiliary, standardised, whiteness
+from engine.diagnose.symptoms.runs import covariance_of, smoothed, start_state
+from engine.diagnose.symptoms.sentences import overall
+from engine.diagnose.symptoms.symptoms import find_symptoms
+from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.kalman import kalman_smoother
+from engine.filters.sigma_point import moment_path
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
 from engine.models.mixed_4 import MODEL as MIXED
 from engine.models.tanks import MODEL as TANKS
-from engine.moment_filter import moment_path
-from engine.quasi_ml import quasi_ml
-from engine.series import Series
-from engine.simulate import simulate
+from engine.simulation.simulate import simulate
 from engine.words import number, percent, tidy, with_unit
 
 QUIET = {"sigma_level": 0.001, "sigma_inflow": 0.0}

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose import Effect, catalogue, diagnose, effect_kinds, register_effect
-from engine.diagnose.effect import add_to_state
-from engine.model import Parameter
+from engine.diagnose import Effect, diagnose, effect_kinds, register_effect
+from engine.diagnose.effects import catalogue
+from engine.diagnose.effects.effect import add_to_state
+from engine.statespace.model import Parameter
 from tests.engine.hidden_effects import DRIVE, DT, T, hidden, levels
 
 KIND = "magnet"
@@ -67,7 +68,7 @@ def test_a_kind_is_not_replaced_by_accident():
 
 
 def diagnose_at_load():
-    from engine.diagnose.catalogue import extend
+    from engine.diagnose.effects.catalogue import extend
 
     return extend(DRIVE, [f"{KIND}:load"])
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.causes import find_causes
-from engine.diagnose.decide import cause_of, set_of
-from engine.diagnose.hide import hide
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.search.pipeline import find_causes
+from engine.diagnose.search.verdict import cause_of, set_of
 from tests.engine.hidden_effects import DRIVE, levels
 
 T = 500

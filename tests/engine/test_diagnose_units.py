@@ -8,15 +8,15 @@ import pytest
 from scipy.stats import norm
 
 import engine
-from engine.densities import GaussianMixture
-from engine.diagnose.catalogue import all_effects, make_effect
-from engine.diagnose.columns import Projection, effect_columns
-from engine.diagnose.families import family_test, is_timed
-from engine.diagnose.hide import hide
-from engine.diagnose.screen import make_test
-from engine.diagnose.setting import Setting, setting_for
-from engine.moment_filter import moment_filter, moment_path
-from engine.quasi_ml import quasi_ml
+from engine.diagnose.effects.catalogue import all_effects, make_effect
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.screening.score_columns import Projection, effect_columns
+from engine.diagnose.screening.screen import make_test
+from engine.diagnose.screening.time_scan import family_test, is_timed
+from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.sigma_point import moment_filter, moment_path
+from engine.statespace.densities import GaussianMixture
 from tests.engine.plain_models import Units, pendulum, record, referred, room, tank
 
 ROWS = 60

@@ -11,16 +11,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import engine
-from engine.diagnose.adoption import in_full, in_short
-from engine.diagnose.data_checks import check_data
-from engine.diagnose.gain import measure_gain
-from engine.diagnose.lattice import lattice_step
-from engine.diagnose.runs import smoothed
-from engine.diagnose.symptoms import find_symptoms
-from engine.model import Theta
-from engine.moment_filter import moment_path
-from engine.quasi_ml import QuasiFit
-from engine.series import Series
+from engine.data.series import Series
+from engine.diagnose.effects.quantization import lattice_step
+from engine.diagnose.gain.adoption import in_full, in_short
+from engine.diagnose.gain.gain import measure_gain
+from engine.diagnose.symptoms.data_checks import check_data
+from engine.diagnose.symptoms.runs import smoothed
+from engine.diagnose.symptoms.symptoms import find_symptoms
+from engine.estimation.quasi_ml import QuasiFit
+from engine.filters.sigma_point import moment_path
+from engine.statespace.model import Theta
 
 T = 240
 STEP = 60.0  # s

@@ -4,12 +4,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from engine.diagnose.catalogue import make_effect
-from engine.diagnose.decide import patchwork, verdict_of
-from engine.diagnose.refits import Refit
-from engine.diagnose.rounds import Round
-from engine.diagnose.search import Search
-from engine.diagnose.setting import Setting
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.rounds import Round
+from engine.diagnose.search.search import Search
+from engine.diagnose.search.verdict import patchwork, verdict_of
 from tests.engine.hidden_effects import DRIVE
 
 DRAG, BIAS, STEP = "drag:speed", "bias:reading", "step:reading"

@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 
 import engine
+from engine.data.series import Series
 from engine.diagnose import Cause, LookAlike, diagnose, extend, make_effect
-from engine.diagnose.cause_sentences import experiment, headline
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
-from engine.diagnose.hide import hide
-from engine.diagnose.refits import Refit
-from engine.diagnose.residuals import autocorrelation
-from engine.diagnose.setting import setting_for
-from engine.diagnose.unnamed import UnnamedForce, unnamed_force
+from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.symptoms.residuals import autocorrelation
+from engine.estimation.quasi_ml import quasi_ml
 from engine.models.linear_2 import MODEL as LINEAR
-from engine.quasi_ml import quasi_ml
-from engine.report import report_html
-from engine.report.parts import pretty, prose
-from engine.series import Series
-from engine.simulate import simulate
+from engine.presentation.cause_sentences import experiment, headline
+from engine.presentation.report import report_html
+from engine.presentation.report.parts import pretty, prose
+from engine.simulation.simulate import simulate
 from engine.words import bounds, estimate, fit_quality, number, percent, tidy
 
 
@@ -120,7 +120,7 @@ def test_a_force_that_rounding_errors_made_is_none(forced, monkeypatch):
         means[:, -1] = 1.58e15
         return means, np.broadcast_to(np.eye(3), (len(series), 3, 3))
 
-    monkeypatch.setattr(import_module("engine.diagnose.unnamed"), "smoothed", lost)
+    monkeypatch.setattr(import_module("engine.diagnose.search.latent_force"), "smoothed", lost)
     assert unnamed_force(refit, series) is None
 
 

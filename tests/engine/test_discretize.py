@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from engine.discretize import discretize
 from engine.errors import OptionError
+from engine.statespace.discretization import discretize
 
 
 @pytest.mark.parametrize("dt", [1e-3, 0.1, 5.0, 300.0])

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from engine.data import nile
-from engine.ekf import ekf
+from engine.data.series import Series
 from engine.errors import ModelError
-from engine.model import Gaussian, MixedModel
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
 from engine.models.tanks import MODEL as TANKS
-from engine.series import Series
-from engine.simulate import simulate
+from engine.simulation.simulate import simulate
+from engine.statespace.model import Gaussian, MixedModel
+from tests.studies.ekf import ekf
 
 
 def joint_gaussian(y, m, P, F, b, H, Q, R):

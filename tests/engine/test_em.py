@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from engine import Outcome, Series, get_model, rb_ffbsi, rbpf, rbps_em, rts_em, simulate
-from engine.em import Checkpoint
-from engine.proposals import bootstrap
+from engine.estimation.em import Checkpoint
+from engine.filters.proposals import bootstrap
 from tests.engine.models_for_tests import draw, random_walk, theta_everywhere
 
 MODEL = get_model("linear-2")

@@ -16,8 +16,8 @@ from engine import (
     rbps_em,
     rts_em,
 )
-from engine.em import Checkpoint
 from engine.errors import EngineError, ModelError
+from engine.estimation.em import Checkpoint
 
 Y = np.zeros(10)
 NAN, INF = np.nan, np.inf

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 import engine
 from engine import Gaussian, MixedModel, Parameter, Series
 from engine.errors import ModelError
-from engine.expectation import dependence, expectation
-from engine.free_run import run_rows
-from engine.model import as_matrix, as_rows
-from engine.moment_filter import moment_filter
-from engine.points import Points
-from engine.quasi_ml import quasi_ml
-from engine.simulate import propagate
-from engine.warm_start import WarmStart
+from engine.estimation.expectation import dependence, expectation
+from engine.estimation.quasi_ml import quasi_ml
+from engine.estimation.start import WarmStart
+from engine.filters.sigma_point import moment_filter
+from engine.simulation.free_run import run_rows
+from engine.simulation.simulate import propagate
+from engine.statespace.model import as_matrix, as_rows
+from engine.statespace.points import Points
 
 NX, LIMIT = 2, 0.7
 
@@ -477,7 +477,7 @@ def test_a_warm_start_that_cannot_be_looked_for_says_so(monkeypatch):
     def lost(*arguments):
         raise ModelError("the moment filter is lost")
 
-    monkeypatch.setattr("engine.warm_start.log_likelihoods", lost)
+    monkeypatch.setattr("engine.estimation.start.log_likelihoods", lost)
     found = engine.rbps_em(model, series, n_particles=10, n_iterations=1)
     assert "no better start could be looked for: the moment filter is lost" in found.message
 

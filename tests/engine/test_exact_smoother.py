@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.linear_cost import rb_ffbsi_linear
+from engine.smoothers.linear_cost import rb_ffbsi_linear
 
 A_A, A_Z = 1.5, 0.8  # strong coupling of z into a
 Q_A, Q_Z, Q_AZ = 0.1, 0.15, 0.02

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.curves import residuals_of, rounded
-from engine.diagnose.residuals import autocorrelation
-from engine.diagnose.symptoms import ROOM, find_symptoms
-from engine.examine import examination
+from engine.data.series import Series
+from engine.diagnose.symptoms.curves import residuals_of, rounded
+from engine.diagnose.symptoms.residuals import autocorrelation
+from engine.diagnose.symptoms.symptoms import ROOM, find_symptoms
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.mixed_4 import MODEL as MIXED
-from engine.series import Series
-from engine.simulate import simulate
+from engine.presentation.examination import examination
+from engine.simulation.simulate import simulate
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_long_series_get_fewer_simulations(monkeypatch):
         drawn.append(n)
         return np.zeros((n, len(series), model.ny))
 
-    module = importlib.import_module("engine.diagnose.symptoms")
+    module = importlib.import_module("engine.diagnose.symptoms.symptoms")
     monkeypatch.setattr(module, "draws", draws)
     monkeypatch.setattr(module, "ROOM", 100 * 60)
     for n in (30, 100, 1000):

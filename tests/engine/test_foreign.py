@@ -11,16 +11,16 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from engine.diagnose.catalogue import make_effect
-from engine.diagnose.setting import Setting
-from engine.moment_filter import moment_filter
-from engine.studies.foreign import alike, cells, figures, report, runs, sizes
-from engine.studies.foreign.drawing import series_of
-from engine.studies.foreign.plant import LEVELS, simulate
-from engine.studies.foreign.systems import SYSTEMS
-from engine.studies.foreign.systems.room import PLANT as ROOM
-from engine.studies.foreign.units import converted, converted_series, size_factor
-from engine.studies.study import Table
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.filters.sigma_point import moment_filter
+from tests.studies.foreign import alike, cells, figures, report, runs, sizes
+from tests.studies.foreign.drawing import series_of
+from tests.studies.foreign.plant import LEVELS, simulate
+from tests.studies.foreign.systems import SYSTEMS
+from tests.studies.foreign.systems.room import PLANT as ROOM
+from tests.studies.foreign.units import converted, converted_series, size_factor
+from tests.studies.study import Table
 
 EXACT = [name for name, system in SYSTEMS.items() if not system.euler]
 FAULTS = [(name, key) for name in EXACT for key in SYSTEMS[name].faults]

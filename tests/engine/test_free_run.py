@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.data.series import Series
 from engine.errors import ModelError, OptionError, SeriesError
-from engine.free_run import Bands, free_run, run_rows
-from engine.model import MixedModel, Parameter
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.mixed_4 import MODEL as MIXED
 from engine.models.servo import MODEL as SERVO
 from engine.models.tanks import MODEL as TANKS
-from engine.series import Series
-from engine.simulate import simulate
+from engine.simulation.free_run import Bands, free_run, run_rows
+from engine.simulation.simulate import simulate
+from engine.statespace.model import MixedModel, Parameter
 
 
 def steps(n, rng, hold=20):

@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.data.series import Series
 from engine.errors import OptionError
-from engine.expectation import expectation
-from engine.particle import ffbsi, particle_filter
-from engine.points import Points
-from engine.registry import get_model
-from engine.series import Series
-from engine.simulate import simulate
-from engine.studies.guarded_em import Squares, e_step, guarded_ps_em, transition, transition_slopes
+from engine.estimation.expectation import expectation
+from engine.filters.particle import particle_filter
+from engine.models.registry import get_model
+from engine.simulation.simulate import simulate
+from engine.smoothers.ffbsi import ffbsi
+from engine.statespace.points import Points
+from tests.studies.guarded_em import Squares, e_step, guarded_ps_em, transition, transition_slopes
 
 MODEL = get_model("mixed-4")
 THETA = MODEL.theta({"theta_1": 0.9, "theta_4": 0.95})

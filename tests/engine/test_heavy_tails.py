@@ -12,8 +12,8 @@ from scipy.stats import t as student
 
 import engine
 from engine.errors import OptionError
-from engine.heavy_tails import Scaled, with_mixture, with_student_t
-from engine.model_check import check_model
+from engine.filters.heavy_tails import Scaled, with_mixture, with_student_t
+from engine.statespace.checks import check_model
 
 LEVEL = engine.get_model("local-level")
 THETA = {"q": 0.1, "r": 0.2, "level": 0.0}

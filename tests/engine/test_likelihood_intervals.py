@@ -6,9 +6,9 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 
 import engine
+from engine.estimation.quasi_ml import quasi_ml
+from engine.estimation.uncertainty.likelihood import ends
 from engine.models import scalar_linear
-from engine.quasi_ml import quasi_ml
-from engine.standard_errors.likelihood import ends
 
 FALL = 0.5 * chi2.ppf(0.95, 1)
 

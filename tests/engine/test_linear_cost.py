@@ -10,8 +10,8 @@ import pytest
 
 import engine
 from engine.errors import OptionError
-from engine.kalman import kalman_smoother
-from engine.linear_cost import backward_draws, rb_ffbsi_linear
+from engine.filters.kalman import kalman_smoother
+from engine.smoothers.linear_cost import backward_draws, rb_ffbsi_linear
 
 LINEAR = engine.get_model("linear-2")
 

@@ -10,8 +10,8 @@ from engine.kernels.backward import pick
 from engine.kernels.linear_cost import backward_linear
 from engine.kernels.resampling import inverse_cdf, normalize
 from engine.models import scalar_linear
-from engine.nonlinear import NonlinearModel
-from engine.nonlinear_smoother import filter_general, smooth_general
+from engine.smoothers.general import filter_general, smooth_general
+from engine.statespace.general import NonlinearModel
 
 
 def test_pick_refuses_what_has_no_weight():

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from engine.data import nile
-from engine.series import Series
-from engine.studies import diagnose_measured as study
-from engine.studies.study import Table
+from engine.data.series import Series
+from tests.studies import diagnose_measured as study
+from tests.studies.study import Table
 
 
 def test_thinning_averages_the_input_that_is_held():

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from engine.errors import ModelError
-from engine.model import Gaussian, MixedModel, Parameter
-from engine.model_check import check_model
+from engine.statespace.checks import check_model
+from engine.statespace.model import Gaussian, MixedModel, Parameter
 
 
 def dynamics(a, u, t, dt, theta):

@@ -8,8 +8,8 @@ from scipy.optimize import minimize
 
 import engine
 from engine import Gaussian, MixedModel, Parameter
-from engine.kalman import kalman_smoother
-from engine.quasi_ml import quasi_ml
+from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.kalman import kalman_smoother
 
 TRUTH = {"z0": 3.0, "b": 0.1}
 
@@ -158,7 +158,7 @@ def test_where_the_likelihood_cannot_be_had_it_is_said(case, monkeypatch):
     def lost(*_):
         raise engine.ModelError("lost")
 
-    monkeypatch.setattr("engine.likelihood_step.quasi_ml", lost)
+    monkeypatch.setattr("engine.estimation.likelihood_step.quasi_ml", lost)
     found = engine.rbps_em(model, series, n_particles=10, n_iterations=2, warm_start=False)
     assert found.not_estimated == ("z0", "b")
     assert found.theta["z0"] == found.theta["b"] == 0.0

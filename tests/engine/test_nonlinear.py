@@ -10,17 +10,18 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 import engine
-from engine.densities import GaussianMixture, StudentT
 from engine.errors import ModelError, SeriesError
-from engine.expectation import expectation
-from engine.kalman import kalman_smoother
+from engine.estimation.expectation import expectation
+from engine.estimation.general_em import TrajectoryQ
+from engine.estimation.ps_em import ps_em
+from engine.filters.kalman import kalman_smoother
+from engine.filters.particle import particle_filter
 from engine.models import growth, scalar_linear
-from engine.nonlinear import as_general
-from engine.nonlinear_em import TrajectoryQ
-from engine.nonlinear_smoother import filter_general, smooth_general
-from engine.particle import ParticleSmoothed, particle_filter
-from engine.points import Points
-from engine.ps_em import ps_em
+from engine.smoothers.ffbsi import ParticleSmoothed
+from engine.smoothers.general import filter_general, smooth_general
+from engine.statespace.densities import GaussianMixture, StudentT
+from engine.statespace.general import as_general
+from engine.statespace.points import Points
 
 
 @pytest.fixture(scope="module")

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.catalogue import make_effect
-from engine.diagnose.outlier_filter import outlier_log_terms
-from engine.diagnose.setting import Setting
-from engine.diagnose.tails import fit_tails
-from engine.heavy_tails import with_mixture
-from engine.moment_filter import moment_filter
-from engine.quasi_ml import quasi_ml
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.tails import fit_tails
+from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.gaussian_sum import outlier_log_terms
+from engine.filters.heavy_tails import with_mixture
+from engine.filters.sigma_point import moment_filter
 from tests.engine.hidden_effects import DRIVE, hidden
 
 THETA = np.asarray(DRIVE.theta())

@@ -7,9 +7,11 @@ import pytest
 
 import engine
 from engine.errors import OptionError
-from engine.kalman import kalman_smoother
-from engine.particle import as_nonlinear, ffbsi, particle_filter
-from engine.ps_em import ps_em
+from engine.estimation.ps_em import ps_em
+from engine.filters.kalman import kalman_smoother
+from engine.filters.particle import particle_filter
+from engine.smoothers.ffbsi import ffbsi
+from engine.statespace.promotion import as_nonlinear
 
 LINEAR = engine.get_model("linear-2")
 MIXED = engine.get_model("mixed-4")

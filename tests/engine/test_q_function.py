@@ -8,10 +8,11 @@ from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
 from engine import Series, condition_on_trajectories, rb_ffbsi, rbpf
-from engine.e_steps import rbps_step
-from engine.expectation import Moments, expectation
-from engine.maximization import maximize
-from engine.points import Points
+from engine.estimation.e_steps import rbps_step
+from engine.estimation.expectation import expectation
+from engine.estimation.maximization import maximize
+from engine.smoothers.moments import Moments
+from engine.statespace.points import Points
 from tests.engine.models_for_tests import draw, partly_noise_free, theta_everywhere
 
 T, N = 3, 4

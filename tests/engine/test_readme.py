@@ -105,7 +105,7 @@ def test_commands_of_the_shell_page_exist_with_their_options(tmp_path, monkeypat
 
 
 def test_the_settings_that_are_promised_exist():
-    assert np.all([name in README for name in ("RBPS_", "python -m engine.warm")])
+    assert np.all([name in README for name in ("RBPS_", "python -m engine.compile_kernels")])
     for module in re.findall(r"python -m (engine\.\w+|service[.\w]*|tests[.\w]*)", README):
         path = Path(__file__).parents[2].joinpath(*module.split("."))
         assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), module

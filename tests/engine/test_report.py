@@ -13,17 +13,17 @@ import pytest
 
 import engine
 from engine.data import nile
+from engine.data.series import Series
 from engine.diagnose import diagnose
 from engine.errors import OptionError
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
-from engine.report import OnPage, make_report, report_html, write_report
-from engine.report.chart import Chart, Trace
-from engine.report.html import tag
-from engine.report.parts import measured, plus_minus, pretty
-from engine.report.svg import Axis, hbars, svg, svg_element
-from engine.series import Series
-from engine.simulate import simulate
+from engine.presentation.report import OnPage, make_report, report_html, write_report
+from engine.presentation.report.chart import Chart, Trace
+from engine.presentation.report.html import tag
+from engine.presentation.report.parts import measured, plus_minus, pretty
+from engine.presentation.report.svg import Axis, hbars, svg, svg_element
+from engine.simulation.simulate import simulate
 
 EVIL = '<script>alert("1")</script>'
 VOID = {"meta"}

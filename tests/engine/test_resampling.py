@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from engine.filters.rbpf import RESAMPLING
 from engine.kernels.resampling import normalize
-from engine.rbpf import RESAMPLING
 
 W = np.array([0.02, 0.31, 0.0, 0.17, 0.08, 0.25, 0.01, 0.16])
 N, RUNS = 10, 4000

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from engine.data import nile
+from engine.data.files import read_series, read_series_bytes, write_series
+from engine.data.series import Series
 from engine.errors import SeriesError
-from engine.series import Series
-from engine.series_files import read_series, read_series_bytes, write_series
 
 
 def npz(**arrays):

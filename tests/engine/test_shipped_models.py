@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import engine.registry as registry
+import engine.models.registry as registry
 from engine.models import servo, tanks
 
 

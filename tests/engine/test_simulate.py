@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from engine.errors import ModelError, OptionError, SeriesError
-from engine.model import Gaussian, MixedModel, Parameter
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
 from engine.models.mixed_4 import MODEL as MIXED
 from engine.models.servo import MODEL as SERVO
 from engine.models.tanks import MODEL as TANKS
-from engine.simulate import simulate
+from engine.simulation.simulate import simulate
+from engine.statespace.model import Gaussian, MixedModel, Parameter
 
 
 def scalar(k):

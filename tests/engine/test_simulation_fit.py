@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.data.files import read_series
+from engine.data.series import Series
 from engine.errors import ModelError, OptionError, SeriesError
-from engine.free_run import free_run
-from engine.model import Parameter
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
 from engine.models.mixed_4 import MODEL as MIXED
 from engine.models.servo import MODEL as SERVO
 from engine.models.tanks import MODEL as TANKS
-from engine.series import Series
-from engine.series_files import read_series
-from engine.simulate import simulate
-from engine.simulation_fit import fit_simulation
+from engine.simulation.fit import fit_simulation
+from engine.simulation.free_run import free_run
+from engine.simulation.simulate import simulate
+from engine.statespace.model import Parameter
 
 TRUE = {"k1": 0.06, "k3": 0.04, "k4": 0.035}
 QUIET = {"sigma_level": 1e-4, "sigma_inflow": 0.0, "sigma_y": 0.05}

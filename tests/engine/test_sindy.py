@@ -5,9 +5,9 @@ import sys
 import numpy as np
 import pytest
 
-from engine.studies import sindy, sparse
-from engine.studies.sparse import Setting, Way
-from engine.studies.study import StudyError, Table
+from tests.studies import sindy, sparse
+from tests.studies.sparse import Setting, Way
+from tests.studies.study import StudyError, Table
 
 STATES = ("x1", "x2", "v1", "v2")
 WAY = Way("step", "kept", 1e-6)

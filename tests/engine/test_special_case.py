@@ -11,8 +11,8 @@ from scipy.stats import norm
 
 import engine
 from engine.errors import ModelError
-from engine.kalman import kalman_smoother
-from engine.special_case import SpecialCase, gaussian_case, rb_ffbsi_special, rbpf_special
+from engine.filters.kalman import kalman_smoother
+from engine.smoothers.special_case import SpecialCase, gaussian_case, rb_ffbsi_special, rbpf_special
 
 BASE = engine.get_model("linear-2")
 

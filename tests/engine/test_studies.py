@@ -9,15 +9,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from engine.studies import em_arms, estimates, lost, states, table_ii, uncertainty
-from engine.studies.__main__ import main
-from engine.studies.catalogue import ALIASES, STUDIES
-from engine.studies.problems import PROBLEMS
-from engine.studies.progress import Progress, clock
-from engine.studies.realisation import realisation
-from engine.studies.report import against
-from engine.studies.runner import make_runs, make_study
-from engine.studies.statistics import (
+from tests.studies import em_arms, estimates, lost, states, table_ii, uncertainty
+from tests.studies.__main__ import main
+from tests.studies.catalogue import ALIASES, STUDIES
+from tests.studies.problems import PROBLEMS
+from tests.studies.progress import Progress, clock
+from tests.studies.realisation import realisation
+from tests.studies.report import against
+from tests.studies.runner import make_runs, make_study
+from tests.studies.statistics import (
     Figure,
     deviation,
     mean,
@@ -27,9 +27,9 @@ from engine.studies.statistics import (
     spread,
     verdict,
 )
-from engine.studies.store import Store
-from engine.studies.study import Arm, Study, StudyError, Table
-from engine.studies.times import times
+from tests.studies.store import Store
+from tests.studies.study import Arm, Study, StudyError, Table
+from tests.studies.times import times
 
 
 def draw(label, seed, run):

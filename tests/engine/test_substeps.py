@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.catalogue import all_effects, make_effect
-from engine.diagnose.families import grid
-from engine.diagnose.hide import hide
-from engine.diagnose.setting import setting_for
-from engine.diagnose.structure import guessed_points
-from engine.diagnose.substeps import is_consistent, prepare
-from engine.moment_filter import moment_filter
-from engine.quasi_ml import quasi_ml
+from engine.diagnose.effects.catalogue import all_effects, make_effect
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.rates import guessed_points
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.screening.time_scan import grid
+from engine.diagnose.search.substeps import is_consistent, prepare
+from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.sigma_point import moment_filter
 from tests.engine.plain_models import pendulum
 
 

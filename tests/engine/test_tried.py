@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from engine.studies import tried
-from engine.studies.em_arms import estimate
-from engine.studies.false_maximum import FALSE_MAXIMUM, _information, curvature
-from engine.studies.lost import ALL_FIVE
-from engine.studies.problems import model_named
-from engine.studies.realisation import realisation
-from engine.studies.study import Table
+from tests.studies import tried
+from tests.studies.em_arms import estimate
+from tests.studies.false_maximum import FALSE_MAXIMUM, _information, curvature
+from tests.studies.lost import ALL_FIVE
+from tests.studies.problems import model_named
+from tests.studies.realisation import realisation
+from tests.studies.study import Table
 
 TRUE = (1.0, 1.0, 0.3, 0.968, 0.315)
 

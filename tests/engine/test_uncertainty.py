@@ -9,12 +9,12 @@ import pytest
 from scipy.stats import norm
 
 import engine
-from engine.em_result import EmResult
 from engine.errors import NotSettledWarning
-from engine.outcome import Outcome
-from engine.quasi_ml import quasi_ml
-from engine.standard_errors import StandardErrors, likelihood, observed
-from engine.standard_errors.score import Score
+from engine.estimation.em_result import EmResult
+from engine.estimation.outcome import Outcome
+from engine.estimation.quasi_ml import quasi_ml
+from engine.estimation.uncertainty import StandardErrors, likelihood, observed
+from engine.estimation.uncertainty.score import Score
 
 MODEL = engine.get_model("linear-2")
 SERIES = engine.simulate(MODEL, None, 40, np.random.default_rng(4)).series

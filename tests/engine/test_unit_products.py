@@ -2,7 +2,7 @@
 
 import pytest
 
-from engine.diagnose.units import product
+from engine.diagnose.effects.units import product
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 import engine
 from engine import Gaussian, MixedModel, ModelError, Parameter, Series, kalman_smoother
-from engine.ekf import ekf
-from engine.linear_cost import rb_ffbsi_linear
-from engine.moment_filter import moment_path
-from engine.ps_em import ps_em
-from engine.quasi_ml import quasi_ml, whitening
+from engine.estimation.ps_em import ps_em
+from engine.estimation.quasi_ml import quasi_ml, whitening
+from engine.filters.sigma_point import moment_path
+from engine.smoothers.linear_cost import rb_ffbsi_linear
 from tests.engine.models_for_tests import (
     awkward_series,
     draw,
@@ -26,6 +25,7 @@ from tests.engine.models_for_tests import (
 )
 from tests.engine.other_units import Units
 from tests.engine.test_noise_free import TRUTH, level
+from tests.studies.ekf import ekf
 
 factors = st.integers(-30, 30)
 UNITS = np.random.default_rng(8)

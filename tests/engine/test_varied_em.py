@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.e_steps import rbps_step
-from engine.em import rbps_em
 from engine.errors import OptionError
-from engine.maximization import maximize
-from engine.registry import get_model
-from engine.simulate import simulate
-from engine.studies.em_arms import PAPER
-from engine.studies.guarded_em import guarded_ps_em
-from engine.studies.stopped import Point, stopped_bfgs
-from engine.studies.varied_em import varied_em
+from engine.estimation.e_steps import rbps_step
+from engine.estimation.em import rbps_em
+from engine.estimation.maximization import maximize
+from engine.models.registry import get_model
+from engine.simulation.simulate import simulate
+from tests.studies.em_arms import PAPER
+from tests.studies.guarded_em import guarded_ps_em
+from tests.studies.stopped import Point, stopped_bfgs
+from tests.studies.varied_em import varied_em
 
 MODEL = get_model("mixed-4")
 START = {"theta_2": 0.6, "theta_4": 0.9, "theta_5": 0.5}
@@ -49,7 +49,7 @@ def test_one_iteration_is_a_step_along_the_gradient(run, series, monkeypatch):
         seen.append((q.derivatives(theta, free)[1], to - theta, q.value(to) - q.value(theta)))
         return to
 
-    monkeypatch.setattr("engine.studies.stopped.stopped_bfgs", noting)
+    monkeypatch.setattr("tests.studies.stopped.stopped_bfgs", noting)
     result = run(MODEL, series, START, m_step_iterations=1, **SMALL)
     assert len(seen) == SMALL["n_iterations"]
     for (gradient, step, gain), taken in zip(seen, np.diff(result.trace, axis=0), strict=True):

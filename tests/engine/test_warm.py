@@ -1,11 +1,11 @@
-"""What ``python -m engine.warm`` compiles is all that estimations on any model use."""
+"""What ``python -m engine.compile_kernels`` compiles is all that estimations on any model use."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from engine import Series, get_model, rbps_em, simulate
-from engine.warm import compiled_kernels, warm
+from engine.compile_kernels import compiled_kernels, warm
 from tests.engine.models_for_tests import (
     awkward_series,
     draw,

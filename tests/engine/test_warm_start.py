@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine import get_model, rbps_em, simulate
-from engine.warm_start import moment_maximum
+from engine.estimation.start import moment_maximum
 
 # a start from which plain EM ends at theta_4 = 0, about 40 below in log-likelihood
 LOST = {"theta_1": 1.86, "theta_2": 0.47, "theta_3": 0.57, "theta_4": 0.17, "theta_5": 0.22}

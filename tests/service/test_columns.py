@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from engine.series_tables import read_csv, read_npz
+from engine.data.tables import read_csv, read_npz
 from service.columns import match
 
 CASES = {  # columns, outputs, inputs, what is found

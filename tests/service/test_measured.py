@@ -3,7 +3,7 @@
 import numpy as np
 
 import engine
-from engine.ekf import ekf
+from tests.studies.ekf import ekf
 
 FIRST = 50  # samples of the test record that may be used for the initial state
 

@@ -6,7 +6,7 @@ import sys
 # in a process of its own, for other tests of this one may have compiled what is missing
 SCRIPT = """
 import numpy as np
-from engine.warm import compiled_kernels, warm
+from engine.compile_kernels import compiled_kernels, warm
 from service import stages
 from service.documents import model
 from service.prepare import load

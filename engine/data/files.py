@@ -1,0 +1,188 @@
+"""Series in and out of files: .csv, .mat (version 4 to 7) and .npz.
+
+Which columns are which channels:
+
+- ``y`` and ``u`` are lists of column names, or mappings {model channel: column};
+- left out, they are all columns named y or u, alone or followed by something that is not a letter
+  (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
+- ``t`` names the column of time stamps in seconds; left out, a column named ``t``, ``time``,
+  ``t_s``, ``time_s`` or ``t [s]`` is used unless ``dt`` is given;
+- in .mat and .npz a scalar named ``dt`` or ``Ts`` is the time step in seconds.
+
+Empty cells and NaN, null, NA, none are missing measurements. Nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from engine.arrays import Array
+from engine.data.series import Series
+from engine.data.tables import Table, read_csv, read_mat, read_npz
+from engine.errors import SeriesError
+
+Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
+
+READERS = {".csv": read_csv, ".txt": read_csv, ".mat": read_mat, ".npz": read_npz}
+TIME = re.compile(r"(t|time)([ _]?[\[(]?s[\])]?)?", re.IGNORECASE)
+
+
+def read_series(
+    path: str | Path,
+    y: Channels = None,
+    u: Channels = None,
+    t: str | None = None,
+    dt: float | None = None,
+) -> Series:
+    """Read a file; see the module's docstring for which columns are read.
+
+    Raises SeriesError naming the file, the line and the column, and what the file holds.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
+    return read_series_bytes(data, path.name, y=y, u=u, t=t, dt=dt)
+
+
+def read_series_bytes(
+    data: bytes,
+    filename: str,
+    y: Channels = None,
+    u: Channels = None,
+    t: str | None = None,
+    dt: float | None = None,
+) -> Series:
+    """The same from the bytes of an uploaded file; the name's ending tells the format."""
+    file = Path(filename).name
+    suffix = Path(filename).suffix.lower()
+    if suffix not in READERS:
+        raise SeriesError(f"{file}: the ending must be .csv, .mat or .npz, not '{suffix}'")
+    table = READERS[suffix](data, file)
+    y_names, y_columns = _channels(table, y, "y")
+    u_names, u_columns = _channels(table, u, "u")
+    if t is None and dt is None and table.dt is None:
+        t = next((name for name in table.groups if TIME.fullmatch(name)), None)
+    times = None if t is None else _stacked(table, "t", _lookup(table, "t", t))[:, 0]
+    step = dt if dt is not None else table.dt
+    try:
+        return Series(
+            _stacked(table, "y", y_columns),
+            _stacked(table, "u", u_columns) if u_columns else None,
+            dt=1.0 if step is None else float(step),
+            t=times,
+            y_names=y_names,
+            u_names=u_names,
+        )
+    except SeriesError as error:
+        raise SeriesError(f"{file}: {error}") from error
+
+
+def write_series(series: Series, path: str | Path) -> None:
+    """Write t, y, u to .csv, .mat or .npz so that reading with the defaults gives them back.
+
+    In a CSV a channel whose name would not be recognised gets the prefix ``y_`` or ``u_``.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        np.savez_compressed(
+            path,
+            y=series.y,
+            u=series.u,
+            t=series.t,
+            y_names=np.array(series.y_names, dtype=np.str_),
+            u_names=np.array(series.u_names, dtype=np.str_),
+        )
+    elif suffix == ".mat":
+        from scipy.io import savemat
+
+        arrays: dict[str, object] = {"t": series.t[:, None], "y": series.y}
+        arrays["y_names"] = np.array(series.y_names, dtype=object)
+        if series.u.shape[1]:
+            arrays["u"] = series.u
+            arrays["u_names"] = np.array(series.u_names, dtype=object)
+        savemat(path, arrays)
+    elif suffix == ".csv":
+        path.write_text(csv_text(series), encoding="utf-8")
+    else:
+        raise SeriesError(f"{path.name}: the ending must be .csv, .mat or .npz, not '{suffix}'")
+
+
+def csv_text(series: Series) -> str:
+    """What :func:`write_series` writes into a .csv."""
+    header = ["t"]
+    for prefix, names in (("y", series.y_names), ("u", series.u_names)):
+        header += [name if is_channel(name, prefix) else f"{prefix}_{name}" for name in names]
+    table = np.column_stack((series.t, series.y, series.u))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(header)
+    for row in table.tolist():
+        writer.writerow(["" if value != value else repr(value) for value in row])
+    return out.getvalue()
+
+
+def is_channel(name: str, prefix: str) -> bool:
+    """Whether a column is read as one of y or u without being named."""
+    return name[:1].lower() == prefix and not name[1:2].isalpha()
+
+
+def _channels(
+    table: Table, wanted: Channels, prefix: str
+) -> tuple[tuple[str, ...] | None, list[str]]:
+    """Names of the channels and the columns they are read from."""
+    if isinstance(wanted, str):
+        wanted = [wanted]
+    if wanted is None:
+        columns: list[str] = []
+        for name in (prefix, prefix.upper()):  # the array itself, where there is one
+            columns = columns or list(table.groups.get(name, []))
+        if not columns or columns == [prefix] or columns == [prefix.upper()]:
+            columns = [name for name in table.columns if is_channel(name, prefix)]
+        if not columns and prefix == "y":
+            raise SeriesError(
+                f"{table.file}: no column is named y...; name the measured ones with y=[...]. "
+                f"There are {table.there()}"
+            )
+        return (tuple(columns) if columns else None), columns
+    if isinstance(wanted, Mapping):
+        columns = []
+        for channel, name in wanted.items():
+            found = _lookup(table, prefix, name)
+            if len(found) != 1:
+                raise SeriesError(
+                    f"{table.file}: '{name}' has {len(found)} columns ({', '.join(found)}); "
+                    f"name one of them for {prefix} channel '{channel}'"
+                )
+            columns += found
+        return tuple(wanted), columns
+    columns = [column for name in wanted for column in _lookup(table, prefix, name)]
+    return tuple(columns), columns
+
+
+def _lookup(table: Table, prefix: str, name: str) -> list[str]:
+    if name not in table.groups:
+        raise SeriesError(
+            f"{table.file} has no column '{name}' (asked for as {prefix}); "
+            f"there are {table.there()}"
+        )
+    return table.groups[name]
+
+
+def _stacked(table: Table, prefix: str, names: Sequence[str]) -> Array:
+    """Columns beside each other (T, n)."""
+    columns = [table.column(name) for name in names]
+    sizes = {column.size for column in columns}
+    if len(sizes) > 1:
+        lengths = ", ".join(f"'{n}' {c.size}" for n, c in zip(names, columns, strict=True))
+        raise SeriesError(f"{table.file}: the channels of {prefix} differ in length: {lengths}")
+    return np.column_stack(columns) if columns else np.zeros((0, 0))

@@ -1,0 +1,278 @@
+"""Measured data: outputs y, inputs u and their times, with missing values as NaN in y."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from engine.arrays import Array
+from engine.errors import SeriesError
+from engine.views import html, tables
+
+if TYPE_CHECKING:
+    from engine.statespace.base import BaseModel
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One experiment: y (T, ny), u (T, nu), times in seconds, channel names.
+
+    ``Series(y, u, dt=0.01)`` is regularly sampled; ``Series(y, u, t=times)`` has a time stamp
+    per row. NaN in y is a missing value: a whole row or a single channel. A one-dimensional y
+    or u is one channel. ``extra`` (T, n) are channels that were recorded but that the model does not
+    use; a diagnosis asks whether they matter. ``substeps`` counts the rows from one sample to the next,
+    the first row being a sample, where the series was refined (see :meth:`refined`). Raises SeriesError
+    naming the row and the channel.
+    """
+
+    y: Array
+    u: Array
+    t: Array
+    y_names: tuple[str, ...]
+    u_names: tuple[str, ...]
+    extra: Array
+    extra_names: tuple[str, ...]
+    substeps: int
+
+    def __init__(
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        dt: float = 1.0,
+        t: ArrayLike | None = None,
+        y_names: Sequence[str] | None = None,
+        u_names: Sequence[str] | None = None,
+        extra: ArrayLike | None = None,
+        extra_names: Sequence[str] | None = None,
+        substeps: int = 1,
+    ) -> None:
+        y_ = _columns(y, "y")
+        T = y_.shape[0]
+        u_ = np.zeros((T, 0)) if u is None else _columns(u, "u")
+        extra_ = np.zeros((T, 0)) if extra is None else _columns(extra, "extra")
+        if T < 2:
+            raise SeriesError(f"y has {T} samples; at least 2 are needed")
+        for name, values in (("u", u_), ("extra", extra_)):
+            if values.shape[0] != T:
+                raise SeriesError(
+                    f"{name} has {values.shape[0]} rows and y has {T}; they must be equal"
+                )
+        set_ = object.__setattr__
+        set_(self, "y_names", _names(y_names, y_.shape[1], "y"))
+        set_(self, "u_names", _names(u_names, u_.shape[1], "u"))
+        set_(self, "extra_names", _names(extra_names, extra_.shape[1], "extra"))
+        for row, column in np.argwhere(np.isinf(y_))[:1]:
+            raise SeriesError(
+                f"y is infinite at row {row}, channel '{self.y_names[column]}'; "
+                "use NaN for a missing value"
+            )
+        for name, values, names in (
+            ("u", u_, self.u_names),
+            ("extra", extra_, self.extra_names),
+        ):
+            for row, column in np.argwhere(~np.isfinite(values))[:1]:
+                raise SeriesError(
+                    f"{name} is not finite at row {row}, channel '{names[column]}'; "
+                    "an input must be known at every sample"
+                )
+        set_(self, "y", y_)
+        set_(self, "u", u_)
+        set_(self, "extra", extra_)
+        set_(self, "t", _times(t, dt, T))
+        set_(self, "substeps", int(substeps))
+        for array in (self.y, self.u, self.extra, self.t):
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return int(self.y.shape[0])
+
+    @cached_property
+    def steps(self) -> Array:
+        """The time steps dt_t = t_{t+1} - t_t in seconds, (T-1,)."""
+        return np.diff(self.t).astype(float)
+
+    @cached_property
+    def dt(self) -> float | None:
+        """The common time step in seconds, or None where sampling is irregular."""
+        first = float(self.steps[0])
+        return first if np.allclose(self.steps, first, rtol=1e-6, atol=0.0) else None
+
+    @cached_property
+    def observed(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Which values are there, (T, ny)."""
+        return ~np.isnan(self.y)
+
+    @cached_property
+    def n_measured(self) -> int:
+        """Number of rows with a measurement: what a sample size is, refined or with gaps."""
+        return int(self.observed.any(axis=1).sum())
+
+    @cached_property
+    def samples(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """The rows (n,) that are samples: every row, or every ``substeps``-th one."""
+        return np.arange(0, len(self), self.substeps)
+
+    def refined(self, k: int) -> Series:
+        """The same experiment with ``k`` steps from each sample to the next, (T-1) k + 1 rows.
+
+        Inputs and extra channels are held over a sample, nothing is measured in between, times are
+        subdivided evenly. ``values[series.samples]`` maps what was computed on it back to the samples.
+        Raises SeriesError for k < 1 and for a series that is refined already.
+        """
+        if k < 1:
+            raise SeriesError(f"k = {k} steps a sample; at least 1 is needed")
+        if self.substeps != 1:
+            raise SeriesError(f"the series is refined already, {self.substeps} steps a sample")
+        if k == 1:
+            return self
+        rows = np.repeat(np.arange(len(self)), k)[: (len(self) - 1) * k + 1]
+        y = np.full((len(rows), self.y.shape[1]), np.nan)
+        y[::k] = self.y
+        share = np.tile(np.arange(k) / k, len(self))[: len(rows)]
+        steps = np.append(self.steps, 0.0)
+        return self.replace(
+            y=y,
+            u=self.u[rows],
+            t=self.t[rows] + share * steps[rows],
+            extra=self.extra[rows],
+            substeps=k,
+        )
+
+    def replace(self, **changes: Any) -> Series:
+        """The same series with some of its arrays, names or ``substeps`` changed."""
+        kept = {
+            "y": self.y,
+            "u": self.u,
+            "t": self.t,
+            "y_names": self.y_names,
+            "u_names": self.u_names,
+            "extra": self.extra,
+            "extra_names": self.extra_names,
+            "substeps": self.substeps,
+        }
+        return Series(**{**kept, **changes})
+
+    def part(self, start: int, stop: int) -> Series:
+        """Rows start .. stop-1 as a series of its own, with its own times.
+
+        Of a refined series ``start`` must be a sample.
+        """
+        if start % self.substeps:
+            raise SeriesError(f"row {start} of a refined series is no sample")
+        rows = slice(start, stop)
+        return self.replace(y=self.y[rows], u=self.u[rows], t=self.t[rows], extra=self.extra[rows])
+
+    def masked(self, rows: ArrayLike) -> Series:
+        """The same series with the measurements of ``rows`` (mask or indices) missing."""
+        y = self.y.copy()
+        y[rows] = np.nan  # type: ignore[index]
+        return self.replace(y=y)
+
+    def with_extra_inputs(self) -> Series:
+        """The same series with its extra channels as further inputs too, behind its own."""
+        if not self.extra_names:
+            return self
+        return self.replace(
+            u=np.hstack([self.u, self.extra]), u_names=(*self.u_names, *self.extra_names)
+        )
+
+    def check(self, model: BaseModel, measured: bool = True) -> Series:
+        """Return self if its widths fit the model and, unless not ``measured``, y has a value.
+
+        Raises SeriesError.
+        """
+        for got, names, what in (
+            (self.y.shape[1], model.outputs, "y"),
+            (self.u.shape[1], model.inputs, "u"),
+        ):
+            if got != len(names):
+                raise SeriesError(
+                    f"{what} has {got} channels; model '{model.name}' needs {len(names)}"
+                    f" ({', '.join(names) or 'none'})"
+                )
+        if measured and not self.observed.any():
+            raise SeriesError("every value of y is missing; at least one measurement is needed")
+        return self
+
+    def _repr_html_(self) -> str:
+        every = f"every {self.dt:g} s" if self.dt is not None else "irregularly"
+        rows = []
+        for kind, names, values in (("y", self.y_names, self.y), ("u", self.u_names, self.u)):
+            for name, column in zip(names, values.T, strict=True):
+                there = column[~np.isnan(column)]
+                least, mean, most = (
+                    float(f(there)) if there.size else "" for f in (np.min, np.mean, np.max)
+                )
+                rows.append((kind, name, len(column) - there.size, least, mean, most))
+        return html(
+            f"{len(self)} samples, {every}, t = {self.t[0]:g} ... {self.t[-1]:g} s",
+            tables().table(("", "channel", "missing", "least", "mean", "most"), rows),
+        )
+
+    @staticmethod
+    def read(
+        path: str | Path,
+        y: Sequence[str] | Mapping[str, str] | None = None,
+        u: Sequence[str] | Mapping[str, str] | None = None,
+        t: str | None = None,
+        dt: float | None = None,
+    ) -> Series:
+        """Read a .csv, .mat or .npz file; see :func:`engine.data.files.read_series`."""
+        from engine.data.files import read_series
+
+        return read_series(path, y=y, u=u, t=t, dt=dt)
+
+
+def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:
+    """One series or several, each checked against the model."""
+    listed = [series] if isinstance(series, Series) else list(series)
+    if not listed:
+        raise SeriesError("no series was given; at least one is needed")
+    for one in listed:
+        one.check(model)
+    return listed
+
+
+def _columns(values: ArrayLike, name: str) -> Array:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise SeriesError(f"{name} is not a table of numbers (T, n{name}): {error}") from error
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2:
+        raise SeriesError(f"{name} has shape {array.shape}; (T, n{name}) is needed")
+    return array
+
+
+def _names(names: Sequence[str] | None, n: int, prefix: str) -> tuple[str, ...]:
+    if names is None:
+        return tuple(f"{prefix}{i + 1}" if n > 1 else prefix for i in range(n))
+    if len(names) != n:
+        raise SeriesError(f"{len(names)} names were given for {n} channels of {prefix}")
+    return tuple(names)
+
+
+def _times(t: ArrayLike | None, dt: float, T: int) -> Array:
+    if t is None:
+        if not (np.isfinite(dt) and dt > 0):
+            raise SeriesError(f"dt = {dt} s; a positive time step is needed")
+        return float(dt) * np.arange(T, dtype=np.float64)
+    times = np.array(t, dtype=float).ravel()
+    if times.size != T:
+        raise SeriesError(f"t has {times.size} time stamps and y has {T} rows")
+    bad = np.flatnonzero(~np.isfinite(times))
+    if bad.size:
+        raise SeriesError(f"t is not finite at row {bad[0]}")
+    bad = np.flatnonzero(np.diff(times) <= 0)
+    if bad.size:
+        row = int(bad[0]) + 1
+        kind = "repeats" if times[row] == times[row - 1] else "decreases"
+        raise SeriesError(f"t {kind} at row {row} ({times[row]:g} s); time must increase")
+    return times

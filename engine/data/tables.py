@@ -1,0 +1,235 @@
+"""The file formats behind :mod:`engine.data.files`: bytes of a CSV, .mat or .npz to columns.
+
+Nothing is ever unpickled. Every error is a SeriesError that names the file and the place.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from engine.arrays import Array
+from engine.errors import SeriesError
+
+MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
+DELIMITERS = (",", ";", "\t")
+LARGEST = 4 << 30  # bytes an .npz may unpack to
+
+
+@dataclass
+class Table:
+    """Columns of one file.
+
+    ``groups`` maps a name a user may ask for to the columns it stands for: itself in a CSV, all
+    channels of a two-dimensional array in .mat and .npz. ``dt`` is a scalar stored in the file.
+    """
+
+    file: str
+    columns: dict[str, Array | Sequence[str]]
+    groups: dict[str, list[str]]
+    lines: Sequence[int] = ()  # line of each CSV row, counted from 1
+    dt: float | None = None
+    ignored: list[str] = field(default_factory=list)
+
+    def column(self, name: str) -> Array:
+        """One column (T,), missing cells as NaN."""
+        values = self.columns[name]
+        if isinstance(values, np.ndarray):
+            return values
+        try:
+            if any("_" in cell for cell in values):  # Python reads 1_000 as a thousand
+                raise ValueError
+            return np.array([cell or "nan" for cell in values], dtype=float)
+        except ValueError:
+            return np.array([self._number(name, i, cell) for i, cell in enumerate(values)])
+
+    def _number(self, name: str, row: int, cell: str) -> float:
+        text = cell.strip()
+        if text.lower() in MISSING:
+            return np.nan
+        if _is_number(text):
+            return float(text)
+        hint = ""
+        if text.count(",") == 1 and _is_number(text.replace(",", ".")):
+            hint = "; it has a decimal comma, write a decimal point"
+        raise SeriesError(
+            f"{self.file}, line {self.lines[row]}, column '{name}': '{text[:40]}' is not a "
+            f"number{hint}"
+        )
+
+    def there(self) -> str:
+        """What the file holds, for errors."""
+        text = ", ".join(f"'{name}'" for name in self.groups) or "nothing"
+        return text + (f" (not usable: {', '.join(self.ignored)})" if self.ignored else "")
+
+
+def read_csv(data: bytes, file: str) -> Table:
+    """A CSV with one header line; delimiter comma, semicolon or tab; leading # lines skipped."""
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise SeriesError(f"{file}, line {line}: not UTF-8 text; save the file as UTF-8") from error
+    if "\0" in text:
+        raise SeriesError(f"{file} is not a text file; a CSV is needed")
+    lines = text.splitlines()
+    first = 0
+    while first < len(lines) and (not lines[first].strip() or lines[first].startswith("#")):
+        first += 1
+    if first == len(lines):
+        raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
+    delimiter = max(DELIMITERS, key=lines[first].count)
+    last = len(lines)
+    while not lines[last - 1].strip():  # the file's end, however many lines it has
+        last -= 1
+    reader = csv.reader(lines[first:last], delimiter=delimiter)
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    try:
+        names = [name.strip() for name in next(reader)]
+        _check_header(names, file, first + 1)
+        for row in reader:
+            # An empty line is a missing value where there is one column, nothing otherwise.
+            if not row and len(names) == 1:
+                row = [""]
+            if not row:
+                continue
+            if len(row) != len(names):
+                raise _ragged(row, names, file, first + reader.line_num)
+            rows.append(row)
+            numbers.append(first + reader.line_num)
+    except csv.Error as error:  # a cell of more than 131,072 characters, an open quotation mark
+        raise SeriesError(f"{file}, line {first + reader.line_num}: {error}") from error
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
+    if not rows:
+        raise SeriesError(f"{file} has a header and no rows of numbers")
+    return Table(file, dict(columns), {name: [name] for name in names}, numbers)
+
+
+def read_npz(data: bytes, file: str) -> Table:
+    """Arrays y, u, t, dt (or others by name) of an .npz archive."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(info.file_size for info in archive.infolist())
+            if size > LARGEST:
+                raise SeriesError(f"{file} unpacks to {size} bytes; at most {LARGEST} are read")
+            for info in archive.infolist():
+                _check_array(archive, info)
+        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+            found = {}
+            for name in stored.files:
+                try:
+                    found[name] = stored[name]
+                except ValueError:  # an object array: it would have to be unpickled
+                    found[name] = None
+    except SeriesError:
+        raise
+    except Exception as error:
+        raise SeriesError(f"{file} is not a readable .npz archive: {error}") from error
+    return _from_arrays(found, file)
+
+
+def _check_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:
+    """Raise ValueError for an array whose header claims more than there is; room would be made for it."""
+    with archive.open(info) as stream:
+        if stream.read(6) != b"\x93NUMPY":
+            return
+        stream.seek(0)
+        version = np.lib.format.read_magic(stream)
+        readers = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }
+        if (
+            version not in readers
+        ):  # (3, 0) is for tables with named fields, which are not used here
+            return
+        shape, _, dtype = readers[version](stream)
+        there = info.file_size - stream.tell()
+    needed = math.prod(shape) * dtype.itemsize
+    if needed > there and not dtype.hasobject:
+        raise ValueError(f"the array '{info.filename}' claims {needed} bytes and has fewer")
+
+
+def read_mat(data: bytes, file: str) -> Table:
+    """Arrays y, u, t, dt (or others by name) of a MATLAB file, version 4 to 7."""
+    from scipy.io import loadmat
+
+    if data[:4] == b"\x89HDF" or data[512:516] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
+        raise SeriesError(f"{file} is a MATLAB 7.3 file; save it with -v7: save('{file}', '-v7')")
+    try:
+        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]  # stubs know paths only
+    except Exception as error:
+        raise SeriesError(f"{file} is not a readable MATLAB file: {error}") from error
+    return _from_arrays({k: v for k, v in found.items() if not k.startswith("__")}, file)
+
+
+def _from_arrays(found: dict[str, object], file: str) -> Table:
+    """A table of the numeric arrays: one column per channel of a (T, n) array."""
+    table = Table(file, {}, {})
+    for name, value in found.items():
+        if name.endswith("_names"):
+            continue
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim > 2:
+            table.ignored.append(f"'{name}' is not a table of real numbers")
+            continue
+        array = np.asarray(value, dtype=float)
+        if array.size == 1 and name.lower() in ("dt", "ts"):
+            table.dt = float(array.ravel()[0])
+            continue
+        if array.ndim < 2 or array.shape[0] == 1:  # vectors, MATLAB's rows among them
+            array = array.reshape(-1, 1)
+        n = array.shape[1]
+        names = _stored_names(found.get(f"{name}_names"))
+        if len(names) != n:
+            names = [f"{name}{i + 1}" for i in range(n)] if n > 1 else [name]
+        table.groups[name] = names
+        for i, column in enumerate(names):
+            table.columns[column] = np.ascontiguousarray(array[:, i])
+            table.groups.setdefault(column, [column])
+    return table
+
+
+def _stored_names(value: object) -> list[str]:
+    """Channel names stored beside an array: a unicode array, or a MATLAB cell array."""
+    if not isinstance(value, np.ndarray):
+        return []
+    cells: list[Any] = value.ravel().tolist()
+    return [str(np.ravel(cell)[0]) if np.size(cell) else "" for cell in cells]
+
+
+def _check_header(names: list[str], file: str, line: int) -> None:
+    if all(_is_number(name) for name in names if name) and any(names):
+        raise SeriesError(
+            f"{file}, line {line}: the first line holds numbers; it must name the columns, "
+            "like t,u,y"
+        )
+    for i, name in enumerate(names):
+        if not name and len(names) > 1:
+            raise SeriesError(f"{file}, line {line}: column {i + 1} has no name")
+        if names.count(name) > 1:
+            raise SeriesError(f"{file}, line {line}: two columns are named '{name}'")
+
+
+def _ragged(row: list[str], names: list[str], file: str, line: int) -> SeriesError:
+    hint = ""
+    if len(row) == 2 * len(names):
+        hint = "; are these decimal commas? write decimal points, or separate by semicolons"
+    return SeriesError(
+        f"{file}, line {line}: {len(row)} cells for {len(names)} columns ({', '.join(names)}){hint}"
+    )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text

@@ -1,0 +1,158 @@
+"""Extensions of a model by states of the effect's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from engine.diagnose.effects.effect import Split, on_base
+from engine.statespace.model import Array, MixedModel
+from engine.statespace.promotion import product
+
+# (a_1 (M, na), base record, own values) -> m (M, k), G (k, nz) or (M, k, nz), variances: the new states
+# are m + G z_1 at first, plus noise of these variances (a number or (k,))
+Begin: TypeAlias = Callable[[Array, Any, Any], tuple[Array, Array, Any]]
+
+
+def add_linear_states(
+    model: MixedModel,
+    split: Split,
+    states: Mapping[str, str],
+    dynamics: Any,
+    begin: Begin | None = None,
+    **functions: Any,
+) -> MixedModel:
+    """The model with more linear states, name -> unit, behind its own.
+
+    ``begin`` tells where they start, by default at zero; what they share with x_1 is in P_1.
+    """
+    na, nz, k = model.na, model.nz, len(states)
+
+    def initial(theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        start = model.start(own_base)
+
+        def first(a: Array) -> tuple[Array, Array, Any]:
+            if begin is None:
+                return np.zeros((len(a), k)), np.zeros((k, nz)), 0.0
+            return begin(a[:, :na], own_base, own)
+
+        def z1(a: Array) -> Array:
+            z, _ = start.linear(a[:, :na])
+            m, G, _ = first(a)
+            return np.concatenate([z, m + np.einsum("...ij,...j->...i", G, z)], axis=1)
+
+        def P1(a: Array) -> Array:
+            _, P = start.linear(a[:, :na])
+            _, G, variances = first(a)
+            both = np.concatenate(
+                [np.broadcast_to(np.eye(nz), (*G.shape[:-2], nz, nz)), G], axis=-2
+            )
+            whole: Array = both @ P @ np.swapaxes(both, -1, -2)
+            own_rows = np.arange(nz, nz + k)
+            whole[..., own_rows, own_rows] += variances
+            return whole
+
+        one = P1(np.asarray(start.density.sample(np.random.default_rng(0), 2), dtype=float))
+        by_point = callable(start.P1) or one.ndim == 3
+        return start.density, z1, P1 if by_point else one
+
+    if "measurement" not in functions:
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            h, C, R = model.observation(a, u, t, split(theta)[0])
+            return h, np.concatenate([C, np.zeros((*C.shape[:-1], k))], axis=-1), R
+
+        functions["measurement"] = measurement
+    taken = {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}
+    for name, unit in states.items():
+        while name in taken:
+            name += "_"
+        taken[name] = unit
+    added = list(taken.items())[-k:]
+    extended = on_base(model, split, dynamics=dynamics, initial=initial, **functions)
+    return replace(extended, linear={**model.linear, **dict(added)})
+
+
+def beside(
+    step: tuple[Array, Array, Array], M: int, block: Sequence[Sequence[Any]], noise: Any
+) -> tuple[Array, Array, Array]:
+    """One step of a model with k more linear states of their own dynamics behind its own.
+
+    ``block`` (k, k) of numbers or (M,) is their transition matrix, ``noise`` the variance of each one's
+    noise. Nothing passes between them and the model's states yet.
+    """
+    f, A, Q = step
+    (nx, nz), k = A.shape[-2:], len(block)
+    entries = [entry for row in block for entry in row]
+    A_all = _zeros(A, M, (nx + k, nz + k), entries)
+    A_all[..., :nx, :nz] = A
+    Q_all = _zeros(Q, M, (nx + k, nx + k), [noise])
+    Q_all[..., :nx, :nx] = Q
+    for i, row in enumerate(block):
+        Q_all[..., nx + i, nx + i] = noise
+        for j, entry in enumerate(row):
+            A_all[..., nx + i, nz + j] = entry
+    return np.concatenate([f, np.zeros((M, k))], axis=1), A_all, Q_all
+
+
+def _zeros(matrix: Array, M: int, shape: tuple[int, int], entries: Sequence[Any]) -> Array:
+    """Zeros of a shape, per point where the matrix or one of the entries is."""
+    common = matrix.ndim == 2 and all(np.ndim(entry) == 0 for entry in entries)
+    return np.zeros(shape if common else (M, *shape))
+
+
+def add_memory(
+    model: MixedModel,
+    split: Split,
+    name: str,
+    unit: str,
+    step: Callable[..., tuple[Array, Array, Array, Array]],
+    observe: Callable[..., tuple[Array, Array, Array]],
+    begin: Callable[[Any], tuple[Any, Any]],
+) -> MixedModel:
+    """The model with one more nonlinear state, without noise of its own.
+
+    ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory
+    (M,); ``observe(a, memory, u, t, base, own)`` returns h, C, R; ``begin(own)`` the memory's mean and
+    variance at first, independent of x_1. p(a_1) may be any density.
+    """
+    na, nx = model.na, model.nx
+    order = np.array([*range(na), nx, *range(na, nx)])
+    rows = order[:, None]
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        f, A, Q, memory = step(a[:, :na], a[:, na], u, t, dt, *split(theta))
+        f = np.concatenate([f, memory[:, None]], axis=1)
+        A = np.concatenate([A, np.zeros((*A.shape[:-2], 1, model.nz))], axis=-2)
+        Q_all = np.zeros((*Q.shape[:-2], nx + 1, nx + 1))
+        Q_all[..., :nx, :nx] = Q
+        return f[:, order], A[..., order, :], Q_all[..., rows, order]
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        return observe(a[:, :na], a[:, na], u, t, *split(theta))
+
+    def initial(theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        start = model.start(own_base)
+        mean, variance = begin(own)
+
+        def memory(a: Array) -> tuple[Array, Array]:
+            return np.full((len(a), 1), float(mean)), np.array([[float(variance)]])
+
+        def of_base(function: Any) -> Any:
+            return (lambda a: function(a[:, :na])) if callable(function) else function
+
+        density = product(start.density, memory, na)
+        return density, of_base(start.z1), of_base(start.P1)
+
+    return replace(
+        model,
+        nonlinear={**model.nonlinear, name: unit},
+        dynamics=dynamics,
+        measurement=measurement,
+        initial=initial,
+    )

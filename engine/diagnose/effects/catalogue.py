@@ -1,0 +1,95 @@
+"""All effects that can be asked of a model, and how to get one by its name.
+
+An effect is written ``kind:channel``. A channel is the name of a state, input, output or parameter of
+the model; ``source->target`` puts a function of one state into the equation of another. Kinds come
+from makers registered with :func:`register_effect`, those shipped and anybody's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from engine.diagnose.effects.colored import KINDS as COLORED
+from engine.diagnose.effects.delays import KINDS as LATE
+from engine.diagnose.effects.dynamic import KINDS as MEMORY
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.inputs import KINDS as INPUT
+from engine.diagnose.effects.measurement import KINDS as MEASUREMENT
+from engine.diagnose.effects.noise import KINDS as NOISE
+from engine.diagnose.effects.setting import Channels, Kind, Maker, Setting
+from engine.diagnose.effects.state import KINDS as STATE
+from engine.diagnose.effects.tails import KINDS as TAILS
+from engine.diagnose.effects.time import KINDS as TIME
+from engine.diagnose.effects.time_step import KINDS as TIME_STEP
+from engine.errors import OptionError
+from engine.statespace.model import MixedModel
+
+SHIPPED: tuple[Kind, ...] = (
+    *STATE,
+    *MEMORY,
+    *MEASUREMENT,
+    *LATE,
+    *NOISE,
+    *COLORED,
+    *TAILS,
+    *INPUT,
+    *TIME,
+    *TIME_STEP,
+)
+
+_makers: dict[str, tuple[Maker, Channels]] = {kind: (make, where) for kind, make, where in SHIPPED}
+
+
+def register_effect(kind: str, maker: Maker, channels: Channels, replace: bool = False) -> None:
+    """Make a kind of effect known; ``channels`` lists where it may enter a given model."""
+    if kind in _makers and not replace:
+        raise OptionError(f"an effect of kind '{kind}' is already registered", "effects")
+    _makers[kind] = (maker, channels)
+
+
+def effect_kinds() -> list[str]:
+    """The kinds there are, sorted."""
+    return sorted(_makers)
+
+
+def make_effect(name: str, setting: Setting) -> Effect:
+    """The effect ``kind:channel`` for a model. Raises OptionError naming what there is."""
+    kind, _, channel = name.partition(":")
+    if kind not in _makers:
+        raise OptionError(
+            f"effect '{name}' is not known; kinds are {', '.join(sorted(_makers))}", "effects"
+        )
+    effect = _makers[kind][0](setting, channel)
+    if effect is None:
+        there = ", ".join(_makers[kind][1](setting)) or "none"
+        raise OptionError(
+            f"effect '{kind}' cannot enter model '{setting.model.name}' at '{channel}'; "
+            f"channels are {there}",
+            "effects",
+        )
+    return effect
+
+
+def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Effect]:
+    """Every effect of the catalogue for a model; ``kinds`` restricts to kinds or full names."""
+    out: list[Effect] = []
+    for kind, (maker, channels) in _makers.items():
+        for channel in channels(setting):
+            if kinds is not None and kind not in kinds and f"{kind}:{channel}" not in kinds:
+                continue
+            effect = maker(setting, channel)
+            if effect is not None:
+                out.append(effect)
+    return out
+
+
+def extend(model: MixedModel, effects: Sequence[str], setting: Setting | None = None) -> MixedModel:
+    """The model with effects applied one after the other, by name."""
+    known = setting or Setting(model)
+    known = replace(
+        known, zeros=known.known_zeros
+    )  # what an effect adds moves no zero of the model's
+    for name in effects:
+        model = make_effect(name, replace(known, model=model)).apply(model)
+    return model

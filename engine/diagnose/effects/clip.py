@@ -1,0 +1,59 @@
+"""Limits at which a signal is clipped: an upper one, a lower one, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.origin import Origin
+from engine.diagnose.effects.setting import Setting
+from engine.statespace.model import Parameter
+
+SHARES = (0.5, 0.8, 0.95)  # of the record within the limits the screen looks at
+
+
+class Clip:
+    """What of a signal is beyond ``<name>_limit``, a value on the signal's axis.
+
+    ``<name>_side`` says on which side it clips: 1 above the limit, -1 below it, 0 on both sides, at the
+    limit and at its mirror image about the zero. Own values: size, limit, side, zero where not known.
+    """
+
+    def __init__(self, setting: Setting, name: str, channel: str) -> None:
+        origin = self.origin = Origin(setting, name, channel)
+        low, high = setting.inside(channel)
+        zero, away = setting.zero(channel), setting.distance(channel, SHARES[-1])
+        self.name, self.zero = name, origin.name
+        bounds = setting.limits(min(low, zero - away), max(high, zero + away), -np.inf)
+        self.parameters = (
+            Parameter(
+                f"{name}_limit",
+                zero + setting.distance(channel, 0.7),
+                setting.unit(channel),
+                bounds,
+                "where it begins",
+            ),
+            Parameter(f"{name}_side", 0.0, "1", (-1.0, 1.0), "1: above, -1: below, 0: both sides"),
+            *origin.parameters,
+        )
+        self.held = (f"{name}_side", *origin.held)
+        lowest, highest = (setting.quantile(channel, q) for q in (1.0 - SHARES[-1], SHARES[-1]))
+        both = [(zero + setting.distance(channel, share), 0.0) for share in SHARES]
+        if not lowest < zero < highest:
+            both = []  # it has no second side
+        above = [(setting.quantile(channel, share), 1.0) for share in SHARES[1:]]
+        below = [(setting.quantile(channel, 1.0 - share), -1.0) for share in SHARES[1:]]
+        self.probes = tuple((*p, *origin.probe) for p in (*both, *above, *below))
+
+    def excess(self, x: Any, own: Sequence[Any]) -> Any:
+        """How far x is beyond the limit, with its sign; zero inside."""
+        limit, side, zero = own[1], own[2], self.origin.of(own)
+        above, below = np.maximum(x - limit, 0.0), np.minimum(x - limit, 0.0)
+        both = np.sign(x - zero) * np.maximum(np.abs(x - zero) - np.abs(limit - zero), 0.0)
+        return np.where(np.greater(side, 0.5), above, np.where(np.less(side, -0.5), below, both))
+
+    def text(self, x: str) -> str:
+        """The excess, for an equation."""
+        return f"(what of {x} is beyond {self.name}_limit, on {self.name}_side)"

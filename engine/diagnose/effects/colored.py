@@ -1,0 +1,174 @@
+"""Noise with a memory: coloured noise of a sensor, and forces nobody named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
+from engine.diagnose.effects.effect import Effect, Split, identifier
+from engine.diagnose.effects.setting import Kind, Setting, each_output
+from engine.diagnose.effects.units import product
+from engine.statespace.model import Array, MixedModel, Parameter
+
+OSCILLATING = "oscillating"  # the second manner of an unnamed force
+
+
+def _colored(setting: Setting, channel: str) -> Effect | None:
+    """A part of the noise is first-order autoregressive.
+
+    In a state's equation that is what the unnamed slow force is, so there it goes by name only.
+    """
+    if channel not in setting.model.outputs:
+        force = _latent(setting, channel)
+        if force is None:
+            return None
+        return replace(force, kind="colored", title=f"coloured process noise of {channel}")
+    name, unit = identifier("colored", channel), setting.unit(channel)
+    scale = setting.size(channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        row = list(model.outputs).index(channel)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            return _ou(model.transition(a, u, t, dt, own_base), len(a), dt, own)
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            h, C, R = model.observation(a, u, t, split(theta)[0])
+            C = np.concatenate([C, np.zeros((*C.shape[:-1], 1))], axis=-1)
+            C[..., row, -1] = 1.0
+            return h, C, R
+
+        return add_linear_states(
+            model,
+            split,
+            {f"noise_{channel}": unit},
+            dynamics,
+            _stationary(model.nz, 1),
+            measurement=measurement,
+        )
+
+    return Effect(
+        "colored",
+        channel,
+        "noise",
+        f"coloured measurement noise of {channel}",
+        f"{channel} = ... + c,  c an Ornstein-Uhlenbeck process of variance {name}",
+        (
+            Parameter(
+                name,
+                0.0,
+                product((unit, 2.0)),
+                setting.limits(0.0, 100.0 * scale**2, 0.0),
+                "variance",
+            ),
+            _time_parameter(name, setting),
+        ),
+        extend,
+        probes=((2.0 * setting.dt,), (10.0 * setting.dt,)),
+        look_alikes={"latent": "moves the state", "lag": "is driven by the reading itself"},
+        one_sided=True,
+    )
+
+
+def _latent(setting: Setting, channel: str) -> Effect | None:
+    """A force nobody named: a random process in one equation; detects "something".
+
+    First-order and slow (Ornstein-Uhlenbeck), or, as ``state,oscillating``, of second order: a noise
+    that swings about a frequency and forgets its phase.
+    """
+    target, _, manner = channel.partition(",")
+    if target not in setting.states or manner not in ("", OSCILLATING):
+        return None
+    name, unit = identifier("latent", channel), setting.rate(target)
+    most = setting.limits(0.0, 100.0 * (setting.size(target) / setting.dt) ** 2, 0.0)
+    swings = manner == OSCILLATING
+    states = {f"force_{target}": unit}
+    if swings:
+        states = {f"swing_{target}": unit, **states}
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        row = [*model.nonlinear, *model.linear].index(target)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            step = model.transition(a, u, t, dt, own_base)
+            f, A, Q = (_swing if swings else _ou)(step, len(a), dt, own)
+            A[..., row, -1] += dt
+            return f, A, Q
+
+        return add_linear_states(model, split, states, dynamics, _stationary(model.nz, len(states)))
+
+    parameters = [
+        Parameter(name, 0.0, product((unit, 2.0)), most, "variance"),
+        _time_parameter(name, setting),
+    ]
+    probes: tuple[tuple[float, ...], ...] = ((3.0 * setting.dt,), (20.0 * setting.dt,))
+    if swings:
+        length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
+        bounds = setting.limits(0.5 / length, 0.48 / setting.dt)
+        parameters.append(Parameter(f"{name}_frequency", 0.1 / setting.dt, "Hz", bounds))
+        probes = tuple((15.0 * setting.dt, f / setting.dt) for f in (0.02, 0.06, 0.12, 0.25))
+    return Effect(
+        "latent",
+        channel,
+        "noise",
+        f"unnamed {'oscillating' if swings else 'slow'} force on {target}",
+        f"{target}' = ... + dt * d,  d {'a noisy oscillation' if swings else 'an Ornstein-Uhlenbeck process'} "
+        f"of variance {name}",
+        tuple(parameters),
+        extend,
+        probes=probes,
+        look_alikes={"colored": "does not move the state"},
+        one_sided=True,
+    )
+
+
+def _each_latent(setting: Setting) -> Iterator[str]:
+    for state in setting.targets:
+        yield state
+        yield f"{state},{OSCILLATING}"
+
+
+def _time_parameter(name: str, setting: Setting) -> Parameter:
+    longest = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
+    return Parameter(
+        f"{name}_time",
+        5.0 * setting.dt,
+        "s",
+        setting.limits(0.3 * setting.dt, longest),
+        "correlation time",
+    )
+
+
+def _stationary(nz: int, k: int) -> Begin:
+    """k states of the size's variance each, about zero and independent of the rest."""
+    return lambda a, record, own: (np.zeros((len(a), k)), np.zeros((k, nz)), own[0])
+
+
+def _ou(step: tuple[Array, Array, Array], M: int, dt: Any, own: Any) -> tuple[Array, Array, Array]:
+    """One more linear state d' = exp(-dt/tau) d + w of stationary variance own[0]."""
+    keep = np.exp(-dt / own[1])
+    return beside(step, M, [[keep]], own[0] * (1.0 - keep * keep))
+
+
+def _swing(
+    step: tuple[Array, Array, Array], M: int, dt: Any, own: Any
+) -> tuple[Array, Array, Array]:
+    """Two more linear states that rotate at own[2] Hz and fade with own[1], of variance own[0] each."""
+    keep = np.exp(-dt / own[1])
+    angle = 2.0 * np.pi * own[2] * dt
+    c, s = keep * np.cos(angle), keep * np.sin(angle)
+    return beside(step, M, [[c, s], [-s, c]], own[0] * (1.0 - keep * keep))
+
+
+KINDS: list[Kind] = [
+    ("colored", _colored, each_output),
+    ("latent", _latent, _each_latent),
+]

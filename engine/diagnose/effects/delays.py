@@ -1,0 +1,288 @@
+"""What comes late: a sensor that lags or delays, an input that arrives later than it was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.augmentation import add_linear_states, add_memory, beside
+from engine.diagnose.effects.effect import Effect, Split, identifier, per_point
+from engine.diagnose.effects.setting import Kind, Setting, each_input, each_output
+from engine.statespace.model import Array, MixedModel, Parameter
+
+LONGEST_DELAY = 4  # samples
+AFFINE = 1e-9  # share of its change by which a function may bend and count as straight
+
+
+def _lag(setting: Setting, channel: str) -> Effect | None:
+    """A share of the reading comes one sample late."""
+    if channel not in setting.model.outputs:
+        return None
+    name = identifier("lag", channel)
+    return Effect(
+        "lag",
+        channel,
+        "measurement",
+        f"lag of the sensor {channel}",
+        f"{channel} = (1 - {name}) y_t + {name} y_(t-1)",
+        (Parameter(name, 0.0, "1", (0.0, 1.0), "share that comes one sample late"),),
+        lambda model: _late_reading(model, setting, channel, 1, lambda own: [own[0]]),
+        one_sided=True,
+        look_alikes={
+            "delay": "delays the input, or the reading by several samples",
+            "colored": "is not driven by y",
+        },
+    )
+
+
+def _sensor_delay(setting: Setting, channel: str) -> Effect | None:
+    """A share of the reading comes several samples late; all of it where the size is one."""
+    if channel not in setting.model.outputs:
+        return None
+    name = identifier("delay", channel)
+
+    def weights(own: Any) -> list[Any]:
+        # held at a whole number, where one weight is the size; linear in between
+        return [
+            own[0] * np.maximum(1.0 - np.abs(own[1] - k), 0.0) for k in range(1, LONGEST_DELAY + 1)
+        ]
+
+    return Effect(
+        "delay",
+        channel,
+        "measurement",
+        f"delay of the sensor {channel}",
+        f"{channel} = (1 - {name}) y_t + {name} y_(t-d),  d = {name}_samples",
+        (
+            Parameter(name, 0.0, "1", (0.0, 1.5), "share that comes late"),
+            Parameter(f"{name}_samples", 2.0, "samples", (1.0, float(LONGEST_DELAY)), "how late"),
+        ),
+        lambda model: _late_reading(model, setting, channel, LONGEST_DELAY, weights),
+        probes=tuple((float(d),) for d in range(2, LONGEST_DELAY + 1)),
+        look_alikes={"lag": "is over after one sample", "pole": "changes the motion itself"},
+        held=(f"{name}_samples",),
+        one_sided=True,
+    )
+
+
+def _late_reading(
+    model: MixedModel,
+    setting: Setting,
+    channel: str,
+    depth: int,
+    weights: Callable[[Any], list[Any]],
+) -> MixedModel:
+    """The reading (1 - sum w_k) y_t + sum w_k y_(t-k); the last ``depth`` values of y are states.
+
+    They are y_1 at first, as of a sensor that has settled, and pass on from sample to sample.
+    """
+    split = Split(model)
+    row, nx, nz = list(model.outputs).index(channel), model.nx, model.nz
+    shift, hold = np.eye(depth, k=-1), np.eye(depth)
+    u1 = np.array([setting.first(name) for name in model.inputs])
+
+    def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
+        h, C, _ = model.observation(a, u1, setting.span[0], record)
+        ones = np.ones((depth, 1))
+        return np.repeat(h[:, row, None], depth, axis=1), ones * C[..., row, None, :], 0.0
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, _ = split(theta)
+        h, C, _ = model.observation(a, u, t, own_base)
+        now = setting.at_sample(t)
+        f, A, Q = beside(
+            model.transition(a, u, t, dt, own_base), len(a), _blocks(now, shift, hold), 0.0
+        )
+        f[:, nx] = now * h[:, row]
+        if C.ndim == 3 and A.ndim == 2:
+            A = np.repeat(A[None], len(a), axis=0)
+        A[..., nx, :nz] = np.reshape(now, (-1, 1) if np.ndim(now) else ()) * C[..., row, :]
+        return f, A, Q
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        h, C, R = model.observation(a, u, t, own_base)
+        late = weights(own)
+        now = 1.0 - sum(late)
+        h = h.copy()
+        C = np.concatenate([C, np.zeros((*C.shape[:-1], depth))], axis=-1)
+        C = per_point(C, len(a), *late)
+        h[:, row] *= now
+        C[..., row, :] *= np.reshape(now, (-1, 1)) if np.ndim(now) else now
+        for k, weight in enumerate(late):
+            C[..., row, nz + k] = weight
+        return h, C, R
+
+    names = [f"last_{channel}", *(f"last_{channel}_{k}" for k in range(2, depth + 1))]
+    states = dict.fromkeys(names, setting.unit(channel))
+    return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
+
+
+def _blocks(now: Any, shift: Array, hold: Array) -> list[list[Any]]:
+    """The entries of ``shift`` where ``now``, True or an array (M,), else those of ``hold``."""
+    if np.ndim(now) == 0:
+        chosen: list[list[Any]] = (shift if now else hold).tolist()
+        return chosen
+    return [
+        [x if x == y else np.where(now, x, y) for x, y in zip(*rows, strict=True)]
+        for rows in zip(shift.tolist(), hold.tolist(), strict=True)
+    ]
+
+
+def _delay(setting: Setting, channel: str) -> Effect | None:
+    """An input that arrives some samples late, or a part of it does; at an output, the sensor's delay."""
+    if channel not in setting.model.inputs:
+        return _sensor_delay(setting, channel)
+    name = identifier("delay", channel)
+    unit, before = setting.unit(channel), setting.first(channel)
+    latest = LONGEST_DELAY if _adds(setting, setting.model, channel) else 1
+
+    def extend(model: MixedModel) -> MixedModel:
+        late = _late_input if _adds(setting, model, channel) else _late_input_by_memory
+        return late(model, setting, channel)
+
+    return Effect(
+        "delay",
+        channel,
+        "input",
+        f"delay of the input {channel}",
+        f"{channel} -> {channel}_t + {name} / d ({channel}_(t-d) - {channel}_t),  d = {name}_samples",
+        (
+            Parameter(name, 0.0, "samples", (0.0, float(LONGEST_DELAY)), "mean delay"),
+            Parameter(
+                f"{name}_samples", 1.0, "samples", (1.0, float(LONGEST_DELAY)), "latest part"
+            ),
+            Parameter(f"{name}_before", before, unit, description="input before the first sample"),
+        ),
+        extend,
+        probes=tuple((float(d), before) for d in range(1, latest + 1)),
+        look_alikes={
+            "lag": "delays the reading, not the input",
+            "hold": "looks half a sample ahead, not back",
+        },
+        held=(f"{name}_samples", f"{name}_before"),
+        one_sided=True,
+    )
+
+
+def _adds(setting: Setting, model: MixedModel, channel: str) -> bool:
+    """Whether f and h are affine in an input, and A, Q, C, R do not depend on it, on the record."""
+    index, step = list(model.inputs).index(channel), setting.size(channel)
+    points, theta = setting.points(model)
+    record = model.record(theta)
+    with np.errstate(all="ignore"):
+        for x, u, t, dt in zip(points.x, points.u, points.t, points.dt, strict=True):
+            ways = []
+            for way in (0.0, step, -step, 0.3 * step):
+                moved = u.copy()
+                moved[index] += way
+                at = (x[None, : model.na], moved, float(t))
+                ways.append(
+                    [*model.transition(*at, float(dt), record), *model.observation(*at, record)]
+                )
+            for i, (here, up, down, some) in enumerate(zip(*ways, strict=True)):
+                change = up - here
+                if i in (0, 3):
+                    bent = np.maximum(
+                        np.abs(down - here + change), np.abs(some - here - 0.3 * change)
+                    )
+                    if (bent > AFFINE * (np.abs(change) + np.abs(here))).any():
+                        return False
+                elif change.any() or (down - here).any():
+                    return False
+    return True
+
+
+def _parts(own: Any) -> list[Any]:
+    """What share comes k = 1, 2, ... samples late: size / d in all, at k = d, linear in between."""
+    share = own[0] / own[1]
+    return [share * np.maximum(1.0 - np.abs(own[1] - k), 0.0) for k in range(1, LONGEST_DELAY + 1)]
+
+
+def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
+    """With g the gain of the input, f and h move by g sum w_k (u_(t-k) - u_t); past inputs are states.
+
+    They are linear ones, known but for the first: before the record the input may have been anything.
+    """
+    split, depth, nz = Split(model), LONGEST_DELAY, model.nz
+    index, scale = list(model.inputs).index(channel), setting.size(channel)
+    variance = float(setting.scale.get(channel, 0.0)) ** 2
+    shift, hold = np.eye(depth, k=-1), np.eye(depth)
+
+    def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
+        return np.full((len(a), depth), float(own[2])), np.zeros((depth, nz)), variance
+
+    def gain(function: Any, here: Array, a: Array, u: Any, *at: Any) -> Array:
+        more = list(u)
+        more[index] = u[index] + scale
+        return np.asarray((function(a, more, *at)[0] - here) / scale)
+
+    def moved(f: Array, A: Array, g: Array, u: Any, own: Any) -> None:
+        """Puts g sum w_k (u_(t-k) - u_t) into the first rows of f + A z, in place."""
+        parts, rows = _parts(own), g.shape[1]
+        f[:, :rows] -= g * np.reshape(sum(parts) * u[index], (-1, 1))
+        for k, part in enumerate(parts):
+            A[..., :rows, nz + k] = g * np.reshape(part, (-1, 1))
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        record, own = split(theta)
+        M = len(a)
+        step = model.transition(a, u, t, dt, record)
+        g = gain(model.transition, step[0], a, u, t, dt, record)
+        ends = setting.at_sample(t + dt)
+        f, A, Q = beside(step, M, _blocks(ends, shift, hold), 0.0)
+        A = np.broadcast_to(A, (M, *A.shape[-2:])).copy()
+        moved(f, A, g, u, own)
+        f[:, model.nx] += ends * u[index]
+        return f, A, Q
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        record, own = split(theta)
+        h, C, R = model.observation(a, u, t, record)
+        g = gain(model.observation, h, a, u, t, record)
+        C = np.concatenate([C, np.zeros((*C.shape[:-1], depth))], axis=-1)
+        if g.any():
+            h, C = h.copy(), np.broadcast_to(C, (len(a), *C.shape[-2:])).copy()
+            moved(h, C, g, u, own)
+        return h, C, R
+
+    names = [f"last_{channel}", *(f"last_{channel}_{k}" for k in range(2, depth + 1))]
+    states = dict.fromkeys(names, setting.unit(channel))
+    return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
+
+
+def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
+    """For an input that does not simply add: the last one as a nonlinear state."""
+    split, index = Split(model), list(model.inputs).index(channel)
+    variance = float(setting.scale.get(channel, 0.0)) ** 2
+
+    def driven(last: Array, u: Any, own: Any) -> list[Any]:
+        rows = list(u)
+        rows[index] = u[index] + _parts(own)[0] * (last - u[index])
+        return rows
+
+    def step(
+        a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
+    ) -> tuple[Array, Array, Array, Array]:
+        f, A, Q = model.transition(a, driven(last, u, own), t, dt, record)
+        ends = setting.at_sample(t + dt)
+        return f, A, Q, np.where(ends, np.broadcast_to(u[index], (len(a),)), last)
+
+    def observe(
+        a: Array, last: Array, u: Any, t: Any, record: Any, own: Any
+    ) -> tuple[Array, Array, Array]:
+        return model.observation(a, driven(last, u, own), t, record)
+
+    def begin(own: Any) -> tuple[float, float]:
+        return float(own[2]), variance
+
+    unit = setting.unit(channel)
+    return add_memory(model, split, f"last_{channel}", unit, step, observe, begin)
+
+
+KINDS: list[Kind] = [
+    ("lag", _lag, each_output),
+    ("delay", _delay, lambda s: iter([*each_input(s), *each_output(s)])),
+]

@@ -1,0 +1,211 @@
+"""Effects in the state equation that remember: a missing pole or mode, hysteresis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.augmentation import Begin, add_linear_states, add_memory, beside
+from engine.diagnose.effects.effect import Effect, Split, identifier, pushed
+from engine.diagnose.effects.origin import Origin
+from engine.diagnose.effects.setting import Kind, Setting, each_moved, each_state, pair
+from engine.diagnose.effects.units import product
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.promotion import promote
+
+
+class _Following:
+    """k states that a state ``source`` drives; the distance of the first from it acts on ``target``."""
+
+    def __init__(self, model: MixedModel, source: str, target: str, k: int) -> None:
+        self.k, self.na, self.nx, self.nz = k, model.na, model.nx, model.nz
+        states = [*model.nonlinear, *model.linear]
+        self.row, self.column, self.source = states.index(target), states.index(source), source
+
+    def begin(self, setting: Setting) -> Begin:
+        """The first at x_1, the others at zero; their spread is the source's, where it is known."""
+        variance = float(setting.scale.get(self.source, 0.0)) ** 2
+
+        def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
+            m, G = np.zeros((len(a), self.k)), np.zeros((self.k, self.nz))
+            if self.column < self.na:
+                m[:, 0] = a[:, self.column]
+            else:
+                G[0, self.column - self.na] = 1.0
+            return m, G, variance
+
+        return begin
+
+    def __call__(
+        self, step: tuple[Array, Array, Array], a: Array, force: Any, drives: Sequence[Any]
+    ) -> tuple[Array, Array, Array]:
+        """The step with ``force`` (l - x) on the target and ``drives`` x on each of the new states."""
+        f, A, Q = step
+        A[:, self.row, self.nz] += force
+        rows = [(self.row, -force), *((self.nx + i, drive) for i, drive in enumerate(drives))]
+        for row, factor in rows:
+            if self.column < self.na:
+                f[:, row] += factor * a[:, self.column]
+            else:
+                A[:, row, self.column - self.na] += factor
+        return f, A, Q
+
+
+def _pole(setting: Setting, channel: str) -> Effect | None:
+    """A first-order lag of a state that acts back: l' = l + dt (x - l) / tau, a force size (l - x)."""
+    found = pair(setting, channel)
+    if found is None:
+        return None
+    source, target = found
+    name = identifier("pole", channel)
+    fast, slow = 2.0 * setting.dt, 0.5 * (setting.span[1] - setting.span[0])
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        follow = _Following(model, source, target, 1)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            M = len(a)
+            keep = np.broadcast_to(np.exp(-dt / own[1]), (M,))
+            step = beside(model.transition(a, u, t, dt, own_base), M, [[keep]], 0.0)
+            return follow(step, a, dt * own[0], [1.0 - keep])
+
+        states = {f"lag_{source}": setting.unit(source)}
+        return add_linear_states(model, split, states, dynamics, follow.begin(setting))
+
+    return Effect(
+        "pole",
+        channel,
+        "state",
+        f"missing pole: a lag of {source} acting on {target}",
+        f"l' = l + dt ({source} - l) / {name}_time,  {target}' = ... + dt * {name} * (l - {source})",
+        (
+            Parameter(name, 0.0, setting.rate(target, setting.unit(source))),
+            Parameter(
+                f"{name}_time",
+                10.0 * setting.dt,
+                "s",
+                setting.limits(fast, max(slow, 2.0 * fast)),
+            ),
+        ),
+        extend,
+        probes=((5.0 * setting.dt,), (30.0 * setting.dt,)),
+        look_alikes={"coupling": "acts without delay", "latent": "is not driven by the states"},
+    )
+
+
+def _mode(setting: Setting, channel: str) -> Effect | None:
+    """A resonance that a state excites and that acts back: q'' = w^2 (x - q) - 2 zeta w q', size (q - x).
+
+    Discretised exactly for x held over the step; its second state is q' / w, in the unit of x.
+    """
+    found = pair(setting, channel)
+    if found is None:
+        return None
+    source, target = found
+    name, unit = identifier("mode", channel), setting.unit(source)
+    length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        follow = _Following(model, source, target, 2)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            M = len(a)
+            omega, zeta = 2.0 * np.pi * own[1], own[2]
+            damped = np.sqrt(1.0 - zeta * zeta)
+            angle, fades = damped * omega * dt, np.exp(-zeta * omega * dt)
+            c, s = fades * np.cos(angle), fades * np.sin(angle) / damped
+            block = [[np.broadcast_to(c + zeta * s, (M,)), s], [-s, c - zeta * s]]
+            step = beside(model.transition(a, u, t, dt, own_base), M, block, 0.0)
+            return follow(step, a, dt * own[0], [1.0 - block[0][0], s])
+
+        own_states = {f"mode_{source}": unit, f"mode_rate_{source}": unit}
+        return add_linear_states(model, split, own_states, dynamics, follow.begin(setting))
+
+    return Effect(
+        "mode",
+        channel,
+        "state",
+        f"missing mode: a resonance driven by {source} acting on {target}",
+        f"q'' = w^2 ({source} - q) - 2 {name}_damping w q',  w = 2 pi {name}_frequency,  "
+        f"{target}' = ... + dt * {name} * (q - {source})",
+        (
+            Parameter(name, 0.0, setting.rate(target, unit)),
+            Parameter(
+                f"{name}_frequency",
+                0.1 / setting.dt,
+                "Hz",
+                setting.limits(0.5 / length, 0.48 / setting.dt),
+            ),
+            Parameter(f"{name}_damping", 0.1, "1", (1e-3, 0.99)),
+        ),
+        extend,
+        probes=tuple((f / setting.dt, 0.2) for f in (0.02, 0.06, 0.12, 0.25)),
+        look_alikes={"pole": "does not ring", "harmonic": "does not depend on the states"},
+    )
+
+
+def _hysteresis(setting: Setting, channel: str) -> Effect | None:
+    """Bouc-Wen with n = 1: h' = h + dt (v - |v| h / w), a force that remembers (Wen 1976)."""
+    found = pair(setting, channel)
+    if found is None:
+        return None
+    source, target = found
+    name, unit = identifier("hysteresis", channel), product(setting.unit(source), "s")
+    width = setting.distance(source, 0.7) * 5.0 * setting.dt
+    origin = Origin(setting, name, source)
+
+    def extend(model: MixedModel) -> MixedModel:
+        base = promote(model, (source,))
+        split = Split(model)
+        column = list(base.nonlinear).index(source)
+        row = [*base.nonlinear, *base.linear].index(target)
+
+        def step(
+            a: Array, memory: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
+        ) -> tuple[Array, Array, Array, Array]:
+            push = dt * own[0] * memory
+            f, A, Q = pushed(base, row, push, a, u, t, dt, record)
+            speed = a[:, column] - origin.of(own)
+            keep = np.exp(-dt * np.abs(speed) / own[1])
+            return f, A, Q, keep * memory + (1.0 - keep) * own[1] * np.sign(speed)
+
+        def observe(
+            a: Array, memory: Array, u: Any, t: Any, record: Any, own: Any
+        ) -> tuple[Array, Array, Array]:
+            return base.observation(a, u, t, record)
+
+        def begin(own: Any) -> tuple[float, float]:
+            return 0.0, float(own[1]) ** 2 / 3.0  # anywhere within its limits +- w
+
+        return add_memory(base, split, f"memory_{source}", unit, step, observe, begin)
+
+    return Effect(
+        "hysteresis",
+        channel,
+        "state",
+        f"hysteresis (Bouc-Wen) driven by {source}" + ("" if source == target else f" on {target}"),
+        f"m' = m + dt (v - |v| m / w),  v = {origin.text(source)},  {target}' = ... + dt * {name} * m",
+        (
+            Parameter(name, 0.0, setting.rate(target, unit)),
+            Parameter(f"{name}_width", width, unit, setting.limits(width / 100, width * 100)),
+            *origin.parameters,
+        ),
+        extend,
+        probes=tuple((w, *origin.probe) for w in (width, 10.0 * width)),
+        held=origin.held,
+        zero=origin.name,
+        look_alikes={"coulomb": "has no memory beyond the sign", "coupling": "has no loop"},
+    )
+
+
+KINDS: list[Kind] = [
+    ("pole", _pole, each_state),
+    ("mode", _mode, each_moved),
+    ("hysteresis", _hysteresis, each_state),
+]

@@ -1,0 +1,290 @@
+"""What an effect is: something real that a model leaves out, and how to put it in.
+
+An effect extends a model into another ordinary model with one or more parameters of its own, the
+first of them its *size*. At size zero the extended model is the model itself. Everything the
+diagnosis needs follows from that: the footprint of a small effect on the one-step predictions is
+the difference of two filters, its size is an estimated parameter, its gain a likelihood ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from engine.errors import OptionError
+from engine.statespace.evaluation import hands_rows_on
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.promotion import promote
+
+FAMILIES = ("state", "measurement", "noise", "input", "time")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One candidate cause.
+
+    ``name`` is ``kind:channel``; ``family`` where it enters (state, measurement, noise, input, time);
+    ``title`` its physical name; ``equation`` what it adds, as text; ``parameters`` its own, the size
+    first, with units; ``extend`` the extension; ``probes`` values of the other parameters at which
+    the screen looks (one row each); ``look_alikes`` kinds that leave similar traces, with what
+    tells them apart; ``one_sided`` whether only a positive size makes sense (a variance); ``held`` those
+    of its parameters that are a reference, not to be estimated; ``zero`` the one among them that is the
+    zero the effect counts from, where nothing declares or tells it: it may be estimated after all, where
+    the data can tell; ``readings(y, size)`` what it does to a channel's finished readings (T,), where the
+    extension only stands for that (rounding as noise).
+    """
+
+    kind: str
+    channel: str
+    family: str
+    title: str
+    equation: str
+    parameters: tuple[Parameter, ...]
+    extend: Callable[[MixedModel], MixedModel]
+    probes: tuple[tuple[float, ...], ...] = ((),)
+    look_alikes: dict[str, str] = field(default_factory=dict)
+    one_sided: bool = False
+    held: tuple[str, ...] = ()
+    zero: str | None = None
+    readings: Callable[[Array, float], Array] | None = None
+
+    @property
+    def name(self) -> str:
+        """``kind:channel``, as in ``"coulomb:velocity"``."""
+        return f"{self.kind}:{self.channel}"
+
+    @property
+    def size(self) -> Parameter:
+        """The parameter that is zero when the effect is absent."""
+        return self.parameters[0]
+
+    def with_free_zero(self) -> Effect:
+        """The same effect with the zero it counts from estimated too."""
+        return replace(self, held=tuple(name for name in self.held if name != self.zero))
+
+    def apply(self, model: MixedModel) -> MixedModel:
+        """The extended model, named ``model+kind:channel``, its parameters after the model's own."""
+        taken = set(model.parameter_names) & {p.name for p in self.parameters}
+        if taken:
+            raise OptionError(
+                f"model '{model.name}' already has the effect '{self.name}' (parameter {taken.pop()})",
+                "effects",
+            )
+        extended = self.extend(model)
+        for function in (extended.dynamics, extended.measurement):
+            if _is_own(self.extend) and _is_own(function):
+                hands_rows_on(function)
+        return replace(
+            extended,
+            name=f"{model.name}+{self.name}",
+            parameters=(*model.parameters, *self.parameters),
+            equations=(*model.equations, f"{self.name}: {self.equation}"),
+            description=f"{model.description} With {self.title}.".strip(),
+        )
+
+
+def _is_own(function: Any) -> bool:
+    """Whether a function was written here, and so keeps the rows of its arguments apart."""
+    return getattr(function, "__module__", "").startswith("engine.diagnose")
+
+
+class Split:
+    """Separates a record of the extended model into the base's record and the effect's values.
+
+    The same record gives the same parts: a model's function knows its last one again.
+    """
+
+    def __init__(self, model: MixedModel) -> None:
+        self.n = len(model.parameters)
+        self.base = model.record
+        self.last: tuple[Any, Any, Any] = (None, None, None)
+
+    def __call__(self, theta: Any) -> tuple[Any, Any]:
+        """(base record, the effect's own values)."""
+        known, record, own = self.last
+        if known is not theta:
+            record, own = self.base(theta[: self.n]), theta[self.n :]
+            self.last = (theta, record, own)
+        return record, own
+
+
+def identifier(*parts: str) -> str:
+    """A parameter name from an effect's kind and channel."""
+    text = "_".join(parts)
+    return "".join(c if c.isalnum() else "_" for c in text)
+
+
+@dataclass(frozen=True)
+class Values:
+    """Named signals at the points where a model is evaluated: ``v["velocity"]`` is (M,) or a number.
+
+    ``t`` and ``dt`` in seconds.
+    """
+
+    signals: dict[str, Any]
+    t: Any
+    dt: Any
+
+    def __getitem__(self, name: str) -> Any:
+        return self.signals[name]
+
+
+def signals(model: MixedModel, a: Array, u: Any) -> dict[str, Any]:
+    """The nonlinear states and the inputs by name."""
+    out: dict[str, Any] = {name: a[:, i] for i, name in enumerate(model.nonlinear)}
+    out.update({name: u[i] for i, name in enumerate(model.inputs)})
+    return out
+
+
+def add_to_state(
+    model: MixedModel,
+    target: str,
+    term: Callable[[Values, Sequence[Any]], Any],
+    needs: Sequence[str] = (),
+    midway: bool = True,
+) -> MixedModel:
+    """``target``' = ... + dt * term(signals, own parameters); linear states in ``needs`` are promoted.
+
+    Of a continuous model the term is that midway of its own push, unless it knows where it ends itself.
+    """
+    base = promote(model, needs)
+    split = Split(model)
+    row = [*base.nonlinear, *base.linear].index(target)
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        push = dt * term(Values(signals(base, a, u), t, dt), own)
+        if base.continuous and midway and row < base.na:
+            half = a.copy()
+            half[:, row] += 0.5 * push
+            push = dt * term(Values(signals(base, half, u), t, dt), own)
+        return pushed(base, row, push, a, u, t, dt, own_base)
+
+    return on_base(base, split, dynamics=dynamics)
+
+
+def pushed(
+    model: MixedModel, row: int, push: Any, a: Array, u: Any, t: Any, dt: Any, record: Any
+) -> tuple[Array, Array, Array]:
+    """One step of ``model`` with ``push`` (a number or (M,)) added to state ``row``.
+
+    After the step; of a continuous model before it, so that it moves the other states within the step. A
+    chain of such steps is Strang's splitting, of second order, seen half a push early (Strang 1968).
+    """
+    if model.continuous and row < model.na:
+        a = a.copy()
+        a[:, row] += push
+    f, A, Q = model.transition(a, u, t, dt, record)
+    if model.continuous and row < model.na:
+        return f, A, Q
+    f = f.copy()
+    if model.continuous:
+        f += A[..., row - model.na] * np.reshape(push, (-1, 1))
+    else:
+        f[:, row] += push
+    return f, A, Q
+
+
+def add_linear_coupling(
+    model: MixedModel,
+    target: str,
+    source: str,
+    zero: Callable[[Sequence[Any]], Any] = lambda own: 0.0,
+) -> MixedModel:
+    """``target``' = ... + dt * size * (source - zero), for a linear state ``source``.
+
+    The source at the step's start; of a continuous model at its end, which is Strang's splitting as well.
+    """
+    split = Split(model)
+    row = [*model.nonlinear, *model.linear].index(target)
+    column = list(model.linear).index(source)
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        f, A, Q = model.transition(a, u, t, dt, own_base)
+        A, f, size = per_point(A, len(a), dt, own[0]), f.copy(), dt * own[0]
+        if model.continuous and target == source:
+            size = np.expm1(size)
+        f[:, row] -= size * zero(own)
+        if model.continuous:
+            f[:, row] += size * f[:, model.na + column]
+            A[..., row, :] += (
+                np.reshape(size, (-1, 1) if np.ndim(size) else ()) * A[..., model.na + column, :]
+            )
+        else:
+            A[..., row, column] += size
+        return f, A, Q
+
+    return on_base(model, split, dynamics=dynamics)
+
+
+def add_to_output(
+    model: MixedModel,
+    output: str,
+    term: Callable[[Values, Sequence[Any]], Any],
+    needs: Sequence[str] = (),
+) -> MixedModel:
+    """``output`` = ... + term(signals, own parameters)."""
+    base = promote(model, needs)
+    split = Split(model)
+    row = list(base.outputs).index(output)
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        h, C, R = base.observation(a, u, t, own_base)
+        h = h.copy()
+        h[:, row] += term(Values(signals(base, a, u), t, None), own)
+        return h, C, R
+
+    return on_base(base, split, measurement=measurement)
+
+
+def change_inputs(
+    model: MixedModel, name: str, change: Callable[[Any, Sequence[Any]], Any]
+) -> MixedModel:
+    """The model driven by change(u, own parameters) instead of the input ``name``."""
+    split = Split(model)
+    index = list(model.inputs).index(name)
+
+    def changed(u: Any, own: Sequence[Any]) -> list[Any]:
+        rows = list(u)
+        rows[index] = change(u[index], own)
+        return rows
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        return model.transition(a, changed(u, own), t, dt, own_base)
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        own_base, own = split(theta)
+        return model.observation(a, changed(u, own), t, own_base)
+
+    return on_base(model, split, dynamics=dynamics, measurement=measurement)
+
+
+def on_base(model: MixedModel, split: Split, **functions: Any) -> MixedModel:
+    """``model`` with some functions replaced; the others see the base's part of theta only."""
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        return model.transition(a, u, t, dt, split(theta)[0])
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        return model.observation(a, u, t, split(theta)[0])
+
+    def initial(theta: Any) -> tuple[Any, Any, Any]:
+        return model.initial(split(theta)[0])
+
+    return replace(
+        model,
+        **{"dynamics": dynamics, "measurement": measurement, "initial": initial, **functions},
+    )
+
+
+def per_point(matrix: Array, M: int, *factors: Any) -> Array:
+    """A copy of a matrix that may be changed: per point where a factor is an array (M,)."""
+    if matrix.ndim == 2 and any(np.ndim(factor) > 0 for factor in factors):
+        return np.repeat(matrix[None], M, axis=0)
+    return matrix.copy()

@@ -1,0 +1,87 @@
+"""Data in which effects are hidden at given sizes: what every claim of finding them is tested on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
+from engine.errors import OptionError
+from engine.simulation.simulate import Simulation, simulate
+from engine.statespace.model import MixedModel, ThetaLike
+
+FINE = 16  # steps a sample of a continuous model
+
+
+def hide(
+    model: MixedModel,
+    effects: Sequence[str],
+    values: dict[str, float],
+    n_samples: int,
+    rng: np.random.Generator,
+    *,
+    theta: ThetaLike = None,
+    u: ArrayLike | None = None,
+    dt: float = 1.0,
+) -> Simulation:
+    """A simulation of ``model`` at ``theta`` with effects such as ``"coulomb:velocity"`` in it.
+
+    ``values`` gives the effects' own parameters by name, sizes among them; what is left out keeps its
+    default. A continuous model makes FINE steps a sample, so that effects act within
+    it. Effects that change readings once they are taken (rounding) do just that, instead of
+    adding the noise that stands for it in the extended model. Raises OptionError for an unknown
+    name, ModelError where the simulation runs away.
+    """
+    fine = FINE if model.continuous else 1
+    setting = Setting(model, span=(0.0, dt * (n_samples - 1)), dt=dt, substeps=fine)
+    setting = replace(setting, zeros=setting.known_zeros)
+    extended, changes = model, []
+    own = dict(values)
+    for name in effects:
+        effect = make_effect(name, replace(setting, model=extended))
+        extended = effect.apply(extended)
+        if effect.readings is not None:
+            size = own.pop(effect.size.name, 0.0)
+            changes.append((list(model.outputs).index(effect.channel), effect.readings, size))
+    unknown = set(own) - set(extended.parameter_names)
+    if unknown:
+        raise OptionError(f"'{unknown.pop()}' is no parameter of {', '.join(effects)}", "values")
+    start: dict[str, Any] = {**model.theta(theta).asdict(), **own}
+    run = _sampled(extended, start, n_samples, rng, u, dt, fine)
+    if not changes:
+        return run
+    y = run.y.copy()
+    for column, change, size in changes:
+        y[:, column] = change(y[:, column], size)
+    return replace(run, y=y, series=run.series.replace(y=y))
+
+
+def _sampled(
+    model: MixedModel,
+    theta: ThetaLike,
+    n_samples: int,
+    rng: np.random.Generator,
+    u: ArrayLike | None,
+    dt: float,
+    k: int,
+) -> Simulation:
+    """A simulation of k steps a sample, seen at the samples."""
+    if k == 1:
+        return simulate(model, theta, n_samples, rng, u=u, dt=dt)
+    frame = Series(np.zeros((n_samples, model.ny)), u, dt=dt).check(model).refined(k)
+    run = simulate(model, theta, len(frame), rng, u=frame.u, t=frame.t)
+    rows = frame.samples
+    series = Series(
+        run.y[rows],
+        frame.u[rows],
+        dt=dt,
+        y_names=tuple(model.outputs),
+        u_names=tuple(model.inputs),
+    )
+    return Simulation(run.y[rows], run.a[rows], run.z[rows], series, model)

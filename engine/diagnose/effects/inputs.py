@@ -1,0 +1,208 @@
+"""Effects between the recorded input and what drives the system."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.clip import Clip
+from engine.diagnose.effects.effect import (
+    Effect,
+    Split,
+    add_to_state,
+    change_inputs,
+    identifier,
+    on_base,
+)
+from engine.diagnose.effects.origin import Origin
+from engine.diagnose.effects.setting import POSITIVE, WIDEST, Kind, Setting, each_input
+from engine.diagnose.effects.spare_inputs import UNIT, with_inputs
+from engine.statespace.model import Array, MixedModel, Parameter
+
+
+def input_offset(setting: Setting, channel: str) -> Effect | None:
+    """The system sees u + size."""
+    if channel not in setting.model.inputs:
+        return None
+    name = identifier("input_offset", channel)
+    return Effect(
+        "input-offset",
+        channel,
+        "input",
+        f"offset of the input {channel}",
+        f"{channel} -> {channel} + {name}",
+        (Parameter(name, 0.0, setting.unit(channel), description="input offset"),),
+        lambda model: change_inputs(model, channel, lambda u, own: u + own[0]),
+        look_alikes={"force": "a constant force through the same equation looks alike"},
+    )
+
+
+def _input_dead_zone(setting: Setting, channel: str) -> Effect | None:
+    if channel not in setting.model.inputs:
+        return None
+    name = identifier("input_deadzone", channel)
+    origin = Origin(setting, name, channel)
+    bounds = setting.limits(0.0, WIDEST * setting.distance(channel, 0.7), 0.0)
+
+    def change(u: Any, own: Sequence[Any]) -> Any:
+        zero = origin.of(own)
+        return zero + np.sign(u - zero) * np.maximum(np.abs(u - zero) - own[0], 0.0)
+
+    return Effect(
+        "input-deadzone",
+        channel,
+        "input",
+        f"dead zone of the input {channel}",
+        f"v = {origin.text(channel)} -> (|v| - {name})+ sign(v)",
+        (
+            Parameter(name, 0.0, setting.unit(channel), bounds, "half width"),
+            *origin.parameters,
+        ),
+        lambda model: change_inputs(model, channel, change),
+        probes=(origin.probe,),
+        look_alikes={"coulomb": "acts on the sign of the velocity, not of the input"},
+        one_sided=True,
+        held=origin.held,
+        zero=origin.name,
+    )
+
+
+def _input_saturation(setting: Setting, channel: str) -> Effect | None:
+    if channel not in setting.model.inputs:
+        return None
+    name = identifier("input_saturation", channel)
+    clip = Clip(setting, name, channel)
+    return Effect(
+        "input-saturation",
+        channel,
+        "input",
+        f"saturation of the input {channel}",
+        f"{channel} -> {channel} - {name} * {clip.text(channel)}",
+        (
+            Parameter(name, 0.0, "1", (0.0, 1.0), "share of the excess that is lost"),
+            *clip.parameters,
+        ),
+        lambda model: change_inputs(
+            model, channel, lambda u, own: u - own[0] * clip.excess(u, own)
+        ),
+        probes=clip.probes,
+        look_alikes={"saturation": "depends on the state, not on the input"},
+        one_sided=True,
+        held=clip.held,
+        zero=clip.zero,
+    )
+
+
+def _hold(setting: Setting, channel: str) -> Effect | None:
+    """The input goes on between its samples: the step is driven by u_t + size (u_(t+1) - u_t) / 2.
+
+    With g the gain of an input held over the step, x_(t+1) = F(x_t, u_t) + size g (u_(t+1) - u_t) / 2. The
+    states of the extended model are x_t - size g (u_t - u_1) / 2, which needs no input of the next sample
+    and is x_1 at first. The input must add to the state equation; g may depend on a slowly.
+    """
+    if channel not in setting.model.inputs:
+        return None
+    name, scale, first = identifier("hold", channel), setting.size(channel), setting.first(channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        index, na = list(model.inputs).index(channel), model.na
+
+        def ahead(a: Array, u: Any, t: Any, record: Any, own: Any) -> Array:
+            """size g (u_t - u_1) / 2, (M, nx)."""
+            more = list(u)
+            more[index] = u[index] + scale
+            held = model.transition(a, u, t, own[1], record)[0]
+            g = (model.transition(a, more, t, own[1], record)[0] - held) / scale
+            return g * np.reshape(0.5 * own[0] * (u[index] - own[2]), (-1, 1))
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            record, own = split(theta)
+            shift = ahead(a, u, t, record, own)
+            f, A, Q = model.transition(a + shift[:, :na], u, t, dt, record)
+            return f + np.einsum("...ij,...j->...i", A, shift[:, na:]) - shift, A, Q
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            record, own = split(theta)
+            shift = ahead(a, u, t, record, own)
+            h, C, R = model.observation(a + shift[:, :na], u, t, record)
+            return h + np.einsum("...ij,...j->...i", C, shift[:, na:]), C, R
+
+        return on_base(model, split, dynamics=dynamics, measurement=measurement)
+
+    return Effect(
+        "hold",
+        channel,
+        "input",
+        f"input {channel} that changes between its samples",
+        f"{channel}_t -> {channel}_t + {name} ({channel}_(t+1) - {channel}_t) / 2",
+        (
+            Parameter(name, 0.0, "1", (0.0, 2.0), "0: held, 1: linear between samples"),
+            Parameter(f"{name}_step", setting.dt, "s", (POSITIVE, np.inf), "time between samples"),
+            Parameter(f"{name}_first", first, setting.unit(channel), description="first input"),
+        ),
+        extend,
+        probes=((setting.dt, first),),
+        look_alikes={"delay": "looks back, not ahead"},
+        held=(f"{name}_step", f"{name}_first"),
+        one_sided=True,
+    )
+
+
+def _extra_input(setting: Setting, channel: str) -> Effect | None:
+    """``channel->state``: a recorded channel that the model does not use drives a state.
+
+    Counted from its median where its zero is not declared: what that moves is a constant force.
+    """
+    source, _, target = channel.partition("->")
+    taken = {**setting.states, **setting.model.outputs}
+    if target not in setting.states or not source or source in taken:
+        return None
+    name = identifier("extra_input", source, target)
+    known = setting
+    if source not in setting.model.inputs:
+        known = replace(setting, model=with_inputs(setting.model, [source]))
+    origin = Origin(
+        known, name, source, None if source in known.known_zeros else known.quantile(source, 0.5)
+    )
+
+    def extend(model: MixedModel) -> MixedModel:
+        if source not in model.inputs:
+            model = with_inputs(model, [source])
+        return add_to_state(model, target, lambda v, own: own[0] * (v[source] - origin.of(own)))
+
+    unit = setting.model.inputs.get(source, UNIT)
+    return Effect(
+        "extra-input",
+        channel,
+        "input",
+        f"the channel {source}, which the model leaves out, drives {target}",
+        f"{target}' = ... + dt * {name} * {origin.text(source)}",
+        (
+            Parameter(name, 0.0, setting.rate(target, unit), description="rate per unit"),
+            *origin.parameters,
+        ),
+        extend,
+        probes=(origin.probe,),
+        held=origin.held,
+        zero=origin.name,
+        look_alikes={"force": "is constant", "latent": "does not follow the channel"},
+    )
+
+
+def _each_extra(setting: Setting) -> Iterator[str]:
+    for source in setting.extra:
+        for target in setting.targets:
+            yield f"{source}->{target}"
+
+
+KINDS: list[Kind] = [
+    ("input-offset", input_offset, each_input),
+    ("input-deadzone", _input_dead_zone, each_input),
+    ("input-saturation", _input_saturation, each_input),
+    ("hold", _hold, each_input),
+    ("extra-input", _extra_input, _each_extra),
+]

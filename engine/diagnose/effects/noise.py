@@ -1,0 +1,243 @@
+"""Effects in the noise: its level, what it changes with, rounding, correlation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.effect import Effect, Split, identifier, on_base, per_point
+from engine.diagnose.effects.origin import Origin
+from engine.diagnose.effects.setting import POSITIVE, Kind, Setting, each_output, each_state
+from engine.diagnose.effects.units import product
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.words import with_unit
+
+
+def _scaled(S: Array, index: int, factor: Any, M: int) -> Array:
+    """S with row and column ``index`` multiplied by a factor, a number or (M,)."""
+    S = per_point(S, M, factor)
+    S[..., index, :] *= np.reshape(factor, (-1, 1)) if np.ndim(factor) else factor
+    S[..., :, index] *= np.reshape(factor, (-1, 1)) if np.ndim(factor) else factor
+    return S
+
+
+def _level(setting: Setting, channel: str) -> Effect | None:
+    """The standard deviation of e or w is exp(size) times the model's."""
+    model = setting.model
+    at_output = channel in model.outputs
+    if not at_output and channel not in setting.states:
+        return None
+    name = identifier("level", channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            f, A, Q = model.transition(a, u, t, dt, own_base)
+            index = [*model.nonlinear, *model.linear].index(channel)
+            return f, A, _scaled(Q, index, np.exp(own[0]), len(a))
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            h, C, R = model.observation(a, u, t, own_base)
+            return h, C, _scaled(R, list(model.outputs).index(channel), np.exp(own[0]), len(a))
+
+        if at_output:
+            return on_base(model, split, measurement=measurement)
+        return on_base(model, split, dynamics=dynamics)
+
+    return Effect(
+        "level",
+        channel,
+        "noise",
+        f"wrong level of the {'measurement' if at_output else 'process'} noise of {channel}",
+        f"std of the noise of {channel} times exp({name})",
+        (Parameter(name, 0.0, "1", (-5.0, 5.0), "log ratio of standard deviations"),),
+        extend,
+        look_alikes={"variance": "changes with a signal or with time"},
+    )
+
+
+def _quantisation(setting: Setting, channel: str) -> Effect | None:
+    """Readings rounded to steps of q: white noise of variance q^2 / 12 on top, where q is not large.
+
+    By its effect on predictions it is a noise level and nothing else, so it is a candidate only where
+    the readings themselves lie on a lattice, and its variance is bounded by twice what that explains.
+    """
+    model = setting.model
+    if channel not in model.outputs:
+        return None
+    name, unit = identifier("quantisation", channel), setting.unit(channel)
+    step = setting.resolution.get(channel)
+    most = np.inf if step is None else step**2 / 6.0
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        row = list(model.outputs).index(channel)
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            h, C, R = model.observation(a, u, t, own_base)
+            R = per_point(R, len(a), own[0])
+            R[..., row, row] += own[0]
+            return h, C, R
+
+        return on_base(model, split, measurement=measurement)
+
+    return Effect(
+        "quantisation",
+        channel,
+        "measurement",
+        f"rounding of the readings of {channel}"
+        + ("" if step is None else f" to steps of {with_unit(step, unit)}"),
+        f"variance of the noise of {channel} + {name},  step^2 / 12",
+        (
+            Parameter(
+                name, 0.0, product((unit, 2.0)), (0.0, most), "variance of the rounding error"
+            ),
+        ),
+        extend,
+        look_alikes={"level": "is not seen in the readings: they take any value"},
+        one_sided=True,
+        readings=_rounded,
+    )
+
+
+def _rounded(y: Array, variance: float) -> Array:
+    """Readings rounded to the steps whose rounding error has a variance."""
+    step = np.sqrt(12.0 * variance)
+    return step * np.round(y / step) if step > 0.0 else y
+
+
+def _each_lattice(setting: Setting) -> Iterator[str]:
+    yield from setting.resolution
+
+
+def _variance(setting: Setting, channel: str) -> Effect | None:
+    """``noise->signal``: the noise grows with |signal| (a nonlinear state or input) or with time."""
+    target, _, signal = channel.partition("->")
+    model = setting.model
+    at_output = target in model.outputs
+    if not (at_output or target in setting.states):
+        return None
+    if signal != "time" and signal not in {**model.nonlinear, **model.inputs}:
+        return None
+    name = identifier("variance", target, signal)
+    first, last = setting.span
+    middle, timely = 0.5 * (first + last), signal == "time"
+    scale = max(last - first, setting.dt) if timely else setting.size(signal)
+    origin = None if timely else Origin(setting, name, signal)
+
+    def factor(model: MixedModel, a: Array, u: Any, t: Any, own: Any) -> Any:
+        if origin is None:
+            x = t - own[2]
+        elif signal in model.nonlinear:
+            x = np.abs(a[:, list(model.nonlinear).index(signal)] - origin.of(own))
+        else:
+            x = np.abs(u[list(model.inputs).index(signal)] - origin.of(own))
+        return np.exp(np.clip(0.5 * own[0] * x / own[1], -8.0, 8.0))
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            f, A, Q = model.transition(a, u, t, dt, own_base)
+            index = [*model.nonlinear, *model.linear].index(target)
+            return f, A, _scaled(Q, index, factor(model, a, u, t, own), len(a))
+
+        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            h, C, R = model.observation(a, u, t, own_base)
+            index = list(model.outputs).index(target)
+            return h, C, _scaled(R, index, factor(model, a, u, t, own), len(a))
+
+        if at_output:
+            return on_base(model, split, measurement=measurement)
+        return on_base(model, split, dynamics=dynamics)
+
+    unit = "s" if origin is None else setting.unit(signal)
+    noise = "measurement" if at_output else "process"
+    further = [
+        Parameter(f"{name}_per", scale, unit, (POSITIVE, np.inf), "to which the size refers")
+    ]
+    if origin is None:
+        what = f"(t - {name}_middle)"
+        further.append(Parameter(f"{name}_middle", middle, "s", description="where it is zero"))
+    else:
+        what = f"|{origin.text(signal)}|"
+        further.extend(origin.parameters)
+    return Effect(
+        "variance",
+        channel,
+        "noise",
+        f"{noise} noise of {target} that changes with {'time' if origin is None else what}",
+        f"log variance of the noise of {target} + {name} * {what} / {name}_per",
+        (Parameter(name, 0.0, "1", (-20.0, 20.0), "change of the log variance"), *further),
+        extend,
+        probes=(tuple(p.default for p in further),),
+        look_alikes={"level": "does not change", "heavy-tails": "comes at random times"},
+        held=tuple(p.name for p in further),
+        zero=None if origin is None else origin.name,
+    )
+
+
+def _each_variance(setting: Setting) -> Iterator[str]:
+    model = setting.model
+    for target in [*model.outputs, *setting.targets]:
+        for signal in [*model.nonlinear, *model.inputs, "time"]:
+            yield f"{target}->{signal}"
+
+
+def _correlation(setting: Setting, channel: str) -> Effect | None:
+    """``i,j``: the process noises of two states are correlated (Q_az)."""
+    one, _, other = channel.partition(",")
+    states = list(setting.states)
+    if one not in states or other not in states or one == other:
+        return None
+    name = identifier("correlation", one, other)
+
+    def extend(model: MixedModel) -> MixedModel:
+        split = Split(model)
+        all_states = [*model.nonlinear, *model.linear]
+        i, j = all_states.index(one), all_states.index(other)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            own_base, own = split(theta)
+            f, A, Q = model.transition(a, u, t, dt, own_base)
+            Q = per_point(Q, len(a), own[0])
+            both = own[0] * np.sqrt(Q[..., i, i] * Q[..., j, j])
+            Q[..., i, j] += both
+            Q[..., j, i] += both
+            return f, A, Q
+
+        return on_base(model, split, dynamics=dynamics)
+
+    return Effect(
+        "correlation",
+        channel,
+        "noise",
+        f"correlated process noise of {one} and {other}",
+        f"Q[{one},{other}] += {name} * std * std",
+        (Parameter(name, 0.0, "1", (-0.95, 0.95), "correlation"),),
+        extend,
+        look_alikes={"coupling": "carries the state over, not its noise"},
+    )
+
+
+def _each_correlation(setting: Setting) -> Iterator[str]:
+    states = setting.targets
+    for i, one in enumerate(states):
+        for other in states[i + 1 :]:
+            yield f"{one},{other}"
+
+
+KINDS: list[Kind] = [
+    ("level", _level, lambda s: iter([*each_output(s), *each_state(s)])),
+    ("quantisation", _quantisation, _each_lattice),
+    ("variance", _variance, _each_variance),
+    ("correlation", _correlation, _each_correlation),
+]

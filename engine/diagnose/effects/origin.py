@@ -1,0 +1,59 @@
+"""Where an effect counts from: a zero that is known, or a parameter of the effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from engine.diagnose.effects.setting import Setting
+from engine.statespace.model import Parameter
+
+
+class Origin:
+    """The zero of ``channel`` for the effect whose size is ``name``.
+
+    Where the setting does not know it, the effect gets the last parameter ``<name>_zero``, held at
+    ``start`` (default: 0 of the unit) until a search frees it.
+    """
+
+    def __init__(
+        self, setting: Setting, name: str, channel: str, start: float | None = None
+    ) -> None:
+        self.value = setting.zero(channel) if start is None else start
+        self.parameters: tuple[Parameter, ...] = ()
+        if channel not in setting.known_zeros:
+            low, high = setting.inside(channel)
+            self.parameters = (
+                Parameter(
+                    f"{name}_zero",
+                    self.value,
+                    setting.unit(channel),
+                    (min(low, self.value), max(high, self.value)),
+                    f"zero of {channel} that it counts from",
+                ),
+            )
+
+    @property
+    def name(self) -> str | None:
+        """The parameter's name, None where the zero is known."""
+        return self.parameters[0].name if self.parameters else None
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The same, for :attr:`Effect.held`."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def probe(self) -> tuple[float, ...]:
+        """What each probe has for it."""
+        return tuple(p.default for p in self.parameters)
+
+    def of(self, own: Sequence[Any]) -> Any:
+        """The zero, from the effect's own values."""
+        return own[-1] if self.parameters else self.value
+
+    def text(self, channel: str) -> str:
+        """The channel counted from its zero, for an equation."""
+        if self.parameters:
+            return f"({channel} - {self.name})"
+        return channel if self.value == 0.0 else f"({channel} - {self.value:g})"

@@ -1,0 +1,307 @@
+"""The model for which effects are made, where they may enter it, and the sizes its data have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
+from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
+from engine.diagnose.effects.units import product
+from engine.filters.sigma_point import moment_path
+from engine.statespace.model import Array, MixedModel
+
+PROBED = 32  # rows of a record at which a model's structure is looked at
+NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
+POSITIVE = float(np.finfo(float).tiny)  # in any unit
+ON_TIME = 1e-3  # of a sample: how far off its time a sample may be
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """The samples of one series: ``values`` of states (filtered means), inputs and outputs by channel (n,);
+
+    times ``t`` (n,) and steps ``dt`` (n,) in seconds; ``theta`` of the filter. Outputs may hold NaN.
+    """
+
+    values: Mapping[str, Array]
+    t: Array
+    dt: Array
+    theta: Array
+
+
+@dataclass(frozen=True)
+class Setting:
+    """The model for which effects are made, with what its data tell about sizes.
+
+    ``scale`` maps a channel to its typical variation (standard deviation) in its unit, 1 where unknown;
+    ``span`` is the first and last time in seconds; ``dt`` the median time between samples. ``extra`` are
+    those inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
+    step its readings come in, where they show one. ``record`` is what the series showed, None without
+    data. ``zeros`` are the known zeros of channels (default: as the model declares and tells);
+    ``substeps`` the steps that the model makes from one sample to the next.
+    """
+
+    model: MixedModel
+    scale: Mapping[str, float] = field(default_factory=dict)
+    span: tuple[float, float] = (0.0, 100.0)
+    dt: float = 1.0
+    extra: tuple[str, ...] = ()
+    resolution: Mapping[str, float] = field(default_factory=dict)
+    record: Record | None = None
+    zeros: Mapping[str, float] | None = None
+    substeps: int = 1
+
+    # ---- sizes --------------------------------------------------------------------------------
+
+    def limits(self, low: float, high: float, least: float = POSITIVE) -> tuple[float, float]:
+        """Bounds (low, high) taken from the data, (least, inf) where there are none."""
+        return (low, high) if self.record is not None else (least, float("inf"))
+
+    def size(self, channel: str) -> float:
+        """The channel's typical variation, 1 where unknown."""
+        value = float(self.scale.get(channel, 1.0))
+        return value if value > 0.0 else 1.0
+
+    def quantile(self, channel: str, level: float) -> float:
+        """The value below which the channel is for a share ``level`` of the record."""
+        values = self._values(channel)
+        if values.size:
+            return float(np.quantile(values, level))
+        return self.zero(channel) + self.size(channel) * float(ndtri(level))
+
+    def distance(self, channel: str, level: float) -> float:
+        """The distance from its zero within which the channel is for a share ``level`` of the record."""
+        away = np.abs(self._values(channel) - self.zero(channel))
+        value = float(np.quantile(away, level)) if away.size else 0.0
+        return value if value > 0.0 else self.size(channel) * float(ndtri(0.5 + 0.5 * level))
+
+    def width(self, channel: str) -> tuple[float, float]:
+        """Bounds of a width in the channel's unit, counted from its zero."""
+        most = self.distance(channel, 0.7)
+        return self.limits(NARROWEST * most, WIDEST * most)
+
+    def inside(self, channel: str) -> tuple[float, float]:
+        """Bounds of a value on the channel's axis: its range and as much again at each side."""
+        values = self._values(channel)
+        if not values.size:
+            return -np.inf, np.inf
+        low, high = float(values.min()), float(values.max())
+        more = max(high - low, self.size(channel))
+        return low - more, high + more
+
+    def first(self, channel: str) -> float:
+        """The channel's first value in the record; its zero where there is none."""
+        values = self._values(channel)
+        return float(values[0]) if values.size else self.zero(channel)
+
+    def _values(self, channel: str) -> Array:
+        if self.record is None:
+            return np.zeros(0)
+        values = self.record.values.get(channel, np.zeros(0))
+        return np.asarray(values[np.isfinite(values)])
+
+    # ---- zeros --------------------------------------------------------------------------------
+
+    @cached_property
+    def _rates(self) -> dict[str, Rate]:
+        return rates(self.model)
+
+    @cached_property
+    def known_zeros(self) -> Mapping[str, float]:
+        """Zeros that are declared, or that the model tells: of a rate, where what it moves stands still."""
+        if self.zeros is not None:
+            return self.zeros
+        told = {name: rate.zero for name, rate in self._rates.items() if rate.zero is not None}
+        return {**told, **self.model.reference}
+
+    def zero(self, channel: str) -> float:
+        """The channel's zero in its unit: declared, derived from the model, else 0 of the unit."""
+        return float(self.known_zeros.get(channel, 0.0))
+
+    def is_rate(self, state: str) -> bool:
+        """Whether the state is the rate of another one: friction and drag suit it, stiffness does not."""
+        return state in self._rates
+
+    # ---- time ---------------------------------------------------------------------------------
+
+    def at_sample(self, t: Any) -> Any:
+        """Whether a time t (a number or (M,)) is that of a sample: True, or (M,) where times are refined.
+
+        Only series of regular samples are refined, so the phase tells.
+        """
+        if self.substeps == 1:
+            return True
+        phase = (np.asarray(t, dtype=float) - self.span[0]) / self.dt
+        near = np.abs(phase - np.round(phase)) < ON_TIME + 1e-9 * np.abs(phase)
+        return near if near.ndim else bool(near)
+
+    # ---- channels -----------------------------------------------------------------------------
+
+    @property
+    def states(self) -> dict[str, str]:
+        """All states with their units."""
+        return {**self.model.nonlinear, **self.model.linear}
+
+    @property
+    def targets(self) -> list[str]:
+        """States whose equations may be wrong: all but those that hold by definition."""
+        return [name for name in self.states if name not in self.model.kinematic]
+
+    def has_rate(self, state: str) -> bool:
+        """Whether another state is this one's rate: stiffness suits it, friction does not."""
+        return state in self.model.kinematic or any(state in r.of for r in self._rates.values())
+
+    def rate(self, target: str, divided_by: str = "") -> str:
+        """Unit of what enters a state's equation per second, divided by another unit."""
+        return product(self.unit(target), ("s", -1.0), (divided_by, -1.0))
+
+    def unit(self, channel: str) -> str:
+        """Unit of a state, input or output."""
+        model = self.model
+        return {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}[channel]
+
+    # ---- structure ----------------------------------------------------------------------------
+
+    def points(self, model: MixedModel) -> tuple[Points, Array]:
+        """Where to evaluate a model (this one, or one with more states), and the base's theta."""
+        own = self.record
+        theta = np.asarray(model.theta())
+        guess = guessed_points(model, self.dt)
+        if own is None:
+            return guess, theta
+        rows = np.unique(np.linspace(0, len(own.t) - 1, PROBED).astype(int))
+        n = min(len(own.theta), len(theta))
+        theta[:n] = own.theta[:n]
+
+        def columns(names: Mapping[str, str], otherwise: Array) -> tuple[Array, Array]:
+            there = [own.values.get(name) for name in names]
+            x = [
+                v[rows] if v is not None else np.full(len(rows), otherwise[i])
+                for i, v in enumerate(there)
+            ]
+            sizes = [
+                self.size(name) if v is not None else 1.0
+                for name, v in zip(names, there, strict=True)
+            ]
+            return np.reshape(x, (len(names), len(rows))).T, np.array(sizes)
+
+        x, scale = columns({**model.nonlinear, **model.linear}, guess.x.mean(axis=0))
+        u, u_scale = columns(model.inputs, np.zeros(model.nu))
+        return Points(x, u, own.t[rows], own.dt[rows], scale, u_scale), theta
+
+    @cached_property
+    def feeds(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which state (column) feeds which (row), (nx, nx); which states inputs move at once (nx,)."""
+        points, theta = self.points(self.model)
+        return feeding(self.model, theta, points)
+
+
+# A maker: (setting, channel) -> the effect, or None where the channel is not of its sort.
+Maker: TypeAlias = Callable[[Setting, str], Effect | None]
+
+
+# Which channels a maker is tried on when all effects of a model are listed.
+Channels: TypeAlias = Callable[[Setting], Iterator[str]]
+
+
+# A kind as the shipped modules list it.
+Kind: TypeAlias = tuple[str, Maker, Channels]
+
+
+def each_state(setting: Setting) -> Iterator[str]:
+    """Every state whose equation may be wrong."""
+    yield from setting.targets
+
+
+def each_output(setting: Setting) -> Iterator[str]:
+    """Every output."""
+    yield from setting.model.outputs
+
+
+def each_input(setting: Setting) -> Iterator[str]:
+    """Every input that the model uses."""
+    yield from (name for name in setting.model.inputs if name not in setting.extra)
+
+
+def each_parameter(setting: Setting) -> Iterator[str]:
+    """Every parameter of the model."""
+    yield from setting.model.parameter_names
+
+
+def each_moved(setting: Setting) -> Iterator[str]:
+    """Every state that an input or another state moves: not a disturbance of its own."""
+    feeds, moved = setting.feeds
+    for i, name in enumerate(setting.states):
+        if name in setting.targets and (moved[i] or np.delete(feeds[i], i).any()):
+            yield name
+
+
+def each_pair(setting: Setting) -> Iterator[str]:
+    """A state in its own equation, and ``source->target`` where one already feeds the other."""
+    states = list(setting.states)
+    feeds, _ = setting.feeds
+    for i, source in enumerate(states):
+        if source in setting.targets:
+            yield source
+        for j, target in enumerate(states):
+            if i != j and target in setting.targets and (feeds[j, i] or feeds[i, j]):
+                yield f"{source}->{target}"
+
+
+def pair(setting: Setting, channel: str) -> tuple[str, str] | None:
+    """(source, target) of a channel, None where they are not states of the model."""
+    source, _, target = channel.partition("->")
+    target = target or source
+    return (source, target) if {source, target} <= set(setting.states) else None
+
+
+def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
+    """Typical sizes of every channel, from the data and the filter's means.
+
+    ``theta`` (n_theta,); of a refined series the samples are what is looked at.
+    """
+    path = moment_path(model, theta, series)
+    rows = series.samples
+    values: dict[str, Array] = {}
+    for i, name in enumerate([*model.nonlinear, *model.linear]):
+        values[name] = path.filtered[rows, i]
+    for i, name in enumerate(model.inputs):
+        values[name] = series.u[rows, i]
+    resolution: dict[str, float] = {}
+    for i, name in enumerate(model.outputs):
+        values[name] = series.y[rows, i]
+        seen = values[name][~np.isnan(values[name])]
+        step = lattice_step(seen)
+        if step is not None and step >= VISIBLE * sample_noise(seen):
+            resolution[name] = step
+    t = series.t[rows]
+    steps = np.diff(t)
+    return Setting(
+        model,
+        {name: _spread(value) for name, value in values.items()},
+        (float(t[0]), float(t[-1])),
+        float(np.median(steps)),
+        tuple(name for name in series.extra_names if name in model.inputs),
+        resolution,
+        Record(values, t, np.append(steps, steps[-1]), np.asarray(theta, dtype=float)),
+        substeps=series.substeps,
+    )
+
+
+def _spread(values: Array) -> float:
+    """Standard deviation about the mean; of a constant channel its value, 1 where that is zero."""
+    seen = values[np.isfinite(values)]
+    if not seen.size:
+        return 1.0
+    if np.ptp(seen) > 0.0:
+        return float(seen.std())
+    return abs(float(seen[0])) or 1.0

@@ -1,0 +1,293 @@
+"""Effects in the state equation: forces that depend on the states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.effect import (
+    Effect,
+    Values,
+    add_linear_coupling,
+    add_to_state,
+    identifier,
+)
+from engine.diagnose.effects.origin import Origin
+from engine.diagnose.effects.setting import Kind, Maker, Setting, each_pair, each_state, pair
+from engine.diagnose.effects.units import product
+from engine.statespace.model import MixedModel, Parameter
+
+ODD = "an odd function of the same state; told apart by the amplitudes that were visited"
+WIDTHS = (0.25, 0.7)  # shares of the record that are within the widths the screen looks at
+
+
+def _static(
+    kind: str,
+    title: str,
+    formula: str,
+    term: Callable[[Any, Sequence[Any]], Any],
+    power: float,
+    look_alikes: dict[str, str],
+    width: bool = False,
+) -> Maker:
+    """A kind ``size * term(x)``, x counted from its zero, where term grows like x ** power.
+
+    ``width`` adds a scale parameter.
+    """
+
+    def make(setting: Setting, channel: str) -> Effect | None:
+        found = pair(setting, channel)
+        if found is None:
+            return None
+        source, target = found
+        name = identifier(kind, channel)
+        unit = setting.unit(source)
+        origin = Origin(setting, name, source)
+        parameters = [
+            Parameter(name, 0.0, setting.rate(target, product((unit, power))), description=title)
+        ]
+        if width:
+            parameters.append(
+                Parameter(
+                    f"{name}_width",
+                    setting.distance(source, 0.4),
+                    unit,
+                    setting.width(source),
+                    f"distance of {source} from its zero at which it bends",
+                )
+            )
+
+        def extend(model: MixedModel) -> MixedModel:
+            return add_to_state(
+                model,
+                target,
+                lambda v, own: own[0] * term(v[source] - origin.of(own), own[1:]),
+                needs=(source,) if source in model.linear else (),
+            )
+
+        widths = [(setting.distance(source, level),) for level in WIDTHS] if width else [()]
+        return Effect(
+            kind,
+            channel,
+            "state",
+            f"{title} of {source}" + ("" if source == target else f" on {target}"),
+            f"{target}' = ... + dt * {name} * {formula.format(x=origin.text(source))}",
+            (*parameters, *origin.parameters),
+            extend,
+            probes=tuple((*own, *origin.probe) for own in widths),
+            look_alikes=look_alikes,
+            held=origin.held,
+            zero=origin.name,
+        )
+
+    return make
+
+
+def _coulomb(setting: Setting, channel: str) -> Effect | None:
+    """Friction of constant size against the motion; it may stop the motion in a step, not reverse it."""
+    found = pair(setting, channel)
+    if found is None:
+        return None
+    source, target = found
+    name = identifier("coulomb", channel)
+    origin = Origin(setting, name, source)
+
+    def term(v: Values, own: Sequence[Any]) -> Any:
+        speed = v[source] - origin.of(own)
+        if source != target:
+            return -own[0] * np.sign(speed)
+        most = v.dt * np.abs(own[0])
+        return -np.sign(own[0]) * np.clip(speed, -most, most) / v.dt
+
+    def extend(model: MixedModel) -> MixedModel:
+        needs = (source,) if source in model.linear else ()
+        return add_to_state(model, target, term, needs, midway=False)
+
+    return Effect(
+        "coulomb",
+        channel,
+        "state",
+        f"Coulomb friction of {source}" + ("" if source == target else f" on {target}"),
+        f"{target}' = ... - dt * {name} * sign({origin.text(source)})",
+        (
+            Parameter(name, 0.0, setting.rate(target), description="friction per unit of inertia"),
+            *origin.parameters,
+        ),
+        extend,
+        probes=(origin.probe,),
+        look_alikes={"drag": ODD, "stribeck": ODD, "deadzone": ODD},
+        held=origin.held,
+        zero=origin.name,
+    )
+
+
+def _force(setting: Setting, channel: str) -> Effect | None:
+    if channel not in setting.states:
+        return None
+    name = identifier("force", channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        return add_to_state(model, channel, lambda v, own: own[0])
+
+    return Effect(
+        "force",
+        channel,
+        "state",
+        f"constant force on {channel}",
+        f"{channel}' = ... + dt * {name}",
+        (Parameter(name, 0.0, setting.rate(channel), description="constant rate"),),
+        extend,
+        look_alikes={
+            "bias": "a sensor bias does not move the state",
+            "step": "acts from one time on",
+        },
+    )
+
+
+def _linear(setting: Setting, channel: str) -> Effect | None:
+    """A state's own rate of decay or growth; one that the model estimates is not testable beside it."""
+    if channel not in setting.states:
+        return None
+    name = identifier("linear", channel)
+    origin = Origin(setting, name, channel)
+
+    return Effect(
+        "linear",
+        channel,
+        "state",
+        f"linear damping or growth of {channel}",
+        f"{channel}' = ... + dt * {name} * {origin.text(channel)}",
+        (Parameter(name, 0.0, "1/s", description="rate"), *origin.parameters),
+        partial(_coupled, channel, channel, origin),
+        probes=(origin.probe,),
+        held=origin.held,
+        zero=origin.name,
+        look_alikes={
+            "drag": "grows faster than the state",
+            "saturation": "acts on large values only",
+            "deadzone": "acts on small values only",
+        },
+    )
+
+
+def _coupling(setting: Setting, channel: str) -> Effect | None:
+    found = pair(setting, channel)
+    if found is None or found[0] == found[1]:
+        return None
+    source, target = found
+    name = identifier("coupling", source, target)
+    origin = Origin(setting, name, source)
+
+    return Effect(
+        "coupling",
+        channel,
+        "state",
+        f"coupling of {source} into {target}",
+        f"{target}' = ... + dt * {name} * {origin.text(source)}",
+        (Parameter(name, 0.0, setting.rate(target, setting.unit(source))), *origin.parameters),
+        partial(_coupled, source, target, origin),
+        probes=(origin.probe,),
+        look_alikes={"cubic": "grows faster than the state", "gain": "acts on the reading only"},
+        held=origin.held,
+        zero=origin.name,
+    )
+
+
+def _coupled(source: str, target: str, origin: Origin, model: MixedModel) -> MixedModel:
+    """``target``' = ... + dt * size * (source - zero)."""
+    if source in model.linear:
+        return add_linear_coupling(model, target, source, origin.of)
+    return add_to_state(model, target, lambda v, own: own[0] * (v[source] - origin.of(own)))
+
+
+def _each_coupling(setting: Setting) -> Any:
+    for source in setting.states:
+        for target in setting.targets:
+            if source != target:
+                yield f"{source}->{target}"
+
+
+KINDS: list[Kind] = [
+    ("force", _force, each_state),
+    (
+        "quadratic",
+        _static(
+            "quadratic",
+            "quadratic force",
+            "{x}^2",
+            lambda x, own: x * x,
+            2,
+            {"force": "is constant"},
+        ),
+        each_pair,
+    ),
+    (
+        "cubic",
+        _static(
+            "cubic",
+            "cubic stiffness",
+            "{x}^3",
+            lambda x, own: x**3,
+            3,
+            {"drag": ODD, "deadzone": ODD},
+        ),
+        each_pair,
+    ),
+    (
+        "drag",
+        _static(
+            "drag",
+            "quadratic drag",
+            "-{x}|{x}|",
+            lambda x, own: -x * np.abs(x),
+            2,
+            {"cubic": ODD, "coulomb": ODD},
+        ),
+        each_pair,
+    ),
+    ("coulomb", _coulomb, each_pair),
+    (
+        "stribeck",
+        _static(
+            "stribeck",
+            "Stribeck friction",
+            "-sign({x}) exp(-|{x}|/w)",
+            lambda x, own: -np.sign(x) * np.exp(-np.abs(x) / own[0]),
+            0,
+            {"coulomb": "does not fade with speed"},
+            width=True,
+        ),
+        each_pair,
+    ),
+    (
+        "deadzone",
+        _static(
+            "deadzone",
+            "dead zone",
+            "clip({x}, -w, w)",
+            lambda x, own: np.clip(x, -own[0], own[0]),
+            1,
+            {"coulomb": ODD, "saturation": ODD},
+            width=True,
+        ),
+        each_pair,
+    ),
+    (
+        "saturation",
+        _static(
+            "saturation",
+            "saturation",
+            "(|{x}| - w)+ sign({x})",
+            lambda x, own: np.sign(x) * np.maximum(np.abs(x) - own[0], 0.0),
+            1,
+            {"cubic": ODD, "deadzone": ODD},
+            width=True,
+        ),
+        each_pair,
+    ),
+    ("linear", _linear, each_state),
+    ("coupling", _coupling, _each_coupling),
+]

@@ -1,0 +1,42 @@
+"""Heavy tails: outliers among the readings, or shocks on a state."""
+
+from __future__ import annotations
+
+from engine.diagnose.effects.effect import Effect, identifier
+from engine.diagnose.effects.setting import Kind, Setting
+from engine.filters.heavy_tails import with_mixture
+from engine.statespace.model import MixedModel, Parameter
+
+KIND = "heavy-tails"
+
+
+def _heavy_tails(setting: Setting, channel: str) -> Effect | None:
+    at_output = channel in setting.model.outputs
+    if not at_output and channel not in setting.states:
+        return None
+    name = identifier("heavy_tails", channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        where = "measurement" if at_output else "dynamics"
+        return with_mixture(model, where, channels=[channel], name=name)
+
+    what = "measurement" if at_output else "process"
+    return Effect(
+        KIND,
+        channel,
+        "noise",
+        f"outliers in the {what} noise of {channel}",
+        f"with probability {name}_share the noise of {channel} is {name}_ratio times as large",
+        (
+            Parameter(f"{name}_share", 1e-6, "1", (1e-6, 0.5), "share of outliers"),
+            Parameter(f"{name}_ratio", 10.0, "1", (1.0, 1e4), "their size over the usual"),
+        ),
+        extend,
+        look_alikes={"pulse": "comes once", "variance": "comes at certain times or states"},
+        one_sided=True,
+    )
+
+
+KINDS: list[Kind] = [
+    (KIND, _heavy_tails, lambda s: iter([*s.model.outputs, *s.targets])),
+]

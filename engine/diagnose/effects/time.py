@@ -1,0 +1,243 @@
+"""Effects of time: steps, ramps, pulses, harmonics, and parameters that change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.effect import (
+    Effect,
+    Split,
+    add_to_output,
+    add_to_state,
+    identifier,
+    on_base,
+)
+from engine.diagnose.effects.setting import (
+    ON_TIME,
+    POSITIVE,
+    Kind,
+    Maker,
+    Setting,
+    each_output,
+    each_parameter,
+    each_state,
+)
+from engine.statespace.model import Array, MixedModel, Parameter
+
+
+def _signal(
+    kind: str,
+    title: str,
+    formula: str,
+    signal: Callable[[Any, Sequence[Any]], Any],
+    shape: Callable[[str, Setting], list[Parameter]],
+    look_alikes: dict[str, str],
+    held: tuple[str, ...] = (),
+) -> Maker:
+    """A kind ``size * signal(t)`` added to a state's equation or to an output."""
+
+    def make(setting: Setting, channel: str) -> Effect | None:
+        at_output = channel in setting.model.outputs
+        if not at_output and channel not in setting.states:
+            return None
+        name = identifier(kind, channel)
+        unit = setting.unit(channel) if at_output else setting.rate(channel)
+        further = shape(name, setting)
+
+        def extend(model: MixedModel) -> MixedModel:
+            add = add_to_output if at_output else add_to_state
+            return add(model, channel, lambda v, own: own[0] * signal(v.t, own[1:]))
+
+        return Effect(
+            kind,
+            channel,
+            "time",
+            f"{title} {'of the reading' if at_output else 'of the force on'} {channel}",
+            f"{channel} = ... + {'' if at_output else 'dt * '}{name} * {formula}",
+            (Parameter(name, 0.0, unit, description=title), *further),
+            extend,
+            probes=(tuple(p.default for p in further),),
+            look_alikes=look_alikes,
+            held=tuple(f"{name}_{part}" for part in held),
+        )
+
+    return make
+
+
+def _when(name: str, setting: Setting) -> list[Parameter]:
+    first, last = setting.span
+    return [
+        Parameter(
+            f"{name}_time", 0.5 * (first + last), "s", setting.limits(first, last, -np.inf), "when"
+        )
+    ]
+
+
+def _frequency(name: str, setting: Setting) -> list[Parameter]:
+    first, last = setting.span
+    lowest, highest = 0.5 / max(last - first, setting.dt), 0.5 / setting.dt
+    return [
+        Parameter(f"{name}_sine", 0.0, "", description="amplitude of the sine"),
+        Parameter(
+            f"{name}_frequency", 10.0 * lowest, "Hz", setting.limits(lowest, highest), "frequency"
+        ),
+    ]
+
+
+def _harmonic(setting: Setting, channel: str) -> Effect | None:
+    at_output = channel in setting.model.outputs
+    if not at_output and channel not in setting.states:
+        return None
+    name = identifier("harmonic", channel)
+    unit = setting.unit(channel) if at_output else setting.rate(channel)
+    frequency = _frequency(name, setting)
+
+    def term(v: Any, own: Sequence[Any]) -> Any:
+        angle = 2.0 * np.pi * own[2] * v.t
+        return own[0] * np.cos(angle) + own[1] * np.sin(angle)
+
+    def extend(model: MixedModel) -> MixedModel:
+        return (add_to_output if at_output else add_to_state)(model, channel, term)
+
+    return Effect(
+        "harmonic",
+        channel,
+        "time",
+        f"harmonic {'in the reading' if at_output else 'force on'} {channel}",
+        f"{channel} = ... + {'' if at_output else 'dt * '}({name} cos(2 pi f t) + {name}_sine sin(2 pi f t))",
+        (
+            Parameter(name, 0.0, unit, description="amplitude of the cosine"),
+            Parameter(frequency[0].name, 0.0, unit, description=frequency[0].description),
+            frequency[1],
+        ),
+        extend,
+        probes=((0.0, frequency[1].default),),
+        look_alikes={"pole": "a lightly damped missing mode rings, a harmonic does not decay"},
+    )
+
+
+def _parameter_change(kind: str, title: str) -> Maker:
+    """A parameter that steps at a time, or drifts linearly through the record."""
+
+    def make(setting: Setting, channel: str) -> Effect | None:
+        if channel not in setting.model.parameter_names:
+            return None
+        index = setting.model.parameter_names.index(channel)
+        name = identifier(kind, channel)
+        first, last = setting.span
+        parameter = setting.model.parameters[index]
+        steps = kind == "parameter-step"
+        further = _when(name, setting)
+        if not steps:
+            length = max(last - first, setting.dt)
+            further = [
+                Parameter(
+                    f"{name}_middle", 0.5 * (first + last), "s", description="where it is zero"
+                ),
+                Parameter(
+                    f"{name}_per", length, "s", (POSITIVE, np.inf), "to which the size refers"
+                ),
+            ]
+
+        def course(t: Any, own: Sequence[Any]) -> Any:
+            return own[0] * ((t >= own[1]) if steps else (t - own[1]) / own[2])
+
+        def extend(model: MixedModel) -> MixedModel:
+            split = Split(model)
+
+            def at(t: Any, theta: Any) -> Any:
+                base, own = split(theta)
+                value = np.clip(base[index] + course(t, own), *parameter.bounds)
+                return base._replace(**{channel: value})
+
+            def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+                return model.transition(a, u, t, dt, at(t, theta))
+
+            def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+                return model.observation(a, u, t, at(t, theta))
+
+            return on_base(model, split, dynamics=dynamics, measurement=measurement)
+
+        return Effect(
+            kind,
+            channel,
+            "time",
+            f"{title} of the parameter {channel}",
+            f"{channel} -> {channel} + {name} * "
+            + (f"[t >= {name}_time]" if steps else f"(t - {name}_middle) / {name}_per"),
+            (Parameter(name, 0.0, parameter.unit, description=title), *further),
+            extend,
+            probes=(tuple(p.default for p in further),),
+            held=() if steps else tuple(p.name for p in further),
+            look_alikes={"cubic": "depends on the state", "step": "a force, whatever the state"},
+        )
+
+    return make
+
+
+def _each_place(setting: Setting) -> Iterator[str]:
+    yield from each_output(setting)
+    yield from each_state(setting)
+
+
+def _pulse(t: Any, own: Sequence[Any]) -> Any:
+    """1 from the sample at own[0] on for own[1] seconds; ends may be off by their rounding."""
+    since = (t - own[0]) / own[1]
+    return 1.0 * ((since > -ON_TIME) & (since < 1.0 - ON_TIME))
+
+
+def _width(name: str, setting: Setting) -> list[Parameter]:
+    width = Parameter(f"{name}_width", setting.dt, "s", (POSITIVE, np.inf), "how long")
+    return [*_when(name, setting), width]
+
+
+def _start(name: str, setting: Setting) -> list[Parameter]:
+    return [Parameter(f"{name}_start", setting.span[0], "s", description="when it is zero")]
+
+
+KINDS: list[Kind] = [
+    (
+        "step",
+        _signal(
+            "step",
+            "step",
+            "[t >= time]",
+            lambda t, own: 1.0 * (t >= own[0]),
+            _when,
+            {"ramp": "goes on growing", "pulse": "is over at once"},
+        ),
+        _each_place,
+    ),
+    (
+        "pulse",
+        _signal(
+            "pulse",
+            "pulse",
+            "[time <= t < time + width]",
+            _pulse,
+            _width,
+            {"step": "stays", "heavy-tails": "comes again"},
+            held=("width",),
+        ),
+        _each_place,
+    ),
+    (
+        "ramp",
+        _signal(
+            "ramp",
+            "ramp",
+            "(t - start)",
+            lambda t, own: t - own[0],
+            _start,
+            {"drift": "moves the reading only", "step": "comes at once"},
+            held=("start",),
+        ),
+        each_state,
+    ),
+    ("harmonic", _harmonic, _each_place),
+    ("parameter-step", _parameter_change("parameter-step", "step"), each_parameter),
+    ("parameter-drift", _parameter_change("parameter-drift", "drift"), each_parameter),
+]

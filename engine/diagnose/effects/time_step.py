@@ -1,0 +1,81 @@
+"""The model's own time step as a cause: two half-steps in place of one.
+
+With F_h the mean of the model's step over h, F_(h/2) o F_(h/2) is the same step with an error about half
+as large for a scheme of first order, and F_h + 2 (F_(h/2) o F_(h/2) - F_h) its limit up to second order
+(Richardson 1911). A size between one and two says that the model is right and its step too long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.effect import Effect, Split, identifier, on_base
+from engine.diagnose.effects.rates import step
+from engine.diagnose.effects.setting import Kind, Setting
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.promotion import promote
+
+KIND, CHANNEL = "time-step", "dt"
+SHORTER = 1e-3  # of the step: over so short a time the state of a model with a real dt hardly moves
+HARDLY = 0.1  # of its move over the whole step
+ROUNDING = 1e-6  # of its move: what two half-steps may differ by and be the same
+
+
+def _time_step(setting: Setting, channel: str) -> Effect | None:
+    if channel != CHANNEL:
+        return None
+    name = identifier("time_step", channel)
+
+    def extend(model: MixedModel) -> MixedModel:
+        base = promote(model, list(model.linear))
+        split = Split(model)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            record, own = split(theta)
+            f, A, Q = base.transition(a, u, t, dt, record)
+            half = base.transition(a, u, t, 0.5 * dt, record)[0]
+            twice = base.transition(half, u, t + 0.5 * dt, 0.5 * dt, record)[0]
+            return f + np.reshape(own[0], (-1, 1)) * (twice - f), A, Q
+
+        return on_base(base, split, dynamics=dynamics)
+
+    return Effect(
+        KIND,
+        channel,
+        "state",
+        "time step of the model that is too long",
+        f"F_dt(x) + {name} (F_dt/2(F_dt/2(x)) - F_dt(x))",
+        (Parameter(name, 0.0, "1", (0.0, 4.0), "1: two half-steps, 2: the limit of short ones"),),
+        extend,
+        look_alikes={
+            "pole": "remembers",
+            "hysteresis": "remembers",
+            "linear": "grows with the state",
+        },
+        one_sided=True,
+    )
+
+
+def _where(setting: Setting) -> Iterator[str]:
+    """Where dt is a real time step, and halving it changes something."""
+    model = setting.model
+    points, theta = setting.points(model)
+    moves, short, halves = [], [], []
+    for x, u, t, dt in zip(points.x, points.u, points.t, points.dt / setting.substeps, strict=True):
+        here = x[None]
+        whole = step(model, theta, here, u, t, dt)
+        half = step(model, theta, here, u, t, 0.5 * dt)
+        moves.append(whole - here)
+        halves.append(step(model, theta, half, u, t + 0.5 * dt, 0.5 * dt) - whole)
+        short.append(step(model, theta, here, u, t, SHORTER * dt) - here)
+    whole, little, change = (
+        np.sqrt(np.mean(np.square(x), axis=0))[0] for x in (moves, short, halves)
+    )
+    if (little <= HARDLY * whole).all() and (change > ROUNDING * whole).any():
+        yield CHANNEL
+
+
+KINDS: list[Kind] = [(KIND, _time_step, _where)]

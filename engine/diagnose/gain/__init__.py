@@ -1,0 +1,1 @@
+"""What an extension is worth on data that it has not seen."""

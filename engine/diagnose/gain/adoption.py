@@ -1,0 +1,117 @@
+"""Whether held-out data call for an extension, and why, in words.
+
+The data that an extension was chosen on cannot speak for it a second time. It is adopted where data
+that it has not seen show that it does better, one step ahead or in the free run of an output, and where
+they show no significant loss in either. Without such evidence the cause is named and the model stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from engine.diagnose.gain.simulation_gain import OutputGain
+from engine.words import listed, number, percent, probability, with_unit
+
+if TYPE_CHECKING:
+    from engine.diagnose.gain.gain import Gain
+
+LEVEL = 0.05  # of the one-sided tests of a gain and of a loss one step ahead
+MATTERS = 1.0  # nats in all: a smaller loss, a likelihood ratio below e, speaks against nothing
+MATTERS_RUN = 0.01  # of a free run's rms error: a smaller change, however sure, is none
+
+
+class Decision(Enum):
+    """What held-out data say of an extension; ``value`` is the word used at every edge."""
+
+    ADOPTED = "adopted"
+    NO_EVIDENCE = "no evidence"
+    LOSES = "loses"
+
+
+def decide(
+    p_gain: float,
+    p_loss: float,
+    log_density: float,
+    outputs: Sequence[OutputGain],
+    lost: bool = False,
+) -> Decision:
+    """The decision from the one-sided p-values of the log-density gained in all, and from the free runs.
+
+    ``lost``: the extended model's filter or free run is lost on the held-out data where the model as
+    given is not.
+    """
+    better, worse = runs_changed(outputs)
+    if lost or worse or (p_loss < LEVEL and log_density < -MATTERS):
+        return Decision.LOSES
+    return Decision.ADOPTED if p_gain <= LEVEL or better else Decision.NO_EVIDENCE
+
+
+def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
+    """Outputs whose free run is significantly better, and those where it is significantly worse."""
+    told = [o for o in outputs if abs(o.difference) > MATTERS_RUN * o.rmse_before]
+    better = [o for o in told if o.interval_difference[1] < 0.0]
+    return better, [o for o in told if o.interval_difference[0] > 0.0]
+
+
+def in_short(gain: Gain) -> str:
+    """A few words beside the numbers."""
+    if gain.decision is Decision.LOSES:
+        return "NOT adopted: it does worse there."
+    if gain.decision is Decision.NO_EVIDENCE:
+        return "NOT adopted: no evidence there that it does better."
+    if gain.p_value <= LEVEL:
+        return "Adopted."
+    return f"Adopted: better in free run of {_names(runs_changed(gain.outputs)[0])}."
+
+
+def in_full(gain: Gain) -> str:
+    """One sentence with the reason."""
+    if gain.decision is Decision.LOSES:
+        better = _names(runs_changed(gain.outputs)[0])
+        but = f"; its free run of {better} is better" if better else ""
+        return (
+            f"Not adopted, as it loses on data that it has not seen: {listed(_losses(gain))}{but}."
+        )
+    if gain.decision is Decision.NO_EVIDENCE:
+        return (
+            "Not adopted for want of evidence: on data that it has not seen, "
+            f"{_one_step(gain)}, and no free run is significantly better."
+        )
+    ahead = gain.p_value <= LEVEL
+    reasons = [f"one step ahead ({probability(gain.p_value)})"] if ahead else []
+    reasons += [
+        f"in free run of {o.output} ({percent(1.0 - o.rmse_after / o.rmse_before)} of the error gone)"
+        for o in runs_changed(gain.outputs)[0]
+    ]
+    but = "" if ahead else f"; {_one_step(gain)}"
+    return f"Adopted: on data that it has not seen it does significantly better {listed(reasons)}{but}."
+
+
+def _one_step(gain: Gain) -> str:
+    if not math.isfinite(gain.log_density):
+        return "nothing can be said of its predictions one step ahead"
+    if gain.log_density > 0.0:
+        return f"its gain one step ahead is within chance ({probability(gain.p_value)})"
+    if gain.p_loss < LEVEL:
+        return f"its loss one step ahead is below {number(MATTERS)} in all"
+    return f"its loss one step ahead is within chance ({probability(gain.p_loss)})"
+
+
+def _losses(gain: Gain) -> list[str]:
+    out = []
+    if gain.p_loss < LEVEL and gain.log_density < -MATTERS:
+        out.append(
+            f"its log-density one step ahead is lower by {number(-gain.log_density)} "
+            f"({probability(gain.p_loss)} of no loss)"
+        )
+    for o in runs_changed(gain.outputs)[1]:
+        before, after = number(o.rmse_before), with_unit(o.rmse_after, o.unit)
+        out.append(f"its free run of {o.output} is wrong by {after} rms instead of {before}")
+    return out or ["its filter or its free run is lost there"]
+
+
+def _names(outputs: Sequence[OutputGain]) -> str:
+    return listed([o.output for o in outputs])

@@ -1,0 +1,278 @@
+"""What an extension is worth on data that neither its choice nor its estimate has seen.
+
+Two answers: the difference of the one-step predictive log-densities, d_t = log p_ext(y_t | past) -
+log p_base(y_t | past), tested one-sided by Diebold and Mariano (1995), mean(d) / sqrt(var(mean(d))) with
+Newey and West's (1987) variance; and the free-run error of each output before and after, both models
+started at the state that each of them estimates from the same first rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student_t
+
+from engine.data.series import Series
+from engine.diagnose.gain.adoption import LEVEL, Decision, decide, runs_changed
+from engine.diagnose.gain.simulation_gain import (
+    OutputGain,
+    free_run_from,
+    noise_level,
+    output_gains,
+)
+from engine.diagnose.symptoms.error_localization import newey_west
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
+from engine.filters.sigma_point import moment_filter
+from engine.statespace.model import Array
+from engine.words import listed
+
+BLOCKS, EVERY = 25, 5  # of interleaved blocks
+FOLDS_BELOW = 500  # rows: where fewer, each block is left out in turn
+TIMES = 200  # rows at most that a time is sought at
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """The gain on ``samples`` held-out rows, of which ``how`` tells the choice.
+
+    ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
+    (one-sided), ``p_loss`` of no loss. ``decision`` says whether they call for the extension
+    (see :mod:`engine.diagnose.gain.adoption`). For pictures: times ``t``, readings ``y``, free runs ``before``
+    and ``after`` (n, ny), differences ``d`` (n,).
+    """
+
+    how: str
+    samples: int
+    log_density: float
+    per_sample: float
+    standard_error: float
+    p_value: float
+    p_loss: float
+    outputs: tuple[OutputGain, ...]
+    decision: Decision
+    notes: tuple[str, ...] = ()
+    t: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    y: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    before: Array | None = field(default=None, repr=False)
+    after: Array | None = field(default=None, repr=False)
+    d: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+
+    @property
+    def adopt(self) -> bool:
+        """Whether the extension is adopted."""
+        return self.decision is Decision.ADOPTED
+
+    def every(self, k: int) -> Gain:
+        """The same with its arrays at every k-th row: at the samples of a refined series."""
+        curves = [None if x is None else x[::k] for x in (self.before, self.after)]
+        return replace(
+            self, t=self.t[::k], y=self.y[::k], d=self.d[::k], before=curves[0], after=curves[1]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers and notes, without the arrays over time."""
+        names = ["how", "samples", "log_density", "per_sample", "standard_error"]
+        names += ["p_value", "p_loss", "adopt"]
+        out = {name: getattr(self, name) for name in names}
+        out["outputs"] = [asdict(o) for o in self.outputs]
+        out["notes"] = list(self.notes)
+        return out
+
+
+def measure_gain(
+    base: QuasiFit, extended: QuasiFit, test: Series, history: Series | None = None, seed: int = 0
+) -> Gain:
+    """The gain of a fitted extension over the fitted base on ``test``.
+
+    ``history`` is the series that ends right before ``test``: both filters then run through it and
+    only the rows of ``test`` are scored; without it the test part begins anew.
+    """
+    whole = test if history is None else joined(history, test)
+    first = len(whole) - len(test)
+    rows = np.arange(len(whole)) >= first
+    how = "held-out rows" if history is None else "the last rows, held out"
+    return score([Trial(base, extended, rows)], whole, first, how, seed)
+
+
+def measure_gain_interleaved(
+    base: QuasiFit, extended: QuasiFit, series: Series, seed: int = 0
+) -> Gain:
+    """The gain on blocks of rows left out, for models fitted anew to the others.
+
+    For effects of time, which seldom happen again in the last rows of a record. Every fifth block
+    is left out; in a record below 500 rows, where that is too little to judge by, five times in
+    turn, so that each row is left out once. A row left out of the fit is predicted knowing all
+    measurements before it.
+    """
+    folds = range(EVERY) if len(series) < FOLDS_BELOW else [EVERY // 2]
+    trials = []
+    for fold in folds:
+        rows = every_fifth(len(series), fold)
+        masked = series.masked(rows)
+        if not masked.observed.any():
+            continue
+        fits = []
+        for fit in (base, extended):
+            theta = np.asarray(fit.theta)
+            if fit is extended:
+                theta = _times_again(base, extended, masked)
+            try:
+                fits.append(quasi_ml(fit.model, masked, theta, fit.free))
+            except (EngineError, np.linalg.LinAlgError):
+                fits.append(fit)
+        trials.append(Trial(fits[0], fits[1], rows))
+    how = "every fifth block, left out of the fit"
+    if len(trials) > 1:
+        how = "blocks, each left out of a fit in turn"
+    return score(trials, series, 0, how, seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Two fits and the rows (T,) that neither has seen."""
+
+    base: QuasiFit
+    extended: QuasiFit
+    rows: NDArray[np.bool_]
+
+
+def joined(one: Series, other: Series) -> Series:
+    """Two series one after the other; times that do not follow go on with the usual step."""
+    t = np.asarray(other.t)
+    if t[0] <= one.t[-1]:
+        t = t - t[0] + one.t[-1] + float(np.median(one.steps))
+    return one.replace(
+        y=np.concatenate([one.y, other.y]),
+        u=np.concatenate([one.u, other.u]),
+        t=np.concatenate([one.t, t]),
+        extra=np.concatenate([one.extra, other.extra]),
+    )
+
+
+def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: int) -> Gain:
+    """Score both models of each trial on its rows; free runs start at row ``first``."""
+    seen, part = series.observed.any(axis=1), series.part(first, len(series))
+    notes: list[str] = []
+    d, rows = np.zeros(len(series)), np.zeros(len(series), dtype=bool)
+    runs = [np.full(part.y.shape, np.nan) for _ in range(2)]
+    floors, lost = [], [False, False]
+    for trial in trials:
+        marked = trial.rows & seen
+        rows |= marked
+        terms = [_terms(fit, series) for fit in (trial.base, trial.extended)]
+        d[marked] = (terms[1] - terms[0])[marked]
+        lost = [one or not np.isfinite(x[marked]).all() for one, x in zip(lost, terms, strict=True)]
+        shown = trial.rows[first:] if len(trials) > 1 else np.ones(len(part), dtype=bool)
+        for k, fit in enumerate((trial.base, trial.extended)):
+            run = free_run_from(fit, series, first)
+            if run is not None:
+                runs[k][shown] = run[0][shown]
+                if k == 1:
+                    floors.append(noise_level(fit, part, run[1]))
+    n = int(rows.sum())
+    if n < 2:
+        notes.append("Hardly any measurement is held out: the gain cannot be measured.")
+    if lost[1]:
+        notes.append("The extended model's filter is lost on the held-out data.")
+    if n < 2 or not np.isfinite(d).all():
+        d[:] = np.nan
+    mean, error, p_gain = diebold_mariano(d[first:], rows[first:])
+    kept = rows[first:]
+    outputs: tuple[OutputGain, ...] = ()
+    away = [not np.isfinite(run[kept]).all() for run in runs]
+    for ran_away, name in zip(away, ("model as given", "extended model"), strict=True):
+        if ran_away:
+            notes.append(f"The free run of the {name} runs away on the held-out data.")
+    if not any(away) and floors:
+        floor = np.sqrt(np.mean(np.square(floors), axis=0))
+        outputs = tuple(output_gains(trials[0].base, part, kept, runs[0], runs[1], floor, seed))
+    total, p_loss = float(np.sum(d)), 1.0 - p_gain
+    gone = any(after and not before for before, after in (lost, away))
+    decision = decide(p_gain, p_loss, total, outputs, gone)
+    worse = [o.output for o in runs_changed(outputs)[1]]
+    if worse and p_gain > LEVEL:
+        notes.append(
+            f"The extended model simulates {listed(worse)} worse, and does not clearly predict better: it "
+            "explains the data as noise and not by a cause."
+        )
+    return Gain(
+        how=how,
+        samples=n,
+        log_density=total,
+        per_sample=mean,
+        standard_error=error,
+        p_value=p_gain,
+        p_loss=p_loss,
+        outputs=outputs,
+        decision=decision,
+        notes=tuple(notes),
+        t=np.asarray(part.t),
+        y=np.where(kept[:, None], part.y, np.nan),
+        before=None if away[0] else runs[0],
+        after=None if away[1] else runs[1],
+        d=np.where(rows, d, np.nan)[first:],
+    )
+
+
+def _terms(fit: QuasiFit, series: Series) -> Array:
+    """One-step predictive log-densities (T,)."""
+    theta = np.asarray(fit.theta)[None]
+    return np.asarray(moment_filter(fit.model, theta, series).log_terms[:, 0])
+
+
+def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Mean of d over the marked rows, its standard error, and the one-sided p-value of a mean <= 0.
+
+    Student's t with n - 1 degrees of freedom, as Harvey, Leybourne and Newbold (1997) advise.
+    """
+    n = int(rows.sum())
+    if n < 2 or not np.isfinite(d).all():
+        return float("nan"), float("nan"), 0.5
+    mean = float(d[rows].mean())
+    deviations = np.where(rows, d - mean, 0.0)
+    error = newey_west(deviations, n, lags_for(deviations)) * float(np.sqrt(n / (n - 1.0)))
+    if not error > 0.0:
+        return mean, error, 0.5 if mean == 0.0 else float(mean < 0.0)
+    return mean, error, float(student_t.sf(mean / error, n - 1))
+
+
+def lags_for(d: Array) -> int:
+    """Lags of the Bartlett weights for d of correlation r: 1.1447 (alpha T)^(1/3), Andrews (1991).
+
+    alpha = 4 r^2 / ((1 - r)^2 (1 + r)^2); never fewer than 4 (T / 100)^(2/9) nor more than a third of d.
+    """
+    T = len(d)
+    power = float(d @ d)
+    r = float(np.clip(d[1:] @ d[:-1] / power, 0.0, 0.97)) if power > 0.0 else 0.0
+    alpha = 4.0 * r**2 / ((1.0 - r) ** 2 * (1.0 + r) ** 2)
+    fewest = int(4.0 * (T / 100.0) ** (2.0 / 9.0))
+    return min(max(fewest, int(1.1447 * (alpha * T) ** (1.0 / 3.0))), max(T // 3, 1))
+
+
+def every_fifth(T: int, first: int = EVERY // 2) -> NDArray[np.bool_]:
+    """The rows (T,) of every fifth of 25 blocks, from block ``first`` on."""
+    block = np.arange(T) * BLOCKS // T if T >= 2 * BLOCKS else np.arange(T) // 2
+    return np.asarray(block % EVERY == first)
+
+
+def _times_again(base: QuasiFit, extended: QuasiFit, masked: Series) -> Array:
+    """Times that the search chose with all rows in view are sought again without those left out."""
+    model = extended.model
+    theta = np.asarray(extended.theta).copy()
+    known = set(base.model.parameter_names) | set(extended.free)
+    for name in model.parameter_names:
+        if name in known or not name.endswith("_time"):
+            continue
+        k = model.index(name)
+        rows = np.flatnonzero(masked.observed.any(axis=1))
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(TIMES, len(rows))).astype(int))]
+        times = np.append(masked.t[rows], theta[k])
+        thetas = np.repeat(theta[None], len(times), axis=0)
+        thetas[:, k] = np.clip(times, model.lower[k], model.upper[k])
+        theta = thetas[int(np.argmax(log_likelihoods(model, [masked], thetas)))]
+    return theta

@@ -1,0 +1,274 @@
+"""Derivatives of the one-step predictions by an effect's size: the columns of the score tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.estimation.quasi_ml import neighbours, whitening
+from engine.filters.sigma_point import MomentFiltered, MomentPath, moment_filter
+from engine.kernels.moments import sigma_points, transform
+from engine.kernels.sensitivities import sensitivities
+from engine.statespace.model import Array, MixedModel
+from engine.statespace.points import Points
+
+REACH = 0.005  # a probe's size in its own standard errors: a slope, also of what few data tell
+NEAR = 0.9  # share of it that is near enough
+
+
+# of its own scatter, by which a prediction moves where a slope is taken: aimed at, and accepted
+FIRST, SLIGHT = 1e-4, (1e-7, 1e-2)
+TRIALS = 6
+
+UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could show
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One direction in which the model might be wrong: contributions s (T,) and vector v."""
+
+    s: Array
+    v: Array
+
+
+class Projection:
+    """Takes the fitted parameters' directions out of columns."""
+
+    def __init__(self, nuisance: Sequence[Column]) -> None:
+        self.n = len(nuisance)
+        if not self.n:
+            return
+        V = np.array([c.v for c in nuisance])
+        self.s = np.array([c.s for c in nuisance])
+        size = np.sqrt((V**2).sum(axis=1))
+        self.size = np.where(size > 0.0, size, 1.0)
+        self.V = V / self.size[:, None]
+        self.inverse = np.linalg.pinv(self.V @ self.V.T, rcond=1e-10, hermitian=True)
+
+    def __call__(self, s: Array, v: Array) -> tuple[Array, Array]:
+        """Projected s (n, T) and v (n, .)."""
+        if not self.n:
+            return s, v
+        coefficients = (v @ self.V.T) @ self.inverse
+        return s - coefficients @ (self.s / self.size[:, None]), v - coefficients @ self.V
+
+
+def innovation_columns(
+    base: MomentFiltered, observed: NDArray[np.bool_], pairs: Sequence[tuple[int, int, float]]
+) -> list[Column]:
+    """Columns from pairs (low, high, distance) of filters in one batch; row 0 is the base."""
+    root = whitening(base.S[:, 0], observed)
+    columns = []
+    for low, high, distance in pairs:
+        d_nu = np.nan_to_num(base.innovations[:, high] - base.innovations[:, low]) / distance
+        d_S = (base.S[:, high] - base.S[:, low]) / distance
+        z = np.einsum("tij,tj->ti", root, d_nu)
+        E = root @ d_S @ np.swapaxes(root, -1, -2) / np.sqrt(2.0)
+        s = (base.log_terms[:, high] - base.log_terms[:, low]) / distance
+        columns.append(Column(s, np.concatenate([z.ravel(), E.ravel()])))
+    return columns
+
+
+def parameter_columns(
+    model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series
+) -> list[Column]:
+    """The directions of the estimated parameters."""
+    if not len(indices):
+        return []
+    thetas, distances = neighbours(model, theta, indices)
+    filtered = moment_filter(model, thetas, series)
+    pairs = [(1 + 2 * i, 2 + 2 * i, float(d)) for i, d in enumerate(distances)]
+    return innovation_columns(filtered, series.observed, pairs)
+
+
+def effect_columns(
+    effect: Effect, model: MixedModel, theta: Array, series: Series, path: MomentPath
+) -> list[tuple[tuple[float, ...], Column]]:
+    """One column per probe of an effect; none where its filter is lost.
+
+    An effect without states of its own changes the model's functions along the base filter's path;
+    one with such states needs filters of its own.
+    """
+    extended = effect.apply(model)
+    at = np.array([np.concatenate([theta, [0.0], probe]) for probe in effect.probes])
+    columns: Sequence[Column | None]
+    if extended.nx == model.nx:
+        columns = [
+            static_column(effect, extended, row, len(theta), model, series, path) for row in at
+        ]
+    else:
+        columns = _dynamic_columns(effect, extended, at, len(theta), series)
+    return [
+        (probe, column)
+        for probe, column in zip(effect.probes, columns, strict=True)
+        if column is not None and np.isfinite(column.s).all() and np.isfinite(column.v).all()
+    ]
+
+
+def static_column(
+    effect: Effect,
+    extended: MixedModel,
+    at: Array,
+    k: int,
+    model: MixedModel,
+    series: Series,
+    path: MomentPath,
+) -> Column:
+    """The column of parameter k of ``extended`` at ``at``, along the path of the base model."""
+    b, dQ, e, dR, dX = _slopes(extended, at, k, model, series, path)
+    root = whitening(path.S, series.observed)
+    precision = np.swapaxes(root, -1, -2) @ root
+    nu = np.nan_to_num(path.innovations)
+    g, dS = sensitivities(path.F, path.H, path.K, precision, nu, b, e, dQ, dR, dX)
+    z = np.einsum("tij,tj->ti", root, nu)
+    Z = -np.einsum("tij,tj->ti", root, g)
+    E = root @ dS @ np.swapaxes(root, -1, -2)
+    s = -(Z * z).sum(axis=1) + 0.5 * (
+        np.einsum("ti,tij,tj->t", z, E, z) - np.trace(E, axis1=1, axis2=2)
+    )
+    return Column(s, np.concatenate([Z.ravel(), E.ravel() / np.sqrt(2.0)]))
+
+
+def _slopes(
+    extended: MixedModel, at: Array, k: int, model: MixedModel, series: Series, path: MomentPath
+) -> list[Array]:
+    """Differences of what :func:`along_path` returns by parameter k.
+
+    By a step that changes predictions by a small share of their own scatter, whatever the units are.
+    """
+    sizes = _scatter(path)
+    lower, upper = extended.lower[k], extended.upper[k]
+    step = 1e-5 * (upper if np.isfinite(upper) and upper > 0.0 else 1.0)
+    for _ in range(TRIALS):
+        low, high = at.copy(), at.copy()
+        low[k], high[k] = max(at[k] - step, lower), min(at[k] + step, upper)
+        ends = [along_path(extended, point, model, series, path) for point in (low, high)]
+        changes = [y - x for x, y in zip(*ends, strict=True)]
+        felt = max(
+            float(np.abs(change / size).max(initial=0.0))
+            for change, size in zip(changes, sizes, strict=True)
+        )
+        if SLIGHT[0] <= felt <= SLIGHT[1] or not np.isfinite(felt):
+            break
+        factor = FIRST / felt if felt > 0.0 else 1e4
+        if factor > 1.0 and step * factor > 0.5 * (upper - lower):
+            break
+        step *= float(np.clip(factor, 1e-8, 1e8))
+    return [change / (high[k] - low[k]) for change in changes]
+
+
+def _scatter(path: MomentPath) -> list[Array]:
+    """Typical standard deviations and variances of what :func:`along_path` returns, 1 where there are none."""
+    x = np.sqrt(np.median(np.diagonal(path.P_predicted, axis1=1, axis2=2), axis=0))
+    y = np.sqrt(np.median(np.diagonal(path.S, axis1=1, axis2=2), axis=0))
+    spread = np.std(path.predicted, axis=0)
+    x = np.where(x > 0.0, x, np.where(spread > 0.0, spread, 1.0))
+    return [x, np.outer(x, x), y, np.outer(y, y), np.outer(x, y)]
+
+
+def along_path(
+    extended: MixedModel, theta: Array, model: MixedModel, series: Series, path: MomentPath
+) -> tuple[Array, Array, Array, Array, Array]:
+    """One step of ``extended`` from each of the moments on the path of ``model``.
+
+    Mean and covariance of x_{t+1}, (T-1, nx) and (T-1, nx, nx); mean and covariance of y_t, (T, ny) and
+    (T, ny, ny); Cov(x_t, y_t) (T, nx, ny); all in the base model's order of states.
+    """
+    states = [*model.nonlinear, *model.linear]
+    order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
+    back = np.argsort(order)
+    record = extended.record(theta)
+    out = []
+    for transition in (True, False):
+        if transition:
+            m, P = path.filtered[:-1], path.P_filtered[:-1]
+        else:
+            m, P = path.predicted, path.P_predicted
+        m = np.ascontiguousarray(m[:, order])
+        P = np.ascontiguousarray(P[:, order][:, :, order])
+        a, z, V, offsets = sigma_points(m, P, extended.na)
+        n, S = a.shape[:2]
+        f, A, Q = Points(extended, series, a).at(np.arange(n), record, transition)
+        out.append(
+            transform(
+                f.reshape(n * S, -1), _rows(A, n, S), _rows(Q, n, S), z, V, offsets, extended.na
+            )
+        )
+    (x_mean, x_cov, _), (y_mean, y_cov, cross) = out
+    return (
+        x_mean[:, back],
+        x_cov[:, back][:, :, back],
+        y_mean,
+        y_cov,
+        np.ascontiguousarray(np.swapaxes(cross[:, :, back], 1, 2)),
+    )
+
+
+def _rows(matrix: Array, n: int, S: int) -> Array:
+    """(1, ., .) where common to all points, else (n S, ., .)."""
+    shape = matrix.shape[2:]
+    if matrix.shape[:2] == (1, 1):
+        return np.ascontiguousarray(matrix[0])
+    return np.ascontiguousarray(np.broadcast_to(matrix, (n, S, *shape))).reshape(n * S, *shape)
+
+
+def _dynamic_columns(
+    effect: Effect, extended: MixedModel, at: Array, k: int, series: Series
+) -> list[Column | None]:
+    """One column for each row of ``at`` (n, n_theta), from one pass of the filter for all of them."""
+    steps = _steps(extended, at, k, series)
+    use = np.flatnonzero(np.isfinite(steps))
+    columns: list[Column | None] = [None] * len(at)
+    if not use.size:
+        return columns
+    thetas = np.repeat(at[use], 3, axis=0)
+    thetas[1::3, k] = 0.0 if effect.one_sided else -steps[use]
+    thetas[2::3, k] = steps[use]
+    filtered = moment_filter(extended, thetas, series)
+    reach = 1.0 if effect.one_sided else 2.0
+    for n, i in enumerate(use):
+        own = MomentFiltered(*(x[:, 3 * n : 3 * n + 3] for x in _arrays(filtered)))
+        columns[i] = innovation_columns(own, series.observed, [(1, 2, reach * float(steps[i]))])[0]
+    return columns
+
+
+def _arrays(filtered: MomentFiltered) -> tuple[Array, Array, Array]:
+    return filtered.innovations, filtered.S, filtered.log_terms
+
+
+def _steps(extended: MixedModel, at: Array, k: int, series: Series) -> Array:
+    """Sizes (n,) of about REACH standard errors, found on the first part of the series; NaN for none."""
+    first = 100 * series.substeps
+    part = series if len(series) <= first else series.part(0, first)
+    longer = np.sqrt(len(series) / len(part))
+    steps = np.full(len(at), 1e-3 * max(min(float(extended.upper[k]), 1.0), 1e-300))
+    open_, found = np.ones(len(at), dtype=bool), np.full(len(at), np.nan)
+    for _ in range(12):
+        rows = np.flatnonzero(open_)
+        if not rows.size:
+            break
+        thetas = np.repeat(at[rows], 2, axis=0)
+        thetas[1::2, k] = steps[rows]
+        filtered = moment_filter(extended, thetas, part)
+        for n, i in enumerate(rows):
+            own = MomentFiltered(*(x[:, 2 * n : 2 * n + 2] for x in _arrays(filtered)))
+            column = innovation_columns(own, part.observed, [(0, 1, 1.0)])[0]
+            reach = float(np.linalg.norm(column.v)) * longer
+            if not np.isfinite(reach):
+                steps[i] *= 1e-2
+            elif reach == 0.0:
+                steps[i] *= 1e2
+            elif NEAR * REACH <= reach <= REACH / NEAR:
+                found[i], open_[i] = steps[i], False
+            else:
+                factor = float(np.clip(REACH / reach, 1e-4, 1e4))
+                # damped, as a variance answers to a size squared
+                steps[i] *= factor**0.7 if 1e-2 < factor < 1e2 else factor
+            if not 1e-250 < steps[i] < 1e250:
+                open_[i] = False
+    return found

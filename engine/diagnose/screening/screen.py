@@ -1,0 +1,286 @@
+"""Score tests of every effect at once, from the base model's filter and small extensions of it.
+
+With s_kt = d log p(y_t | y_{1:t-1}) / d size_k at size zero and the information
+
+    H_kl = sum nu_t,k' S_t^{-1} nu_t,l + 1/2 tr(S_t^{-1} S_t,k S_t^{-1} S_t,l) = v_k . v_l
+
+(nu_t,k, S_t,k the derivatives of the innovations and their covariance), the estimated parameters
+gamma are projected out,
+
+    s~_kt = s_kt - H_kg H_gg^{-1} s_gt,    v~_k likewise,
+    T_k = (sum_t s~_kt)^2 / |v~_k|^2 ~ chi2(1),   size_k = sum_t s~_kt / |v~_k|^2,   se_k = 1 / |v~_k|.
+
+rho_k = |v~_k|^2 / |v_k|^2 is what the data can still say about k once the parameters are fitted, and
+v~_k . v~_l their likeness. Families over an unknown time or frequency count as one test by their
+maximum. The family-wise p-value is Westfall and Young's min-p over multiplier draws, in which every
+time's contribution s~_t keeps its size and gets a random sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.screening.score_columns import UNTESTABLE, Column, Projection
+from engine.statespace.model import Array
+
+DRAWS = 499  # multiplier draws
+SEEN = 10  # draws above a value, from which their count is its p-value
+CLEARLY_HEAVIER = 2.5  # a tail than chi2: in 499 draws of chi2 the 95 % point scatters by a fifth
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """The result of one effect: ``statistic`` T_k, ``size`` and ``se`` in its unit, ``p_value`` of this test.
+
+    ``at`` are the values of its other parameters where the statistic was largest; ``rho`` the share
+    of information left beside the fitted parameters; ``statistic`` is 0 where not testable.
+    """
+
+    effect: Effect
+    statistic: float
+    size: float
+    se: float
+    p_value: float
+    rho: float
+    at: tuple[float, ...]
+    tests: float = 1.0  # independent chi2 tests that the maximum over its family amounts to
+    degrees: int = 1
+    boldness: float = 1.0  # the logarithm of a p-value over what it should be
+
+    def p_of(self, value: float) -> float:
+        """The p-value of a value of this statistic, such as a refitted likelihood ratio."""
+        p_value = min(1.0, self.tests * float(chi2.sf(value, self.degrees)))
+        return float(p_value ** (1.0 / self.boldness))
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """All scores, best first; ``p_value`` family-wise; ``likenesses`` (n, n) of every two effects.
+
+    ``lowest`` (DRAWS,) are the smallest p-values of the multiplier draws; ``simulated`` the number of
+    series by which p-values were calibrated, see :mod:`engine.diagnose.search.calibration`, 0 where they
+    were not. Where the screen is one of several chances of an alarm, it has this ``share`` of the error.
+    """
+
+    scores: tuple[Score, ...]
+    p_value: float
+    threshold: float
+    likenesses: Array
+    lowest: Array
+    simulated: int = 0
+    share: float = 1.0
+
+    @property
+    def smallest(self) -> float:
+        """The smallest p-value of a single test."""
+        return min(score.p_value for score in self.scores)
+
+    def family_wise(self, p_value: float) -> float:
+        """How probable so small a p-value is among all of these tests."""
+        drawn = (1.0 + float((self.lowest <= p_value).sum())) / (len(self.lowest) + 1.0)
+        return min(1.0, drawn / self.share)
+
+    def sharing(self, share: float) -> Screen:
+        """The same screen as one of several chances, with a share of the family-wise error."""
+        one = replace(self, share=share)
+        return replace(one, p_value=one.family_wise(one.smallest))
+
+    def family_wise_at(self, boldness: float) -> float:
+        """The family-wise p-value of what was seen, if all p-values were so bold."""
+        return self.family_wise(self.smallest ** (1.0 / boldness))
+
+    def likeness(self, one: int, other: int) -> float:
+        """|cos| between two effects' projected vectors v~, by their place in ``scores``."""
+        return float(self.likenesses[one, other])
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One test: an effect with one or several columns, projected, of which the largest counts."""
+
+    effect: Effect
+    s: Array  # (n, T)
+    norm: Array  # (n,) |v~|^2
+    rho: Array  # (n,)
+    at: tuple[tuple[float, ...], ...]
+    vector: Array  # v~ of the best column
+    degrees: int = 1  # columns that are tested together, as the two of a harmonic
+    tries: int = 1  # places that this one was chosen from
+    known: tuple[float, float] | None = None  # statistic and p-value, where they are not of scores
+
+    def best_of(self, tries: int) -> Test:
+        """The best place alone, as chosen from so many."""
+        best = int(np.argmax(self.statistics(self.s.sum(axis=1))))
+        own = slice(best * self.degrees, (best + 1) * self.degrees)
+        return replace(
+            self,
+            s=self.s[own],
+            norm=self.norm[own],
+            rho=self.rho[own],
+            at=(self.at[best],),
+            tries=tries,
+        )
+
+    def statistics(self, totals: Array) -> Array:
+        """Statistics (..., n / degrees) from sums over time (..., n) of s~, one-sided if it must be."""
+        if self.known is not None:
+            return np.full((*totals.shape[:-1], 1), self.known[0])
+        use = self.norm > 0.0
+        standard = np.where(use, totals / np.sqrt(np.where(use, self.norm, 1.0)), 0.0)
+        if self.effect.one_sided:
+            standard = np.maximum(standard, 0.0)
+        squares = standard**2
+        if self.degrees > 1:
+            squares = squares.reshape(*squares.shape[:-1], -1, self.degrees).sum(axis=-1)
+        return np.asarray(squares)
+
+
+def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Screen:
+    """All tests together: each statistic, each p-value, and the family-wise p-value.
+
+    ``threshold`` is the statistic a single two-sided test needs at the family-wise level ``alpha``.
+    """
+    T = tests[0].s.shape[1]
+    signs = rng.choice(np.array([-1.0, 1.0]), size=(DRAWS, T))
+    observed, drawn, effective = [], [], []
+    for test in tests:
+        found = test.statistics(test.s.sum(axis=1))
+        draws = test.statistics(signs @ test.s.T).max(axis=-1)
+        single = found.size == 1
+        tail = 0.5 if test.effect.one_sided else 1.0
+        effective.append(_effective(draws, test) if found.size > 1 else tail * test.tries)
+        if test.known is not None:
+            observed.append(test.known[1])
+            drawn.append(rng.random(DRAWS))
+        elif test.tries > 1:  # the best of many places, nearly independent: Bonferroni
+            observed.append(min(1.0, test.tries * float(chi2.sf(found.max(), test.degrees))))
+            drawn.append(rng.random(DRAWS))
+        elif single:  # the limiting distribution resolves smaller p-values than the draws
+            factor = tail * _heavier(draws, test, tail)
+            observed.append(min(1.0, factor * float(chi2.sf(found.max(), test.degrees))))
+            drawn.append(np.minimum(1.0, factor * chi2.sf(draws, test.degrees)))
+        else:
+            maxima = np.concatenate([[found.max()], draws])
+            p_values = _family_p(maxima, draws, test.degrees, effective[-1])
+            observed.append(float(p_values[0]))
+            drawn.append(p_values[1:])
+    lowest = np.min(drawn, axis=0)
+    threshold = float(chi2.isf(max(float(np.quantile(lowest, alpha)), 1e-12), 1))
+    order = sorted(range(len(tests)), key=lambda i: observed[i])
+    scores, vectors = [], []
+    for i in order:
+        score, vector = _score(tests[i], observed[i], effective[i])
+        scores.append(score)
+        vectors.append(vector)
+    result = Screen(tuple(scores), 1.0, threshold, _likenesses(np.array(vectors)), lowest)
+    return replace(result, p_value=result.family_wise(result.smallest))
+
+
+def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:
+    totals = test.s.sum(axis=1)
+    statistics = test.statistics(totals)
+    best = int(np.argmax(statistics)) * test.degrees
+    norm = float(test.norm[best])
+    testable = norm > 0.0 and test.rho[best] > UNTESTABLE
+    score = Score(
+        test.effect,
+        float(statistics.max()) if testable else 0.0,
+        float(totals[best]) / norm if testable else 0.0,
+        norm**-0.5 if testable else np.inf,
+        p_value if testable else 1.0,
+        float(test.rho[best]),
+        test.at[best // test.degrees],
+        effective,
+        test.degrees,
+    )
+    return score, test.vector
+
+
+def _likenesses(vectors: Array) -> Array:
+    """|cos| (n, n) between any two of the vectors (n, .), 0 where one of them is zero."""
+    norms = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit = np.divide(vectors, norms, out=np.zeros_like(vectors), where=norms > 0.0)
+    return np.asarray(np.abs(unit @ unit.T))
+
+
+def _family_p(values: Array, draws: Array, degrees: int, effective: float) -> Array:
+    """p (n,) of maxima over a family: from the draws, beyond the last of them by the tail they show.
+
+    Data and draws go by the same rule, so that its error is in both.
+    """
+    count = (draws >= values[:, None]).sum(axis=1)
+    beyond = np.minimum(1.0, effective * chi2.sf(values, degrees))
+    return np.asarray(np.where(count >= SEEN, (1.0 + count) / (len(draws) + 1.0), beyond))
+
+
+def _heavier(draws: Array, test: Test, tail: float) -> float:
+    """How much heavier than chi2 the draws' tail is, 1 where that is within their own scatter.
+
+    Where a few outlying times make up a score, a random sign leaves it as large as it is: such a
+    score is no evidence, and its draws must not hide the evidence of others.
+    """
+    heavier = _effective(draws, test) / tail
+    return heavier if heavier > CLEARLY_HEAVIER else 1.0
+
+
+def _effective(draws: Array, test: Test) -> float:
+    """n such that n chi2.sf is the tail of the family's maximum at the draws' 95 % point."""
+    edge = float(np.quantile(draws, 0.95))
+    return 0.05 / max(float(chi2.sf(edge, test.degrees)), 1e-300)
+
+
+def make_test(
+    effect: Effect,
+    chunks: Iterable[Sequence[tuple[tuple[float, ...], Column]]],
+    projection: Projection,
+    degrees: int = 1,
+) -> Test | None:
+    """Project an effect's columns, chunk by chunk; None where it has none."""
+    parts: list[tuple[Array, Array, Array]] = []
+    at: list[tuple[float, ...]] = []
+    best, vector = -1.0, np.zeros(0)
+    for columns in chunks:
+        if not columns:
+            continue
+        s = np.array([c.s for _, c in columns])
+        v = np.array([c.v for _, c in columns])
+        with np.errstate(over="ignore", invalid="ignore"):
+            before = (v**2).sum(axis=1)
+            s, v = projection(s, v)
+            lost = ~np.isfinite(before + (v**2).sum(axis=1) + s.sum(axis=1) ** 2)
+        s[lost], v[lost], before[lost] = 0.0, 0.0, 0.0  # a filter that runs away shows nothing
+        rho = np.divide((v**2).sum(axis=1), before, out=np.zeros(len(before)), where=before > 0.0)
+        v[rho <= UNTESTABLE] = 0.0
+        if degrees > 1:
+            s, v = _decorrelate(s, v, degrees)
+        norm = (v**2).sum(axis=1)
+        parts.append((s, norm, rho))
+        at += [point for point, _ in columns[::degrees]]
+        use = norm > 0.0
+        statistics = np.where(use, s.sum(axis=1) ** 2 / np.where(use, norm, 1.0), 0.0)
+        k = int(np.argmax(statistics))
+        if statistics[k] > best:
+            best, vector = float(statistics[k]), v[k]
+    if not parts:
+        return None
+    s, norm, rho = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return Test(effect, s, norm, rho, tuple(at), vector, degrees)
+
+
+def _decorrelate(s: Array, v: Array, degrees: int) -> tuple[Array, Array]:
+    """Columns tested together made orthogonal, so that their statistics add."""
+    s, v = s.copy(), v.copy()
+    for start in range(0, len(v), degrees):
+        for i in range(start, start + degrees):
+            for j in range(start, i):
+                norm = float(v[j] @ v[j])
+                if norm > 0.0:
+                    c = float(v[i] @ v[j]) / norm
+                    v[i] -= c * v[j]
+                    s[i] -= c * s[j]
+    return s, v

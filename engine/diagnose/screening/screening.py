@@ -1,0 +1,101 @@
+"""Every effect of the catalogue tested on a fitted model: scores, families over time, tails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.screening.score_columns import Projection, effect_columns, parameter_columns
+from engine.diagnose.screening.screen import Screen, Test, make_test, screen
+from engine.diagnose.screening.tails import fit_tails, pit_of, standardised_errors, tail_test
+from engine.diagnose.screening.time_scan import family_test, is_timed
+from engine.errors import EngineError, OptionError
+from engine.estimation.quasi_ml import QuasiFit
+from engine.filters.sigma_point import moment_path
+
+TAILS_ALARM = (
+    1e-3  # p-value from which outliers are judged by their likelihood, whatever their rank
+)
+
+Progress = Callable[[str, float], Any]
+
+
+def screen_effects(
+    fit: QuasiFit,
+    series: Series,
+    setting: Setting,
+    kinds: Sequence[str] | None,
+    alpha: float,
+    seed: int,
+    progress: Progress,
+    outliers: Effect | None = None,
+) -> Screen:
+    """Every effect of the catalogue tested on a fitted model.
+
+    With ``outliers`` found and taken out no others are looked for, nor is their channel's noise: what
+    is left of it, smaller outliers and a cut, is no finding of its own.
+    """
+    model, theta = fit.model, np.asarray(fit.theta)
+    indices = model.free_indices(fit.free)
+    projection = Projection(parameter_columns(model, theta, indices, series))
+    path = moment_path(model, theta, series)
+    errors = None
+    if outliers is None:
+        errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
+    # those of the base model: a change of what an effect itself added is no cause of its own
+    effects = [e for e in all_effects(setting, kinds) if e.size.name not in model.parameter_names]
+    if outliers is not None:
+        left = outliers.channel
+        effects = [e for e in effects if e.kind != TAILS and not _noise_of(e, left)]
+    tests: list[Test] = []
+    for i, effect in enumerate(effects):
+        progress("screen", i / len(effects))
+        try:
+            if effect.kind == TAILS:
+                test = None if errors is None else tail_test(effect, model, path, errors)
+                if test is not None:
+                    test = _confirmed(test, fit, series)
+            elif is_timed(effect):
+                test = family_test(effect, model, theta, series, path, projection)
+            else:
+                columns = effect_columns(effect, model, theta, series, path)
+                test = make_test(effect, [columns], projection)
+        except (EngineError, np.linalg.LinAlgError):
+            test = None  # an extension whose filter is lost explains nothing
+        if test is not None:
+            tests.append(test)
+    if not tests:
+        raise OptionError(
+            f"none of the effects asked for can be tested on model '{model.name}' and these data",
+            "effects",
+        )
+    return screen(tests, np.random.default_rng(np.random.SeedSequence(seed)), alpha)
+
+
+def _noise_of(effect: Effect, channel: str) -> bool:
+    """Whether an effect changes the size of a channel's noise."""
+    return effect.kind in ("level", "variance") and effect.channel.partition("->")[0] == channel
+
+
+def _confirmed(test: Test, fit: QuasiFit, series: Series) -> Test:
+    """A test of tails that would raise an alarm, judged by the refitted likelihood ratio instead.
+
+    Predictions by few particles, or by moments where densities are far from Gaussian, look heavy-tailed
+    too; then outliers in the model gain nothing.
+    """
+    if test.known is None or test.known[1] > TAILS_ALARM:
+        return test
+    gain, _ = fit_tails(fit, test.effect, series)
+    ratio = max(gain, 0.0)
+    if ratio >= test.known[0]:
+        return test
+    return replace(test, known=(ratio, 0.5 * float(chi2.sf(ratio, 1))))

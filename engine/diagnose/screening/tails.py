@@ -1,0 +1,123 @@
+"""Heavy tails and outliers: their test, and what they gain.
+
+Outliers do not move the moments of a Gaussian filter's predictions, so the score of
+:mod:`engine.diagnose.screening.screen` does not see them. Their test is the kurtosis of the one-step errors,
+after the probability integral transform where predictions are mixtures (a RBPF's are), with the
+normal approximation of Anscombe and Glynn (1983). The extended model's noise is a scale mixture; a grid of
+share and ratio replaces the maximum of its likelihood.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+from scipy.stats import kurtosistest, norm
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.screening.screen import Test
+from engine.estimation.quasi_ml import QuasiFit
+from engine.filters.gaussian_sum import outlier_log_terms
+from engine.filters.rbpf import Filtered, rbpf
+from engine.filters.sigma_point import MomentPath, moment_path
+from engine.kernels.filtering import condition, draw_prior
+from engine.statespace.model import Array, MixedModel, stacked
+
+PARTICLES = 200
+SHARES = (0.003, 0.01, 0.03, 0.1)
+RATIOS = (3.0, 5.0, 10.0)
+USUAL = 10.0  # ratio at which the kurtosis is read as a share
+LEAST = 20  # values without which a kurtosis means nothing
+
+
+def standardised_errors(path: MomentPath, observed: NDArray[np.bool_], pit: Array | None) -> Array:
+    """Standardised one-step errors (T, ny), NaN where missing: by PIT where there is one."""
+    if pit is not None:
+        return np.asarray(ndtri(np.clip(pit, 1e-12, 1.0 - 1e-12)))
+    scale = np.sqrt(np.diagonal(path.S, axis1=1, axis2=2))
+    return np.where(observed, path.innovations / scale, np.nan)
+
+
+def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array) -> Test | None:
+    """The kurtosis test of an effect: of an output's errors, or of the state's share in them."""
+    if effect.channel in model.outputs:
+        r = errors[:, list(model.outputs).index(effect.channel)]
+    else:
+        row = [*model.nonlinear, *model.linear].index(effect.channel)
+        gain = path.K[:, row]
+        move = (gain * np.nan_to_num(path.innovations)).sum(axis=1)
+        variance = np.einsum("ti,tij,tj->t", gain, path.S, gain)
+        r = np.where(
+            variance > 0.0, move / np.sqrt(np.where(variance > 0.0, variance, 1.0)), np.nan
+        )
+    r = r[np.isfinite(r)]
+    if len(r) < LEAST or float(r.std()) == 0.0:
+        return None
+    z = float(kurtosistest(r).statistic)
+    n = path.innovations.shape[0]
+    width = path.innovations.size * (1 + path.innovations.shape[1])
+    # the size is a share; to first order the excess kurtosis is 3 share (ratio^2 - 1)^2
+    excess = max(float(np.mean(r**4) / np.mean(r**2) ** 2 - 3.0), 0.0)
+    size = min(excess / (3.0 * (USUAL**2 - 1.0) ** 2), 0.2)
+    return Test(
+        effect,
+        np.full((1, n), max(size, 1e-4) / n),
+        np.ones(1),
+        np.ones(1),
+        ((USUAL,),),
+        np.zeros(width),
+        known=(max(z, 0.0) ** 2, float(norm.sf(z))),
+    )
+
+
+def tails_left(fit: QuasiFit, effect: Effect, series: Series, seed: int = 0) -> float:
+    """The p-value of an effect's kurtosis test on a fitted model; 1 where it says nothing."""
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
+    test = tail_test(effect, fit.model, path, errors)
+    return 1.0 if test is None or test.known is None else test.known[1]
+
+
+def prediction_pit(filtered: Filtered, rng: np.random.Generator) -> Array:
+    """P(y_t <= measured | y_{1:t-1}) under the RBPF's predictive mixture, (T, ny), NaN where missing.
+
+    Each particle's prediction draws one a from report, eq. (23); z is integrated out.
+    """
+    model, series = filtered.model, filtered.series
+    record = model.record(filtered.theta)
+    T, M = filtered.weights.shape
+    own = np.arange(M)
+    pit = np.full((T, model.ny), np.nan)
+    for t in range(1, T):
+        mu, L = filtered.mu[t - 1], filtered.L[t - 1]
+        a = draw_prior(mu, L, own, rng.standard_normal((M, model.na)))
+        z, P, _ = condition(mu, L, own, a)
+        h, C, R = model.observation(a, series.u[t], float(series.t[t]), record)
+        C, R = stacked(C), stacked(R)
+        mean = h + (C @ z[:, :, None])[:, :, 0]
+        variance = np.diagonal(C @ P @ np.swapaxes(C, 1, 2) + R, axis1=1, axis2=2)
+        cdf = ndtr((series.y[t] - mean) / np.sqrt(variance))
+        pit[t] = filtered.weights[t - 1] @ cdf
+    pit[~series.observed] = np.nan
+    return pit
+
+
+def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
+    """The transform by a RBPF at a fitted model; None where the moments say it all (na = 0)."""
+    if fit.model.na == 0:
+        return None
+    rng = np.random.default_rng([seed, 77])
+    filtered = rbpf(fit.model, fit.theta, series, PARTICLES, rng, proposal="bootstrap")
+    return prediction_pit(filtered, rng)
+
+
+def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Array]:
+    """2 (log-likelihood gained) by outliers and the extended theta, over the grid of share and ratio."""
+    shares, ratios = (x.ravel() for x in np.meshgrid(SHARES, RATIOS))
+    theta = np.asarray(fit.theta)
+    terms = outlier_log_terms(fit.model, theta, series, effect.channel, shares, ratios)
+    total = terms.sum(axis=0)
+    best = int(np.argmax(np.where(np.isfinite(total), total, -np.inf)))
+    gain = 2.0 * (float(total[best]) - fit.log_likelihood)
+    return gain, np.concatenate([theta, [shares[best], ratios[best]]])

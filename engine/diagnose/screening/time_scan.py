@@ -1,0 +1,156 @@
+"""Tests of what comes with time, by footprints: one recursion for a whole family of times or frequencies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
+from engine.diagnose.screening.score_columns import Column, Projection
+from engine.diagnose.screening.screen import Test, make_test
+from engine.estimation.expectation import parameter_scale
+from engine.estimation.quasi_ml import whitening
+from engine.filters.sigma_point import MomentPath
+from engine.kernels.sensitivities import footprints
+from engine.statespace.model import Array, MixedModel
+from engine.statespace.points import Points
+
+GRID = 400  # times tried at most
+STEP_GRID = 1000  # for a step, as one sample off it leaves another footprint
+CHUNK = 50  # columns held in memory at once; even, as a harmonic has two
+FINER = 2.0  # frequencies per cycle over the whole record
+MOST_IRREGULAR = 4000  # of them where steps are not equal
+PEAKS = 20  # of them tested exactly
+EDGE = 0.04  # share of the record at each end in which no step can be told from the start
+TIMED = ("step", "parameter-step", "parameter-drift", "harmonic", "pulse")
+
+
+def family_test(
+    effect: Effect,
+    model: MixedModel,
+    theta: Array,
+    series: Series,
+    path: MomentPath,
+    projection: Projection,
+) -> Test | None:
+    """The test of a timed effect over its whole grid; None where it leaves no footprint."""
+    b, e = _driver(effect, model, theta, series, path)
+    at, gate, tries = _gates(effect, series, path, b, e)
+    root = whitening(path.S, series.observed)
+    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
+    T, ny = z.shape
+    degrees = 2 if effect.kind == "harmonic" else 1
+
+    def chunk(start: int) -> list[tuple[tuple[float, ...], Column]]:
+        some = np.ascontiguousarray(gate[:, start : start + CHUNK])
+        g = np.nan_to_num(footprints(path.F, path.H, path.K, b, e, some))
+        G = np.einsum("tij,tnj->nti", root, g)
+        s = np.einsum("nti,ti->nt", G, z)
+        v = np.zeros((some.shape[1], T * ny * (1 + ny)))
+        v[:, : T * ny] = -G.reshape(len(v), -1)
+        return [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]
+
+    starts = range(0, gate.shape[1], CHUNK)
+    test = make_test(effect, (chunk(start) for start in starts), projection, degrees)
+    return test if test is None or tries == 1 else test.best_of(tries)
+
+
+def grid(effect: Effect, series: Series) -> Array:
+    """The times in seconds, or frequencies in hertz, at which a timed effect is tried."""
+    t = series.t[series.samples]
+    T = len(t)
+    if effect.kind == "harmonic":
+        length, step = float(t[-1] - t[0]), float(np.median(np.diff(t)))
+        first, last = 1.5 / length, 0.48 / step
+        wanted = (last - first) * length * FINER
+        if series.dt is None:  # where long gaps make the record long, not fine
+            wanted = min(wanted, FINER * T, MOST_IRREGULAR)
+        return np.asarray(np.linspace(first, last, max(2, int(wanted))))
+    first, last = int(EDGE * T) + 2, T - int(EDGE * T) - 3
+    most = STEP_GRID if effect.kind == "step" else GRID
+    n = max(2, min(most, last - first + 1))
+    rows = np.unique(np.linspace(first, max(last, first + 1), n).astype(int))
+    return np.asarray(t[rows])
+
+
+def _gates(
+    effect: Effect, series: Series, path: MomentPath, b: Array, e: Array
+) -> tuple[list[tuple[float, ...]], Array, int]:
+    """Values of the effect's other parameters, the factors (T, n) in time, places they were chosen from."""
+    t = series.t[:, None]
+    if effect.kind == "parameter-drift":
+        middle, per = effect.probes[0]
+        return [(middle, per)], (t - middle) / per, 1
+    if effect.kind == "pulse":
+        scores, information = (
+            np.add.reduceat(x, series.samples)  # a pulse lasts a sample
+            for x in pulse_scores(path, series, b, e)
+        )
+        explained = np.divide(scores**2, information, where=information > 0.0, out=0.0 * scores)
+        row = int(series.samples[1 + int(np.argmax(explained[1:-1]))])
+        gate = np.zeros((len(series), 1))
+        gate[row : row + series.substeps] = 1.0
+        return [(float(series.t[row]), *effect.probes[0][1:])], gate, series.n_measured
+    points = grid(effect, series)
+    if effect.kind == "harmonic":
+        tries = len(points)
+        points = points[best_frequencies(path, series, b, e, points, PEAKS)]
+        angle = 2.0 * np.pi * points * t
+        both = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(series), -1)
+        return [(0.0, float(f)) for f in points], both, tries
+    return [(float(tau),) for tau in points], (t >= points).astype(float), 1
+
+
+def _driver(
+    effect: Effect, model: MixedModel, theta: Array, series: Series, path: MomentPath
+) -> tuple[Array, Array]:
+    """What a unit of the effect adds to x_{t+1} and to y_t, before its gate."""
+    T = len(series)
+    b, e = np.zeros((T - 1, model.nx)), np.zeros((T, model.ny))
+    states = [*model.nonlinear, *model.linear]
+    if effect.kind in ("parameter-step", "parameter-drift"):
+        return _sensitivity(model, theta, model.index(effect.channel), series, path)
+    if effect.channel in model.outputs:
+        e[:, list(model.outputs).index(effect.channel)] = 1.0
+    elif model.continuous:  # before the step
+        b = path.F[:, :, states.index(effect.channel)] * series.steps[:, None]
+    else:
+        b[:, states.index(effect.channel)] = series.steps
+    return b, e
+
+
+def _sensitivity(
+    model: MixedModel, theta: Array, k: int, series: Series, path: MomentPath
+) -> tuple[Array, Array]:
+    """d x_{t+1} / d theta_k and d y_t / d theta_k along the filter's means.
+
+    Zero for parameters of the noise, whose course in time is what ``variance:...->time`` tests.
+    """
+    step = 1e-4 * parameter_scale(model, theta, k)
+    na = model.na
+    predicted = Points(model, series, path.predicted[:, None, :na])
+    filtered = Points(model, series, path.filtered[:, None, :na])
+    ends = []
+    for sign in (-1.0, 1.0):
+        moved = np.array(theta)
+        moved[k] = np.clip(theta[k] + sign * step, model.lower[k], model.upper[k])
+        record = model.record(moved)
+        x_next = _mean(filtered.transition(record), path.filtered[:-1, na:])
+        y = _mean(predicted.observation(record), path.predicted[:, na:])
+        ends.append((x_next, y, moved[k]))
+    distance = ends[1][2] - ends[0][2]
+    return (ends[1][0] - ends[0][0]) / distance, (ends[1][1] - ends[0][1]) / distance
+
+
+def _mean(step: tuple[Array, Array, Array], z: Array) -> Array:
+    """f + A z at one point of each time."""
+    f, A, _ = step
+    return np.asarray(
+        f[:, 0] + np.einsum("tij,tj->ti", np.broadcast_to(A[:, 0], (len(z), *A.shape[2:])), z)
+    )
+
+
+def is_timed(effect: Effect) -> bool:
+    """Whether the effect is tested by footprints over time."""
+    return effect.kind in TIMED

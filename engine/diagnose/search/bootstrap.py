@@ -1,0 +1,103 @@
+"""The family-wise p-value by parametric bootstrap: simulate the fitted model, refit, screen again.
+
+The multiplier draws of :mod:`engine.diagnose.screening.screen` hold the fitted parameters' directions fixed and
+rely on limits for long series. The bootstrap relies on neither: it repeats everything that led from
+the data to the smallest p-value, on data of which it knows that nothing is hidden in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.screen import Screen
+from engine.diagnose.search.calibration import Question, screen_of_simulated
+from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.search.search import Search
+from engine.estimation.quasi_ml import QuasiFit
+
+STAGE = "bootstrap"
+
+Progress = Callable[[str, float], Any]
+
+
+def bootstrap_p(
+    base_fit: QuasiFit,
+    series: Series,
+    setting: Setting,
+    screen: Screen,
+    n: int,
+    seed: int,
+    *,
+    kinds: Sequence[str] | None = None,
+    swallowed: bool = False,
+    progress: Progress = lambda stage, fraction: None,
+    kept: Kept = NOTHING,
+) -> float:
+    """The share of n simulated series whose screen is as extreme as that of the data.
+
+    ``screen`` is what :func:`engine.diagnose.screening.screening.screen_effects` found on ``series`` at
+    ``base_fit``,
+    over the effects ``kinds`` of ``setting``; the same effects are asked of every simulated series.
+    With ``swallowed`` the screen includes :func:`engine.diagnose.search.refitting.refit_swallowed`, which
+    is then repeated too. Each series has the inputs, times and missing values of the data. Runs that are
+    lost (no simulation or no filter) are left out; p = (1 + as extreme) / (1 + runs not lost).
+    """
+    observed = screen.p_value if swallowed else screen.smallest
+    question = Question(base_fit, series, setting, kinds)
+    extreme = used = 0
+    for k in range(n):
+        progress(STAGE, k / n)
+        one = partial(_one, question, swallowed, [seed, k])
+        drawn = kept.number(f"bootstrap {k + 1}", one)
+        if drawn is not None:
+            used += 1
+            extreme += drawn <= observed
+    return (1.0 + extreme) / (1.0 + used)
+
+
+def first_round_p(
+    base_fit: QuasiFit,
+    series: Series,
+    setting: Setting,
+    search: Search,
+    n: int,
+    seed: int,
+    *,
+    kinds: Sequence[str] | None,
+    progress: Progress,
+    kept: Kept = NOTHING,
+) -> float:
+    """The bootstrap p-value of what a search saw in its first round.
+
+    Refits have a part in every simulated series only where they had one in the data: they take most
+    of the time.
+    """
+    seen = search.rounds[0].screen
+    swallowed = seen.p_value < seen.family_wise(seen.smallest)
+    return bootstrap_p(
+        base_fit,
+        series,
+        setting,
+        seen,
+        n,
+        seed,
+        kinds=kinds,
+        swallowed=swallowed,
+        progress=progress,
+        kept=kept,
+    )
+
+
+def _one(question: Question, swallowed: bool, seed: list[int]) -> float | None:
+    """The smallest p-value on one series drawn from the fit; None where the run was lost."""
+    drawn = screen_of_simulated(question, np.random.default_rng(seed), swallowed)
+    if drawn is None:
+        return None
+    seen, refitted = drawn
+    return min(seen.p_value, refitted) if swallowed else seen.smallest

@@ -1,0 +1,180 @@
+"""How bold the p-values of a screen are on this model and record: a short parametric bootstrap.
+
+The multiplier draws of :mod:`engine.diagnose.screening.screen` keep the size of every time's score. They do not
+know that theta was estimated from the same data, nor that scores are correlated in time where the
+filter is an approximation (a kink, a coarse step): p-values of some effects then come out too small,
+those of slow forces on short records above all. Here B series are simulated from the fitted model,
+refitted, and screened again. With x = -log p, which has mean 1 where p is right,
+
+    boldness of an effect = (PRIOR * overall mean + sum of its x) / (PRIOR + B),      at least 1,
+
+and its p-value counts as p^(1 / boldness); what the smallest p-value of all is still too small then,
+-log of it on simulated series over that on multiplier draws, counts for all effects alike. Ratios of
+means need far fewer series than tails of distributions. The simulation is made only where it decides:
+where an alarm would be none at BOLDEST.
+
+Refits of what process noise has swallowed are judged by simulation alone: until one simulated series
+shows as small a p-value, 1 / alpha - 1 of them at most (Besag, Clifford 1991).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.screen import Screen
+from engine.diagnose.screening.screening import screen_effects
+from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.search.refitting import refit_swallowed, swallowed_p
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml
+from engine.simulation.simulate import simulate
+from engine.statespace.model import Array
+
+BOLDEST = 2.0  # p-values with more than twice the logarithm they should have are rare
+SERIES = (
+    19  # at most; FEWEST where the p-value is then CLEARLY above or below alpha, by this factor
+)
+FEWEST, CLEARLY = 7, 4.0
+PRIOR = 10.0  # series that the overall mean stands for
+LEVEL = 0.05  # of a screen whose threshold nobody asks for
+
+Progress = Callable[[str, float], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked of the data, and again of every simulated series."""
+
+    fit: QuasiFit
+    series: Series
+    setting: Setting
+    kinds: Sequence[str] | None
+
+
+def decides(p_value: Callable[[float], float], alpha: float, seen: Screen) -> bool:
+    """Whether simulation decides about an alarm, ``p_value`` being a function of the boldness."""
+    return not seen.simulated and p_value(1.0) <= alpha < p_value(BOLDEST)
+
+
+def calibrated(
+    seen: Screen,
+    question: Question,
+    alpha: float,
+    seed: int,
+    progress: Progress,
+    kept: Kept = NOTHING,
+) -> Screen:
+    """The screen with its p-values as bold as simulation shows them to be."""
+    names = [score.effect.name for score in seen.scores]
+    rows: list[Array] = []
+    # the model may not let itself be simulated: then the least that may be believed
+    judged = with_boldness(seen, np.full(len(names), BOLDEST), SERIES)
+    for k in range(SERIES):
+        progress("calibration", k / SERIES)
+        one = partial(simulated_logs, question, names, [seed, k, SERIES])
+        row = kept.numbers(f"calibration {k + 1}", one)
+        if row is None:
+            continue
+        rows.append(row)
+        judged = with_boldness(seen, boldness(np.array(rows), seen.lowest), len(rows))
+        if len(rows) >= FEWEST and not CLEARLY * alpha > judged.p_value > alpha / CLEARLY:
+            break
+    return judged
+
+
+def boldness(x: Array, lowest: Array) -> Array:
+    """Of each of n effects, from x = -log p (B, n) on simulated series, NaN where not tested.
+
+    ``lowest`` are the smallest p-values of multiplier draws.
+    """
+    tested = ~np.isnan(x)
+    n, total = tested.sum(axis=0), np.nansum(x, axis=0)
+    overall = float(total.sum() / max(int(n.sum()), 1))
+    each = np.maximum((PRIOR * overall + total) / (PRIOR + n), 1.0)
+    largest = np.where(tested, x / each, 0.0).max(axis=1)
+    left = float(largest.mean() / -np.log(lowest).mean())
+    return np.asarray(each * max(left, 1.0))
+
+
+def with_boldness(seen: Screen, each: Array, series: int) -> Screen:
+    """The screen judged at a boldness of each of its effects (n,), known from so many series."""
+    scores = tuple(
+        replace(score, p_value=score.p_value ** (1.0 / float(own)), boldness=float(own))
+        for score, own in zip(seen.scores, each, strict=True)
+    )
+    judged = replace(seen, scores=scores, simulated=series)
+    return replace(judged, p_value=judged.family_wise(judged.smallest))
+
+
+def simulated(question: Question, rng: np.random.Generator) -> tuple[QuasiFit, Series]:
+    """A series drawn from the fit, with the data's inputs, times and gaps, and the fit to it.
+
+    Raises EngineError or LinAlgError where the run or the filter is lost.
+    """
+    fit, series = question.fit, question.series
+    y = simulate(fit.model, fit.theta, len(series), rng, u=series.u, t=series.t).y
+    drawn = series.replace(y=np.where(series.observed, y, np.nan))
+    return quasi_ml(fit.model, drawn, fit.theta, fit.free), drawn
+
+
+def screen_of_simulated(
+    question: Question, rng: np.random.Generator, swallowed: bool = False
+) -> tuple[Screen, float] | None:
+    """The screen of one simulated series, and the p-value of refits of what noise swallows.
+
+    The latter is 1 where they are not asked for. None where the run was lost.
+    """
+    try:
+        refitted, drawn = simulated(question, rng)
+        draws, (setting, kinds) = int(rng.integers(2**31)), (question.setting, question.kinds)
+        seen = screen_effects(refitted, drawn, setting, kinds, LEVEL, draws, silent)
+        if not swallowed:
+            return seen, 1.0
+        return seen, swallowed_p(seen, refit_swallowed(refitted, drawn, seen, silent))
+    except (EngineError, np.linalg.LinAlgError):
+        return None
+
+
+def sequential_p(
+    p_value: float,
+    question: Question,
+    alpha: float,
+    seed: int,
+    progress: Progress,
+    kept: Kept = NOTHING,
+) -> float:
+    """How rare so small a p-value of refits is: at most alpha where no simulated series has one."""
+    n = int(np.ceil(1.0 / alpha)) - 1
+    for k in range(n):
+        progress("calibration", k / n)
+        one = partial(swallowed_of_simulated, question, [seed, k, n, 1])
+        drawn = kept.number(f"refits simulated {k + 1}", one)
+        if drawn is not None and drawn <= p_value:
+            return max(2.0 / (k + 2.0), float(np.nextafter(alpha, 1.0)))
+    return max(p_value, 1.0 / (n + 1.0))
+
+
+def swallowed_of_simulated(question: Question, seed: list[int]) -> float | None:
+    """The p-value of these refits on one simulated series; None where lost."""
+    drawn = screen_of_simulated(question, np.random.default_rng(seed), swallowed=True)
+    return None if drawn is None else drawn[1]
+
+
+def simulated_logs(question: Question, names: Sequence[str], seed: list[int]) -> Array | None:
+    """The x = -log p of the named effects on one simulated series, NaN where not tested."""
+    drawn = screen_of_simulated(question, np.random.default_rng(seed))
+    if drawn is None:
+        return None
+    found = {score.effect.name: score.p_value for score in drawn[0].scores}
+    return -np.log(np.maximum([found.get(name, np.nan) for name in names], 1e-300))
+
+
+def silent(stage: str, fraction: float) -> None:
+    """Progress is told per series, not within one."""

@@ -1,0 +1,247 @@
+"""Finished parts of a diagnosis, kept so that an interrupted one goes on with the same numbers.
+
+The parts that take the time are fits and screens. Each has a name by which the same diagnosis meets it
+again: the round and the extended model. What is kept of it are its numbers, bit for bit, as JSON
+values; models and effects are functions and made anew. A part that failed is not kept, but fails again.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from dataclasses import astuple, dataclass
+from importlib.metadata import version
+from typing import Any, TypeVar
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import effect_kinds
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.screening.screen import Score, Screen
+from engine.diagnose.search.refits import Refit
+from engine.errors import OptionError
+from engine.estimation.quasi_ml import QuasiFit
+from engine.filters.sigma_point import moment_filter
+from engine.statespace.model import Array, MixedModel, Theta
+
+Part = TypeVar("Part")
+Parts = MutableMapping[str, Any]
+
+ASKED = "asked"  # the part that says which diagnosis the others belong to
+
+
+def _nobody(_seconds: float) -> None:
+    """Is told, and does nothing."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Parts by name, of which those of a round begin with ``where``; without ``parts`` nothing is kept.
+
+    ``spent`` is told the seconds that were once spent on a part which need not be computed again.
+    """
+
+    parts: Parts | None = None
+    spent: Callable[[float], Any] = _nobody
+    where: str = ""
+
+    def within(self, where: str) -> Kept:
+        """The same parts, named by where in the diagnosis they belong."""
+        return Kept(self.parts, self.spent, f"{where}: ")
+
+    def further(self, what: str) -> Kept:
+        """The same parts, for what is done with a part that was kept before."""
+        return Kept(self.parts, self.spent, f"{self.where}{what}: ")
+
+    def fit(self, model: MixedModel, compute: Callable[[], QuasiFit]) -> QuasiFit:
+        """A fit of ``model``."""
+        return self._part(f"fit {model.name}", compute, _of_fit, lambda kept: _fit(kept, model))
+
+    def refit(self, model: MixedModel, effect: Effect, compute: Callable[[], Refit]) -> Refit:
+        """A refit of an effect of ``model``."""
+
+        def made(kept: Any) -> Refit:
+            own = effect.with_free_zero() if effect.zero in kept["free"] else effect
+            return Refit(own, _fit(kept, effect.apply(model)), kept["gain"], kept["score"])
+
+        return self._part(f"refit {effect.name}", compute, _of_refit, made)
+
+    def screen(self, effects: Sequence[Effect], compute: Callable[[], Screen]) -> Screen:
+        """A screen of some or all of ``effects``."""
+        return self._part("screen", compute, _of_screen, lambda kept: _screen(kept, effects))
+
+    def number(self, name: str, compute: Callable[[], float | None]) -> float | None:
+        """One number, or that there is none."""
+        return self._part(name, compute, _itself, _itself)
+
+    def numbers(self, name: str, compute: Callable[[], Array | None]) -> Array | None:
+        """An array, or that there is none."""
+
+        def numbers_of(row: Array | None) -> Any:
+            return None if row is None else _of_array(row)
+
+        def made_of(kept: Any) -> Array | None:
+            return None if kept is None else _array(kept)
+
+        return self._part(name, compute, numbers_of, made_of)
+
+    def _part(
+        self,
+        name: str,
+        compute: Callable[[], Part],
+        numbers_of: Callable[[Part], Any],
+        made_of: Callable[[Any], Part],
+    ) -> Part:
+        """What was kept under a name, or else computed, and kept then."""
+        if self.parts is None:
+            return compute()
+        known = self.parts.get(self.where + name)
+        if known is not None:
+            self.spent(known["seconds"])
+            return made_of(known["numbers"])
+        since = time.perf_counter()
+        found = compute()
+        seconds = time.perf_counter() - since
+        self.parts[self.where + name] = {"seconds": seconds, "numbers": numbers_of(found)}
+        return found
+
+
+NOTHING = Kept()  # nothing was kept, and nothing is to be
+
+
+def kept_of(
+    parts: Parts | None,
+    model: MixedModel,
+    series: Series,
+    test: Series | None,
+    options: Mapping[str, Any],
+    spent: Callable[[float], Any],
+) -> Kept:
+    """The parts of this very diagnosis. Raises OptionError where they are of another one."""
+    if parts is None:
+        return NOTHING
+    asked = {
+        "another model": _digest(_identity(model, series)),
+        "another series": _digest(_data(series)),
+        "another test series": _digest(None if test is None else _data(test)),
+        "other options": _digest(options),
+        "another catalogue": _digest(effect_kinds()),
+        "another version of rbps": _digest(version("rbps")),
+    }
+    if ASKED not in parts:
+        parts[ASKED] = asked
+    known = parts[ASKED]
+    for what, digest in asked.items():
+        if known.get(what) != digest:
+            raise OptionError(f"what was kept is of a diagnosis with {what}", "kept")
+    return Kept(parts, spent)
+
+
+def _digest(what: Any) -> str:
+    return hashlib.sha256(json.dumps(what, sort_keys=True, default=_plain).encode()).hexdigest()
+
+
+def _plain(what: Any) -> Any:
+    """NumPy's numbers and arrays, and other sequences, as JSON has them."""
+    return what.tolist() if isinstance(what, np.generic | np.ndarray) else list(what)
+
+
+def _identity(model: MixedModel, series: Series) -> list[Any]:
+    """Names, parameters, and a likelihood, which tells of functions that have changed."""
+    value = moment_filter(model, np.asarray(model.theta())[None], series).log_likelihood[0]
+    channels = [
+        list(names.items())
+        for names in (model.nonlinear, model.linear, model.inputs, model.outputs)
+    ]
+    parameters = [astuple(p) for p in model.parameters]
+    return [model.name, channels, parameters, model.equations, model.kinematic, f"{value:.9g}"]
+
+
+def _data(series: Series) -> list[Any]:
+    names = [series.y_names, series.u_names, series.extra_names]
+    return [names, [_of_array(np.asarray(a)) for a in (series.t, series.y, series.u)]]
+
+
+def _itself(value: float | None) -> float | None:
+    return value
+
+
+def _of_fit(fit: QuasiFit) -> dict[str, Any]:
+    return {
+        "theta": fit.theta.tolist(),
+        "log_likelihood": float(fit.log_likelihood),
+        "free": list(fit.free),
+        "information": _of_array(fit.information),
+        "iterations": int(fit.iterations),
+        "converged": bool(fit.converged),
+        "given_up": bool(fit.given_up),
+    }
+
+
+def _fit(kept: Mapping[str, Any], model: MixedModel) -> QuasiFit:
+    return QuasiFit(
+        model,
+        Theta(kept["theta"], model.parameter_names),
+        kept["log_likelihood"],
+        tuple(kept["free"]),
+        _array(kept["information"]),
+        kept["iterations"],
+        kept["converged"],
+        kept["given_up"],
+    )
+
+
+def _of_refit(refit: Refit) -> dict[str, Any]:
+    return {**_of_fit(refit.fit), "gain": float(refit.gain), "score": float(refit.score)}
+
+
+def _of_screen(screen: Screen) -> dict[str, Any]:
+    return {
+        "scores": [_of_score(score) for score in screen.scores],
+        "p_value": float(screen.p_value),
+        "threshold": float(screen.threshold),
+        "likenesses": _of_array(screen.likenesses),
+        "lowest": _of_array(screen.lowest),
+        "simulated": int(screen.simulated),
+        "share": float(screen.share),
+    }
+
+
+def _screen(kept: Mapping[str, Any], effects: Sequence[Effect]) -> Screen:
+    named = {effect.name: effect for effect in effects}
+    return Screen(
+        tuple(_score(one, named) for one in kept["scores"]),
+        kept["p_value"],
+        kept["threshold"],
+        _array(kept["likenesses"]),
+        _array(kept["lowest"]),
+        kept["simulated"],
+        kept["share"],
+    )
+
+
+def _of_score(score: Score) -> list[Any]:
+    numbers = (score.statistic, score.size, score.se, score.p_value, score.rho)
+    at = [float(value) for value in score.at]
+    more = (float(score.tests), int(score.degrees), float(score.boldness))
+    return [score.effect.name, *map(float, numbers), at, *more]
+
+
+def _score(kept: Sequence[Any], named: Mapping[str, Effect]) -> Score:
+    name, statistic, size, se, p_value, rho, at, *more = kept
+    return Score(named[name], statistic, size, se, p_value, rho, tuple(at), *more)
+
+
+def _of_array(array: Array) -> dict[str, Any]:
+    """Shape and bytes of the numbers, the lowest byte first."""
+    flat = np.ascontiguousarray(array, dtype="<f8")
+    return {"shape": list(flat.shape), "float64": base64.b64encode(flat.tobytes()).decode()}
+
+
+def _array(kept: Mapping[str, Any]) -> Array:
+    flat = np.frombuffer(base64.b64decode(kept["float64"]), dtype="<f8")
+    return flat.reshape(kept["shape"]).astype(float)

@@ -1,0 +1,97 @@
+"""What speaks against a name that the likelihood has chosen: then it is not said."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.rounds import Round
+from engine.filters.rbpf import rbpf
+from engine.statespace.model import MixedModel, ThetaLike
+from engine.words import number, with_unit
+
+LEAST = 2.0  # standard errors that a size must be away from zero
+PARTICLES = (500, 2000)  # for the particle filter's word on a gain; the second where it contradicts
+REPEATS = 4
+MARGIN = 3.0  # nats, beyond the particle filter's own error, that two filters may differ by
+SHARE = 0.5  # of the moment filter's gain, that the particle filter must at least find
+
+
+def undetermined(found: Sequence[Round]) -> list[str]:
+    """A sentence for each effect whose estimated size may as well be zero."""
+    return [text for text in (_undetermined(r.refits[0]) for r in found) if text]
+
+
+def _undetermined(refit: Refit) -> str:
+    effect = refit.effect
+    if (
+        effect.kind == TAILS or effect.one_sided
+    ):  # a share or a variance: its error is no Gaussian one
+        return ""
+    amplitudes = [effect.size.name, f"{effect.size.name}_sine"]
+    at = [refit.fit.free.index(name) for name in amplitudes if name in refit.fit.free]
+    values = np.array([refit.fit.theta[refit.fit.free[i]] for i in at])
+    covariance = refit.fit.covariance[np.ix_(at, at)]
+    if not np.isfinite(covariance).all():
+        return _sentence(refit)
+    wald = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
+    return "" if wald >= LEAST**2 else _sentence(refit)
+
+
+def _sentence(refit: Refit) -> str:
+    size = with_unit(refit.size, refit.effect.size.unit)
+    error = refit.standard_error
+    by = f"its standard error is {number(error)}" if np.isfinite(error) else "it has no error"
+    return (
+        f"{refit.effect.name} explains the data, but its size is not determined by them ({size}, "
+        f"{by}): it stands in for something else."
+    )
+
+
+def particle_word(
+    before: tuple[MixedModel, ThetaLike],
+    after: tuple[MixedModel, ThetaLike],
+    moment: float,
+    series: Series,
+    seed: int,
+) -> tuple[str, bool]:
+    """What the particle filter says of a log-likelihood gained, and whether it contradicts.
+
+    ``before`` and ``after`` are models with their parameters, ``moment`` is the gain by the moment filter.
+    """
+    for particles in PARTICLES:
+        gain, error = _particle_gain(before, after, series, particles, seed)
+        if not (np.isfinite(gain) and np.isfinite(error)):
+            return (
+                f"The particle filter ({particles} particles) is lost on one of the models.",
+                False,
+            )
+        text = (
+            f"Log-likelihood gained: {moment:.1f} by the moment filter, {gain:.1f} +- {error:.1f} by the "
+            f"particle filter ({particles} particles, {REPEATS} runs)."
+        )
+        if not (abs(gain - moment) > MARGIN + 3.0 * error and gain < SHARE * moment):
+            return text, False
+    return f"{text} They contradict each other, so the cause is not certain.", True
+
+
+def _particle_gain(
+    before: tuple[MixedModel, ThetaLike],
+    after: tuple[MixedModel, ThetaLike],
+    series: Series,
+    particles: int,
+    seed: int,
+) -> tuple[float, float]:
+    """The gain with its standard error, over REPEATS runs with common seeds."""
+    gains = []
+    for k in range(REPEATS):
+        values = [
+            rbpf(model, theta, series, particles, np.random.default_rng([seed, k])).log_likelihood
+            for model, theta in (before, after)
+        ]
+        gains.append(values[1] - values[0])
+    return float(np.mean(gains)), float(np.std(gains, ddof=1)) / REPEATS**0.5

@@ -1,0 +1,80 @@
+"""What a search may answer: verdicts, causes with their look-alikes, and what would have been seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Verdict(Enum):
+    """The four answers; ``value`` is the word used at every edge, ``sentence`` what it means."""
+
+    NOTHING = "nothing"
+    NAMED = "named"
+    SET = "set"
+    UNKNOWN = "unknown"
+
+    @property
+    def sentence(self) -> str:
+        """What the verdict says."""
+        return {
+            "nothing": "These data show nothing that the model leaves out.",
+            "named": "The model leaves something out, and the data say what.",
+            "set": "The model leaves something out; these data cannot tell several causes apart.",
+            "unknown": "The model leaves something out, and no known cause settles what it is.",
+        }[self.value]
+
+
+@dataclass(frozen=True)
+class LookAlike:
+    """Another effect that might be taken for the cause.
+
+    ``likeness`` is |cos| of the two footprints, ``gain`` its 2 x log-likelihood gained (None where it
+    was not refitted), ``ruled_out`` whether the data tell it apart; ``difference`` what would.
+    """
+
+    effect: str
+    likeness: float
+    gain: float | None
+    ruled_out: bool
+    difference: str
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One step of the search: an effect that explains what was left.
+
+    ``where`` is the family (state, measurement, noise, input, time); ``size`` with ``unit`` and
+    ``standard_error``; ``p_value`` family-wise; ``gain`` = 2 (log-likelihood gained); ``equivalent`` the
+    names of all effects the data cannot tell from it, itself first.
+    """
+
+    effect: str
+    title: str
+    where: str
+    equation: str
+    size: float
+    unit: str
+    standard_error: float
+    parameters: dict[str, float]
+    p_value: float
+    gain: float
+    equivalent: tuple[str, ...]
+    look_alikes: tuple[LookAlike, ...]
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """What these data would have shown of one effect.
+
+    ``smallest`` is the size found with 80 % probability at the family-wise level, in ``unit``;
+    ``rho`` the share of its information left beside the fitted parameters; ``testable`` False where
+    the parameters take up all of it, or the data do not excite it.
+    """
+
+    effect: str
+    title: str
+    unit: str
+    smallest: float
+    rho: float
+    testable: bool

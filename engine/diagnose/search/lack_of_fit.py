@@ -1,0 +1,186 @@
+"""Whether what is left beside the named effects still depends on the states: then their shape is wrong.
+
+A name stands for a shape, and the nearest shape of a catalogue may win although it is not the one. So
+every state's equation is offered a polynomial of second degree in all states and inputs, and the score test
+of :mod:`engine.diagnose.screening.screen`, with all its terms at once, says whether the extended model
+would gain by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations_with_replacement
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect, Values, add_to_state
+from engine.diagnose.screening.score_columns import (
+    Column,
+    Projection,
+    parameter_columns,
+    static_column,
+)
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit
+from engine.filters.sigma_point import MomentPath, moment_path
+from engine.statespace.model import Array, MixedModel, Parameter
+
+DEGREE = 2
+LEVEL = 0.02  # of right names, the share that this test may cost
+NEW = (
+    1e-3  # share of a term's information that the others do not have: below it, it says nothing new
+)
+DRAWS = 999  # multiplier draws
+
+Term = tuple[str, ...]  # channels that are multiplied
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """What a polynomial on ``target`` would gain: its statistic, terms counted, p-value, largest term."""
+
+    target: str
+    statistic: float
+    terms: int
+    p_value: float
+    largest: Term
+
+    @property
+    def sentence(self) -> str:
+        """For the notes of a diagnosis."""
+        product = " * ".join(self.largest)
+        return (
+            f"Beside what was found, something that depends on the states is left on {self.target} (a "
+            f"polynomial of {self.terms} terms would gain a likelihood ratio of {self.statistic:.0f}, "
+            f"p = {self.p_value:.2g}; most of it by {product}): the cause has another shape than any in the "
+            "catalogue."
+        )
+
+
+def lack_of_fit(
+    fit: QuasiFit, series: Series, targets: Sequence[str], states: Sequence[str], seed: int = 0
+) -> LackOfFit | None:
+    """The equation of ``targets`` that lacks most; its p-value is Bonferroni's over all of them.
+
+    ``states`` of the fitted model and its inputs are what polynomials are made of. None where nothing
+    can be tested.
+    """
+    model, theta = fit.model, np.asarray(fit.theta)
+    projection = Projection(parameter_columns(model, theta, model.free_indices(fit.free), series))
+    path = moment_path(model, theta, series)
+    around = _around(model, series, path, states)
+    rng = np.random.default_rng([seed, 5])
+    found = [
+        one
+        for target in targets
+        if (one := _of_target(target, model, theta, series, path, around, projection, rng))
+    ]
+    if not found:
+        return None
+    worst = min(found, key=lambda one: one.p_value)
+    p_value = min(1.0, len(found) * worst.p_value)
+    return LackOfFit(worst.target, worst.statistic, worst.terms, p_value, worst.largest)
+
+
+def _around(
+    model: MixedModel, series: Series, path: MomentPath, states: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """Middle and spread of each channel that varies."""
+    rows = [*model.nonlinear, *model.linear]
+    values = {name: path.predicted[:, rows.index(name)] for name in states}
+    values |= dict(zip(model.inputs, series.u.T, strict=True))
+    both = {name: (float(np.median(x)), float(np.std(x))) for name, x in values.items()}
+    return {name: (middle, spread) for name, (middle, spread) in both.items() if spread > 0.0}
+
+
+def _of_target(
+    target: str,
+    model: MixedModel,
+    theta: Array,
+    series: Series,
+    path: MomentPath,
+    around: dict[str, tuple[float, float]],
+    projection: Projection,
+    rng: np.random.Generator,
+) -> LackOfFit | None:
+    """The test of one equation."""
+    terms: list[Term] = []
+    columns: list[Column] = []
+    by_degree = (combinations_with_replacement(around, k) for k in range(1, DEGREE + 1))
+    for term in chain.from_iterable(by_degree):
+        column = _column(target, term, model, theta, series, path, around)
+        if column is not None:
+            terms.append(term)
+            columns.append(column)
+    if not columns:
+        return None
+    s, v = projection(np.array([c.s for c in columns]), np.array([c.v for c in columns]))
+    raw = np.array([c.v @ c.v for c in columns])
+    size = (v**2).sum(axis=1)
+    told = size > NEW * raw  # the rest is said by the parameters already
+    if not told.any():
+        return None
+    s, v = (x[told] / np.sqrt(size[told])[:, None] for x in (s, v))
+    power, axes = np.linalg.eigh(v @ v.T)
+    new = power > NEW
+    scores = (axes[:, new].T @ s) / np.sqrt(power[new])[:, None]
+    statistic = float((scores.sum(axis=1) ** 2).sum())
+    signs = rng.choice((-1.0, 1.0), size=(DRAWS, scores.shape[1]))
+    drawn = ((signs @ scores.T) ** 2).sum(axis=1)
+    by_draws = (1.0 + float((drawn >= statistic).sum())) / (DRAWS + 1.0)
+    k = int(new.sum())
+    p_value = max(by_draws, float(chi2.sf(statistic, k)))
+    largest = np.flatnonzero(told)[int(np.argmax(np.abs(s.sum(axis=1))))]
+    return LackOfFit(target, statistic, k, p_value, terms[largest])
+
+
+def _column(
+    target: str,
+    term: Term,
+    model: MixedModel,
+    theta: Array,
+    series: Series,
+    path: MomentPath,
+    around: dict[str, tuple[float, float]],
+) -> Column | None:
+    """The column of one term; None where it cannot be calculated."""
+    effect = Effect(
+        "polynomial",
+        target,
+        "state",
+        "a term of a polynomial",
+        f"{target}' = ... + dt * polynomial * {' '.join(term)}",
+        (Parameter("polynomial_term", 0.0, "1"),),
+        lambda base: add_to_state(base, target, _product(term, around), _linear(base, term)),
+    )
+    try:
+        extended = effect.apply(model)
+        at = np.append(theta, 0.0)
+        column = static_column(effect, extended, at, len(theta), model, series, path)
+    except (EngineError, np.linalg.LinAlgError):
+        return None
+    finite = np.isfinite(column.s).all() and np.isfinite(column.v).all()
+    return column if finite else None
+
+
+def _linear(model: MixedModel, term: Term) -> tuple[str, ...]:
+    return tuple(name for name in term if name in model.linear)
+
+
+def _product(
+    term: Term, around: dict[str, tuple[float, float]]
+) -> Callable[[Values, Sequence[Any]], Any]:
+    """size * product of (x - middle) / spread over the channels of a term."""
+
+    def value(v: Values, own: Sequence[Any]) -> Any:
+        out = own[0]
+        for name in term:
+            middle, spread = around[name]
+            out = out * ((v[name] - middle) / spread)
+        return out
+
+    return value

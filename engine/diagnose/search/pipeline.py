@@ -1,0 +1,183 @@
+"""The naming part of a diagnosis: fit the model, search for effects, come to a verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.search.contradictions import undetermined
+from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
+from engine.diagnose.search.search import OUTLYING, Search, search
+from engine.diagnose.search.verdict import PATCHES, patchwork, verdict_of
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml, whitening
+from engine.estimation.start import WarmStart
+from engine.filters.sigma_point import moment_path
+from engine.statespace.model import MixedModel, ThetaLike
+
+MANY = 1000.0  # times the model's noise: beyond it a number says nothing more
+MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
+
+NAMES = (Verdict.NAMED, Verdict.SET)
+
+Callback = Callable[[str, float], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Causes:
+    """The fitted base model, what was searched and found beyond it, and the verdict."""
+
+    base: QuasiFit
+    setting: Setting
+    search: Search
+    verdict: Verdict
+    notes: tuple[str, ...]
+
+
+def find_causes(
+    model: MixedModel,
+    series: Series,
+    theta: ThetaLike = None,
+    *,
+    free: Sequence[str] | None = None,
+    alpha: float = 0.05,
+    max_effects: int = 3,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    clock: Clock | None = None,
+    kept: Kept = NOTHING,
+) -> Causes:
+    """Name what ``series`` shows beyond ``model``; arguments as in :func:`engine.diagnose.diagnose`."""
+    clock = clock or Clock()
+    notes = []
+    clock.start("fit")
+    base = kept.fit(model, partial(fit_base, model, series, theta, free))
+    if not base.converged:
+        notes.append(
+            "The estimation of the base model did not settle; its parameters may be far off. "
+            "Give start values (theta=)."
+        )
+    setting = setting_for(model, series, base.theta)
+    clock.start("search")
+    found = search(
+        model,
+        series,
+        base,
+        setting,
+        alpha=alpha,
+        max_effects=max_effects,
+        kinds=effects,
+        seed=seed,
+        progress=clock.progress,
+        kept=kept,
+    )
+    verdict = verdict_of(found, alpha)
+    if patchwork(found, alpha):
+        notes.append(
+            "What was found looks like patches on one cause that is not in the catalogue: more than "
+            f"{PATCHES} effects are needed, or one of them is a property of the noise, or something is "
+            "still left to see. Register the effect you suspect and diagnose again."
+        )
+    against = undetermined([r for r in found.rounds if r.equivalent])
+    if against:
+        notes.extend(against)
+        verdict = Verdict.UNKNOWN
+    shape = _shape_left(found, series, setting, seed) if verdict in NAMES else None
+    if shape is not None:
+        notes.append(shape)
+        verdict = Verdict.UNKNOWN
+    level = misfit(found.final, series, outliers=has_tails(found))
+    if level > MISFIT:
+        notes.append(
+            f"One-step errors are {_times(np.sqrt(level))} what the model's noise allows, after "
+            "everything that was found: the model is far from these data, or badly started (theta=)."
+        )
+        verdict = Verdict.UNKNOWN
+    clock.stop()
+    return Causes(base, setting, found, verdict, tuple(notes))
+
+
+def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> str | None:
+    """A sentence where what is left beside the named effects depends on the states.
+
+    On the states that they push, where they do: it is their shape that is in doubt.
+    """
+    if has_tails(found):  # the moment filter does not see outliers
+        return None
+    named = [r.refits[0].effect for r in found.rounds if r.equivalent]
+    pushed = {e.channel.rpartition("->")[2] for e in named if e.family == "state"}
+    targets = [name for name in setting.targets if name in pushed] or setting.targets
+    lacks = lack_of_fit(found.final, series, targets, list(setting.states), seed)
+    return lacks.sentence if lacks is not None and lacks.p_value <= LEVEL else None
+
+
+def fit_base(
+    model: MixedModel, series: Series, theta: ThetaLike, free: Sequence[str] | None
+) -> QuasiFit:
+    """The model's own parameters: from the given start, or searched for where none is given."""
+    start = model.theta(theta)
+    if theta is None:
+        found = WarmStart(model, [series], model.free_indices(free))(start)
+        start = start if found is None else found
+    return quasi_ml(model, series, start, free)
+
+
+def has_tails(found: Search) -> bool:
+    """Whether outliers are among what was found."""
+    return any(r.refits[0].effect.kind == TAILS for r in found.rounds if r.equivalent)
+
+
+def misfit(fit: QuasiFit, series: Series, outliers: bool = False) -> float:
+    """Mean squared standardised innovation: about 1 where the model's noise explains the data.
+
+    With ``outliers`` the values that only they explain are left out.
+    """
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    root = whitening(path.S, series.observed)
+    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
+    usual = np.abs(z) < OUTLYING if outliers else np.ones_like(z, dtype=bool)
+    return float((z[usual] ** 2).sum() / max(int((series.observed & usual).sum()), 1))
+
+
+class Clock:
+    """Seconds per stage, and progress for the caller."""
+
+    def __init__(self, callback: Callback | None = None) -> None:
+        self.callback = callback
+        self.seconds: dict[str, float] = {}
+        self.stage, self.since = "", 0.0
+
+    def start(self, stage: str) -> None:
+        """End the last stage and begin another."""
+        self.stop()
+        self.stage, self.since = stage, time.perf_counter()
+        self.progress(stage, 0.0)
+
+    def stop(self) -> None:
+        """End the last stage."""
+        if self.stage:
+            self.spent(time.perf_counter() - self.since)
+            self.stage = ""
+
+    def spent(self, seconds: float) -> None:
+        """More seconds for this stage."""
+        self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + seconds
+
+    def progress(self, stage: str, fraction: float) -> None:
+        """Tell the caller, who may stop the run by raising StopIteration."""
+        if self.callback is not None:
+            self.callback(stage, fraction)
+
+
+def _times(factor: float) -> str:
+    """A ratio as one says it."""
+    return f"{factor:.1f} times" if factor < MANY else f"more than {MANY:.0f} times"

@@ -1,0 +1,181 @@
+"""Effects estimated together with the model's parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.screening.screen import Score
+from engine.diagnose.screening.tails import fit_tails
+from engine.diagnose.screening.time_scan import grid, is_timed
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
+from engine.filters.sigma_point import moment_filter
+from engine.statespace.model import Array, MixedModel
+
+TOLERANCE = 0.02  # of a log-likelihood: refits are compared, the best one is then finished
+HOPELESS = 10.0  # of the score behind the best refit, from which another one is left for later
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """An effect estimated together with the model's parameters.
+
+    ``gain`` is 2 (log-likelihood gained), ``score`` that less its costs.
+    """
+
+    effect: Effect
+    fit: QuasiFit
+    gain: float
+    score: float
+
+    @property
+    def size(self) -> float:
+        """The estimated size."""
+        return float(self.fit.theta[self.effect.size.name])
+
+    @property
+    def standard_error(self) -> float:
+        """Its standard error."""
+        return float(self.fit.standard_errors[self.fit.free.index(self.effect.size.name)])
+
+
+def cost(effect: Effect, series: Series) -> float:
+    """What an effect's further parameters must gain before they count: log T each (Schwarz 1978)."""
+    return further_parameters(effect) * float(np.log(series.n_measured))
+
+
+def further_parameters(effect: Effect) -> int:
+    """How many parameters are estimated beside the size."""
+    return len(effect.parameters) - 1 - len(effect.held)
+
+
+def _sought(effect: Effect) -> list[str]:
+    """Times at which the likelihood jumps: sought on rows, not by slopes."""
+    return [p.name for p in effect.parameters if p.name.endswith("_time") and is_timed(effect)]
+
+
+def free_parameters(effect: Effect) -> list[str]:
+    """The effect's own parameters that are estimated by slopes."""
+    fixed = {*_sought(effect), *effect.held}
+    return [p.name for p in effect.parameters if p.name not in fixed]
+
+
+def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) -> Refit:
+    """Maximum likelihood of the extended model, started at the score's one-step estimate.
+
+    Given up early where its score seems to stay far below ``best``, the score of another refit; see
+    :func:`taken_up`.
+    """
+    effect = score.effect
+    extended = effect.apply(fit.model)
+    n = len(fit.theta)
+    if effect.kind == TAILS:
+        return _refit_tails(fit, extended, effect, series)
+    start = np.concatenate([fit.theta, [score.size], score.at])
+    null = start.copy()
+    null[n] = 0.0
+    start = np.clip(start, extended.lower, extended.upper)
+    sought = _sought(effect)
+    free = [*fit.free, *free_parameters(effect)]
+    start, zero = _best_start(extended, series, start, null, n)
+    if sought:
+        start = _best_row(extended, series, start, sought[0], effect)
+    target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
+    found = quasi_ml(extended, series, start, free, tolerance=TOLERANCE, target=target)
+    if sought and found.log_likelihood > target:
+        moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect)
+        if not np.array_equal(moved, found.theta):
+            again = quasi_ml(extended, series, moved, free, tolerance=TOLERANCE)
+            found = max(found, again, key=lambda one: one.log_likelihood)
+    return _with_zero(_weighed(effect, found, zero, series), zero, series)
+
+
+def taken_up(refit: Refit, series: Series) -> Refit:
+    """A refit that was given up, followed to its maximum."""
+    known = refit.fit
+    null = known.log_likelihood - 0.5 * refit.gain
+    found = quasi_ml(known.model, series, known.theta, known.free, tolerance=TOLERANCE)
+    return _with_zero(_weighed(refit.effect, found, null, series), null, series)
+
+
+def _weighed(effect: Effect, fit: QuasiFit, null: float, series: Series) -> Refit:
+    """A refit with its gain over the log-likelihood ``null`` without the effect."""
+    gain = 2.0 * (fit.log_likelihood - null)
+    return Refit(effect, fit, gain, gain - cost(effect, series))
+
+
+def _with_zero(refit: Refit, null: float, series: Series) -> Refit:
+    """The refit with the zero of its channel estimated too, where the data tell it.
+
+    Nothing says that the zero of a unit is that of the physics, unless the model declares it: drag about
+    20 m/s is not drag. One more parameter counts as any other.
+    """
+    effect, known = refit.effect, refit.fit
+    if effect.zero is None or known.given_up or not refit.score > 0.0:
+        return refit
+    try:
+        found = quasi_ml(
+            known.model, series, known.theta, [*known.free, effect.zero], tolerance=TOLERANCE
+        )
+    except (EngineError, np.linalg.LinAlgError):
+        return refit
+    again = _weighed(effect.with_free_zero(), found, null, series)
+    return again if again.score > refit.score else refit
+
+
+def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> Refit:
+    """By a filter that knows outliers, over a grid."""
+    gain, theta = fit_tails(fit, effect, series)
+    own = [p.name for p in effect.parameters]
+    information = np.zeros((len(fit.free) + len(own), len(fit.free) + len(own)))
+    information[: len(fit.free), : len(fit.free)] = fit.information
+    share = float(theta[len(fit.theta)])
+    k = len(fit.free)
+    information[k, k] = len(series) / (share * (1.0 - share))  # as if every outlier were known
+    found = QuasiFit(
+        extended,
+        extended.theta(theta),
+        fit.log_likelihood + 0.5 * gain,
+        (*fit.free, *own),
+        information,
+        1,
+        True,
+    )
+    return Refit(effect, found, gain, gain - cost(effect, series))
+
+
+def _best_start(
+    extended: MixedModel, series: Series, start: Array, null: Array, n: int
+) -> tuple[Array, float]:
+    """The best of a few sizes around the one-step estimate, which may overshoot; log-likelihood at null."""
+    sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01]) * start[n]
+    starts = np.repeat(start[None], len(sizes), axis=0)
+    starts[:, n] = np.clip(sizes, extended.lower[n], extended.upper[n])
+    values = log_likelihoods(extended, [series], np.concatenate([null[None], starts]))
+    return np.asarray(starts[int(np.argmax(values[1:]))]), float(values[0])
+
+
+def _best_row(
+    extended: MixedModel, series: Series, theta: Array, name: str, effect: Effect
+) -> Array:
+    """Theta with the effect's time moved to the row near it where the likelihood is largest."""
+    k = extended.index(name)
+    here = int(np.argmin(np.abs(series.t - theta[k])))
+    reach = 2
+    if effect.kind != "pulse":  # its grid leaves rows out
+        reach = int(np.ceil(len(series) / max(len(grid(effect, series)), 1)))
+    rows = np.arange(max(here - reach, 1), min(here + reach + 1, len(series) - 1))
+    thetas = np.repeat(theta[None], len(rows) + 1, axis=0)
+    thetas[1:, k] = series.t[rows]
+    values = log_likelihoods(extended, [series], thetas)
+    return np.asarray(thetas[int(np.argmax(values))])
+
+
+def held_out_terms(fit: QuasiFit, series: Series) -> Array:
+    """One-step predictive log-densities (T,) of a series under a fitted model."""
+    return np.asarray(moment_filter(fit.model, np.asarray(fit.theta)[None], series).log_terms[:, 0])

@@ -1,0 +1,175 @@
+"""Which effects of a round are refitted, and how far: none that may yet be the cause is left half-way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from engine.data.series import Series
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.screening.screen import Score, Screen
+from engine.diagnose.screening.screening import TAILS_ALARM
+from engine.diagnose.screening.tails import tails_left
+from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.search.refits import Refit, cost, refit, taken_up
+from engine.diagnose.search.rounds import GENERIC, Round, settle
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit
+
+REFITS = 12  # effects refitted in a round
+WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
+AT_LEAST = 6  # ... unless it is among the first few: large effects bend the scores of others
+PULSE = "pulse"
+AGAIN = (
+    0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
+)
+REACH = 0.5  # of the best score: a refit left half-way that has this much is taken up again
+
+SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")  # by a fitted Q
+SWALLOWED_REFITS = 6
+ALARM = 0.1  # family-wise p-value from which no alarm is to be feared at any usual level
+REFITTED = 0.1  # of alpha, for these refits: maxima between a grid's points are larger than on it
+
+Progress = Callable[[str, float], Any]
+
+
+def refit_swallowed(
+    fit: QuasiFit, series: Series, seen: Screen, progress: Progress, kept: Kept = NOTHING
+) -> list[Refit]:
+    """Refits of the best few effects that a fitted Q can swallow, so that their scores see nothing.
+
+    Where process noise has grown to explain a step, the score of the step is small, but refitting
+    both gives the noise back. A refit is left half-way where it will not be an alarm.
+    """
+    refits = []
+    families = _swallowed(seen)[:SWALLOWED_REFITS]
+    for i, score in enumerate(families):
+        progress("refit", i / len(families))
+        once = partial(refit, fit, series, score, _alarming(score, len(families), series))
+        refits.append(_made(partial(kept.refit, fit.model, score.effect, once)))
+    return [found for found in refits if found is not None]
+
+
+def _alarming(score: Score, families: int, series: Series) -> float:
+    """Half the score from which such a refit would be an alarm at ALARM: below it, it is left half-way."""
+    ratio = chi2.isf(ALARM * REFITTED / (families * max(score.tests, 1.0)), score.degrees)
+    return 0.5 * float(ratio) - cost(score.effect, series)
+
+
+def swallowed_p(seen: Screen, refits: Sequence[Refit], boldness: float = 1.0) -> float:
+    """The p-value of the largest likelihood ratio of these refits.
+
+    Each is judged by the tail of its family's own maximum, with Bonferroni over all such families.
+    """
+    families = {score.effect.name: score for score in _swallowed(seen)}
+    single = [families[r.effect.name].p_of(r.gain) ** (1.0 / boldness) for r in refits]
+    return float(min([1.0, *(len(families) / REFITTED * p for p in single)]))
+
+
+def _swallowed(seen: Screen) -> list[Score]:
+    return [s for s in seen.scores if s.effect.kind in SWALLOWED and s.statistic > 0.0]
+
+
+def refit_best(
+    fit: QuasiFit,
+    series: Series,
+    seen: Screen,
+    setting: Setting,
+    done: Sequence[Refit],
+    progress: Progress,
+    kept: Kept = NOTHING,
+) -> Round:
+    """Refit the effects with the largest scores, and the unnamed force where it scores best.
+
+    ``done`` are refits that were made before. A refit that seemed hopeless is left half-way at first;
+    in the end all that are within reach of the best one are followed to their own maximum.
+    """
+    refits = list(done)
+    names = {r.effect.name for r in done}
+    left = [s for s in _worth_refitting(seen, series) if s.effect.name not in names]
+    for i, score in enumerate(left):
+        progress("refit", i / len(left))
+        leading = max((r.score for r in refits), default=-np.inf)
+        once = partial(refit, fit, series, score, leading)
+        found = _made(partial(kept.refit, fit.model, score.effect, once))
+        if found is not None:
+            refits.append(found)
+    refits = without_one_of_many(followed(refits, series, fit, kept), series)
+    return settle(seen, refits, series, setting)
+
+
+def without_one_of_many(refits: Sequence[Refit], series: Series) -> list[Refit]:
+    """The refits without the pulse of a reading, where more such readings are left beside it.
+
+    A pulse of an output is one bad reading. Where that or outliers lead, and the tails of the errors are
+    still heavy with that reading explained, it is the largest of several: outliers.
+    """
+    named = [r for r in refits if r.effect.kind != GENERIC]
+    leading = max(named, key=lambda r: r.score, default=None)
+    if leading is None or leading.effect.kind not in (PULSE, TAILS):
+        return list(refits)
+    there = {r.effect.kind: r for r in named if r.effect.channel == leading.effect.channel}
+    if PULSE not in there or TAILS not in there:
+        return list(refits)
+    if tails_left(there[PULSE].fit, there[TAILS].effect, series) > AGAIN:
+        return list(refits)
+    return [r for r in refits if r is not there[PULSE]]
+
+
+def followed(
+    refits: Sequence[Refit], series: Series, fit: QuasiFit, kept: Kept = NOTHING
+) -> list[Refit]:
+    """The refits, those given up early taken up again where they are within reach of the best."""
+    refits, further = list(refits), kept.further("to its end")
+    while True:
+        best = max((r.score for r in refits), default=-np.inf)
+        reach = REACH * best if best > 0.0 else -np.inf
+        open_ = [i for i, r in enumerate(refits) if r.fit.given_up and r.score >= reach]
+        if not open_:
+            return refits
+        i = max(open_, key=lambda i: refits[i].score)
+        again = partial(taken_up, refits[i], series)
+        refits[i] = further.refit(fit.model, refits[i].effect, again)
+
+
+def _worth_refitting(seen: Screen, series: Series) -> list[Score]:
+    """The best named effects, outliers where they are likely, and the best unnamed forces."""
+    named = [s for s in seen.scores if s.effect.kind != GENERIC and s.statistic > 0.0]
+    worth = {s.effect.name: s.statistic - cost(s.effect, series) for s in named}
+    named.sort(key=lambda s: -worth[s.effect.name])
+    best = worth[named[0].effect.name] if named else 0.0
+    chosen = [
+        s
+        for i, s in enumerate(named[:REFITS])
+        if i < AT_LEAST or worth[s.effect.name] >= WORTH * best
+    ]
+    tails = [s for s in seen.scores if s.effect.kind == TAILS and s.p_value < TAILS_ALARM]
+    chosen += [s for s in tails if s not in chosen]
+    return chosen + [s for s in seen.scores if s.effect.kind == GENERIC and s.statistic > 0.0][:2]
+
+
+def _made(compute: Callable[[], Refit]) -> Refit | None:
+    """A refit, None where the extended model's filter is lost."""
+    try:
+        return compute()
+    except (EngineError, np.linalg.LinAlgError):
+        return None
+
+
+def confirmed(found: Round) -> Round:
+    """The round with the p-value of its best likelihood ratio, where that is larger than the scores'.
+
+    A score can be large where an effect moves hardly anything and is divided by nearly nothing; the
+    likelihood of the extended model then gains nothing.
+    """
+    scores = {s.effect.name: s for s in found.screen.scores}
+    every = [*found.refits, *([found.generic] if found.generic else [])]
+    best = min((scores[r.effect.name].p_of(r.gain) for r in every), default=0.0)
+    p_value = max(found.screen.p_value, found.screen.family_wise(best))
+    return replace(found, screen=replace(found.screen, p_value=p_value))

@@ -1,0 +1,38 @@
+"""A round of the search: what was refitted in it, ranked, and the set that cannot be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from engine.data.series import Series
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.screen import Screen
+from engine.diagnose.search.likeness import distinct
+from engine.diagnose.search.refits import Refit
+
+MARGIN = 2.0  # of the score: a likelihood ratio of e
+UNNAMED_MARGIN = 6.0  # over a force that nobody named, which is always possible
+GENERIC = "latent"  # the kind of the force that nobody named
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What the screen saw, what was refitted (best first), the unnamed force, the set that remains."""
+
+    screen: Screen
+    refits: tuple[Refit, ...]
+    generic: Refit | None
+    equivalent: tuple[Refit, ...]
+
+
+def settle(screen: Screen, refits: Sequence[Refit], series: Series, setting: Setting) -> Round:
+    """Refits ranked by their score; those within MARGIN of the best named one are a set."""
+    unnamed = [r for r in refits if r.effect.kind == GENERIC]
+    ranked = sorted((r for r in refits if r.effect.kind != GENERIC), key=lambda r: -r.score)
+    within = [r for r in ranked if r.score >= ranked[0].score - MARGIN]
+    equivalent = distinct(within, series, setting)
+    if equivalent:  # of effects that are the same here, the name that stands for them leads
+        ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]
+    top = max(unnamed, key=lambda r: r.score) if unnamed else None
+    return Round(screen, tuple(ranked), top, equivalent)

@@ -1,0 +1,164 @@
+"""From alarm to name: screen, refit the best, rank by likelihood, and look again.
+
+Each round screens all effects on the model as extended so far. Without an alarm the search ends.
+Otherwise the best effects are refitted together with all parameters, and ranked by
+
+    score = 2 (log-likelihood gained) - log T (own parameters - 1).
+
+An alarm counts where the likelihood ratio of some refit confirms it. Effects within MARGIN of the best
+are an equivalence set. The unnamed slow force is refitted in every round, and belongs to the set within
+UNNAMED_MARGIN: where it explains as much as any named effect, the cause is not in the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.screening.screening import screen_effects
+from engine.diagnose.screening.tails import pit_of, standardised_errors
+from engine.diagnose.search.calibration import BOLDEST, Question, calibrated, decides, sequential_p
+from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.search.joint_refit import look_back
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.refitting import confirmed, refit_best, refit_swallowed, swallowed_p
+from engine.diagnose.search.rounds import Round
+from engine.errors import EngineError, OptionError
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml
+from engine.filters.sigma_point import moment_path
+from engine.statespace.model import MixedModel
+
+FIRST = 0.7  # of alpha, for the first screen; the rest is for refits of what noise has swallowed
+LATER = 0.1  # of alpha, for screens after the first, as each round is a new chance
+OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
+
+Progress = Callable[[str, float], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """All rounds; the last one without refits has no alarm. ``base`` and ``final`` fits."""
+
+    base: QuasiFit
+    final: QuasiFit
+    rounds: tuple[Round, ...]
+    alarm_left: bool
+
+
+def search(
+    model: MixedModel,
+    series: Series,
+    base: QuasiFit,
+    setting: Setting,
+    *,
+    alpha: float,
+    max_effects: int,
+    kinds: Sequence[str] | None,
+    seed: int,
+    progress: Progress,
+    kept: Kept = NOTHING,
+) -> Search:
+    """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already."""
+    fit, rounds, alarm = base, [], False
+    tails: Refit | None = None
+    for k in range(max_effects + 1):
+        taken = None if tails is None else tails.effect
+        level = alpha if k == 0 else LATER * alpha
+        here = kept.within(f"round {k + 1}")
+        question = Question(fit, series, setting, kinds)
+        screened = partial(
+            screen_effects, fit, series, setting, kinds, level, seed + k, progress, taken
+        )
+        progress("screen", 0.0)
+        try:
+            seen = here.screen(all_effects(setting, kinds), screened)
+        except OptionError:
+            if k == 0:
+                raise
+            alarm = False  # all that was asked for is found
+            break
+        seen = seen.sharing(FIRST) if k == 0 else seen
+        if decides(seen.family_wise_at, level, seen):
+            seen = calibrated(seen, question, level, seed + k, progress, here)
+        alarm = seen.p_value <= level
+        swallowed: list[Refit] = []
+        if not alarm and k == 0:
+            swallowed = refit_swallowed(fit, series, seen, progress, here)
+            refitted = swallowed_p(seen, swallowed)
+            if refitted <= alpha < swallowed_p(seen, swallowed, BOLDEST):
+                refitted = sequential_p(refitted, question, alpha, seed, progress, here)
+            alarm = refitted <= alpha
+            seen = replace(seen, p_value=min(seen.p_value, refitted))
+        if not alarm or k == max_effects:
+            rounds.append(Round(seen, (), None, ()))
+            break
+        found = refit_best(fit, series, seen, setting, swallowed, progress, here)
+        if not swallowed:
+            found = confirmed(found)
+            alarm = found.screen.p_value <= level or not found.refits
+        if not alarm:
+            rounds.append(replace(found, refits=(), generic=None, equivalent=()))
+            break
+        rounds.append(found)
+        if not found.equivalent:
+            break
+        if found.refits[0].effect.kind != TAILS:
+            best = found.refits[0].fit
+            fit = here.fit(best.model, partial(_finished, best, series))
+            continue
+        # the moment filter does not see outliers, so they are taken out before it looks again
+        tails, alarm = found.refits[0], False
+        if tails.effect.family != "noise" or tails.effect.channel not in model.outputs:
+            break
+        series = without_outliers(fit, series, tails.effect.channel, seed)
+        fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))
+    named = [found for found in rounds if found.equivalent]
+    if tails is None and len(named) > 1:
+        fit, named = look_back(base, named, series, setting, kept)
+        rounds[: len(named)] = named
+        fit = kept.within("finally").fit(fit.model, partial(_finished, fit, series))
+    return Search(base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm)
+
+
+def _finished(fit: QuasiFit, series: Series) -> QuasiFit:
+    """A refit to the usual tolerance; as it is where its likelihood is on an edge."""
+    try:
+        return quasi_ml(fit.model, series, fit.theta, fit.free)
+    except EngineError:
+        return fit
+
+
+def without_outliers(fit: QuasiFit, series: Series, output: str, seed: int) -> Series:
+    """The series with an output's outlying values missing."""
+    j = list(fit.model.outputs).index(output)
+    path = moment_path(fit.model, np.asarray(fit.theta), series)
+    errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))[:, j]
+    y = series.y.copy()
+    y[np.abs(np.nan_to_num(errors)) > OUTLYING, j] = np.nan
+    return series.replace(y=y)
+
+
+def _with_tails(fit: QuasiFit, tails: Refit) -> QuasiFit:
+    """The final fit with the outliers of an earlier round as its last effect."""
+    own = [tails.fit.theta[p.name] for p in tails.effect.parameters]
+    model = tails.effect.apply(fit.model)
+    names = tuple(p.name for p in tails.effect.parameters)
+    n, k = len(fit.free), len(names)
+    information = np.zeros((n + k, n + k))
+    information[:n, :n], information[n:, n:] = fit.information, tails.fit.information[-k:, -k:]
+    return replace(
+        fit,
+        model=model,
+        theta=model.theta([*fit.theta, *own]),
+        log_likelihood=fit.log_likelihood + 0.5 * tails.gain,
+        free=(*fit.free, *names),
+        information=information,
+    )

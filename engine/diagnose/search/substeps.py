@@ -1,0 +1,215 @@
+"""More than one step of the model from one sample to the next, so that effects act within the step.
+
+An effect is added step by step; where a step is long beside what the model does within it, the error of
+that passes for physics of its own. A model that declares ``continuous`` is therefore run on k steps a
+sample, nothing measured in between, its inputs held. Whether its dt is a real one is verified first: two
+half-steps must agree with one up to the order of the scheme, in mean and covariance. k is doubled until
+neither the free run of the model nor what typical effects do over a sample changes by much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.rates import Points, step
+from engine.diagnose.effects.setting import ON_TIME, Setting, setting_for
+from engine.diagnose.symptoms.runs import noise_free, start_state
+from engine.errors import EngineError
+from engine.statespace.model import Array, MixedModel
+
+MOST = 16  # steps a sample
+FREE_RUN = 0.1  # of its residual: change of the free run that is small enough
+BY_EFFECT = 0.05  # of what an effect does to the outputs: error that is small enough
+MOSTLY = 0.75  # share of the effects of which it must be so small
+STRETCH = 60  # samples over which that is looked at
+TYPICAL = 0.03  # of what a state moves over a sample: what an effect does to it
+KINDS = ("force", "linear", "coupling", "drag", "cubic")  # effects that are looked at
+LOOKED_AT = 12  # samples
+SHORT = 1.0 / 16.0  # of a sample: steps at which the order of the scheme shows
+FASTER, SLOWER = 0.4, 0.75  # an error of order h^2, of order h, falls below these where h is halved
+EXACT, EXACT_NOISE = 1e-8, 1e-4  # of a state's, a covariance's size: a difference that is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """The series to work on, ``k`` steps a sample, what there is to say about it, and the base's theta.
+
+    ``theta`` is None for a model that was not looked at, as it does not declare ``continuous``.
+    """
+
+    series: Series
+    k: int = 1
+    notes: tuple[str, ...] = ()
+    theta: Array | None = None
+
+
+def prepare(
+    model: MixedModel, series: Series, fitted: Callable[[], Array], test: Series | None = None
+) -> Prepared:
+    """The series with as many steps a sample as a continuous model needs for its effects.
+
+    ``fitted`` estimates the model's theta (n_theta,) on the series as it is. A lag or a delay counts
+    samples, so all series, ``test`` too, must be sampled at one common step; else one step a sample is kept.
+    """
+    if not model.continuous:
+        return Prepared(series)
+    if not _regular(series, test):
+        text = "Samples are not at one common step: the model makes one step a sample."
+        return Prepared(series, notes=(text,))
+    theta = fitted()
+    setting = setting_for(model, series, theta)
+    if not is_consistent(model, theta, _points(setting)):
+        text = (
+            f"Model '{model.name}' declares a real time step (continuous=True), but two half-steps do not "
+            "agree with one: one step a sample is kept."
+        )
+        return Prepared(series, notes=(text,), theta=theta)
+    k = choose(setting, series, theta)
+    notes = (f"The model makes {k} steps a sample, so that effects act within it.",)
+    return Prepared(series.refined(k), k, notes if k > 1 else (), theta)
+
+
+def _regular(series: Series, test: Series | None) -> bool:
+    if series.dt is None:
+        return False
+    if test is None:
+        return True
+    phase = (float(test.t[0]) - float(series.t[0])) / series.dt
+    same = test.dt is not None and abs(test.dt / series.dt - 1.0) < ON_TIME
+    return same and abs(phase - round(phase)) < ON_TIME
+
+
+def is_consistent(model: MixedModel, theta: Array, points: Points) -> bool:
+    """Whether two half-steps agree with one up to the order of the scheme, in mean and covariance."""
+    errors = [_halving(model, theta, points, SHORT * way) for way in (1.0, 0.5)]
+    (mean, cov), (finer_mean, finer_cov) = errors
+    fine = (mean <= EXACT) | (finer_mean <= FASTER * mean)
+    return bool(fine.all() and (cov <= EXACT_NOISE or finer_cov <= SLOWER * cov))
+
+
+def _halving(model: MixedModel, theta: Array, points: Points, share: float) -> tuple[Array, float]:
+    """Differences of two half-steps and one: of each mean (nx,), in its size; of Q as a share of it."""
+    means, covs = [], []
+    for x, u, t, dt in zip(points.x, points.u, points.t, share * points.dt, strict=True):
+        whole, Q = _moments(model, theta, x, None, u, t, dt)
+        half, P = _moments(model, theta, x, None, u, t, 0.5 * dt)
+        twice, P = _moments(model, theta, half, P, u, t + 0.5 * dt, 0.5 * dt, points.scale)
+        means.append(np.abs(twice - whole) / points.scale)
+        noise = np.sqrt(np.maximum(np.diagonal(Q), 0.0))
+        noisy = np.flatnonzero(noise > 0.0)
+        off = (P - Q)[np.ix_(noisy, noisy)] / np.outer(noise[noisy], noise[noisy])
+        covs.append(float(np.abs(off).max(initial=0.0)))
+    return np.median(means, axis=0), float(np.median(covs))
+
+
+def _moments(
+    model: MixedModel,
+    theta: Array,
+    x: Array,
+    P: Array | None,
+    u: Array,
+    t: float,
+    dt: float,
+    scale: Array | None = None,
+) -> tuple[Array, Array]:
+    """Mean and covariance after a step from N(x, P), linearised; P None for a known x."""
+    mean = step(model, theta, x[None], u, t, dt)[0]
+    _, _, Q = model.transition(x[None, : model.na], u, t, dt, model.record(theta))
+    Q = Q if Q.ndim == 2 else Q[0]
+    if P is None or scale is None:
+        return mean, Q
+    ways = x + 1e-5 * np.vstack([np.diag(scale), -np.diag(scale)])
+    ends = step(model, theta, ways, u, t, dt)
+    F = ((ends[: model.nx] - ends[model.nx :]) / (2e-5 * scale[:, None])).T
+    return mean, F @ P @ F.T + Q
+
+
+def choose(setting: Setting, series: Series, theta: Array) -> int:
+    """The least number of steps a sample that is enough, in powers of two, up to MOST."""
+    model, k = setting.model, 1
+    try:
+        x1, _ = start_state(model, theta, series)
+    except (EngineError, np.linalg.LinAlgError):
+        return 1
+    part = series.part(0, min(len(series), STRETCH))
+    effects = _sized(setting, theta)
+    run, done = _run(model, theta, series, x1), _done(setting, theta, effects, part, x1)
+    while k < MOST:
+        finer_run = _run(model, theta, series.refined(2 * k), x1)
+        finer = _done(setting, theta, effects, part.refined(2 * k), x1)
+        if _same_run(series, run, finer_run) and _same_effects(done, finer):
+            break
+        k, run, done = 2 * k, finer_run, finer
+    return k
+
+
+def _run(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
+    """The noise-free run at the samples (T, ny), not finite where it is lost."""
+    with np.errstate(all="ignore"):
+        y, _ = noise_free(model, theta, series, x1)
+    return np.asarray(y[series.samples])
+
+
+def _done(
+    setting: Setting, theta: Array, effects: list[tuple[Effect, float]], series: Series, x1: Array
+) -> list[Array]:
+    """What each effect, at its size, does to the outputs of the free run."""
+    states = list(setting.states)
+    without, out = _run(setting.model, theta, series, x1), []
+    for effect, size in effects:
+        extended = effect.apply(setting.model)
+        order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
+        own = np.array([*theta, size, *effect.probes[0]])
+        out.append(_run(extended, own, series, x1[order]) - without)
+    return out
+
+
+def _same_run(series: Series, one: Array, other: Array) -> bool:
+    if not (np.isfinite(one).all() and np.isfinite(other).all()):
+        return True
+    change = np.sqrt(np.mean((other - one) ** 2, axis=0))
+    residual = np.sqrt(np.nanmean((series.y - one) ** 2, axis=0))
+    return bool((change <= FREE_RUN * residual).all())
+
+
+def _same_effects(one: list[Array], other: list[Array]) -> bool:
+    """Of most effects: where friction sticks and slips, the answer to a small force is erratic."""
+    errors = [
+        float(np.linalg.norm(y - x) / np.linalg.norm(y))
+        for x, y in zip(one, other, strict=True)
+        if np.isfinite(x).all() and np.isfinite(y).all() and y.any()
+    ]
+    return not errors or float(np.quantile(errors, MOSTLY)) <= BY_EFFECT
+
+
+def _points(setting: Setting) -> Points:
+    """A few samples of the record."""
+    points, _ = setting.points(setting.model)
+    rows = np.unique(np.linspace(0, len(points.t) - 1, LOOKED_AT).astype(int))
+    return replace(points, x=points.x[rows], u=points.u[rows], t=points.t[rows], dt=points.dt[rows])
+
+
+def _sized(setting: Setting, theta: Array) -> list[tuple[Effect, float]]:
+    """Effects with sizes at which they move their state by TYPICAL of what it moves over a sample."""
+    model, points = setting.model, _points(setting)
+    states, out = list(setting.states), []
+    rows = list(zip(points.x, points.u, points.t, points.dt, strict=True))
+    base = np.array([step(model, theta, x[None], u, t, dt)[0] for x, u, t, dt in rows])
+    moves = np.sqrt(np.mean((base - points.x) ** 2, axis=0))
+    for effect in all_effects(setting, KINDS):
+        extended = effect.apply(model)
+        order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
+        target = states.index(effect.channel.rpartition("->")[2])
+        own = np.array([*theta, 1.0, *effect.probes[0]])
+        ends = [step(extended, own, x[order][None], u, t, dt)[0] for x, u, t, dt in rows]
+        done = np.array(ends)[:, order.index(target)] - base[:, target]
+        size = float(np.sqrt(np.mean(done**2)))
+        if size > 0.0 and np.isfinite(size) and moves[target] > 0.0:
+            out.append((effect, TYPICAL * float(moves[target]) / size))
+    return out

@@ -1,0 +1,130 @@
+"""From the rounds of a search to a verdict and its causes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.screening.score_columns import UNTESTABLE
+from engine.diagnose.screening.screen import Screen
+from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.rounds import GENERIC, MARGIN, UNNAMED_MARGIN, Round
+from engine.diagnose.search.search import Search
+
+POWER = 0.84  # normal quantile of 80 %
+ALIKE = 0.7  # |cos| from which two effects are called look-alikes
+PATCHES = 2  # effects in turn that are trusted; more stand for something else
+LEFT = 0.2  # of alpha: a p-value of at most this says that something is left; alpha would fail true names
+SHOWN = 5  # look-alikes listed at most
+
+
+def verdict_of(search: Search, alpha: float) -> Verdict:
+    """The verdict: see the rules in :mod:`engine.diagnose`."""
+    named = [r for r in search.rounds if r.equivalent]
+    if not named:
+        return Verdict.UNKNOWN if search.alarm_left else Verdict.NOTHING
+    if search.alarm_left or any(unnamed_is_better(r) for r in named) or patchwork(search, alpha):
+        return Verdict.UNKNOWN
+    return Verdict.NAMED if all(len(set_of(r)) == 1 for r in named) else Verdict.SET
+
+
+def patchwork(search: Search, alpha: float) -> bool:
+    """Whether the effects found in turn look like patches on one cause that is not in the catalogue.
+
+    So they do where more than two are needed; where one of two is a property of the noise, which is
+    how the rest of a cause looks that another effect explains in part; or where something is still
+    seen, at ``LEFT * alpha``, after two effects or after noise. Outliers, which hide others, count in
+    the last rule only.
+    """
+    found = [r.refits[0].effect for r in search.rounds if r.equivalent]
+    effects = [effect for effect in found if effect.kind != TAILS]
+    noise = any(effect.family == "noise" for effect in effects)
+    last = search.rounds[-1]
+    left = not last.equivalent and last.screen.p_value <= LEFT * alpha
+    if len(effects) > PATCHES or (noise and len(effects) > 1):
+        return True
+    return left and (noise or len(found) > 1)
+
+
+def unnamed_is_better(found: Round) -> bool:
+    """Whether the unnamed force explains at least as much as the best named effect."""
+    return found.generic is not None and found.generic.score >= found.refits[0].score
+
+
+def set_of(found: Round) -> tuple[str, ...]:
+    """Names of the effects that cannot be told apart, the best first."""
+    names = [r.effect.name for r in found.equivalent]
+    generic = found.generic
+    if generic is not None and generic.score >= found.refits[0].score - UNNAMED_MARGIN:
+        names.append(generic.effect.name)
+    return tuple(names)
+
+
+def cause_of(found: Round) -> Cause:
+    """The best effect of a round, with what was held against it."""
+    best = found.refits[0]
+    effect = best.effect
+    return Cause(
+        effect.name,
+        effect.title,
+        effect.family,
+        effect.equation,
+        best.size,
+        effect.size.unit,
+        best.standard_error,
+        {p.name: float(best.fit.theta[p.name]) for p in effect.parameters},
+        found.screen.p_value,
+        best.gain,
+        set_of(found),
+        _look_alikes(found, best),
+    )
+
+
+def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
+    """Effects with a similar footprint, or refitted with a similar gain."""
+    names = [s.effect.name for s in found.screen.scores]
+    place = names.index(best.effect.name)
+    refits = {r.effect.name: r for r in found.refits}
+    out = []
+    for i, score in enumerate(found.screen.scores):
+        other = score.effect
+        if other.name == best.effect.name or score.statistic <= 0.0:
+            continue
+        likeness = found.screen.likeness(place, i)
+        refit = refits.get(other.name)
+        if likeness < ALIKE and refit is None:
+            continue
+        # close in score and yet not in the set: the plainer name was kept for the same thing
+        same = refit is not None and refit.score >= best.score - MARGIN
+        followed = refit is not None and not refit.fit.given_up  # only then can it be ruled out
+        ruled_out = followed and not same and other.name not in set_of(found)
+        difference = best.effect.look_alikes.get(other.kind, "")
+        if same and other.name not in set_of(found):
+            difference = "says the same in other words here"
+        out.append(
+            LookAlike(other.name, likeness, refit.gain if refit else None, ruled_out, difference)
+        )
+    out.sort(key=lambda x: -(x.gain if x.gain is not None else 10.0 * x.likeness))
+    return tuple(out[:SHOWN])
+
+
+def detectable_of(seen: Screen) -> tuple[Detectable, ...]:
+    """The smallest size of each effect that a screen would have shown with 80 % probability."""
+    out = []
+    for score in seen.scores:
+        if score.effect.kind in (GENERIC, TAILS):
+            continue  # a detector, and a test whose power is not in its size
+        testable = bool(np.isfinite(score.se) and score.rho > UNTESTABLE)
+        smallest = (np.sqrt(seen.threshold * score.boldness) + POWER) * score.se
+        out.append(
+            Detectable(
+                score.effect.name,
+                score.effect.title,
+                score.effect.size.unit,
+                float(smallest) if testable else float("inf"),
+                score.rho,
+                testable,
+            )
+        )
+    return tuple(sorted(out, key=lambda d: d.effect))

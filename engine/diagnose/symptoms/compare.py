@@ -1,0 +1,205 @@
+"""A model's free run and its one-step predictions against the data, output by output and band by band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.symptoms.error_localization import (
+    Errors,
+    Region,
+    by_frequency,
+    by_signal,
+    newey_west,
+)
+from engine.filters.sigma_point import MomentPath
+from engine.statespace.model import Array, MixedModel
+
+LEVEL = 0.95
+TRANSIENT = (
+    3.0  # times the median: a prediction less certain than that is one of a state not yet known
+)
+AWAY = 1000.0  # ranges of the readings: a run further off than that has run away
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One output: ``rmse``, ``bias`` in its unit, ``fit`` = 100 (1 - rmse / std(y)) %, ``inside`` the band.
+
+    ``expected_rmse`` is what the model itself leads to expect; ``as_wrong`` the share of its own
+    simulations that are at least as far from its free run (None for one-step predictions);
+    ``bias_error`` the bias's standard error (Newey-West) for predictions, None for free runs.
+    """
+
+    output: str
+    unit: str
+    rmse: float
+    bias: float
+    fit: float
+    inside: float
+    expected_rmse: float | None
+    as_wrong: float | None = None
+    bias_error: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Measured against ``y`` (T, ny), simulated or predicted, with the band ``lower``, ``upper`` (T, ny).
+
+    ``fits`` per output, ``regions`` where errors were looked at.
+    """
+
+    y: Array
+    lower: Array
+    upper: Array
+    fits: tuple[Fit, ...]
+    regions: tuple[Region, ...]
+
+
+def lost_at(y: Array, series: Series) -> int | None:
+    """The first row where a run y (T, ny) is not finite or ``AWAY`` from the readings; None if none is."""
+    low, high = np.full(y.shape[1], -np.inf), np.full(y.shape[1], np.inf)
+    for i, seen in enumerate(series.observed.T):
+        values = series.y[seen, i]
+        reach = AWAY * float(np.ptp(values)) if len(values) else 0.0
+        if reach > 0.0:
+            low[i], high[i] = values.min() - reach, values.max() + reach
+    lost = ~(np.isfinite(y) & (y >= low) & (y <= high)).all(axis=1)
+    return int(np.argmax(lost)) if lost.any() else None
+
+
+def against_run(
+    model: MixedModel, series: Series, y: Array, x: Array, fine: Array, n_bands: int
+) -> Comparison:
+    """The noise-free run against the data, judged by simulations with noise (K, T, ny) if there are any."""
+    if not len(fine):
+        nothing = np.full_like(y, np.nan)
+        fits = _fits(model, series, y, nothing, nothing, [None] * model.ny)
+        return Comparison(y, nothing, nothing, fits, ())
+    tail = 0.5 * (1.0 - LEVEL)
+    lower, upper = np.quantile(fine, [tail, 1.0 - tail], axis=0)
+    signals = _signals(model, series, x, y)
+    regions, expected, errors_drawn = [], [], []
+    for i, (name, unit) in enumerate(model.outputs.items()):
+        e = series.y[:, i] - y[:, i]
+        seen = np.isfinite(e)
+        errors = np.where(seen, fine[:, :, i] - y[:, i], np.nan)
+        expected.append(float(np.sqrt(np.mean(errors[:, seen] ** 2))) if seen.any() else np.nan)
+        errors_drawn.append(np.sqrt(np.nanmean(errors**2, axis=1)) if seen.any() else np.zeros(1))
+        one = Errors(name, unit, e, upper[:, i] - lower[:, i], errors)
+        regions += _regions(one, signals, series, n_bands)
+    found = _fits(model, series, y, lower, upper, expected)
+    own = dict(zip(model.outputs, errors_drawn, strict=True))
+    fits = tuple(replace(f, as_wrong=float(np.mean(own[f.output] >= f.rmse))) for f in found)
+    return Comparison(y, lower, upper, fits, tuple(regions))
+
+
+def against_predictions(
+    model: MixedModel, series: Series, path: MomentPath, z: Array, n_bands: int
+) -> Comparison:
+    """One-step predictions against the data, without the first ones from an unknown first state."""
+    H_mean = series.y - path.innovations
+    y = np.where(np.isfinite(H_mean), H_mean, np.nan)
+    spread = np.sqrt(np.maximum(np.diagonal(path.S, axis1=1, axis2=2), 0.0))
+    half = 1.959964 * spread
+    lower, upper = y - half, y + half
+    signals = _signals(model, series, path.predicted, y)
+    regions = []
+    settled = np.where(spread > TRANSIENT * np.median(spread, axis=0), np.nan, path.innovations)
+    for i, (name, unit) in enumerate(model.outputs.items()):
+        one = Errors(name, unit, settled[:, i], 2.0 * half[:, i])
+        regions += _regions(one, signals, series, n_bands, spectrum=False)
+        if series.dt is not None:
+            flat = Errors(name, "standard deviations", z[:, i], 2.0 * half[:, i] / spread[:, i])
+            regions += by_frequency(flat, series.dt, n_bands)
+    known = np.isfinite(settled)
+    expected = [_root_mean(spread[known[:, i], i] ** 2) for i in range(model.ny)]
+    fits = []
+    for f in _fits(model, series, np.where(known, y, np.nan), lower, upper, expected):
+        e = settled[:, list(model.outputs).index(f.output)]
+        seen = np.isfinite(e)
+        error = newey_west(np.where(seen, e - f.bias, 0.0), int(seen.sum()))
+        fits.append(replace(f, bias_error=error))
+    return Comparison(y, lower, upper, tuple(fits), tuple(regions))
+
+
+def _signals(
+    model: MixedModel, series: Series, x: Array, y: Array
+) -> list[tuple[str, str, str, Array]]:
+    """(kind, name, unit, values (T,)) of all that is known before an error is; then time."""
+    named = [("state", n, u) for n, u in {**model.nonlinear, **model.linear}.items()]
+    named += [("input", n, u) for n, u in model.inputs.items()]
+    named += [("output", n, u) for n, u in model.outputs.items()]
+    values = [*x.T, *series.u.T, *y.T]
+    out = [(*name, value) for name, value in zip(named, values, strict=True)]
+    out.append(("time", "time", "s", np.asarray(series.t)))
+    return out
+
+
+def _regions(
+    errors: Errors,
+    signals: list[tuple[str, str, str, Array]],
+    series: Series,
+    n_bands: int,
+    spectrum: bool = True,
+) -> list[Region]:
+    if not np.isfinite(errors.e).any():
+        return []
+    out: list[Region] = []
+    done: list[Array] = []
+    for kind, name, unit, values in signals:
+        if any(_same(values, other) for other in done):
+            continue  # an output that is a state
+        done.append(values)
+        out += by_signal(errors, kind, name, unit, values, n_bands)
+    if spectrum and series.dt is not None:
+        out += by_frequency(errors, series.dt, n_bands)
+    return out
+
+
+def _fits(
+    model: MixedModel,
+    series: Series,
+    y: Array,
+    lower: Array,
+    upper: Array,
+    expected: Sequence[float | None],
+) -> tuple[Fit, ...]:
+    out = []
+    for i, (name, unit) in enumerate(model.outputs.items()):
+        seen = series.observed[:, i] & np.isfinite(y[:, i])
+        if not seen.any():
+            continue
+        measured = series.y[seen, i]
+        e = measured - y[seen, i]
+        spread = float(measured.std())
+        rmse = _root_mean(e**2)
+        inside = (measured >= lower[seen, i]) & (measured <= upper[seen, i])
+        out.append(
+            Fit(
+                name,
+                unit,
+                rmse,
+                float(e.mean()),
+                100.0 * (1.0 - rmse / spread) if spread > 0.0 else float("nan"),
+                float(inside.mean()) if np.isfinite(upper[seen, i]).any() else float("nan"),
+                expected[i],
+            )
+        )
+    return tuple(out)
+
+
+def _same(one: Array, other: Array) -> bool:
+    """Whether two signals are one, up to rounding."""
+    both = np.isfinite(one) & np.isfinite(other)
+    if not both.any() or not np.array_equal(np.isfinite(one), np.isfinite(other)):
+        return False
+    close = 1e-9 * float(np.ptp(one[both]))
+    return bool(np.abs(one[both] - other[both]).max() <= close)
+
+
+def _root_mean(squares: Array) -> float:
+    return float(np.sqrt(squares.mean())) if squares.size else float("nan")

@@ -1,0 +1,161 @@
+"""What free-run simulation and one-step prediction get wrong, where, by how much: numbers and words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.symptoms.compare import (
+    AWAY,
+    Comparison,
+    Fit,
+    against_predictions,
+    against_run,
+    lost_at,
+)
+from engine.diagnose.symptoms.curves import bands_of, compared, residuals_of
+from engine.diagnose.symptoms.data_checks import check_data
+from engine.diagnose.symptoms.error_localization import NOTABLE, NOTABLE_RUN, most_telling
+from engine.diagnose.symptoms.residuals import Whiteness, auxiliary, pit, standardised, whiteness
+from engine.diagnose.symptoms.runs import draws, noise_free, start_state
+from engine.diagnose.symptoms.sentences import correlated, overall, sentence
+from engine.filters.sigma_point import moment_path
+from engine.json_values import plain
+from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.words import number
+
+__all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
+
+DRAWS = 200
+ROOM, FEWEST_DRAWS = 4_000_000, 40  # simulated samples in all: longer series get fewer draws
+FEWEST_FINE = 20  # simulations that do not run away, without which nothing is judged by them
+SHOWN = 4  # sentences on regions, of the free run and of the predictions
+
+
+@dataclass(frozen=True, eq=False)
+class Symptoms:
+    """What the model's simulation and predictions get wrong on a series.
+
+    ``sentences`` say it in words; ``free_run`` is None where it runs away. For pictures: standardised
+    innovations ``z``, their ``pit``, auxiliary residuals ``of_outputs`` (T, ny) and ``of_states`` (T-1, nx),
+    simulated states ``x`` (T, nx) and predicted states (T, nx).
+    """
+
+    sentences: tuple[str, ...]
+    model: MixedModel
+    series: Series
+    free_run: Comparison | None
+    one_step: Comparison
+    whiteness: tuple[Whiteness, ...]
+    z: Array
+    pit: Array
+    of_outputs: Array
+    of_states: Array
+    x: Array | None
+    predicted: Array
+
+    def to_dict(self) -> dict[str, Any]:
+        """As data: sentences, fits, notable regions, whiteness, and what pictures need.
+
+        Both comparisons hold ``curves`` over time by output and ``bands``: errors in each single band of
+        each signal, of time and of frequency. ``residuals`` are those of
+        :func:`engine.diagnose.symptoms.curves.residuals_of`. What is not finite is None.
+        """
+        states = [*self.model.nonlinear, *self.model.linear]
+        document = {
+            "sentences": list(self.sentences),
+            "free_run": self._comparison(self.free_run, NOTABLE_RUN),
+            "one_step": self._comparison(self.one_step, NOTABLE),
+            "residuals": residuals_of(
+                self.series.t, self.z, self.of_outputs, self.of_states, self.model.outputs, states
+            ),
+            "whiteness": [asdict(w) for w in self.whiteness],
+        }
+        cleaned: dict[str, Any] = plain(document)
+        return cleaned
+
+    def _comparison(self, comparison: Comparison | None, notable: float) -> dict[str, Any] | None:
+        if comparison is None:
+            return None
+        regions = most_telling(list(comparison.regions), 4 * SHOWN, notable)
+        series, c = self.series, comparison
+        names = list(self.model.outputs)
+        return {
+            "fits": [asdict(f) for f in c.fits],
+            "regions": [asdict(r) for r in regions],
+            "bands": bands_of(c.regions),
+            "curves": compared(series.t, series.y, c.y, c.lower, c.upper, names),
+        }
+
+
+def find_symptoms(
+    model: MixedModel,
+    theta: ThetaLike,
+    series: Series,
+    covariance: Array | None = None,
+    n_bands: int = 8,
+    seed: int = 0,
+) -> Symptoms:
+    """Compare a model at theta with a series; ``covariance`` (n_theta, n_theta) is theta's uncertainty.
+
+    The free run starts at the first state as estimated from the first tenth of the rows and sees no
+    measurement after that; its 95 % band holds the uncertainty of the first state, of theta, of the
+    process and of the measurement (200 simulations, fewer of more than 20,000 samples). Errors are
+    measured minus simulated or predicted. Raises ModelError where the filter is lost.
+    """
+    vector = np.asarray(model.theta(theta))
+    path = moment_path(model, vector, series)
+    z = standardised(path, series)
+    one_step = against_predictions(model, series, path, z, n_bands)
+    free, x, sentences = None, None, []
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean, P = start_state(model, vector, series)
+        y, states = noise_free(model, vector, series, mean)
+        row = lost_at(y, series)
+        if row is None:
+            x = states
+            n = int(np.clip(ROOM // len(series), FEWEST_DRAWS, DRAWS))
+            drawn = draws(model, vector, series, mean, P, covariance, n, rng)
+            fine = drawn[np.isfinite(drawn).all(axis=(1, 2))]
+            if len(fine) < FEWEST_FINE:
+                fine = fine[:0]
+                sentences.append(
+                    "Most of the model's own simulations run away: what it leads to expect of the free run is "
+                    "not known."
+                )
+            free = against_run(model, series, y, states, fine, n_bands)
+        else:
+            sentences.append(
+                f"The free run runs away: from t = {number(float(series.t[row]), 6)} s on it is further off "
+                f"than {AWAY:g} times the range of the readings."
+            )
+    white = whiteness(z, tuple(model.outputs))
+    for comparison, what in ((free, "simulation"), (one_step, "prediction")):
+        if comparison is None:
+            continue
+        sentences += [overall(f, what) for f in comparison.fits]
+        notable = NOTABLE_RUN if what == "simulation" else NOTABLE
+        telling = most_telling(list(comparison.regions), SHOWN, notable)
+        sentences += [sentence(r, what, model.outputs[r.output]) for r in telling]
+    sentences += [
+        correlated(w.output, w.statistic, w.lags, w.p_value) for w in white if w.p_value < 0.001
+    ]
+    of_y, of_x = auxiliary(path, series)
+    return Symptoms(
+        tuple(sentences),
+        model,
+        series,
+        free,
+        one_step,
+        white,
+        z,
+        pit(z),
+        of_y,
+        of_x,
+        x,
+        path.predicted,
+    )

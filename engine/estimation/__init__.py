@@ -1,0 +1,1 @@
+"""Parameters by maximum likelihood, and how well they are known."""

@@ -1,0 +1,122 @@
+"""The E steps of EM: from theta_k to the Q-function; paper, Algorithm 1, step 2.
+
+An E step is a function of theta and a random generator that returns an :class:`EStep`. RBPS-EM runs
+the RBPF and the RB-FFBSi, RTS-EM the Kalman smoother; what follows is the same for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.errors import OptionError
+from engine.estimation.expectation import expectation
+from engine.estimation.linear import as_linear
+from engine.estimation.maximization import Objective
+from engine.filters.kalman import kalman_smoother
+from engine.filters.proposals import Proposal, get_proposal
+from engine.filters.rbpf import Filtered, check_options, rbpf
+from engine.smoothers.exact_conditional import condition_on_trajectories
+from engine.smoothers.linear_cost import rb_ffbsi_linear
+from engine.smoothers.moments import Moments
+from engine.smoothers.rb_ffbsi import rb_ffbsi
+from engine.statespace.model import MixedModel, Theta
+from engine.statespace.points import Points
+
+SMOOTHERS = ("exact", "algorithm-3", "linear-cost")
+LOST_SHARE = 0.05  # a filter that collapses at more than this share of its rows is run again ...
+RETRIES = (4, 16)  # ... with this many times the particles
+
+
+@dataclass(frozen=True, eq=False)
+class EStep:
+    """The Q-function at theta_k with the log-likelihood and health of the filter behind it.
+
+    ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left,
+    ``lost_at`` the first of them in words.
+    """
+
+    q: Objective
+    log_likelihood: float
+    ess: float
+    collapsed: float
+    lost_at: str = ""
+
+
+Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
+
+
+def rbps_step(
+    model: MixedModel,
+    listed: Sequence[Series],
+    n_particles: int,
+    n_trajectories: int,
+    *,
+    proposal: str | Proposal = "adapted",
+    resampling: str = "systematic",
+    ess_threshold: float = 0.5,
+    smoother: str = "exact",
+    recover: bool = True,
+) -> Expect:
+    """RBPF and RB-FFBSi over every series; options as in :func:`engine.rbps_em`."""
+    check_options(n_particles, resampling, ess_threshold)
+    get_proposal(proposal)
+    if smoother not in SMOOTHERS:
+        raise OptionError(
+            f"smoother '{smoother}' is not known; use exact or algorithm-3 or linear-cost",
+            "smoother",
+        )
+
+    def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> Filtered:
+        for times in (1, *RETRIES) if recover else (1,):
+            filtered = rbpf(
+                model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
+            )
+            if len(filtered.collapsed) <= LOST_SHARE * len(one):
+                break
+        return filtered
+
+    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
+        smoothed, log_likelihood, ess, lost, lost_at = [], 0.0, 0.0, 0, ""
+        for i, one in enumerate(listed):
+            filtered = run_filter(theta, one, rng)
+            if len(filtered.collapsed) and not lost_at:
+                row = int(filtered.collapsed[0])
+                lost_at = f"row {row} (t = {one.t[row]:g} s)" + (f" of series {i}" if i else "")
+            if smoother == "linear-cost":
+                draws = rb_ffbsi_linear(filtered, n_trajectories, rng, condition=False)
+            else:
+                draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
+            points = Points(model, one, draws.a)
+            if smoother != "algorithm-3":
+                draws = condition_on_trajectories(draws, points)
+            smoothed.append((Moments(draws.a, draws.z, draws.cov, draws.cross), points))
+            log_likelihood += filtered.log_likelihood
+            ess += float(filtered.ess.sum())
+            lost += len(filtered.collapsed)
+        n = sum(map(len, listed))
+        q = expectation(model, theta, smoothed)
+        return EStep(q, log_likelihood, ess / n, lost / n, lost_at)
+
+    return expect
+
+
+def rts_step(model: MixedModel, listed: Sequence[Series]) -> Expect:
+    """The exact Kalman smoother over every series, for linear Gaussian models."""
+    linear = as_linear(model)
+
+    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
+        smoothed, log_likelihood = [], 0.0
+        for one in listed:
+            k = kalman_smoother(model, theta, one)
+            points = Points(linear, one, np.zeros((len(one), 1, 0)))
+            moments = Moments(points.a, k.x[:, None], k.P[:, None], k.M[:, None])
+            smoothed.append((moments, points))
+            log_likelihood += k.log_likelihood
+        return EStep(expectation(linear, theta, smoothed), log_likelihood, 1.0, 0.0)
+
+    return expect

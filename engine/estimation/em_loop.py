@@ -1,0 +1,257 @@
+"""The loop of Algorithm 1 of the paper, for any E step: E step, M step, settled?
+
+Iteration k draws all its random numbers from ``SeedSequence(seed, spawn_key=(k,))`` and looks at
+nothing but the trace before it, so a run stopped after any iteration and resumed from its
+:class:`Checkpoint` gives the same bits as one that was never stopped.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import OptionError
+from engine.estimation.convergence import WINDOW, has_settled
+from engine.estimation.e_steps import LOST_SHARE, EStep, Expect
+from engine.estimation.em_result import Checkpoint, EmResult, Iteration
+from engine.estimation.expectation import parameter_scale
+from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.maximization import Objective, maximize
+from engine.estimation.outcome import Outcome
+from engine.estimation.start import FAR
+from engine.statespace.base import BaseModel, Theta, ThetaLike
+
+Callback: TypeAlias = Callable[[Iteration], Any]
+
+
+def iterate(
+    model: BaseModel,
+    expect: Expect,
+    theta0: ThetaLike,
+    free: Sequence[str] | None,
+    n_iterations: int,
+    seed: int,
+    callback: Callback | None,
+    resume: Checkpoint | EmResult | None,
+    m_step: str,
+    tolerance: float | None,
+    ahead: Callable[[Theta], Theta | None] | None = None,
+    likelihood: LikelihoodStep | None = None,
+) -> EmResult:
+    """The loop of Algorithm 1: E step, M step, settled?
+
+    ``ahead`` may name a point from which the first iteration leaves if that is far more likely;
+    ``likelihood`` moves the parameters to which the Q-function is no guide.
+    """
+    if int(n_iterations) != n_iterations or n_iterations < 1:
+        raise OptionError(
+            f"n_iterations = {n_iterations}; a positive whole number is needed", "n_iterations"
+        )
+    indices = model.free_indices(free)
+    names = tuple(model.parameter_names[i] for i in indices)
+    log = _Log(model, theta0, resume, n_iterations)
+    step = _Iterate(expect, indices, seed, m_step, ahead, likelihood)
+    outcome, last = Outcome.ITERATIONS_USED_UP, None
+    settled = log.settled(indices, tolerance)
+    for k in range(log.k + 1, n_iterations + 1):
+        if settled:
+            break
+        started = time.perf_counter()
+        last = step(k, log.theta)
+        it = log.add(k, last.theta, last.seen, time.perf_counter() - started)
+        if not last.finite:
+            outcome = Outcome.DIVERGED
+            break
+        settled = log.settled(indices, tolerance)
+        if _stops(callback, it):
+            outcome = Outcome.STOPPED_BY_CALLER
+            break
+    if settled and outcome is not Outcome.STOPPED_BY_CALLER:
+        outcome = Outcome.CONVERGED
+    if last is None and log.k:  # all was done before: the last iteration again, for what it said
+        last = step(log.k, log.trace[-2])
+    return log.result(names, outcome, last)
+
+
+@dataclass(frozen=True, eq=False)
+class _Iterated:
+    """One iteration: theta after it, the E step before it; what the M step left from, and how it went."""
+
+    theta: Theta
+    seen: EStep
+    finite: bool
+    q: Objective
+    at: Theta
+    by_likelihood: tuple[str, ...] = ()
+    whose: str = ""
+    stuck: tuple[str, ...] = ()
+
+    def not_moved(self, indices: Sequence[int]) -> tuple[str, ...]:
+        """Names of the free parameters that neither Q nor the likelihood depends on."""
+        silent = ~(np.diag(self.q.derivatives(self.at, np.array(indices, np.intp))[2]) > 0.0)
+        moved = self.by_likelihood
+        there = (self.theta.names[k] for k, quiet in zip(indices, silent, strict=True) if quiet)
+        names = {*self.stuck, *(name for name in there if name not in moved)}
+        return tuple(name for name in self.theta.names if name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """Iteration k from theta_{k-1}; it depends on nothing else."""
+
+    expect: Expect
+    indices: NDArray[np.intp]
+    seed: int
+    m_step: str
+    ahead: Callable[[Theta], Theta | None] | None
+    likelihood: LikelihoodStep | None
+
+    def __call__(self, k: int, theta: Theta) -> _Iterated:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(k,)))
+        step = self.expect(theta, rng)
+        origin, at = step, theta
+        if k == 1 and self.ahead is not None:
+            at, origin = _more_likely(self.expect, self.ahead(theta), theta, step, rng)
+        if not np.isfinite(origin.log_likelihood):
+            return _Iterated(at, step, False, origin.q, at)
+        q, names = origin.q, np.array(theta.names)
+        exact = q.moves_noise_free(at, self.indices)  # Q says nothing, or too little, about these
+        new = Theta(maximize(q, at, self.indices[~exact], self.m_step), theta.names)
+        stuck = exact.copy()
+        if exact.any() and self.likelihood is not None:
+            new, stuck[exact] = self.likelihood(new, self.indices[exact])
+        return _Iterated(
+            new,
+            step,
+            bool(np.isfinite(np.asarray(new)).all()),
+            q,
+            at,
+            tuple(names[self.indices[exact & ~stuck]]),
+            "" if self.likelihood is None else self.likelihood.whose,
+            tuple(names[self.indices[stuck]]),
+        )
+
+
+def _more_likely(
+    expect: Expect, other: Theta | None, theta: Theta, step: EStep, rng: np.random.Generator
+) -> tuple[Theta, EStep]:
+    """Theta with its E step, or the other if that is far more likely by the particle filter."""
+    if other is not None:
+        there = expect(other, rng)
+        gain = there.log_likelihood - step.log_likelihood
+        if np.isfinite(there.log_likelihood) and not gain < FAR:
+            return other, there
+    return theta, step
+
+
+def _stops(callback: Callback | None, iteration: Iteration) -> bool:
+    if callback is None:
+        return False
+    try:
+        return callback(iteration) is True
+    except StopIteration:
+        return True
+
+
+class _Log:
+    """The trace as it grows."""
+
+    def __init__(
+        self,
+        model: BaseModel,
+        theta0: ThetaLike,
+        resume: Checkpoint | EmResult | None,
+        n_iterations: int,
+    ) -> None:
+        self.model, self.n_iterations = model, n_iterations
+        self.lost_at = ""
+        if resume is None:
+            self.trace = [model.theta(theta0)]
+            self.rows: list[tuple[float, float, float, float]] = []
+            return
+        if resume.trace.shape != (len(resume.log_likelihood) + 1, len(model.parameters)):
+            raise OptionError(
+                f"resume has a trace of shape {resume.trace.shape} and "
+                f"{len(resume.log_likelihood)} log-likelihoods; model '{model.name}' needs "
+                f"(k + 1, {len(model.parameters)}) and k",
+                "resume",
+            )
+        self.trace = [model.theta(row) for row in resume.trace]
+        self.rows = list(
+            zip(
+                resume.log_likelihood.tolist(),
+                resume.ess.tolist(),
+                resume.seconds.tolist(),
+                resume.collapsed.tolist(),
+                strict=True,
+            )
+        )
+
+    @property
+    def k(self) -> int:
+        return len(self.rows)
+
+    @property
+    def theta(self) -> Theta:
+        return self.trace[-1]
+
+    def add(self, k: int, theta: Theta, step: EStep, seconds: float) -> Iteration:
+        self.trace.append(theta)
+        self.lost_at = step.lost_at or self.lost_at
+        self.rows.append((step.log_likelihood, step.ess, seconds, step.collapsed))
+        return Iteration(
+            k, self.n_iterations, theta, step.log_likelihood, step.ess, seconds, step.collapsed
+        )
+
+    def settled(self, indices: Any, tolerance: float | None) -> bool:
+        if tolerance is None or self.k < 2 * WINDOW:
+            return False
+        trace = np.array(self.trace[-2 * WINDOW - 1 :])
+        theta = np.asarray(self.theta)
+        scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
+        return has_settled(trace[:, indices], scale, tolerance)
+
+    def result(self, names: tuple[str, ...], outcome: Outcome, last: _Iterated | None) -> EmResult:
+        trace = np.array([np.asarray(row) for row in self.trace])
+        columns = np.array(self.rows).reshape(-1, 4).T
+        theta = trace[-1]
+        if outcome is Outcome.CONVERGED:
+            theta = trace[-WINDOW:].mean(axis=0)
+        lost = columns[3][-WINDOW:].mean() if self.k else 0.0
+        if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
+            outcome = Outcome.COLLAPSED
+        message = outcome.value
+        if lost > 0.0:
+            message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows"
+            message += f", first at {self.lost_at}." if self.lost_at else "."
+        stuck: tuple[str, ...] = ()
+        if last is not None and outcome is not Outcome.DIVERGED:
+            stuck = last.not_moved([self.model.index(name) for name in names])
+        if last is not None and last.by_likelihood:
+            message += (
+                f" Estimated by scoring on {last.whose} likelihood, as EM cannot move what enters "
+                f"without noise: {', '.join(last.by_likelihood)}."
+            )
+        if stuck:
+            message += (
+                f" Not estimated, as the likelihood does not depend on them here or cannot be had: "
+                f"{', '.join(stuck)}. Hold them fixed (free=), or start elsewhere."
+            )
+        return EmResult(
+            self.model,
+            names,
+            Theta(theta, self.model.parameter_names),
+            trace,
+            columns[0],
+            columns[1],
+            columns[2],
+            columns[3],
+            outcome,
+            message,
+            stuck,
+        )

@@ -1,0 +1,122 @@
+"""The E step of PS-EM for general models: Q(theta, theta_k) from smoothed trajectories; poster."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.estimation.e_steps import LOST_SHARE, RETRIES, EStep, Expect
+from engine.estimation.expectation import STEP, parameter_scale
+from engine.filters.rbpf import check_options
+from engine.smoothers.general import check_rows, filter_general, smooth_general
+from engine.statespace.base import Array, Theta
+from engine.statespace.general import NonlinearModel
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryQ:
+    """Q(theta, theta_k) = I_prior + I_pred + I_lh as averages over trajectories; poster.
+
+    ``draws`` holds, for every series, trajectories (T, N, nx). Gradients are central differences of
+    the log-densities, of all points at once; the scoring matrix is the outer product of the scores.
+    """
+
+    model: NonlinearModel
+    draws: Sequence[tuple[Series, Array]]
+
+    def value(self, theta: Array) -> float:
+        """Q(theta, theta_k)."""
+        record = self.model.record(theta)
+        total = sum(float(log_p.mean(axis=1).sum()) for log_p in self._log_densities(record))
+        return total if np.isfinite(total) else -np.inf
+
+    def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
+        """Value, gradient (n,) and outer product of scores (n, n) in the n free parameters."""
+        gradient, H = np.zeros(len(free)), np.zeros((len(free), len(free)))
+        slopes = []
+        for k in free:
+            step = STEP * parameter_scale(self.model, theta, int(k))
+            below, above = np.array(theta), np.array(theta)
+            below[k] = max(theta[k] - step, self.model.lower[k])
+            above[k] = min(theta[k] + step, self.model.upper[k])
+            pair = (self._log_densities(self.model.record(end)) for end in (below, above))
+            slopes.append([(b - a) / (above[k] - below[k]) for a, b in zip(*pair, strict=True)])
+        for part in zip(*slopes, strict=True):
+            scores = np.array(part)  # (n, T, N)
+            gradient += scores.mean(axis=2).sum(axis=1)
+            H += np.einsum("atj,btj->ab", scores, scores) / scores.shape[2]
+        return self.value(theta), gradient, H
+
+    def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """None (n,): a general model is given by densities, which have no such directions."""
+        return np.zeros(len(free), dtype=bool)
+
+    def _log_densities(self, record: Any) -> list[Array]:
+        """log p(x_1) (1, N), log p(x_{t+1} | x_t) (T-1, N), log p(y_t | x_t) (T', N) of every series."""
+        parts = []
+        for series, x in self.draws:
+            parts.append(self.model.initial(record).log_density(x[0])[None])
+            parts.append(log_transitions(self.model, series, x, record))
+            parts.append(log_outputs(self.model, series, x, record))
+        return parts
+
+
+def log_transitions(model: NonlinearModel, series: Series, x: Array, record: Any) -> Array:
+    """log p(x_{t+1} | x_t) (T-1, N) along trajectories x (T, N, nx)."""
+    T, N, nx = x.shape
+    u, times = np.repeat(series.u[:-1].T, N, axis=1), np.repeat(series.t[:-1], N)
+    dt: Any = series.dt if series.dt is not None else np.repeat(series.steps, N)
+    f, g = model.transition(x[:-1].reshape(-1, nx), u, times, dt, record)
+    return model.log_transition(x[1:].reshape(-1, nx), f, g, record).reshape(T - 1, N)
+
+
+def log_outputs(model: NonlinearModel, series: Series, x: Array, record: Any) -> Array:
+    """log p(y_t | x_t) (T', N) at the T' rows with a measurement."""
+    rows = np.flatnonzero(series.observed.all(axis=1))
+    N, nx = x.shape[1:]
+    y = np.repeat(series.y[rows], N, axis=0)
+    u, times = np.repeat(series.u[rows].T, N, axis=1), np.repeat(series.t[rows], N)
+    log_p = model.log_measurement(y, x[rows].reshape(-1, nx), u, times, record)
+    return log_p.reshape(len(rows), N)
+
+
+def general_step(
+    model: NonlinearModel,
+    listed: Sequence[Series],
+    n_particles: int,
+    n_trajectories: int,
+    *,
+    resampling: str = "systematic",
+    ess_threshold: float = 0.5,
+    recover: bool = True,
+) -> Expect:
+    """The E step of PS-EM for general models; options as in :func:`engine.estimation.ps_em.ps_em`."""
+    check_options(n_particles, resampling, ess_threshold)
+    check_options(n_trajectories, resampling, ess_threshold)
+    for one in listed:
+        check_rows(one)
+
+    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
+        draws, log_likelihood, ess, lost = [], 0.0, 0.0, 0
+        for one in listed:
+            for times in (1, *RETRIES) if recover else (1,):
+                filtered = filter_general(
+                    model, theta, one, times * n_particles, rng, resampling, ess_threshold
+                )
+                if len(filtered.collapsed) <= LOST_SHARE * len(one):
+                    break
+            draws.append((one, smooth_general(filtered, n_trajectories, rng)))
+            log_likelihood += filtered.log_likelihood
+            ess += float(filtered.ess.sum())
+            lost += len(filtered.collapsed)
+        n = sum(map(len, listed))
+        model.transitions.look_again()
+        model.observations.look_again()
+        return EStep(TrajectoryQ(model, draws), log_likelihood, ess / n, lost / n)
+
+    return expect

@@ -1,0 +1,51 @@
+"""A linear Gaussian model with all its states in z, so that one E step serves it exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from engine.filters.kalman import (
+    linear_start,
+    observation_matrices,
+    start_probes,
+    transition_matrices,
+)
+from engine.statespace.model import Array, Gaussian, MixedModel
+
+
+def as_linear(model: MixedModel) -> MixedModel:
+    """The same model with x = (a, z) as its linear state and no nonlinear one.
+
+    Its functions raise ModelError where the model is not linear Gaussian in x.
+    """
+    if model.na == 0:
+        return model
+
+    last: list[Any] = [None, None]  # theta and its points: asked for at every time step
+
+    def points(theta: Any) -> Array:
+        if last[0] is not theta:
+            last[:] = theta, start_probes(model, theta)
+        return np.asarray(last[1])
+
+    def dynamics(a: Array, u: Array, t: float, dt: float, theta: Any) -> tuple[Any, Any, Any]:
+        return transition_matrices(model, theta, u, t, dt, points(theta))
+
+    def measurement(a: Array, u: Array, t: float, theta: Any) -> tuple[Any, Any, Any]:
+        return observation_matrices(model, theta, u, t, points(theta))
+
+    def initial(theta: Any) -> tuple[Gaussian, Any, Any]:
+        mean, P = linear_start(model, theta)
+        return Gaussian(np.empty(0), np.empty((0, 0))), mean, P
+
+    return replace(
+        model,
+        nonlinear={},
+        linear={**model.nonlinear, **model.linear},
+        dynamics=dynamics,
+        measurement=measurement,
+        initial=initial,
+    )

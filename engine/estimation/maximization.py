@@ -1,0 +1,107 @@
+"""The M step: theta_{k+1} = argmax Q(theta, theta_k) within the parameters' bounds; paper, eq. (5)."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from engine.errors import OptionError
+from engine.estimation.expectation import parameter_scale
+from engine.statespace.base import Array, BaseModel
+from engine.statespace.refutation import repeated_if_refuted
+
+STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
+GAIN = 1e-7  # an expected gain in Q (nats) below this is not worth a step
+LAST = 1e-2  # after a full step with an expected gain below this, what is left is not worth another
+RIDGE = 1e-10  # of the scaled scoring matrix, for parameters the data say nothing about
+
+
+class Objective(Protocol):
+    """What an M step maximises; :class:`engine.estimation.expectation.QFunction` is one."""
+
+    @property
+    def model(self) -> BaseModel:
+        """The model whose bounds are kept."""
+
+    def value(self, theta: Array) -> float:
+        """Q(theta, theta_k); -inf where theta is impossible."""
+
+    def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
+        """Value, gradient (n,) and a non-negative scoring matrix (n, n) in the free parameters."""
+
+    def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which free parameters (n,) move what has no noise, so that Q is no guide to them."""
+
+
+@repeated_if_refuted
+def maximize(q: Objective, theta: Array, free: NDArray[np.intp], method: str = "scoring") -> Array:
+    """The maximiser of Q over the free parameters, started at theta. Raises OptionError.
+
+    ``scoring`` takes Fisher scoring steps with a line search, ``bfgs`` is the paper's quasi-Newton
+    method (L-BFGS-B, which keeps the bounds). Neither ever returns a smaller Q than it was given.
+    """
+    if method == "scoring":
+        return _scoring(q, np.array(theta, dtype=float), free)
+    if method == "bfgs":
+        return _bfgs(q, np.array(theta, dtype=float), free)
+    raise OptionError(f"m_step '{method}' is not known; use scoring or bfgs", "m_step")
+
+
+def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
+    lower, upper = q.model.lower[free], q.model.upper[free]
+    for _ in range(STEPS):
+        value, g, H = q.derivatives(theta, free)
+        if not (np.isfinite(value) and np.isfinite(g).all() and np.isfinite(H).all()):
+            return theta
+        x = theta[free]
+        moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
+        if not moving.any():
+            return theta
+        direction = np.zeros_like(x)
+        direction[moving] = _solve(H[np.ix_(moving, moving)], g[moving])
+        expected = float(g @ direction)
+        if not expected > GAIN:
+            return theta
+        step = 1.0
+        while step > 1e-4:
+            trial = theta.copy()
+            trial[free] = np.clip(x + step * direction, lower, upper)
+            if q.value(trial) >= value + 1e-4 * float(g @ (trial[free] - x)):
+                break
+            step *= 0.5
+        else:
+            return theta
+        theta = trial
+        if step == 1.0 and expected < LAST:
+            return theta
+    return theta
+
+
+def _solve(H: Array, g: Array) -> Array:
+    """H^{-1} g with H scaled to a unit diagonal and slightly ridged."""
+    scale = 1.0 / np.sqrt(np.diag(H))
+    scaled = H * scale[:, None] * scale[None, :]
+    scaled[np.diag_indices_from(scaled)] += RIDGE
+    return np.asarray(np.linalg.solve(scaled, g * scale) * scale)
+
+
+def _bfgs(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
+    scale = np.array([parameter_scale(q.model, theta, k) for k in free])
+
+    def negative(x: Array) -> tuple[float, Array]:
+        trial = theta.copy()
+        trial[free] = np.clip(x * scale, q.model.lower[free], q.model.upper[free])
+        value, g, _ = q.derivatives(trial, free)
+        if not np.isfinite(value):
+            return 1e300, np.zeros_like(x)
+        return -value, -g * scale
+
+    bounds = list(zip(q.model.lower[free] / scale, q.model.upper[free] / scale, strict=True))
+    start = theta[free] / scale
+    found = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    best = theta.copy()
+    best[free] = np.clip(found.x * scale, q.model.lower[free], q.model.upper[free])
+    return best if q.value(best) >= q.value(theta) else theta

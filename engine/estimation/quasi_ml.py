@@ -1,0 +1,280 @@
+"""Maximum of the moment filter's likelihood: Fisher scoring on a smooth, deterministic function.
+
+With innovations nu_t and their covariance S_t from :mod:`engine.filters.sigma_point`, the log-likelihood is
+the sum of log N(nu_t; 0, S_t), its gradient the central difference of its own values, and the
+information
+
+    H_kl = sum nu_t,k' S_t^{-1} nu_t,l + 1/2 tr(S_t^{-1} S_t,k S_t^{-1} S_t,l),
+
+with nu_t,k and S_t,k the derivatives along parameter k. One pass of the filter evaluates all neighbours
+of theta, another a whole line search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series, as_series_list
+from engine.errors import ModelError
+from engine.estimation.expectation import parameter_scale
+from engine.filters.sigma_point import free_thetas, moment_filter
+from engine.statespace.checks import check_start
+from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.statespace.refutation import repeated_if_refuted
+
+DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
+TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths tried at once
+GOOD = 0.25  # of the expected gain; expected is twice what a quadratic function gains
+ENOUGH = 1e-3  # an expected gain in log-likelihood below this ends the search
+TRIALS = 8  # sizes tried for a parameter of unknown scale
+PATIENCE = 3  # iterations before a search may be given up as hopeless
+DAMPING = 1e-8  # of the information scaled to a unit diagonal
+RIDGE = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class QuasiFit:
+    """The maximum: ``theta``, ``log_likelihood``, ``information`` (n, n) of the free parameters ``free``.
+
+    ``given_up`` tells that the search was left before its end, as it was not expected to reach its target.
+    """
+
+    model: MixedModel
+    theta: Theta
+    log_likelihood: float
+    free: tuple[str, ...]
+    information: Array
+    iterations: int
+    converged: bool
+    given_up: bool = False
+
+    @property
+    def covariance(self) -> Array:
+        """Of the free parameters (n, n), from the information; inf where there is none."""
+        H = self.information
+        with np.errstate(divide="ignore", invalid="ignore"):
+            d = np.where(np.diag(H) > 0.0, 1.0 / np.sqrt(np.diag(H)), 0.0)
+        scaled = H * d[:, None] * d[None, :] + np.diag(np.where(d > 0.0, DAMPING, 1.0))
+        covariance = np.linalg.pinv(scaled, hermitian=True) * d[:, None] * d[None, :]
+        unknown = np.flatnonzero(d == 0.0)
+        covariance[unknown, unknown] = np.inf
+        return np.asarray(covariance)
+
+    @property
+    def standard_errors(self) -> Array:
+        """Of the free parameters (n,), from the information; inf where there is none."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+
+@repeated_if_refuted
+def quasi_ml(
+    model: MixedModel,
+    series: Series | Sequence[Series],
+    theta0: ThetaLike = None,
+    free: Sequence[str] | None = None,
+    max_iterations: int = 40,
+    tolerance: float = ENOUGH,
+    target: float = -np.inf,
+) -> QuasiFit:
+    """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
+
+    The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
+    where even twice what is expected would not reach ``target``; then ``given_up`` is True.
+    Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
+    """
+    listed = as_series_list(series, model)
+    theta = np.asarray(model.theta(theta0))
+    indices = model.free_indices(free)
+    for one in listed:
+        check_start(model, theta, one)
+    given, model = model, with_scales(model, listed, theta, indices)
+    names = tuple(model.parameter_names[i] for i in indices)
+    lower, upper = model.lower[indices], model.upper[indices]
+    value, g, H = derivatives(model, listed, theta, indices)
+    if not np.isfinite(value):
+        raise ModelError(
+            f"model '{model.name}': the likelihood is not finite at the start values; choose others"
+        )
+    converged, given_up, iterations, damping = False, False, 0, DAMPING
+    while iterations < max_iterations:
+        iterations += 1
+        x = theta[indices]
+        direction = _direction(x, g, H, lower, upper, damping)
+        expected = float(g @ direction)
+        if not expected > tolerance:
+            converged = True
+            break
+        if iterations > PATIENCE and value + expected < target:
+            given_up = True
+            break
+        moved, there = _step(model, listed, theta, indices, direction, value, expected)
+        if moved is None:
+            if damping > 1.0:
+                break
+            damping = max(damping * 1e3, 1e-4)
+            continue
+        damping = max(damping / 10.0, DAMPING)
+        if not np.isfinite(there[0]):
+            break
+        gained, theta = there[0] - value, moved
+        value, g, H = there
+        if gained < 0.1 * tolerance:
+            converged = True
+            break
+    return QuasiFit(
+        given,
+        Theta(theta, model.parameter_names),
+        float(value),
+        names,
+        H,
+        iterations,
+        converged,
+        given_up,
+    )
+
+
+def with_scales(
+    model: MixedModel, listed: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+) -> MixedModel:
+    """The model with a ``scale`` for each parameter of ``indices`` whose default is 0 and that has none.
+
+    It is the value in ``theta``; where that is 0 too, what changes a prediction by about one of its
+    standard deviations, from the information at theta, if it can be had.
+    """
+    parameters = list(model.parameters)
+    unknown = [k for k in indices if parameters[k].default == parameters[k].scale == 0.0]
+    for k in unknown:
+        scale = abs(float(theta[k])) or _informed_scale(model, listed, np.asarray(theta), int(k))
+        scale = scale or parameter_scale(model, theta, k)
+        parameters[k] = replace(parameters[k], scale=scale)
+    return model.with_parameters(parameters) if unknown else model
+
+
+def _informed_scale(model: MixedModel, listed: Sequence[Series], theta: Array, k: int) -> float:
+    """1 / sqrt(information of one reading) on parameter k; 0 where there is none."""
+    scale, n = 1.0, sum(int(one.observed.sum()) for one in listed)
+    for _ in range(
+        TRIALS
+    ):  # differences over steps of a wrong size are lost in rounding, or too long
+        parameters = list(model.parameters)
+        parameters[k] = replace(parameters[k], scale=scale)
+        tried = model.with_parameters(parameters)
+        try:
+            value, _, H = derivatives(tried, listed, theta, np.array([k]))
+        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return 0.0
+        if not np.isfinite(value):
+            scale *= 1e-3
+            continue
+        found = float(np.sqrt(n / H[0, 0])) if H[0, 0] > 0.0 else 1e6 * scale
+        if 0.1 < found / scale < 10.0:
+            return found
+        scale = found
+    return 0.0
+
+
+def _step(
+    model: MixedModel,
+    listed: Sequence[Series],
+    theta: Array,
+    indices: NDArray[np.intp],
+    direction: Array,
+    value: float,
+    expected: float,
+) -> tuple[Array | None, tuple[float, Array, Array]]:
+    """The new theta with its derivatives; None where no step along the direction is better.
+
+    The whole step is tried with its derivatives at once, as most steps are good; where it gains
+    less than a part of what was expected, step lengths are compared first.
+    """
+    lower, upper = model.lower[indices], model.upper[indices]
+    trials = np.clip(theta[indices] + TRIES[:, None] * direction, lower, upper)
+    moved = free_thetas(theta, indices, trials[:1])[0]
+    there = derivatives(model, listed, moved, indices)
+    if there[0] > value + GOOD * expected:
+        return moved, there
+    values = log_likelihoods(model, listed, free_thetas(theta, indices, trials[1:]))
+    best = 1 + int(np.argmax(values))
+    if there[0] > value and not values[best - 1] > there[0]:
+        return moved, there
+    if not values[best - 1] > value:
+        return None, there
+    moved = free_thetas(theta, indices, trials[best : best + 1])[0]
+    return moved, derivatives(model, listed, moved, indices)
+
+
+def log_likelihoods(model: MixedModel, listed: Sequence[Series], thetas: Array) -> Array:
+    """Log-likelihood of all series together at each of the parameter vectors (K, n_theta)."""
+    each = [moment_filter(model, thetas, one).log_likelihood for one in listed]
+    return np.asarray(np.sum(each, axis=0))
+
+
+def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Rows theta, then theta -+ a step in each free parameter; distances between the pairs (n,)."""
+    thetas = [np.array(theta)]
+    distances = []
+    for k in indices:
+        step = DIFFERENCE * parameter_scale(model, theta, k)
+        low, high = np.array(theta), np.array(theta)
+        low[k] = max(theta[k] - step, model.lower[k])
+        high[k] = min(theta[k] + step, model.upper[k])
+        thetas += [low, high]
+        distances.append(high[k] - low[k])
+    return np.array(thetas), np.array(distances)
+
+
+def derivatives(
+    model: MixedModel, listed: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+) -> tuple[float, Array, Array]:
+    """Log-likelihood, gradient (n,) and information (n, n) in the free parameters."""
+    thetas, distances = neighbours(model, theta, indices)
+    n = len(indices)
+    value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
+    for one in listed:
+        f = moment_filter(model, thetas, one)
+        total = f.log_likelihood
+        value += float(total[0])
+        if not np.isfinite(value):
+            return -np.inf, g, H
+        with np.errstate(
+            invalid="ignore", over="ignore"
+        ):  # a lost neighbour: the value is -inf below
+            g += (total[2::2] - total[1::2]) / distances
+            d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
+            d_S = f.S[:, 2::2] - f.S[:, 1::2]
+            root = whitening(f.S[:, 0], one.observed)
+            z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None])
+            z = z.reshape(n, root.shape[0] * root.shape[1])
+            E = root[:, None] @ (d_S / distances[:, None, None]) @ root[:, None].swapaxes(-1, -2)
+            E = E.swapaxes(0, 1).reshape(n, root.size)
+            H += z @ z.T + 0.5 * E @ E.T
+    if not (np.isfinite(g).all() and np.isfinite(H).all()):
+        value = -np.inf
+    return value, g, H
+
+
+def whitening(S: Array, observed: NDArray[np.bool_]) -> Array:
+    """S_t^{-1/2} (T, ny, ny) by Cholesky, with zero rows and columns for missing channels."""
+    ny = S.shape[1]
+    there = observed[:, :, None] & observed[:, None, :]
+    ridge = RIDGE * np.eye(ny) * S  # of each channel's own variance, whatever their units
+    safe = np.where(there, S + ridge, np.eye(ny))
+    inverse = np.linalg.inv(np.linalg.cholesky(safe))
+    out: Array = np.where(there, inverse, 0.0)
+    return out
+
+
+def _direction(x: Array, g: Array, H: Array, lower: Array, upper: Array, damping: float) -> Array:
+    """A damped scoring step in the parameters that are not held at a bound."""
+    moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
+    direction = np.zeros_like(x)
+    if moving.any():
+        H = H[np.ix_(moving, moving)]
+        scale = 1.0 / np.sqrt(np.diag(H))
+        scaled = H * scale[:, None] * scale[None, :] + damping * np.eye(len(scale))
+        direction[moving] = np.linalg.solve(scaled, g[moving] * scale) * scale
+    return direction

@@ -1,0 +1,96 @@
+"""The score of the free parameters.
+
+Fisher's identity gives it as the gradient of the Q-function at its own theta,
+
+    s(theta) = d log p_theta(y) / d theta = d Q(theta', theta) / d theta' at theta' = theta,
+
+so that any E step yields it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.estimation.e_steps import Expect, rbps_step, rts_step
+from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.quasi_ml import with_scales
+from engine.statespace.model import Array, MixedModel, Theta
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """The score in the parameters ``indices`` (n,), the others held at ``theta``.
+
+    It is an average over trajectories drawn by the particle smoother, or, where ``exact``, comes
+    from the Kalman smoother and needs no random numbers. Fisher's identity does not hold for parameters
+    that move what has no noise: theirs is that of ``likelihood``, see :mod:`engine.estimation.likelihood_step`.
+    """
+
+    model: MixedModel
+    theta: Theta
+    indices: NDArray[np.intp]
+    expect: Expect
+    exact: bool
+    likelihood: LikelihoodStep
+
+    @classmethod
+    def of(
+        cls,
+        model: MixedModel,
+        theta: Theta,
+        listed: Sequence[Series],
+        indices: NDArray[np.intp],
+        n_particles: int,
+        n_trajectories: int,
+        exact: bool,
+    ) -> Score:
+        """With the default particle smoother, or the exact one (linear Gaussian models)."""
+        model = with_scales(model, listed, theta, indices)
+        whose = "the exact" if exact else "the moment filter's"
+        likelihood = LikelihoodStep(model, listed, whose)
+        if exact:
+            return cls(model, theta, indices, rts_step(model, listed), True, likelihood)
+        expect = rbps_step(model, listed, n_particles, n_trajectories)
+        return cls(model, theta, indices, expect, False, likelihood)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters it is taken in."""
+        return tuple(self.model.parameter_names[i] for i in self.indices)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper (n,)."""
+        return self.model.lower[self.indices], self.model.upper[self.indices]
+
+    @property
+    def x(self) -> Array:
+        """The parameters it is taken in (n,), at ``theta``."""
+        return np.asarray(self.theta)[self.indices]
+
+    def at(self, x: Array, seed: np.random.SeedSequence) -> tuple[Array, Array]:
+        """Score (n,) at values x (n,) of the parameters, and complete-data information (n, n)."""
+        values = np.array(self.theta)
+        values[self.indices] = x
+        theta = Theta(values, self.theta.names)
+        q = self.expect(theta, np.random.default_rng(seed)).q
+        _, gradient, information = q.derivatives(theta, self.indices)
+        exact = q.moves_noise_free(theta, self.indices)
+        if exact.any():
+            gradient[exact], own = self.likelihood.score(theta, self.indices[exact])
+            information[exact] = information[:, exact] = 0.0
+            information[np.ix_(exact, exact)] = own
+        return gradient, information
+
+
+def inside(model: MixedModel, theta: Theta, free: Sequence[str] | None) -> NDArray[np.intp]:
+    """Positions of the free parameters that are not at one of their bounds."""
+    indices = model.free_indices(free)
+    within = (theta[indices] > model.lower[indices]) & (theta[indices] < model.upper[indices])
+    out: NDArray[np.intp] = indices[within]
+    return out

@@ -1,0 +1,219 @@
+"""The exact Kalman filter and RTS smoother for linear Gaussian models: the oracle of the tests.
+
+Written in plain NumPy from the textbook formulas, independently of the kernels it checks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.errors import ModelError
+from engine.statespace.checks import check_start
+from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike
+from engine.views import Figures, figures, plots
+
+SAME = 1e-9  # share of its largest value by which what should not depend on a may do so
+ROUNDING = 1e-12  # of the values from whose difference a slope is taken
+SINGULAR = 1e-13  # eigenvalues of a correlation matrix below this are rounding
+LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class KalmanSmoothed:
+    """Exact moments of x = (a, z).
+
+    ``x`` (T, nx) and ``P`` (T, nx, nx) smoothed; ``M`` (T-1, nx, nx) = Cov(x_t, x_{t+1} | y_{1:T});
+    ``x_filtered``, ``P_filtered`` given y_{1:t}; ``x_predicted``, ``P_predicted`` given y_{1:t-1};
+    ``log_likelihood``.
+    """
+
+    model: MixedModel
+    theta: Theta
+    x: Array
+    P: Array
+    M: Array
+    x_filtered: Array
+    P_filtered: Array
+    x_predicted: Array
+    P_predicted: Array
+    log_likelihood: float
+
+    @property
+    def a(self) -> Array:
+        """Smoothed mean of a (T, na)."""
+        return self.x[:, : self.model.na]
+
+    @property
+    def z(self) -> Array:
+        """Smoothed mean of z (T, nz)."""
+        return self.x[:, self.model.na :]
+
+    def plot(self, series: Series) -> Figures:
+        """``states`` with 95 % bands over the times of the series smoothed; extra ``plot``."""
+        units = {**self.model.nonlinear, **self.model.linear}
+        sd = np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0))
+        return figures(states=plots().states(series.t, units, self.x, sd))
+
+
+def transition_matrices(
+    model: MixedModel, record: Any, u: Array, t: float, dt: float, points: Array
+) -> tuple[Array, Array, Array]:
+    """f (nx,), F (nx, nx), Q (nx, nx) of x' = f + F x + w, w ~ N(0, Q), x = (a, z).
+
+    ``points`` (n, na) of a from :func:`probes`. Raises ModelError where the model is not linear there.
+    """
+    return _matrices(model, "fAQ", model.transition(points, u, t, dt, record), points)
+
+
+def observation_matrices(
+    model: MixedModel, record: Any, u: Array, t: float, points: Array
+) -> tuple[Array, Array, Array]:
+    """h (ny,), H (ny, nx), R (ny, ny) of y = h + H x + e, e ~ N(0, R); as transition_matrices."""
+    return _matrices(model, "hCR", model.observation(points, u, t, record), points)
+
+
+def probes(centre: Array, sd: Array, typical: Array) -> Array:
+    """Points (na + 5, na) of a at which a model is asked whether it is linear, in the states' units.
+
+    The centre, one point along each axis, and others at random; as far away as the state is from zero
+    or its standard deviation ``sd`` (na,), whichever is more, and near by. ``typical`` (na,) sizes help
+    where both are zero.
+    """
+    na = len(centre)
+    draws = _draws(na)
+    far = np.maximum(sd, np.abs(centre))
+    far = np.where(far > 0.0, far, typical)
+    steps = (np.zeros((1, na)), np.diag(far), 3.0 * far * draws[0])
+    return np.asarray(centre + np.concatenate([*steps, 3.0 * sd * draws[1]]))
+
+
+@lru_cache(maxsize=64)
+def _draws(na: int) -> Array:
+    return np.random.default_rng(20).standard_normal((2, 2, na))
+
+
+def _matrices(
+    model: MixedModel, names: str, at: tuple[Array, Array, Array], points: Array
+) -> tuple[Array, Array, Array]:
+    """Intercept, matrix on x = (a, z) and covariance from the model's values ``at`` the points."""
+    value, matrix, cov = at
+    common = []
+    for name, m in ((names[1], matrix), (names[2], cov)):
+        if m.ndim == 3:
+            if (np.abs(m - m[:1]) > SAME * np.abs(m).max(axis=0)).any():
+                raise _not_linear(model, f"{name} depends on a")
+            m = m[0]
+        common.append(m)
+    slope = _slope(value, points)
+    if slope is None:
+        raise _not_linear(model, f"{names[0]} is not affine in a")
+    full = np.concatenate([slope, common[0]], axis=1)
+    return value[0] - slope @ points[0], full, common[1]
+
+
+def _slope(value: Array, points: Array) -> Array | None:
+    """J (n, na) with value = value_0 + (a - a_0) J' at all points, None where there is none."""
+    na = points.shape[1]
+    moved = points - points[0]
+    change = value - value[0]
+    with np.errstate(invalid="ignore"):
+        J = (change[1 : na + 1] / np.diagonal(moved[1 : na + 1])[:, None]).T
+        off = np.abs(change - moved @ J.T)
+        limit = SAME * np.abs(change).max(axis=0) + ROUNDING * np.abs(value).max(axis=0)
+    return J if (off <= limit).all() else None
+
+
+def _not_linear(model: MixedModel, why: str) -> ModelError:
+    return ModelError(f"model '{model.name}' is not linear Gaussian: {why}")
+
+
+def linear_start(model: MixedModel, record: Any) -> tuple[Array, Array]:
+    """Mean (nx,) and covariance (nx, nx) of x_1. Raises ModelError where it is not Gaussian."""
+    start = model.start(record)
+    if not isinstance(start.density, Gaussian):
+        raise _not_linear(model, "p(a_1) is not a Gaussian")
+    mean, Pa = start.density.mean, start.density.cov
+    points = probes(mean, np.sqrt(np.diagonal(Pa)), np.ones(model.na))
+    z, P1 = start.linear(points)
+    if P1.ndim == 3:
+        if (np.abs(P1 - P1[:1]) > SAME * np.abs(P1).max(axis=0)).any():
+            raise _not_linear(model, "P1 depends on a_1")
+        P1 = P1[0]
+    slope = _slope(z, points)  # z_1 may be affine in a_1
+    if slope is None:
+        raise _not_linear(model, "z1 is not affine in a_1")
+    P = np.block([[Pa, Pa @ slope.T], [slope @ Pa, slope @ Pa @ slope.T + P1]])
+    return np.concatenate([mean, z[0]]), P.reshape(model.nx, model.nx)
+
+
+def start_probes(model: MixedModel, record: Any) -> Array:
+    """The :func:`probes` about p(a_1)."""
+    mean, P = linear_start(model, record)
+    sd = np.sqrt(np.diagonal(P))[: model.na]
+    return probes(mean[: model.na], sd, np.ones(model.na))
+
+
+def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> KalmanSmoothed:
+    """Kalman filter and Rauch-Tung-Striebel smoother; missing channels are left out.
+
+    Raises ModelError where the model is not linear Gaussian in x = (a, z) at this theta.
+    """
+    theta = model.theta(theta)
+    check_start(model, theta, series.check(model))
+    record = model.record(theta)
+    T, nx = len(series), model.nx
+    x_p, x_f = np.empty((T, nx)), np.empty((T, nx))
+    P_p, P_f = np.empty((T, nx, nx)), np.empty((T, nx, nx))
+    F = np.empty((T - 1, nx, nx))
+    log_likelihood = 0.0
+    x, P = linear_start(model, record)
+    na = model.na
+    sizes = np.ones(na)  # until a state has a scale, any is as good
+    for t in range(T):
+        u, time = series.u[t], float(series.t[t])
+        # linear? asked again at each time, where the filter is
+        far = np.maximum(np.abs(x), np.sqrt(np.maximum(np.diagonal(P), 0.0)))[:na]
+        sizes = np.where(far > 0.0, far, sizes)
+        x_p[t], P_p[t] = x, P
+        there = series.observed[t]
+        points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
+        h, H, R = observation_matrices(model, record, u, time, points)
+        if there.any():
+            H, R = H[there], R[np.ix_(there, there)]
+            nu = series.y[t, there] - h[there] - H @ x
+            S = H @ P @ H.T + R
+            scale = _scale(S)
+            inverse = np.linalg.inv(S / np.outer(scale, scale)) / np.outer(scale, scale)
+            K = P @ H.T @ inverse
+            x = x + K @ nu
+            J = np.eye(nx) - K @ H
+            P = J @ P @ J.T + K @ R @ K.T
+            log_det = np.linalg.slogdet(S / np.outer(scale, scale))[1] + 2.0 * np.log(scale).sum()
+            log_likelihood -= 0.5 * float(len(nu) * LOG_2PI + log_det + nu @ inverse @ nu)
+        x_f[t], P_f[t] = x, P
+        if t < T - 1:
+            points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
+            dt = float(series.steps[t])
+            f, F[t], Q = transition_matrices(model, record, u, time, dt, points)
+            x = f + F[t] @ x
+            P = F[t] @ P @ F[t].T + Q
+    x_s, P_s, M = x_f.copy(), P_f.copy(), np.empty((T - 1, nx, nx))
+    for t in range(T - 2, -1, -1):
+        scale = _scale(P_p[t + 1])
+        ahead = np.linalg.pinv(P_p[t + 1] / np.outer(scale, scale), rcond=SINGULAR, hermitian=True)
+        G = P_f[t] @ F[t].T @ (ahead / np.outer(scale, scale))
+        x_s[t] = x_f[t] + G @ (x_s[t + 1] - x_p[t + 1])
+        P_s[t] = P_f[t] + G @ (P_s[t + 1] - P_p[t + 1]) @ G.T
+        M[t] = G @ P_s[t + 1]
+    return KalmanSmoothed(model, theta, x_s, P_s, M, x_f, P_f, x_p, P_p, log_likelihood)
+
+
+def _scale(S: Array) -> Array:
+    """Standard deviations (n,), 1 where zero: without units, small channels are not lost beside large."""
+    d = np.diagonal(S)
+    return np.sqrt(np.where(d > 0.0, d, 1.0))

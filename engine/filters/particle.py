@@ -1,0 +1,101 @@
+"""Bootstrap particle filter on the full state x = (a, z), without Rao-Blackwellization.
+
+The baseline of the report, section 6, and of PS-EM, paper, section V. A mixed model all of whose
+states count as nonlinear is again a mixed model, so the filter is Algorithm 2 of the report with
+nothing left to marginalize.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.filters.proposals import Proposal
+from engine.filters.rbpf import Filtered, rbpf
+from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.statespace.promotion import as_nonlinear
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleFiltered:
+    """What a particle filter leaves behind.
+
+    ``x`` (T, M, nx) particles of x = (a, z) with ``weights`` (T, M) before resampling;
+    ``log_likelihood``; ``ess`` (T,) effective sample size before resampling. ``model`` is the model it
+    was asked for, ``filtered`` the pass of Algorithm 2 on the same model with empty z.
+    """
+
+    model: MixedModel
+    filtered: Filtered
+
+    @property
+    def theta(self) -> Theta:
+        """Parameters of the pass."""
+        return self.filtered.theta
+
+    @property
+    def series(self) -> Series:
+        """The data."""
+        return self.filtered.series
+
+    @property
+    def x(self) -> Array:
+        """Particles (T, M, nx)."""
+        return self.filtered.a
+
+    @property
+    def a(self) -> Array:
+        """Nonlinear states (T, M, na)."""
+        return self.x[:, :, : self.model.na]
+
+    @property
+    def z(self) -> Array:
+        """Linear states (T, M, nz)."""
+        return self.x[:, :, self.model.na :]
+
+    @property
+    def weights(self) -> Array:
+        """Normalized weights (T, M)."""
+        return self.filtered.weights
+
+    @property
+    def log_likelihood(self) -> float:
+        """Estimate of log p(y_{1:T})."""
+        return self.filtered.log_likelihood
+
+    @property
+    def ess(self) -> Array:
+        """Effective sample size (T,)."""
+        return self.filtered.ess
+
+    @property
+    def collapsed(self) -> NDArray[np.intp]:
+        """Rows at which the weights collapsed onto one particle."""
+        return self.filtered.collapsed
+
+    def mean(self) -> Array:
+        """Filtered mean of x (T, nx)."""
+        return self.filtered.mean()
+
+
+def particle_filter(
+    model: MixedModel,
+    theta: ThetaLike,
+    series: Series,
+    n_particles: int,
+    rng: np.random.Generator,
+    proposal: str | Proposal = "bootstrap",
+    resampling: str = "multinomial",
+    ess_threshold: float = 1.0,
+) -> ParticleFiltered:
+    """Bootstrap particle filter with M = ``n_particles`` on x = (a, z) (Gordon, Salmond, Smith 1993).
+
+    The defaults are the report's, section 6: the transition density as proposal, and resampling at
+    every time step. Options and errors as in :func:`engine.filters.rbpf.rbpf`.
+    """
+    full = as_nonlinear(model)
+    filtered = rbpf(full, theta, series, n_particles, rng, proposal, resampling, ess_threshold)
+    return ParticleFiltered(model, filtered)

@@ -1,0 +1,208 @@
+"""The Rao-Blackwellized particle filter; report, Algorithm 2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.errors import OptionError
+from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
+from engine.kernels import resampling as schemes
+from engine.kernels.filtering import advance, predict, weigh
+from engine.kernels.gaussian import psd_cholesky
+from engine.statespace.checks import check_start
+from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
+from engine.statespace.refutation import repeated_if_refuted
+
+RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
+    "multinomial": schemes.multinomial,
+    "stratified": schemes.stratified,
+    "systematic": schemes.systematic,
+    "residual": schemes.residual,
+}
+
+COLLAPSED = 1.5  # an effective sample size below this means that one particle is left
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """What a RBPF pass leaves behind, for reading and for the backward pass.
+
+    For people: ``a`` (T, M, na), ``z`` (T, M, nz) and ``P`` (T, M, nz, nz) are z_{t|t} and P_{t|t} per
+    particle; ``weights`` (T, M) before resampling; ``log_likelihood``; ``ess`` (T,) the effective
+    sample size before resampling; ``collapsed`` the rows at which only one particle was left.
+
+    For the backward pass, of the prediction from t to t+1, report, eq. (22): ``mu`` (T-1, M, nx),
+    ``L`` (T-1, B, nx, nx) with L L' = Sigma, ``AP`` (T-1, B, nx, nz) = A P_{t|t}; ``cov`` (T, B, nz, nz) holds
+    P with B = 1 where it is common to all particles; ``ancestors`` (T, M).
+    """
+
+    model: MixedModel
+    theta: Theta
+    series: Series
+    log_likelihood: float
+    a: Array
+    z: Array
+    cov: Array
+    weights: Array
+    log_weights: Array
+    log_likelihood_terms: Array
+    ess: Array
+    ancestors: NDArray[np.int64]
+    mu: Array
+    L: Array
+    AP: Array
+
+    @property
+    def P(self) -> Array:
+        """P_{t|t}^i, (T, M, nz, nz); a read-only view where it is common to all particles."""
+        T, _, nz, _ = self.cov.shape
+        return np.broadcast_to(self.cov, (T, self.a.shape[1], nz, nz))
+
+    @property
+    def collapsed(self) -> NDArray[np.intp]:
+        """Rows t at which the weights collapsed onto one particle (or none)."""
+        if self.a.shape[1] < 4 or self.model.na == 0:
+            return np.flatnonzero(self.ess <= 0.0)
+        return np.flatnonzero(self.ess < COLLAPSED)
+
+    def mean(self) -> Array:
+        """Filtered mean of x = (a, z), (T, nx)."""
+        mean: Array = np.einsum(
+            "tm,tmx->tx", self.weights, np.concatenate([self.a, self.z], axis=2)
+        )
+        return mean
+
+
+@repeated_if_refuted
+def rbpf(
+    model: MixedModel,
+    theta: ThetaLike,
+    series: Series,
+    n_particles: int,
+    rng: np.random.Generator,
+    proposal: str | Proposal = "adapted",
+    resampling: str = "systematic",
+    ess_threshold: float = 0.5,
+) -> Filtered:
+    """Filter a series with M = ``n_particles``; report, Algorithm 2.
+
+    ``proposal``: "adapted" looks at y_t, "bootstrap" does not, or any function, see
+    :mod:`engine.filters.proposals`. ``resampling``: multinomial, stratified, systematic or residual, done
+    when the effective sample size is at most ``ess_threshold`` * M (1: at every step, 0: never).
+    Missing channels of y are left out of the update. Raises OptionError, SeriesError, ModelError.
+    """
+    theta = model.theta(theta)
+    check_start(model, theta, series.check(model))
+    scheme = check_options(n_particles, resampling, ess_threshold)
+    draw = get_proposal(proposal) if model.na else bootstrap
+    M, T, record = n_particles, len(series), model.record(theta)
+    y, u, times, steps = np.array(series.y), series.u, series.t.tolist(), series.steps.tolist()
+
+    own: NDArray[np.int64] = np.arange(M)
+    even = np.full(M, -np.log(M))
+    nothing = np.zeros(M)
+    log_w, ancestors, mu, L = even, own, np.empty((M, 0)), np.empty((1, 0, 0))
+    updated: list[tuple[Any, ...]] = []
+    predicted: list[tuple[Any, ...]] = []
+    for t in range(T):
+        # 1. Sampling, 2. Prediction, 3. Weighting, 4. Update of the linear states
+        if t == 0:
+            step = Step(model, record, mu, L, own, y[0], u[0], times[0], rng)
+            a, z, P, log_ratio = _first(step, draw)
+            h, C, R = model.observation(a, u[0], times[0], record)
+            z, P, log_w, w, log_sum, ess = weigh(
+                z, P, log_ratio, h, stacked(C), stacked(R), y[0], even
+            )
+        else:
+            a, log_q = draw(Step(model, record, mu, L, ancestors, y[t], u[t], times[t], rng))
+            a = np.ascontiguousarray(a)
+            blind = log_q is None
+            h, C, R = model.observation(a, u[t], times[t], record)
+            z, P, log_w, w, log_sum, ess = advance(
+                mu,
+                L,
+                ancestors,
+                a,
+                nothing if blind else log_q,
+                blind,
+                h,
+                stacked(C),
+                stacked(R),
+                y[t],
+                log_w,
+            )
+        updated.append((a, z, P, w, log_w, log_sum, ess, ancestors))
+        if t == T - 1:
+            break
+
+        # 5. Resampling, and the prediction of each particle from which the next step starts
+        if model.na and ess <= ess_threshold * M:
+            ancestors = scheme(w, rng.random(M))
+            log_w = even
+        else:
+            ancestors = own
+        f, A, Q = model.transition(a, u[t], times[t], steps[t], record)
+        mu, L, AP = predict(f, stacked(A), stacked(Q), z, P)
+        predicted.append((mu, L, AP))
+
+    arrays = [
+        over_time(rows) for rows in (*zip(*updated, strict=True), *zip(*predicted, strict=True))
+    ]
+    log_likelihood = float(arrays[5].sum())
+    return Filtered(model, theta, series, log_likelihood, *arrays)
+
+
+def check_options(
+    n_particles: int, resampling: str, ess_threshold: float
+) -> Callable[[Array, Array], NDArray[np.int64]]:
+    """The resampling function, after checking the options of the filter. Raises OptionError."""
+    if int(n_particles) != n_particles or n_particles < 1:
+        raise OptionError(
+            f"n_particles = {n_particles}; a positive whole number is needed", "n_particles"
+        )
+    if resampling not in RESAMPLING:
+        raise OptionError(
+            f"resampling '{resampling}' is not known; use {', '.join(RESAMPLING)}", "resampling"
+        )
+    if not 0.0 <= ess_threshold <= 1.0:
+        raise OptionError(
+            f"ess_threshold = {ess_threshold} is not within [0, 1] (a share of n_particles)",
+            "ess_threshold",
+        )
+    return RESAMPLING[resampling]
+
+
+def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
+    """a_1 from q(a_1 | y_1), its z_{1|0} and P_{1|0}, and log p(a_1) - log q(a_1)."""
+    model, M = step.model, len(step.ancestors)
+    start = model.start(step.theta)
+    density = start.density
+    log_ratio = np.zeros(M)
+    if draw is bootstrap or not isinstance(density, Gaussian):
+        a = np.asarray(density.sample(step.rng, M), dtype=float)
+    else:
+        mean = np.repeat(density.mean[None], M, axis=0)
+        z, P = start.linear(mean)
+        L = np.zeros((1, model.nx, model.nx))
+        L[0, : model.na, : model.na] = psd_cholesky(density.cov)
+        L[0, model.na :, model.na :] = psd_cholesky(P if P.ndim == 2 else P[0])
+        a, log_q = draw(replace(step, mu=np.concatenate([mean, z], axis=1), L=L))
+        if log_q is not None:
+            log_ratio = density.log_density(a) - log_q
+    z, P = start.linear(a)
+    return a, z, stacked(P), log_ratio
+
+
+def over_time(rows: Sequence[Any]) -> Any:
+    """One array; rows common to all particles are repeated where others are not common."""
+    try:
+        return np.array(rows)
+    except ValueError:
+        shape = max(row.shape for row in rows)
+        return np.array([np.broadcast_to(row, shape) for row in rows])

@@ -1,0 +1,250 @@
+"""A deterministic Gaussian filter for the mixed model, run for many parameter vectors at once.
+
+It propagates mean and covariance of x = (a, z) by sigma points in a and exactly in z. Its
+log-likelihood is smooth in theta and free of Monte Carlo noise, which makes it the instrument for
+comparing many extended models quickly; on linear Gaussian models it is the Kalman filter. It is an
+approximation where the density of a is far from Gaussian: there the particle filter has the last
+word (see :mod:`engine.diagnose`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.errors import ModelError
+from engine.kernels.gaussian import psd_cholesky_many
+from engine.kernels.moments import (
+    gaussian_update,
+    observe,
+    predict,
+    sigma_points,
+    slopes,
+    transform,
+)
+from engine.statespace.model import Array, Gaussian, MixedModel, stacked
+from engine.statespace.refutation import repeated_if_refuted
+
+NEAR = 1e-4  # of a state's size: over this, slopes are taken where the state has no variance
+
+
+@dataclass(frozen=True, eq=False)
+class MomentFiltered:
+    """One-step predictions of K filters: ``innovations`` (T, K, ny), their covariance ``S``, ...
+
+    ``log_likelihood`` (K,) is -inf where a filter was lost; missing values are NaN in
+    ``innovations``. ``log_terms`` (T, K) are its summands.
+    """
+
+    innovations: Array
+    S: Array
+    log_terms: Array
+
+    @property
+    def log_likelihood(self) -> Array:
+        """Sum of the terms (K,), -inf where not finite."""
+        total = self.log_terms.sum(axis=0)
+        return np.where(np.isfinite(total), total, -np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class MomentPath:
+    """What one filter saw: moments and slopes along its way, for footprints of small changes.
+
+    ``predicted``, ``filtered`` (T, nx) means of x with covariances ``P_predicted``, ``P_filtered``;
+    ``innovations`` (T, ny), ``S`` (T, ny, ny); gains ``K`` (T, nx, ny) = Cov(x_t, y_t) S^{-1}, zero for missing
+    channels; slopes ``H`` (T, ny, nx) of y_t and ``F`` (T-1, nx, nx) of x_{t+1} along x_t.
+    """
+
+    predicted: Array
+    P_predicted: Array
+    filtered: Array
+    P_filtered: Array
+    innovations: Array
+    S: Array
+    K: Array
+    H: Array
+    F: Array
+    log_likelihood: float
+
+
+class Thetas:
+    """K parameter vectors (K, n_theta) and their records."""
+
+    def __init__(self, model: MixedModel, thetas: Array) -> None:
+        self.model = model
+        self.thetas = np.atleast_2d(np.asarray(thetas, dtype=float))
+        self.K = len(self.thetas)
+        self._records: dict[int, Any] = {}
+
+    def record(self, copies: int) -> Any:
+        """The record of K ``copies`` rows, ``copies`` for each parameter vector in turn."""
+        if copies not in self._records:  # the same at every time step
+            self._records[copies] = self.model.records(self.thetas, copies)
+        return self._records[copies]
+
+
+@repeated_if_refuted
+@np.errstate(all="ignore")
+def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
+    """Filter a series with each of the parameter vectors ``thetas`` (K, n_theta)."""
+    run = FilterSteps(model, Thetas(model, thetas), series)
+    T, K, ny = len(series), run.thetas.K, model.ny
+    innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
+    m, P = run.start()
+    a, z, V, offsets = sigma_points(m, P, model.na)
+    rows = a.reshape(K * a.shape[1], model.na)  # the kernels overwrite the points in place
+    for t in range(T):
+        observe(
+            t, *run.observation(t, rows), a, z, V, offsets, m, P, series.y, innovations, S, terms
+        )
+        if t < T - 1:
+            predict(*run.transition(t, rows), a, z, V, offsets, m, P)
+    there = series.observed[:, None]
+    lost = ~(np.isfinite(innovations) | ~there).all(axis=2) | ~np.isfinite(S).all(axis=(2, 3))
+    terms[lost] = np.nan  # a filter without a prediction must not gain by it
+    return MomentFiltered(innovations, S, terms)
+
+
+@repeated_if_refuted
+@np.errstate(all="ignore")
+def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
+    """Filter a series with one parameter vector and keep the moments and slopes.
+
+    Raises ModelError naming the row at which the filter was lost.
+    """
+    run = FilterSteps(model, Thetas(model, theta), series)
+    T, nx, ny = len(series), model.nx, model.ny
+    kept: dict[str, Array] = {
+        "predicted": np.empty((T, nx)),
+        "P_predicted": np.empty((T, nx, nx)),
+        "filtered": np.empty((T, nx)),
+        "P_filtered": np.empty((T, nx, nx)),
+        "innovations": np.empty((T, ny)),
+        "S": np.empty((T, ny, ny)),
+        "K": np.zeros((T, nx, ny)),
+        "H": np.empty((T, ny, nx)),
+        "F": np.empty((T - 1, nx, nx)),
+    }
+    total = 0.0
+    m, P = run.start()
+    for t in range(T):
+        y_mean, S, cross = run.predict_y(t, m, P)
+        kept["predicted"][t], kept["P_predicted"][t] = m[0], P[0]
+        kept["innovations"][t], kept["S"][t] = series.y[t] - y_mean[0], S[0]
+        kept["H"][t] = slopes(cross[0], P[0])
+        there = np.flatnonzero(series.observed[t])
+        if there.size:
+            gain = np.linalg.solve(S[0][np.ix_(there, there)], cross[0][there])
+            kept["K"][t][:, there] = gain.T
+        m, P, term = gaussian_update(m, P, y_mean, S, cross, series.y[t])
+        kept["filtered"][t], kept["P_filtered"][t] = m[0], P[0]
+        total += float(term[0])
+        if not (np.isfinite(m).all() and np.isfinite(total)):
+            raise ModelError(
+                f"model '{model.name}': the filter is lost at row {t} (t = {series.t[t]:g} s); its "
+                "mean or likelihood is not finite. Check theta and the first state's density"
+            )
+        if t < T - 1:
+            before = P
+            m, P, cross = run.predict_x(t, m, P)
+            kept["F"][t] = slopes(cross[0], before[0])
+    _slopes_without_variance(run, kept)
+    return MomentPath(**kept, log_likelihood=total)
+
+
+def _slopes_without_variance(run: FilterSteps, kept: dict[str, Array]) -> None:
+    """Fill in H and F where a direction of x has no variance, from which nothing can be regressed.
+
+    There they are slopes over a small share of what each state is at most on the way, in its unit.
+    """
+    predicted, P = kept["predicted"], kept["P_predicted"]
+    variance = np.diagonal(P, axis1=1, axis2=2)
+    sizes = np.maximum(np.abs(predicted), np.sqrt(np.maximum(variance, 0.0))).max(axis=0)
+    least = np.diag((NEAR * np.where(sizes > 0.0, sizes, 1.0)) ** 2)  # 1: it never leaves zero
+    for name, function, means, covs in (
+        ("H", run.observation, predicted, P),
+        ("F", run.transition, kept["filtered"][:-1], kept["P_filtered"][:-1]),
+    ):
+        pivots = np.diagonal(psd_cholesky_many(np.ascontiguousarray(covs)), axis1=1, axis2=2)
+        for t in np.flatnonzero(~(pivots > 0.0).all(axis=1)):
+            wide = covs[t] + least
+            _, _, cross = run.through(function, int(t), means[t][None], wide[None])
+            kept[name][t] = slopes(cross[0], wide)
+
+
+class FilterSteps:
+    """The model's part of each step, for K copies of the filter."""
+
+    def __init__(self, model: MixedModel, thetas: Thetas, series: Series) -> None:
+        series.check(model)
+        self.model, self.thetas, self.series = model, thetas, series
+        self.times, self.steps = series.t.tolist(), series.steps.tolist()
+        model.transitions.look_again()
+        model.observations.look_again()
+
+    def start(self) -> tuple[Array, Array]:
+        """Mean (K, nx) and covariance (K, nx, nx) of x_1 before any measurement."""
+        starts = [first_moments(self.model, theta) for theta in self.thetas.thetas]
+        return np.array([m for m, _ in starts]), np.array([P for _, P in starts])
+
+    def observation(self, t: int, a: Array) -> tuple[Array, Array, Array]:
+        """h (K S, ny), C and R (1 or K S, ., .) at the points a (K S, na)."""
+        record = self.thetas.record(len(a) // self.thetas.K)
+        h, C, R = self.model.observation(a, self.series.u[t], self.times[t], record)
+        return h, stacked(C), stacked(R)
+
+    def transition(self, t: int, a: Array) -> tuple[Array, Array, Array]:
+        """f (K S, nx), A and Q (1 or K S, ., .) at the points a (K S, na)."""
+        record = self.thetas.record(len(a) // self.thetas.K)
+        f, A, Q = self.model.transition(a, self.series.u[t], self.times[t], self.steps[t], record)
+        return f, stacked(A), stacked(Q)
+
+    def predict_y(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Mean, covariance and cross-covariance with x of y_t."""
+        return self.through(self.observation, t, m, P)
+
+    def predict_x(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Mean, covariance and cross-covariance with x_t of x_{t+1}."""
+        return self.through(self.transition, t, m, P)
+
+    def through(self, function: Any, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Mean, covariance and cross-covariance with x of a function of x ~ N(m, P)."""
+        na = self.model.na
+        a, z, V, offsets = sigma_points(m, P, na)
+        rows = a.reshape(a.shape[0] * a.shape[1], na)
+        f, A, Q = function(t, rows)
+        mean, cov, cross = transform(f, A, Q, z, V, offsets, na)
+        return mean, cov, cross
+
+
+def first_moments(model: MixedModel, theta: Array) -> tuple[Array, Array]:
+    """Mean (nx,) and covariance (nx, nx) of x_1 at theta, z_{1|0}(a_1) by sigma points."""
+    start = model.start(model.record(theta))
+    na, nz = model.na, model.nz
+    if isinstance(start.density, Gaussian):
+        mean, cov = start.density.mean, start.density.cov
+    else:
+        draws = start.density.sample(np.random.default_rng(0), 2000)
+        mean, cov = draws.mean(axis=0), np.cov(draws.T).reshape(na, na)
+    m = np.concatenate([mean, np.zeros(nz)])[None]
+    P = np.zeros((1, na + nz, na + nz))
+    P[0, :na, :na] = cov
+    a, z, V, offsets = sigma_points(m, P, na)
+    z1, P1 = start.linear(a[0])
+    f = np.concatenate([a[0], z1], axis=1)
+    Q = np.zeros((len(f), na + nz, na + nz))
+    Q[:, na:, na:] = P1
+    mean, cov, _ = transform(f, np.zeros((1, na + nz, nz)), Q, z, V, offsets, na)
+    return mean[0], cov[0]
+
+
+def free_thetas(theta: Array, indices: NDArray[np.intp], values: Array) -> Array:
+    """Copies of theta (K, n_theta) with the components ``indices`` set to ``values`` (K, n)."""
+    out = np.repeat(np.asarray(theta, dtype=float)[None], len(values), axis=0)
+    out[:, indices] = values
+    return out

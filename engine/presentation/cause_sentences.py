@@ -1,0 +1,60 @@
+"""A cause in words: what it is, how large, when it happens, and what would tell it from others."""
+
+from __future__ import annotations
+
+from engine.diagnose.search.findings import Cause
+from engine.diagnose.search.rounds import GENERIC
+from engine.words import estimate, number, probability
+
+
+def headline(cause: Cause) -> str:
+    """``Coulomb friction (coulomb:velocity) = 0.52 +- 0.03 N, p = 0.002``."""
+    name = cause.title[:1].upper() + cause.title[1:]
+    size = estimate(cause.size, cause.standard_error, cause.unit)
+    return (
+        f"{name} [{cause.effect}]: {size}{when(cause)}, {probability(cause.p_value)}, "
+        f"2 x log-likelihood gained {number(cause.gain)}"
+    )
+
+
+def when(cause: Cause) -> str:
+    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats itself."""
+    if cause.where != "time":
+        return ""
+    ends = {"time": "s", "frequency": "Hz"}
+    own = [(name.rpartition("_")[2], value) for name, value in cause.parameters.items()]
+    return "".join(
+        f", {word} {number(value, 5)} {ends[word]}" for word, value in own if word in ends
+    )
+
+
+def phrased(difference: str) -> str:
+    """``is an odd function ...`` for what is written without its verb."""
+    return f"is {difference}" if difference.startswith(("a ", "an ")) else difference
+
+
+def experiment(cause: Cause) -> str:
+    """What would tell the effects of a set apart."""
+    others = [name for name in cause.equivalent if name != cause.effect]
+    if not others:
+        return ""
+    told = {o.effect: o.difference for o in cause.look_alikes if o.difference}
+    known = [
+        f"{name} {phrased(told[name])}" for name in others if name in told and not _force(name)
+    ]
+    if known:
+        return f"To tell them apart, excite what differs: {'; '.join(known)}."
+    if all(_force(name) for name in others):
+        return (
+            "To tell it from a force that nobody named, repeat the experiment with the same inputs: what "
+            "comes again has a cause."
+        )
+    return (
+        "To tell them apart, measure where they differ: other amplitudes, both directions, other "
+        "frequencies or a longer record."
+    )
+
+
+def _force(effect: str) -> bool:
+    """Whether an effect is a force that nobody named."""
+    return effect.partition(":")[0] == GENERIC

@@ -1,0 +1,174 @@
+"""A diagnosis as JSON-able data, with all that its pages and reports show."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.extended import at_bounds, in_the_library
+from engine.diagnose.gain.adoption import in_full, in_short
+from engine.diagnose.search.latent_force import UnnamedForce
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.symptoms.curves import named, rounded
+from engine.estimation.quasi_ml import QuasiFit
+from engine.json_values import plain
+from engine.presentation.cause_sentences import experiment, when
+from engine.presentation.diagnosis_text import page, unnamed
+from engine.presentation.equations import to_latex
+
+if TYPE_CHECKING:
+    from engine.diagnose.diagnosis import Diagnosis
+    from engine.diagnose.gain.gain import Gain
+    from engine.diagnose.search.rounds import Round
+
+SHOWN = 12  # screened effects of a round
+
+
+def as_dict(d: Diagnosis) -> dict[str, Any]:
+    """All of it as JSON-able data: numbers that are not finite become None."""
+    causes = []
+    for cause in d.causes:
+        entry = asdict(cause)
+        entry["latex"] = to_latex(cause.equation)
+        entry["experiment"] = experiment(cause)
+        entry["when"] = when(cause)
+        causes.append(entry)
+    force = unnamed(d)
+    data: dict[str, Any] = {
+        "model": d.model.name,
+        "description": d.model.description,
+        "channels": {
+            "states": {**d.model.nonlinear, **d.model.linear},
+            "inputs": dict(d.model.inputs),
+            "outputs": dict(d.model.outputs),
+        },
+        "samples": len(d.series),
+        "verdict": d.verdict.value,
+        "sentence": d.verdict.sentence,
+        "p_value": d.p_value,
+        "p_bootstrap": d.p_bootstrap,
+        "causes": causes,
+        "unnamed": None if force is None else _force(force),
+        "base_theta": d.base_theta.asdict(),
+        "base_standard_errors": _errors(d.search.base),
+        "extension": {
+            "model": _reference(d),
+            "equations_before": list(d.model.equations),
+            "equations": list(d.extended.equations),
+            "theta": d.theta.asdict(),
+            "standard_errors": _errors(d.search.final),
+            "units": {p.name: p.unit for p in d.extended.parameters},
+            "at_bounds": {"before": at_bounds(d.search.base), "after": at_bounds(d.search.final)},
+            "in_the_library": in_the_library(d),
+        },
+        "symptoms": d.symptoms.to_dict(),
+        "gain": None if d.gain is None else _gain(d.gain, list(d.model.outputs)),
+        "detectable": [asdict(item) for item in d.detectable],
+        "rounds": [_round(found) for found in d.rounds],
+        "notes": list(d.notes),
+        "seconds": d.seconds,
+        "page": page(d),
+    }
+    cleaned: dict[str, Any] = plain(data)
+    return cleaned
+
+
+def _errors(fit: QuasiFit) -> dict[str, float]:
+    return dict(zip(fit.free, fit.standard_errors.tolist(), strict=True))
+
+
+def _reference(d: Diagnosis) -> dict[str, Any]:
+    """The extended model by name, with what its effects were told of the data."""
+    setting = setting_for(d.model, d.symptoms.series, d.base_theta)
+    return {
+        "name": d.model.name,
+        "with": [cause.effect for cause in d.causes],
+        "setting": {"scale": dict(setting.scale), "span": setting.span, "dt": setting.dt},
+    }
+
+
+def _force(force: UnnamedForce) -> dict[str, Any]:
+    return {
+        "target": force.target,
+        "unit": force.unit,
+        "sentence": force.sentence,
+        "curves": {
+            "t": force.t.tolist(),
+            "mean": rounded(force.mean).tolist(),
+            "standard_deviation": rounded(force.sd).tolist(),
+        },
+    }
+
+
+def _gain(gain: Gain, outputs: list[str]) -> dict[str, Any]:
+    """Its numbers, where the squared error of the free run went, and curves on the held-out rows.
+
+    ``budget`` splits the mean square error before into shares: ``noise`` of the measurement,
+    ``left`` after the extension, and ``gone``; the three add up to 1. ``decision`` holds the ``outcome`` (see
+    :class:`engine.diagnose.gain.adoption.Decision`) and why, ``in_short`` beside the numbers and ``in_full``.
+    """
+    document = gain.to_dict()
+    document["decision"] = {
+        "outcome": gain.decision.value,
+        "in_short": in_short(gain),
+        "in_full": in_full(gain),
+    }
+    document["budget"] = [
+        {
+            "output": o.output,
+            "noise": min(o.floor, o.rmse_after) ** 2 / o.rmse_before**2,
+            "left": max(o.rmse_after**2 - o.floor**2, 0.0) / o.rmse_before**2,
+            "gone": 1.0 - o.rmse_after**2 / o.rmse_before**2,
+        }
+        for o in gain.outputs
+        if o.rmse_before > 0.0
+    ]
+    if len(gain.t):
+        curves: dict[str, Any] = {"t": gain.t.tolist(), "measured": named(gain.y, outputs)}
+        for name, run in (("before", gain.before), ("after", gain.after)):
+            curves[name] = None if run is None else named(run, outputs)
+        curves["log_density"] = rounded(np.nancumsum(gain.d)).tolist()
+        document["curves"] = curves
+    return document
+
+
+def _round(found: Round) -> dict[str, Any]:
+    equivalent = {r.effect.name for r in found.equivalent}
+    return {
+        "p_value": found.screen.p_value,
+        "threshold": found.screen.threshold,
+        "screened": [
+            {
+                "effect": s.effect.name,
+                "title": s.effect.title,
+                "statistic": s.statistic,
+                "p_value": s.p_value,
+            }
+            for s in found.screen.scores[:SHOWN]
+        ],
+        "refitted": [_refit(r, r.effect.name in equivalent) for r in found.refits],
+        "unnamed": None
+        if found.generic is None
+        else {
+            "effect": found.generic.effect.name,
+            "gain": found.generic.gain,
+            "score": found.generic.score,
+        },
+    }
+
+
+def _refit(r: Refit, equivalent: bool) -> dict[str, Any]:
+    """``equivalent`` marks the effects that the round could not tell apart."""
+    return {
+        "effect": r.effect.name,
+        "title": r.effect.title,
+        "gain": r.gain,
+        "score": r.score,
+        "size": r.size,
+        "standard_error": r.standard_error,
+        "unit": r.effect.size.unit,
+        "equivalent": equivalent,
+    }

@@ -1,0 +1,259 @@
+"""A diagnosis as a page for people."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from engine.diagnose.extended import at_bounds, in_the_library
+from engine.diagnose.gain.adoption import in_full, in_short
+from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
+from engine.diagnose.search.rounds import UNNAMED_MARGIN
+from engine.errors import EngineError
+from engine.presentation.cause_sentences import experiment, headline, phrased
+from engine.presentation.report.priority import asked_first
+from engine.words import (
+    fit_quality,
+    listed,
+    number,
+    percent,
+    probability,
+    tidy,
+    with_unit,
+)
+
+if TYPE_CHECKING:
+    from engine.diagnose.diagnosis import Diagnosis
+    from engine.diagnose.gain.gain import Gain
+    from engine.diagnose.search.findings import Detectable
+
+WIDTH = 100
+
+
+def page(diagnosis: Diagnosis, every: bool = False) -> str:
+    """The verdict with its cause and gain, then the four questions, then what was testable.
+
+    Of the sizes that would have been found, those are listed that are asked about first, or ``every`` one.
+    """
+    lines = [*_head(diagnosis)]
+    for title, body in (
+        ("1. What is wrong", _wrong(diagnosis)),
+        ("2. The cause", _cause(diagnosis)),
+        ("3. The extension", _extension(diagnosis)),
+        ("4. The gain", _gain(diagnosis.gain)),
+        ("What these data could have shown", _testable(diagnosis, every)),
+        ("Notes", _notes(diagnosis)),
+    ):
+        lines += ["", title, "-" * len(title), *body]
+    return "\n".join(lines) + "\n"
+
+
+def _head(d: Diagnosis) -> Iterator[str]:
+    series = d.series
+    outputs = listed(list(d.model.outputs))
+    yield f"Diagnosis of model '{d.model.name}' on {len(series)} samples of {outputs}"
+    yield "=" * WIDTH
+    yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")
+    for k, cause in enumerate(d.causes):
+        closest = "Closest: " if d.verdict.value == "unknown" and k == 0 else ""
+        yield from _wrapped(f"{closest}{_marker(d, k)}{headline(cause)}", "  ")
+        if len(cause.equivalent) > 1:
+            others = listed(list(cause.equivalent[1:]), "or")
+            yield from _wrapped(f"not told apart from {others}", "      ")
+    if not d.causes:
+        yield from _wrapped(_no_cause(d), "  ")
+    if d.p_bootstrap is not None:
+        yield from _wrapped(
+            f"By parametric bootstrap (simulated, refitted, screened again): {probability(d.p_bootstrap)}.",
+            "  ",
+        )
+    if d.gain is not None:
+        yield from _wrapped(gain_line(d.gain), "  ")
+
+
+def _marker(d: Diagnosis, k: int) -> str:
+    return "" if len(d.causes) == 1 else f"{k + 1}. "
+
+
+def _no_cause(d: Diagnosis) -> str:
+    tested = len(d.detectable)
+    sizes = sum(x.testable for x in d.detectable)
+    return (
+        f"{tested} effects were looked for, {probability(d.p_value)} for all of them together. "
+        f"{sizes} of them would have been seen at the sizes listed below."
+    )
+
+
+def gain_line(gain: Gain) -> str:
+    """The gain in one line."""
+    text = (
+        f"On {gain.samples} held-out samples: log-density {_signed(gain.log_density)} "
+        f"({probability(gain.p_value)} of no gain)"
+    )
+    for output in gain.outputs:
+        text += (
+            f"; free run of {output.output} {with_unit(output.rmse_before, output.unit)} rms before, "
+            f"{with_unit(output.rmse_after, output.unit)} after"
+        )
+    return f"{text}. {in_short(gain)}"
+
+
+def _wrong(d: Diagnosis) -> Iterator[str]:
+    if not d.symptoms.sentences:
+        yield "  Nothing stands out."
+    for sentence in d.symptoms.sentences:
+        yield from _wrapped(sentence, "  - ")
+    for w in d.symptoms.whiteness:
+        yield from _wrapped(
+            f"Standardised innovations of {w.output}: variance {number(w.variance)}, Ljung-Box "
+            f"{probability(w.p_value)} over {w.lags} lags (pictures, not verdicts: a fitted noise hides much).",
+            "  - ",
+        )
+
+
+def _cause(d: Diagnosis) -> Iterator[str]:
+    if not d.causes:
+        yield "  None named."
+    for k, cause in enumerate(d.causes):
+        yield from _wrapped(f"{_marker(d, k)}{headline(cause)}; enters: {cause.where}", "  ")
+        yield from _wrapped(cause.equation, "      ")
+        for other in cause.look_alikes:
+            state = "ruled out" if other.ruled_out else "NOT ruled out"
+            text = f"{other.effect}: {state} (likeness {number(round(other.likeness, 2))}"
+            if other.gain is not None:
+                gained = number(other.gain) if other.gain > 0.0 else "none"
+                text += f", 2 x log-likelihood gained {gained}"
+            text += ")"
+            if other.difference:
+                text += f"; it {phrased(other.difference)}"
+            yield from _wrapped(text, "      - ")
+        advice = experiment(cause)
+        if advice:
+            yield from _wrapped(advice, "      ")
+    force = unnamed(d)
+    if force is not None:
+        yield from _wrapped(force.sentence, "  ")
+
+
+def unnamed(d: Diagnosis) -> UnnamedForce | None:
+    """Where an unnamed force acts, for a verdict ``unknown`` or a set that holds it."""
+    generic = None
+    for found in d.rounds:
+        if found.generic is None:
+            continue
+        least = found.generic.score + UNNAMED_MARGIN
+        beaten = bool(found.refits) and found.refits[0].score > least
+        if d.verdict.value == "unknown" or not beaten:
+            generic = found.generic
+    if generic is None:
+        return None
+    try:
+        return unnamed_force(generic, d.symptoms.series)
+    except EngineError:
+        return None
+
+
+def _extension(d: Diagnosis) -> Iterator[str]:
+    if not d.causes:
+        yield "  None: the model stays as it is."
+    elif d.gain is not None and not d.gain.adopt:
+        yield "  Not adopted, as 4 says: the model stays as it is. With what was found it would be"
+    yield from (f"  {line}" for line in d.model.equations)
+    for line in list(d.extended.equations)[len(d.model.equations) :]:
+        yield from _wrapped(line, "  + ")
+    yield from _parameters(d)
+    if d.causes:
+        yield from _wrapped(in_the_library(d), "  ")
+
+
+def _parameters(d: Diagnosis) -> Iterator[str]:
+    """Every parameter: before, after and its standard error; only the estimate where nothing was added."""
+    fit = d.search.final
+    errors = dict(zip(fit.free, fit.standard_errors.tolist(), strict=True))
+    first = f"{'before':>12} {'after':>12}" if d.causes else f"{'estimate':>12}"
+    yield f"  {'parameter':<24} {first} {'+-':>10}  unit"
+    for parameter in d.extended.parameters:
+        name = parameter.name
+        before = number(float(d.base_theta[name]), 4) if name in d.model.parameter_names else ""
+        values = f"{before:>12} " if d.causes else ""
+        values += f"{number(float(d.theta[name]), 4):>12}"
+        error = "held"
+        if name in errors:
+            error = number(errors[name], 2) if math.isfinite(errors[name]) else "unknown"
+        if name in at_bounds(fit):
+            error = "at bound"
+        yield f"  {name:<24} {values} {error:>10}  {tidy(parameter.unit)}".rstrip()
+
+
+def _gain(gain: Gain | None) -> Iterator[str]:
+    if gain is None:
+        yield "  Nothing was added, so nothing is gained or lost."
+        return
+    yield from _wrapped(
+        f"One-step predictive log-density on {gain.samples} samples ({gain.how}): "
+        f"{_signed(gain.log_density)} in all, {_signed(gain.per_sample)} +- "
+        f"{number(gain.standard_error, 2)} per sample, {probability(gain.p_value)} "
+        "(Diebold-Mariano, one-sided).",
+        "  - ",
+    )
+    for o in gain.outputs:
+        low, high = (with_unit(x, o.unit) for x in o.interval_difference)
+        text = (
+            f"Free run of {o.output}: {with_unit(o.rmse_before, o.unit)} rms before, "
+            f"{with_unit(o.rmse_after, o.unit)} after (difference {number(o.difference)}, 95 % from {low} to "
+            f"{high}); {fit_quality(o.fit_before)} before, {fit_quality(o.fit_after)} after"
+        )
+        if o.share_gone is not None:
+            floor = with_unit(o.floor, o.unit)
+            text += f"; {_share_gone(o.share_gone)} of the squared error above the noise ({floor}) is gone"
+        yield from _wrapped(text + ".", "  - ")
+    for note in gain.notes:
+        yield from _wrapped(note, "  - ")
+    yield from _wrapped(in_full(gain), "  ")
+
+
+def _share_gone(share: float) -> str:
+    return percent(min(share, 1.0)) if share > 0.0 else "none"
+
+
+def _testable(d: Diagnosis, every: bool) -> Iterator[str]:
+    yield from _wrapped(
+        "The smallest size of each effect that would have been found with 80 % probability, and the share "
+        "of its trace that the fitted parameters leave:",
+        "  ",
+    )
+    yes = {x.effect: x for x in d.detectable if x.testable}
+    shown = list(yes) if every else asked_first(list(yes))
+    for item in (yes[name] for name in shown):
+        size = with_unit(item.smallest, item.unit)
+        yield f"  {item.effect:<34} {size:>22}   {percent(item.rho):>6}"
+    if len(shown) < len(yes):
+        yield f"  ... and {len(yes) - len(shown)} more: 'rbps diagnose --all', or .detectable in the library"
+    no: list[Detectable] = [x for x in d.detectable if not x.testable]
+    if no:
+        names = [x.effect for x in no]
+        some = names if every else asked_first(names)
+        more = f" and {len(no) - len(some)} more" if len(some) < len(no) else ""
+        yield from _wrapped(f"Not testable with this experiment: {', '.join(some)}{more}.", "  ")
+
+
+def _notes(d: Diagnosis) -> Iterator[str]:
+    for note in d.notes:
+        yield from _wrapped(note, "  - ")
+    total = sum(d.seconds.values())
+    stages = ", ".join(f"{name} {number(s, 2)}" for name, s in d.seconds.items())
+    yield from _wrapped(f"{number(total)} s in all: {stages}.", "  - ")
+
+
+def _signed(value: float) -> str:
+    return f"+{number(value)}" if value > 0.0 else number(value)
+
+
+def _wrapped(text: str, lead: str) -> list[str]:
+    indent = " " * len(lead)
+    lines = textwrap.wrap(
+        text, WIDTH, initial_indent=lead, subsequent_indent=indent, break_on_hyphens=False
+    )
+    return lines or [""]

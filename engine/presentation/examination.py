@@ -1,0 +1,184 @@
+"""An estimate looked at: smoothed states, simulation and prediction against the data, residuals, as data.
+
+The documents made here are those of ``GET /jobs/{id}/results`` too;
+:func:`engine.presentation.report.write_report` makes a page of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series, as_series_list
+from engine.diagnose.symptoms.symptoms import find_symptoms
+from engine.errors import EngineError, ModelError
+from engine.estimation.em import EmResult
+from engine.estimation.uncertainty import LikelihoodIntervals, StandardErrors
+from engine.filters.rbpf import rbpf
+from engine.json_values import plain
+from engine.presentation.report import write_report
+from engine.smoothers.exact_conditional import condition_on_trajectories
+from engine.smoothers.rb_ffbsi import rb_ffbsi
+from engine.statespace.model import Array, MixedModel, ThetaLike
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """What :func:`examine` found, as the ``document`` that pages and reports show."""
+
+    document: dict[str, Any]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON document."""
+        return self.document
+
+    def report(self, path: str | Path) -> Path:
+        """Write one self-contained HTML file, which opens from disk and prints; returns its path."""
+        return write_report(self.document, path)
+
+
+def examine(
+    found: EmResult,
+    series: Series | Sequence[Series],
+    errors: StandardErrors | None = None,
+    intervals: LikelihoodIntervals | None = None,
+    n_particles: int = 100,
+    seed: int = 0,
+) -> Examination:
+    """Look at an estimate on the series it comes from.
+
+    ``errors`` are its standard errors, where they were computed; with them the simulation's bands hold
+    the parameters' uncertainty. ``intervals`` by the likelihood ratio are shown in place of those that
+    the standard errors give. States are smoothed with ``n_particles`` particles. Raises ModelError
+    for a model without linear part, OptionError, SeriesError.
+    """
+    model = found.model
+    if not isinstance(model, MixedModel):
+        raise ModelError(
+            f"model '{model.name}' is no mixed model; there is nothing to smooth it by"
+        )
+    listed = as_series_list(series, model)
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    states = []
+    for one in listed:
+        draws = rb_ffbsi(
+            rbpf(model, found.theta, one, n_particles, rng), n_particles, rng, joint=True
+        )
+        smoothed = condition_on_trajectories(draws)
+        states.append((smoothed.mean(), smoothed.std()))
+    document = {
+        "model": model_document(model),
+        "estimate": estimate_document(model, found.theta, found.free, errors, intervals),
+        "outcome": found.outcome.name.lower().replace("_", "-"),
+        "message": found.message,
+        "warning": " ".join(one.warning for one in (errors, intervals) if one and one.warning),
+        "trace": trace_document(found),
+        "states": states_document(model, listed, states),
+        "examination": examination(model, found.theta, listed, covariance_of(model, errors), seed),
+    }
+    return Examination(plain(document))
+
+
+def model_document(model: MixedModel) -> dict[str, Any]:
+    """Names, units and equations of a model."""
+    return {
+        "name": model.name,
+        "description": model.description,
+        "equations": list(model.equations),
+        "states": {**model.nonlinear, **model.linear},
+        "inputs": dict(model.inputs),
+        "outputs": dict(model.outputs),
+    }
+
+
+def estimate_document(
+    model: MixedModel,
+    theta: ThetaLike,
+    free: Sequence[str],
+    errors: StandardErrors | None,
+    intervals: LikelihoodIntervals | None = None,
+) -> dict[str, Any]:
+    """Each parameter's value, standard error, 95 % interval and unit; None for what is not known.
+
+    Intervals are those by the likelihood ratio, or symmetric ones where these are not given; an
+    interval without an end is None.
+    """
+    out: dict[str, Any] = {}
+    values = model.theta(theta)
+    for i, p in enumerate(model.parameters):
+        value, error, interval = float(values[i]), None, None
+        if errors is not None and np.isfinite(errors.values[i]):
+            error = float(errors.values[i])
+            ends = (errors.interval() if intervals is None else intervals.values)[i]
+            interval = ends.tolist() if np.isfinite(ends).all() else None
+        out[p.name] = {
+            "value": value,
+            "standard_error": error,
+            "interval": interval,
+            "unit": p.unit,
+        }
+        if p.name not in free:
+            out[p.name]["fixed"] = True
+    return out
+
+
+def trace_document(found: EmResult) -> dict[str, Any]:
+    """Every iteration; row 0 is the start. A log-likelihood belongs to the theta before its M step."""
+    names = found.model.parameter_names
+    return {
+        "iteration": list(range(len(found.trace))),
+        "theta": {name: found.trace[:, i].tolist() for i, name in enumerate(names)},
+        "log_likelihood": [None, *found.log_likelihood.tolist()],
+        "ess": [None, *found.ess.tolist()],
+        "seconds": [None, *found.seconds.tolist()],
+    }
+
+
+def states_document(
+    model: MixedModel, series: Sequence[Series], states: Sequence[tuple[Array, Array]]
+) -> dict[str, Any]:
+    """Means and standard deviations (T, nx) of each series' states by name, with the states' units."""
+    names = [*model.nonlinear, *model.linear]
+    out = []
+    for one, (mean, sd) in zip(series, states, strict=True):
+        columns = {"mean": mean, "standard_deviation": sd}
+        by_name = {
+            key: {name: values[:, i].tolist() for i, name in enumerate(names)}
+            for key, values in columns.items()
+        }
+        out.append({"t": one.t.tolist(), **by_name})
+    return {"units": {**model.nonlinear, **model.linear}, "series": out}
+
+
+def covariance_of(model: MixedModel, errors: StandardErrors | None) -> Array | None:
+    """The covariance (n_theta, n_theta) of an estimate, zero for parameters that were held."""
+    if errors is None:
+        return None
+    indices = [model.index(name) for name in errors.names]
+    out = np.zeros((len(model.parameters), len(model.parameters)))
+    out[np.ix_(indices, indices)] = errors.covariance
+    return out
+
+
+def examination(
+    model: MixedModel,
+    theta: ThetaLike,
+    series: Sequence[Series],
+    covariance: Array | None = None,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Symptoms of each series as data; where they cannot be had, ``problem`` says why.
+
+    A model whose moment filter is lost, or whose simulation cannot be drawn, still has its estimate.
+    """
+    out: list[dict[str, Any]] = []
+    for one in series:
+        try:
+            out.append(find_symptoms(model, theta, one, covariance, seed=seed).to_dict())
+        except (EngineError, np.linalg.LinAlgError) as error:
+            out.append({"problem": f"Simulation and residuals are not known: {error}"})
+    return {"series": out}

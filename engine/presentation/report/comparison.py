@@ -1,0 +1,278 @@
+"""Figures of what a model gets wrong: simulation and prediction against data, residuals, where errors are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+from engine.presentation.report.chart import Chart, Trace
+from engine.presentation.report.html import Html, bullets, join, table, tag
+from engine.presentation.report.parts import Document, Drawer, grid, label, measured, pretty, prose
+from engine.words import fit_quality, percent, probability
+
+TIME = "time [s]"
+WHAT = {"free_run": "Free-run simulation", "one_step": "One-step prediction"}
+
+
+def against_data(
+    comparison: Document | None, what: str, units: Document, draw: Drawer, wide: bool = False
+) -> list[Html]:
+    """Measured and simulated or predicted with its band, a figure per output."""
+    if comparison is None or "curves" not in comparison:
+        return []
+    c = comparison["curves"]
+    return [
+        draw(
+            Chart(
+                f"{WHAT[what]} of {name} and the data",
+                TIME,
+                label(name, unit),
+                c["t"],
+                (
+                    Trace(
+                        f"{'simulated' if what == 'free_run' else 'predicted'}, 95 % band",
+                        c["y"][name],
+                        band=(c["lower"][name], c["upper"][name]),
+                    ),
+                    Trace("measured", c["measured"][name], "points", "data"),
+                ),
+                wide=wide,
+            )
+        )
+        for name, unit in units.items()
+    ]
+
+
+def errors_over_time(symptoms: Document, units: Document, draw: Drawer) -> list[Html]:
+    """Measured less simulated, and less predicted, over time: a figure per output."""
+    figures = []
+    for name, unit in units.items():
+        traces = []
+        for what, role in (("free_run", "model"), ("one_step", "data")):
+            comparison = symptoms[what]
+            if comparison is None or "curves" not in comparison:
+                continue
+            c = comparison["curves"]
+            e = [
+                None if a is None or b is None else a - b
+                for a, b in zip(c["measured"][name], c["y"][name], strict=True)
+            ]
+            traces.append(Trace(f"{WHAT[what].lower()}", e, "line", role))
+        if traces:
+            t = symptoms["one_step"]["curves"]["t"]
+            title = f"Error of {name} over time (measured less simulated)"
+            figures.append(
+                draw(
+                    Chart(
+                        title,
+                        TIME,
+                        label(name, unit),
+                        t,
+                        tuple(traces),
+                        level=(0.0,),
+                        wide=len(units) == 1,
+                    )
+                )
+            )
+    return figures
+
+
+def fits(symptoms: Document) -> Html:
+    """How wrong simulation and prediction are, output by output."""
+    rows = []
+    for what, name in WHAT.items():
+        comparison = symptoms[what]
+        for f in comparison["fits"] if comparison else ():
+            rows.append(
+                (
+                    f"{name} of {f['output']}",
+                    measured(f["rmse"], f["unit"]),
+                    measured(f["expected_rmse"], f["unit"]) if f["expected_rmse"] else "",
+                    fit_quality(f["fit"]).removeprefix("fit "),
+                    percent(f["inside"]) if f["inside"] is not None else "",
+                )
+            )
+    head = ("", "rms error", "expected by the model", "fit", "inside the 95 % band")
+    return table(head, rows, "numbers") if rows else Html("")
+
+
+def where_it_is(symptoms: Document, units: Document, draw: Drawer) -> Html:
+    """Mean errors by bands of every signal and of time, and the errors' spectrum."""
+    parts = []
+    for what, title in WHAT.items():
+        comparison = symptoms[what]
+        if comparison is None:
+            continue
+        role = "model" if what == "free_run" else "data"
+        figures = [
+            draw(
+                _spectrum(output, units[output] if what == "free_run" else "", bands, role)
+                if kind == "frequency"
+                else _by_bands(output, units[output], signal, bands, role)
+            )
+            for (output, kind, signal), bands in _by_signal(comparison["bands"])
+        ]
+        if figures:
+            note = "mean error ± 2 standard errors in bands of every signal"
+            parts += [tag("h4", f"{title}: {note}"), grid(figures, small=True)]
+    return join(parts)
+
+
+def _by_signal(
+    bands: list[dict[str, Any]],
+) -> Iterator[tuple[tuple[str, str, str], list[dict[str, Any]]]]:
+    keys = dict.fromkeys((b["output"], b["kind"], b["signal"]) for b in bands)
+    order = {"time": 0, "frequency": 1}
+    for key in sorted(keys, key=lambda k: order.get(k[1], 2)):
+        yield key, [b for b in bands if (b["output"], b["kind"], b["signal"]) == key]
+
+
+def _by_bands(output: str, unit: str, signal: str, bands: list[dict[str, Any]], role: str) -> Chart:
+    middle = [0.5 * (b["low"] + b["high"]) for b in bands]
+    return Chart(
+        f"Error of {output} by {signal}",
+        label(signal, bands[0]["unit"]),
+        f"error [{pretty(unit) or '1'}]",
+        middle,
+        (
+            Trace(
+                "mean error ± 2 standard errors",
+                [b["mean"] for b in bands],
+                "points",
+                role,
+                reach=[2.0 * b["standard_error"] for b in bands],
+                width=[0.5 * (b["high"] - b["low"]) for b in bands],
+            ),
+        ),
+        level=(0.0,),
+        small=True,
+        live=False,
+    )
+
+
+def _spectrum(output: str, unit: str, bands: list[dict[str, Any]], role: str) -> Chart:
+    """``unit`` of the errors; without one they are in standard deviations of the prediction."""
+    edges = [b["low"] for b in bands] + [bands[-1]["high"]]
+    error = [b["rms"] for b in bands]
+    expected = [b["expected_rms"] for b in bands]
+    return Chart(
+        f"Error of {output} by frequency",
+        "frequency [Hz]",
+        f"rms in the band [{pretty(unit)}]" if unit else "standardised rms in the band",
+        edges,
+        (
+            Trace("error", [*error, error[-1]], "steps", role),
+            Trace("expected by the model", [*expected, expected[-1]], "steps", "c4"),
+        ),
+        log="xy",
+        small=True,
+        live=False,
+    )
+
+
+def residual_figures(symptoms: Document, draw: Drawer) -> Html:
+    """Standardised innovations over time, by size, against the normal distribution, and by lag."""
+    residuals = symptoms.get("residuals")
+    if not residuals:
+        return Html("")
+    figures = []
+    for name, z in residuals["z"].items():
+        whiteness = next((w for w in symptoms["whiteness"] if w["output"] == name), None)
+        figures.append(
+            draw(
+                Chart(
+                    f"Standardised innovations of {name}",
+                    TIME,
+                    "standard deviations",
+                    residuals["t"],
+                    (Trace("innovation", z, "points", "data"),),
+                    level=(-1.96, 1.96),
+                )
+            )
+        )
+        figures.append(draw(_correlation(name, residuals["autocorrelation"][name], whiteness)))
+        figures.append(draw(_histogram(name, residuals["histogram"][name])))
+        figures.append(draw(_quantiles(name, residuals["quantiles"][name])))
+    return grid(figures)
+
+
+def auxiliary_figures(symptoms: Document, draw: Drawer) -> Html:
+    """Auxiliary residuals: which disturbance stands out, and when."""
+    residuals = symptoms.get("residuals") or {}
+    figures = []
+    for key, what in (("of_outputs", "measurement"), ("of_states", "state")):
+        for name, values in residuals.get(key, {}).items():
+            if not any(v is not None for v in values):
+                continue
+            figures.append(
+                draw(
+                    Chart(
+                        f"Auxiliary residual of the {what} {name}",
+                        TIME,
+                        "standard deviations",
+                        residuals["t"],
+                        (Trace("disturbance", values, "points", "data"),),
+                        level=(-1.96, 1.96),
+                    )
+                )
+            )
+    return grid(figures)
+
+
+def _correlation(name: str, found: Document, whiteness: Document | None) -> Chart:
+    lags = list(range(1, len(found["r"]) + 1))
+    said = "" if whiteness is None else f" (Ljung-Box {probability(_p(whiteness))})"
+    return Chart(
+        f"Autocorrelation of the innovations of {name}{said}",
+        "lag [samples]",
+        "correlation",
+        lags,
+        (Trace("correlation", found["r"], "bars", "data", width=[0.35] * len(lags)),),
+        level=(-found["limit"], found["limit"]),
+        live=False,
+    )
+
+
+def _p(whiteness: Document) -> float:
+    p = whiteness["p_value"]
+    return float("nan") if p is None else float(p)
+
+
+def _histogram(name: str, found: Document) -> Chart:
+    edges, density = found["edges"], found["density"]
+    middle = [0.5 * (a + b) for a, b in pairwise(edges)]
+    half = 0.5 * (edges[1] - edges[0]) if len(edges) > 1 else 0.5
+    normal = [math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi) for x in middle]
+    return Chart(
+        f"Distribution of the innovations of {name}",
+        "standard deviations",
+        "density",
+        middle,
+        (
+            Trace("innovations", density, "bars", "data", width=[half] * len(middle)),
+            Trace("normal distribution", normal, "line", "model"),
+        ),
+        live=False,
+    )
+
+
+def _quantiles(name: str, found: Document) -> Chart:
+    normal = found["normal"]
+    return Chart(
+        f"Quantiles of the innovations of {name}",
+        "normal distribution",
+        "innovations",
+        normal,
+        (
+            Trace("innovations", found["sample"], "points", "data"),
+            Trace("as expected", normal, "line", "model"),
+        ),
+        live=False,
+    )
+
+
+def sentences(symptoms: Document) -> Html:
+    """What is wrong in words."""
+    return bullets(map(prose, symptoms["sentences"]), "sentences")

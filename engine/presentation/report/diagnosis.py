@@ -1,0 +1,152 @@
+"""The report of a diagnosis: the verdict at a glance, then the four questions, then what was testable."""
+
+from __future__ import annotations
+
+from engine.presentation.report.comparison import (
+    against_data,
+    auxiliary_figures,
+    errors_over_time,
+    fits,
+    residual_figures,
+    sentences,
+    where_it_is,
+)
+from engine.presentation.report.diagnosis_cause import cause_section
+from engine.presentation.report.diagnosis_gain import gain_section
+from engine.presentation.report.diagnosis_summary import answers, verdict
+from engine.presentation.report.html import Html, bullets, join, table, tag
+from engine.presentation.report.parts import (
+    Document,
+    Drawer,
+    Report,
+    equations,
+    folded,
+    grid,
+    measured,
+    plus_minus,
+    pretty,
+    prose,
+    section,
+)
+from engine.presentation.report.priority import asked_first
+from engine.words import number, percent
+
+
+def diagnosis_report(d: Document, draw: Drawer) -> Report:
+    """The whole report."""
+    units = d["channels"]["outputs"]
+    symptoms = d["symptoms"]
+    return Report(
+        f"Diagnosis of the model {d['model']}",
+        join([verdict(d), answers(d), grid(_hero(symptoms, units, draw))]),
+        (
+            *section(
+                "wrong",
+                "1. What is wrong",
+                sentences(symptoms) or tag("p", "Nothing stands out."),
+                fits(symptoms),
+                grid(errors_over_time(symptoms, units, draw)),
+                tag("h3", "Where the error lives"),
+                where_it_is(symptoms, units, draw),
+                tag("h3", "One-step predictions and their residuals"),
+                tag(
+                    "p",
+                    "Pictures, not verdicts: a fitted process noise hides much from them.",
+                    class_="hint",
+                ),
+                grid(against_data(symptoms["one_step"], "one_step", units, draw)),
+                residual_figures(symptoms, draw),
+                folded("Auxiliary residuals", auxiliary_figures(symptoms, draw)),
+            ),
+            *section("cause", "2. The cause", *cause_section(d, draw)),
+            *section("extension", "3. The extension", *_extension(d)),
+            *section("gain", "4. The gain", *gain_section(d, units, draw)),
+            *section("testable", "What these data could have shown", *_testable(d)),
+            *section("notes", "Notes", bullets(map(prose, d["notes"])), _seconds(d)),
+        ),
+    )
+
+
+def _hero(symptoms: Document, units: Document, draw: Drawer) -> list[Html]:
+    figures = against_data(symptoms["free_run"], "free_run", units, draw, wide=True)
+    return figures or against_data(symptoms["one_step"], "one_step", units, draw, wide=True)
+
+
+def _extension(d: Document) -> list[object]:
+    extension = d["extension"]
+    before = extension["equations_before"]
+    added = extension["equations"][len(before) :]
+    parts: list[object] = []
+    if not d["causes"]:
+        parts.append(tag("p", "None: the model stays as it is."))
+        parts.append(equations(before))
+    else:
+        if d["gain"] is not None and not d["gain"]["adopt"]:
+            parts.append(
+                tag("p", "Not adopted: the model stays as it is. With what was found it would be:")
+            )
+        parts += [tag("h3", "Before"), equations(before)] if before else []
+        parts += [tag("h3", "After: the same, and" if before else "Added"), equations([], added)]
+    parts.append(_parameters(d))
+    if d["causes"]:
+        parts.append(tag("p", extension.get("in_the_library", ""), class_="hint"))
+    return parts
+
+
+def _parameters(d: Document) -> Html:
+    """Every parameter with its standard error: before, and after where something was added."""
+    extension, before = d["extension"], d["base_theta"]
+    bounds = extension.get("at_bounds", {"before": (), "after": ()})
+    rows: list[list[object]] = []
+    for name, value in extension["theta"].items():
+        known = name in before
+        row: list[object] = [tag("code", name, class_=None if known else "added")]
+        error = d["base_standard_errors"].get(name)
+        row.append(_estimate(before[name], error, name in bounds["before"]) if known else "")
+        if d["causes"]:
+            error = extension["standard_errors"].get(name)
+            row.append(_estimate(value, error, name in bounds["after"]))
+        rows.append([*row, pretty(extension["units"][name])])
+    head = (
+        ["parameter", "before", "after", "unit"]
+        if d["causes"]
+        else ["parameter", "estimate", "unit"]
+    )
+    return table(head, rows, "numbers")
+
+
+def _estimate(value: float, error: float | None, at_bound: bool) -> str:
+    return f"{number(value, 4)}, at its bound" if at_bound else plus_minus(value, error)
+
+
+def _testable(d: Document) -> list[object]:
+    rows = {
+        x["effect"]: (
+            tag("code", x["effect"]),
+            x["title"],
+            measured(x["smallest"], x["unit"]),
+            percent(x["rho"]),
+        )
+        for x in d["detectable"]
+        if x["testable"]
+    }
+    if not rows:
+        return []
+    head = ("effect", "", "smallest size found with 80 %", "share left by the parameters")
+    first = asked_first(list(rows))
+    rest = [row for name, row in rows.items() if name not in first]
+    said = (
+        "The smallest size of each effect that would have been found with 80 % probability, and the share of "
+        "its trace in the data that the fitted parameters leave."
+    )
+    return [
+        tag("p", said, class_="hint"),
+        table(head, [rows[name] for name in first]),
+        folded(f"{len(rest)} more effects", table(head, rest) if rest else Html("")),
+    ]
+
+
+def _seconds(d: Document) -> Html:
+    total = sum(d["seconds"].values())
+    stages = ", ".join(f"{name} {number(s, 2)}" for name, s in d["seconds"].items())
+    return tag("p", f"{number(total)} s in all: {stages}.", class_="hint")

@@ -1,0 +1,147 @@
+"""The cause: what was named, its look-alikes, the evidence of the candidates, the unnamed force."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from engine.presentation.report.chart import Chart, Trace
+from engine.presentation.report.comparison import TIME
+from engine.presentation.report.html import Html, table, tag
+from engine.presentation.report.parts import (
+    Document,
+    Drawer,
+    capital,
+    equations,
+    estimated,
+    facts,
+    folded,
+    grid,
+    label,
+    p_value,
+    prose,
+)
+from engine.presentation.report.priority import asked_first
+from engine.presentation.report.svg import hbars
+from engine.words import number
+
+SHOWN = 12  # candidates in a picture
+
+
+def cause_section(d: Document, draw: Drawer) -> list[object]:
+    """Everything about it."""
+    parts: list[object] = []
+    for k, cause in enumerate(d["causes"]):
+        title = capital(cause["title"])
+        parts.append(tag("h3", f"{k + 1}. {title}" if len(d["causes"]) > 1 else title))
+        parts.append(
+            facts(
+                [
+                    ("effect", tag("code", cause["effect"])),
+                    ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
+                    ("p-value, all effects together", p_value(cause["p_value"])),
+                    ("2 × log-likelihood gained", number(cause["gain"])),
+                    ("enters through", cause["where"]),
+                ]
+            )
+        )
+        parts.append(equations([], [cause["equation"]]))
+        if cause["experiment"]:
+            parts.append(tag("p", cause["experiment"], class_="advice"))
+        if cause["look_alikes"]:
+            parts += [tag("h4", "Look-alikes"), _look_alikes(cause["look_alikes"])]
+    if not d["causes"]:
+        parts.append(tag("p", "None named."))
+    if d["unnamed"]:
+        parts += [tag("h3", "An unnamed force"), tag("p", prose(d["unnamed"]["sentence"]))]
+        parts.append(grid(_force(d["unnamed"], draw)))
+    ranked = [_ranked(d["rounds"], k) for k in range(len(d["rounds"]))]
+    if any(ranked):
+        parts += [
+            tag("h3", "Candidates and their evidence"),
+            tag(
+                "p",
+                "Refitted effects: green could not be told apart; orange is the unnamed force, which a "
+                "cause has to beat. Screened effects: the line is what a single one needs to be an alarm "
+                "among all.",
+                class_="hint",
+            ),
+            grid(ranked),
+        ]
+    untestable = [x["effect"] for x in d["detectable"] if not x["testable"]]
+    if untestable:
+        some = ", ".join(asked_first(untestable))
+        rest = len(untestable) - len(asked_first(untestable))
+        parts += [
+            tag("h3", "Not testable with this experiment"),
+            tag("p", f"{some}{f' and {rest} more' if rest else ''}: the data do not excite them, or the "
+                "fitted parameters take up all they would show."),
+            folded("All that were not testable", tag("p", ", ".join(untestable)) if rest else Html("")),
+        ]  # fmt: skip
+    return parts
+
+
+def _look_alikes(found: list[dict[str, Any]]) -> Html:
+    rows = [
+        (
+            tag("code", o["effect"]),
+            tag("span", "ruled out" if o["ruled_out"] else "not ruled out",
+                class_="good" if o["ruled_out"] else "warn"),
+            number(round(o["likeness"], 2)),
+            "" if o["gain"] is None else number(o["gain"]) if o["gain"] > 0.0 else "none",
+            o["difference"],
+        )
+        for o in found
+    ]  # fmt: skip
+    head = (
+        "effect",
+        "by these data",
+        "likeness",
+        "2 × log-likelihood gained",
+        "what tells it apart",
+    )
+    return table(head, rows, "words")
+
+
+def _ranked(rounds: list[dict[str, Any]], k: int) -> Html:
+    found = rounds[k]
+    name = f"Round {k + 1}: "
+    if found["refitted"]:
+        bars = [
+            (r["title"], r["score"], "after" if r["equivalent"] else "data")
+            for r in found["refitted"][:SHOWN]
+        ]  # fmt: skip
+        if found["unnamed"]:
+            bars.append(("unnamed force", found["unnamed"]["score"], "before"))
+        bars.sort(key=lambda bar: -bar[1])
+        return hbars(f"{name}refitted effects", "2 × log-likelihood gained, less costs", bars)
+    bars = [(x["title"], -math.log10(max(x["p_value"], 1e-300)), "data") for x in found["screened"]]
+    needed = math.erfc(math.sqrt(0.5 * found["threshold"]))  # chi2 with one degree of freedom
+    title = f"{name}screened effects"
+    return hbars(
+        title, "-log10 of each one's p-value", bars[:SHOWN], -math.log10(max(needed, 1e-300))
+    )
+
+
+def _force(force: Document, draw: Drawer) -> list[Html]:
+    curves = force.get("curves")
+    if not curves:
+        return []
+    mean, sd = curves["mean"], curves["standard_deviation"]
+    pairs = list(zip(mean, sd, strict=True))
+    low = [None if m is None or s is None else m - 2.0 * s for m, s in pairs]
+    high = [None if m is None or s is None else m + 2.0 * s for m, s in pairs]
+    one = Trace("force ± 2 standard deviations", mean, band=(low, high), role="before")
+    return [
+        draw(
+            Chart(
+                f"The unnamed force on {force['target']}",
+                TIME,
+                label("force", force["unit"]),
+                curves["t"],
+                (one,),
+                level=(0.0,),
+                wide=True,
+            )
+        )
+    ]

@@ -1,0 +1,136 @@
+"""The top of a diagnosis' report: the verdict, and the four questions answered in a line or two."""
+
+from __future__ import annotations
+
+from engine.presentation.report.html import Html, join, tag
+from engine.presentation.report.parts import (
+    Document,
+    adopted,
+    capital,
+    cards,
+    estimated,
+    measured,
+    p_value,
+    prose,
+    signed,
+)
+from engine.words import bounds, listed, number, percent
+
+TONE = {"nothing": "good", "named": "accent", "set": "warn", "unknown": "warn"}
+
+
+def verdict(d: Document) -> Html:
+    """The word, the sentence, and the names."""
+    word = tag("span", d["verdict"], class_=f"verdict {TONE[d['verdict']]}")
+    said = tag("p", word, " ", d["sentence"], class_="said")
+    names = [tag("p", _headline(cause), class_="cause") for cause in d["causes"]]
+    if d["verdict"] == "unknown":
+        names = [
+            tag("p", "" if k else "Closest: ", _headline(cause))
+            for k, cause in enumerate(d["causes"])
+        ]
+        if d["unnamed"]:
+            names.insert(0, tag("p", prose(d["unnamed"]["sentence"]), class_="cause"))
+    if not names:
+        tested, seen = len(d["detectable"]), sum(x["testable"] for x in d["detectable"])
+        text = (
+            f"{tested} effects were looked for, {p_value(d['p_value'])} for all of them together; {seen} of "
+            "them would have been seen at the sizes listed below."
+        )
+        names = [tag("p", text)]
+    return join([said, *names])
+
+
+def _headline(cause: Document) -> Html:
+    """``Coulomb friction 0.52 ± 0.03 N``, with the names it cannot be told from."""
+    parts: list[object] = [
+        tag("strong", capital(cause["title"])),
+        " ",
+        estimated(cause["size"], cause["standard_error"], cause["unit"]),
+    ]
+    parts.append(cause.get("when", ""))
+    if len(cause["equivalent"]) > 1:
+        others = listed(list(cause["equivalent"][1:]), "or")
+        parts.append(tag("span", f", not told apart from {others}", class_="hint"))
+    return join(parts)
+
+
+def answers(d: Document) -> Html:
+    """A card for each question."""
+    return cards(
+        [
+            ("wrong", "What is wrong", _wrong_at_a_glance(d["symptoms"])),
+            ("cause", "The cause", _cause_at_a_glance(d)),
+            ("extension", "The extension", _extension_at_a_glance(d)),
+            ("gain", "The gain", _gain_at_a_glance(d["gain"])),
+        ]
+    )
+
+
+def _wrong_at_a_glance(symptoms: Document) -> Html:
+    run = symptoms["free_run"]
+    if run is None:
+        return Html("The free-running simulation runs away.")
+    parts = []
+    for f in run["fits"]:
+        big = tag("b", measured(f["rmse"], f["unit"]))
+        expected = f["expected_rmse"]
+        more = f", where {measured(expected, f['unit'])} is expected" if expected else ""
+        parts.append(tag("p", f"Simulated {f['output']} is ", big, f" rms off the data{more}."))
+    if run["regions"]:
+        parts.append(tag("p", f"Most telling: {_place(run['regions'][0])}.", class_="hint"))
+    return join(parts)
+
+
+def _place(region: Document) -> str:
+    low, high = (prose(end) for end in bounds(region["low"], region["high"], region["unit"]))
+    name = region["signal"]
+    if region["kind"] == "time":
+        where = f"up to t = {high}" if region["lowest"] else f"from t = {low}"
+        where += " on" if region["highest"] else "" if region["lowest"] else f" to {high}"
+    elif region["lowest"]:
+        where = f"{name} below {high}"
+    elif region["highest"]:
+        where = f"{name} above {low}"
+    else:
+        where = f"{name} between {low} and {high}"
+    return f"{where} ({percent(region['share_error'])} of the squared error)"
+
+
+def _cause_at_a_glance(d: Document) -> Html:
+    if d["verdict"] == "unknown":
+        said = tag("p", tag("b", "Unknown"), ": something acts that no known effect settles.")
+        names = listed([cause["title"] for cause in d["causes"]])
+        return join([said, tag("p", f"Closest: {names}", class_="hint") if names else ""])
+    if not d["causes"]:
+        return tag("p", f"None: {p_value(d['p_value'])} for all effects together.")
+    parts = []
+    for cause in d["causes"]:
+        name = tag("b", capital(cause["title"]))
+        parts.append(tag("p", name, f", {p_value(cause['p_value'])}"))
+        if len(cause["equivalent"]) > 1:
+            rest = len(cause["equivalent"]) - 1
+            parts.append(tag("p", f"or {rest} other{'s' * (rest > 1)} like it", class_="hint"))
+    return join(parts)
+
+
+def _extension_at_a_glance(d: Document) -> Html:
+    if not d["causes"]:
+        return tag("p", "None: the model stays as it is.")
+    said = [tag("p", tag("code", cause["equation"])) for cause in d["causes"]]
+    if d["gain"] is not None and not d["gain"]["adopt"]:
+        said.append(tag("p", "Not adopted: the model stays as it is.", class_="hint"))
+    return join(said)
+
+
+def _gain_at_a_glance(gain: Document | None) -> Html:
+    if gain is None:
+        return tag("p", "Nothing was added, so nothing is gained or lost.")
+    parts = []
+    for o in gain["outputs"]:
+        after = measured(o["rmse_after"], o["unit"])
+        big = tag("b", f"{number(o['rmse_before'])} → {after}")
+        parts.append(tag("p", f"Error of simulated {o['output']} on held-out data: ", big))
+    if not parts:
+        parts.append(tag("p", f"Log-density on held-out data: {signed(gain['log_density'])}"))
+    return join([*parts, adopted(gain, "in_short")])

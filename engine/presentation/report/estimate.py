@@ -1,0 +1,343 @@
+"""The report of an estimation, a smoothing or a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from engine.presentation.report.chart import Chart, Numbers, Trace
+from engine.presentation.report.comparison import (
+    TIME,
+    against_data,
+    fits,
+    residual_figures,
+    sentences,
+    where_it_is,
+)
+from engine.presentation.report.html import Html, join, table, tag
+from engine.presentation.report.parts import (
+    Document,
+    Drawer,
+    Report,
+    Section,
+    equations,
+    facts,
+    grid,
+    label,
+    pretty,
+    section,
+)
+from engine.words import number
+
+NORMAL = 1.959964  # standard errors to either side of a 95 % interval
+FEW = 7  # starts beside the one taken whose curves are drawn each
+
+
+def estimate_report(document: Document, draw: Drawer) -> Report:
+    """Estimates, how they converged, smoothed states, simulation against the data, residuals, attempts."""
+    model = document.get("model") or {}
+    name = model.get("name", "")
+    title = f"Estimate of the model {name}" if name else "Estimate"
+    numbers = estimates(document)
+    return Report(
+        title,
+        join(
+            [
+                _outcome(document),
+                _facts(document),
+                tag("h2", "Estimates"),
+                _warned(document),
+                numbers,
+            ]
+        ),
+        (
+            *section("convergence", "Convergence", grid(_convergence(document, draw))),
+            *_states(document, draw),
+            *_examined(document, model, draw),
+            *section("attempts", "Attempts", _starts(document), _bootstrap(document, draw)),
+            *section(
+                "model",
+                "The model",
+                tag("p", model["description"]) if model.get("description") else "",
+                equations(model.get("equations", ())),
+            ),
+        ),
+    )
+
+
+def states_report(document: Document, draw: Drawer) -> Report:
+    """Smoothed states at given parameters."""
+    found = document.get("log_likelihood") or {}
+    items = [("log-likelihood", _uncertain(found))] if found else []
+    return Report("Smoothed states", facts(items), tuple(_states(document, draw)))
+
+
+def simulation_report(document: Document, draw: Drawer) -> Report:
+    """Simulated outputs and states, outputs beside what was measured."""
+    simulation = document["simulation"]
+    parts = []
+    for i, series in enumerate(simulation["series"]):
+        rmse = series.get("rmse")
+        said = "" if rmse is None else tag("p", f"Wrong by {number(rmse)} rms against the data.")
+        figures = _simulated(series, simulation["units"], draw)
+        parts += section(f"series-{i}", _nth("Simulation", i, simulation), said, grid(figures))
+    values = document.get("parameters") or {}
+    return Report("Simulation", facts((k, number(v, 6)) for k, v in values.items()), tuple(parts))
+
+
+def _simulated(series: Document, units: Document, draw: Drawer) -> Iterator[Html]:
+    measured = series.get("measured") or {}
+    for group in ("y", "states"):
+        for name, values in series[group].items():
+            traces = [Trace("simulated", values)]
+            if group == "y" and name in measured:
+                traces.append(Trace("measured", measured[name], "points", "data"))
+            unit = units.get(name, "")
+            yield draw(Chart(name, TIME, label(name, unit), series["t"], tuple(traces)))
+
+
+# ---- summary ----------------------------------------------------------------------------------
+
+
+def _outcome(document: Document) -> Html:
+    outcome = (document.get("outcome") or "").replace("-", " ")
+    tone = "good" if outcome == "converged" else "warn"
+    message = document.get("message") or ""
+    first, _, rest = message.partition(": ")
+    if first.lower() == outcome:  # the badge says it already
+        message = rest[:1].upper() + rest[1:]
+    word = tag("span", outcome or "done", class_=f"verdict {tone}")
+    return tag("p", word, " ", message, class_="said")
+
+
+def _warned(document: Document) -> Html:
+    """That the errors beside the estimates are none of an estimate."""
+    warning = document.get("warning")
+    return tag("p", tag("strong", warning), class_="said") if warning else Html("")
+
+
+def _facts(document: Document) -> Html:
+    trace = document.get("trace") or {}
+    items: list[tuple[str, object]] = []
+    if document.get("log_likelihood"):
+        items.append(("log-likelihood", _uncertain(document["log_likelihood"])))
+    if trace.get("iteration"):
+        items.append(("iterations", trace["iteration"][-1]))
+        spent = [s for s in trace["seconds"] if s is not None]
+        if spent:
+            items.append(("time per iteration", f"{number(1000.0 * sum(spent) / len(spent))} ms"))
+    states = (document.get("states") or {}).get("series") or []
+    if states:
+        items.append(("samples", sum(len(one["t"]) for one in states)))
+    return facts(items)
+
+
+def _uncertain(value: Document) -> str:
+    error = value.get("standard_error")
+    return number(value.get("value"), 6) + (f" ± {number(error, 2)}" if error else "")
+
+
+def estimates(document: Document) -> Html:
+    """The table of parameters with standard errors and 95 % intervals."""
+    rows = []
+    start = {k: v[0] for k, v in (document.get("trace") or {}).get("theta", {}).items() if v}
+    for name, found in document["estimate"].items():
+        error, fixed = found["standard_error"], found.get("fixed", False)
+        low, high = found.get("interval") or (None, None)
+        rows.append(
+            (
+                tag("code", name),
+                number(found["value"], 5),
+                "held" if fixed else (number(error, 2) if error is not None else "not known"),
+                "" if low is None else f"{number(low, 4)} to {number(high, 4)}",
+                pretty(found["unit"]),
+                number(start.get(name), 4) if name in start else "",
+            )
+        )
+    head = ("parameter", "estimate", "standard error", "95 % interval", "unit", "start")
+    return table(head, rows, "numbers")
+
+
+# ---- convergence ------------------------------------------------------------------------------
+
+
+def _convergence(document: Document, draw: Drawer) -> Iterator[Html]:
+    """Each free parameter over the iterations, with its interval and the other starts."""
+    trace = document.get("trace")
+    if not trace:
+        return
+    ks = trace["iteration"]
+    for name, values in trace["theta"].items():
+        found = document["estimate"].get(name, {})
+        if found.get("fixed"):
+            continue
+        others = _other_starts(document, name)
+        axis = sorted({*ks, *(k for _, its, _ in others for k in its)})
+        traces = [_interval(found, len(axis))] if found.get("interval") else []
+        traces += _beside(axis, others)
+        traces.append(Trace("iterate", _on(axis, ks, values), "line", "model"))
+        title, y_label = name, label(name, found.get("unit", ""))
+        yield draw(Chart(title, "iteration", y_label, axis, tuple(traces), sync="iteration"))
+    for key, title in (("log_likelihood", "Log-likelihood"), ("ess", "Effective sample size")):
+        if any(v is not None for v in trace[key]):
+            one = Trace(title.lower(), trace[key], "line", "c4")
+            yield draw(Chart(title, "iteration", title.lower(), ks, (one,), sync="iteration"))
+
+
+def _interval(found: Document, n: int) -> Trace:
+    (low, high), value = found["interval"], found["value"]
+    band = ([low] * n, [high] * n)
+    return Trace("estimate, 95 % interval", [value] * n, "line", "after", band=band)
+
+
+def _other_starts(document: Document, name: str) -> list[tuple[int, Numbers, Numbers]]:
+    """(number, iterations, values) of a parameter from the starts that were not taken."""
+    taken = document["trace"]["theta"][name][0]
+    traces = [
+        (i + 1, s["trace"]) for i, s in enumerate(document.get("starts") or ()) if "trace" in s
+    ]
+    found = [(i, t["iteration"], t["theta"][name]) for i, t in traces]
+    return [one for one in found if one[2][0] != taken]
+
+
+def _beside(axis: list[int], others: list[tuple[int, Numbers, Numbers]]) -> list[Trace]:
+    """A few starts each by itself, many by their middle and range."""
+    curves = [(i, _on(axis, ks, values)) for i, ks, values in others]
+    if len(curves) <= FEW:
+        return [
+            Trace(f"start {i}", curve, "line", f"c{2 + k % 5}", dash=True)
+            for k, (i, curve) in enumerate(curves)
+        ]
+    rows = [
+        sorted(v for v in row if v is not None)
+        for row in zip(*(curve for _, curve in curves), strict=True)
+    ]
+    band = ([r[0] if r else None for r in rows], [r[-1] if r else None for r in rows])
+    middle = [r[len(r) // 2] if r else None for r in rows]
+    return [Trace("middle and range of the other starts", middle, "line", "data", band, dash=True)]
+
+
+def _on(axis: list[int], ks: Numbers, values: Numbers) -> list[float | None]:
+    """Values at iterations ks over an axis that may hold more of them and go on after them."""
+    x, y = np.array(ks, dtype=float), np.array(values, dtype=float)
+    inside = np.interp(axis, x, y, right=np.nan).tolist()
+    return [None if v != v else v for v in inside]
+
+
+# ---- states, simulation, residuals --------------------------------------------------------------
+
+
+def _states(document: Document, draw: Drawer) -> list[Section]:
+    states = document.get("states")
+    if not states:
+        return []
+    parts = []
+    for i, series in enumerate(states["series"]):
+        figures = []
+        for name, mean in series["mean"].items():
+            sd = series["standard_deviation"][name]
+            low, high = (
+                [_shifted(m, s, k) for m, s in zip(mean, sd, strict=True)] for k in (-1, 1)
+            )
+            unit = states["units"].get(name, "")
+            one = Trace("smoothed mean, 95 % band", mean, band=(low, high))
+            figures.append(draw(Chart(name, TIME, label(name, unit), series["t"], (one,))))
+        parts += section(f"states-{i}", _nth("Smoothed states", i, states), grid(figures))
+    return parts
+
+
+def _shifted(mean: float | None, sd: float | None, sign: int) -> float | None:
+    return None if mean is None or sd is None else mean + sign * NORMAL * sd
+
+
+def _nth(title: str, i: int, group: Document) -> str:
+    return title if len(group["series"]) == 1 else f"{title}, series {i + 1}"
+
+
+def _examined(document: Document, model: Document, draw: Drawer) -> list[Section]:
+    found = document.get("examination")
+    if not found:
+        return []
+    units, parts = model.get("outputs", {}), []
+    for i, one in enumerate(found["series"]):
+        if "problem" in one:
+            parts += section(
+                f"simulation-{i}", _nth("Simulation and prediction", i, found), one["problem"]
+            )
+            continue
+        compared = [
+            *against_data(one["free_run"], "free_run", units, draw, wide=True),
+            *against_data(one["one_step"], "one_step", units, draw, wide=True),
+        ]
+        parts += section(
+            f"simulation-{i}",
+            _nth("Simulation and prediction against the data", i, found),
+            sentences(one),
+            fits(one),
+            grid(compared),
+        )
+        parts += section(f"residuals-{i}", _nth("Residuals", i, found), residual_figures(one, draw))
+        parts += section(
+            f"where-{i}", _nth("Where the error is", i, found), where_it_is(one, units, draw)
+        )
+    return parts
+
+
+# ---- attempts ---------------------------------------------------------------------------------
+
+
+def _starts(document: Document) -> Html:
+    starts = document.get("starts") or []
+    if not starts:
+        return Html("")
+    best = max(
+        (s["log_likelihood"]["value"] for s in starts if s.get("log_likelihood")), default=None
+    )
+    rows = []
+    for i, one in enumerate(starts):
+        value = (one.get("log_likelihood") or {}).get("value")
+        rows.append(
+            (
+                f"start {i + 1}" + (" (taken)" if value is not None and value == best else ""),
+                _listed(one["start"]),
+                _listed(one.get("estimate") or {}),
+                number(value, 6) if value is not None else "",
+                one["outcome"].replace("-", " "),
+            )
+        )
+    head = ("", "from", "to", "log-likelihood", "outcome")
+    return join([tag("h3", "Starts"), table(head, rows, "words")])
+
+
+def _listed(values: dict[str, Any]) -> str:
+    return ", ".join(f"{k} = {number(v, 4)}" for k, v in values.items())
+
+
+def _bootstrap(document: Document, draw: Drawer) -> Html:
+    found = document.get("bootstrap")
+    if not found:
+        return Html("")
+    said = (
+        f"{found['runs']} estimations on data simulated at the estimate; {found['failed']} failed."
+    )
+    rows = [
+        (tag("code", name), *(number(q[level], 4) for level in ("0.025", "0.5", "0.975")))
+        for name, q in found["quantiles"].items()
+    ]
+    head = ("parameter", "2.5 %", "50 %", "97.5 %")
+    figures = [
+        draw(_density(name, values)) for name, values in found["estimates"].items() if values
+    ]
+    parts = [tag("h3", "Parametric bootstrap"), tag("p", said)]
+    return join([*parts, table(head, rows, "numbers") if rows else "", grid(figures)])
+
+
+def _density(name: str, values: list[float]) -> Chart:
+    ordered = sorted(values)
+    share = [(i + 0.5) / len(ordered) for i in range(len(ordered))]
+    one = Trace("share of runs below", share, "points", "data")
+    return Chart(
+        f"Bootstrap estimates of {name}", name, "share of runs below", ordered, (one,), live=False
+    )

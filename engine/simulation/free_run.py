@@ -1,0 +1,234 @@
+"""Free-run simulation: the model without noise over a series' inputs, and bands around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from engine.data.series import Series
+from engine.errors import OptionError, SeriesError
+from engine.simulation.simulate import check_finite, noise, propagate
+from engine.statespace.checks import check_start
+from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.views import Figures, figures, html, plots, tables
+
+
+@dataclass(frozen=True)
+class Bands:
+    """What the Monte Carlo bands of a free run hold.
+
+    ``draws`` runs are made. ``covariance`` (n_theta, n_theta) is the parameters' uncertainty,
+    ``start`` (nx, nx) that of the first state x_1 = (a_1, z_1); None leaves either out.
+    ``process`` and ``measurement`` noise are those of the model. ``level`` is the probability
+    within the bands, at each sample by itself.
+    """
+
+    draws: int = 200
+    level: float = 0.95
+    covariance: ArrayLike | None = None
+    start: ArrayLike | None = None
+    process: bool = True
+    measurement: bool = True
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRun:
+    """A noise-free run: y (T, ny), a (T, na), z (T, nz); bands lower, upper (T, ny) or None."""
+
+    model: MixedModel
+    theta: Theta
+    series: Series
+    y: Array
+    a: Array
+    z: Array
+    lower: Array | None = None
+    upper: Array | None = None
+
+    @property
+    def residuals(self) -> Array:
+        """Measured minus simulated (T, ny), NaN where nothing was measured."""
+        return self.series.y - self.y
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of all residuals, in the outputs' unit."""
+        return self.rmse_from(0)
+
+    def rmse_from(self, row: int) -> float:
+        """The same, leaving out the samples before ``row``."""
+        return float(np.sqrt(np.nanmean(self.residuals[row:] ** 2)))
+
+    @property
+    def rmse_by_output(self) -> dict[str, float]:
+        """Root mean square of the residuals of each output; NaN where none was measured."""
+        squares = self.residuals**2
+        n = self.series.observed.sum(axis=0)
+        means = np.nansum(squares, axis=0) / np.where(n, n, np.nan)
+        return dict(zip(self.model.outputs, np.sqrt(means).tolist(), strict=True))
+
+    def plot(self) -> Figures:
+        """``outputs`` against the data with the bands there are, and ``states``; extra ``plot``."""
+        t, units = self.series.t, {**self.model.nonlinear, **self.model.linear}
+        outputs = plots().against_data(
+            t, self.model.outputs, self.series.y, self.y, "free run", self.lower, self.upper
+        )
+        x = np.concatenate([self.a, self.z], axis=1)
+        return figures(outputs=outputs, states=plots().states(t, units, x))
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, value, self.model.outputs[name]) for name, value in self.rmse_by_output.items()
+        ]
+        return html(
+            f"{self.model.name}: free run over {len(self.series)} samples",
+            tables().table(("output", "rms error", "unit"), rows),
+        )
+
+
+def free_run(
+    model: MixedModel,
+    theta: ThetaLike,
+    series: Series,
+    a1: ArrayLike | None = None,
+    z1: ArrayLike | None = None,
+    initial_rows: int = 0,
+    bands: Bands | None = None,
+) -> FreeRun:
+    """Simulate without noise from (a1, z1) over a series' inputs and times.
+
+    A first state that is not given is the mean of the model's initial density; with
+    ``initial_rows`` > 0, what the initial density leaves uncertain of it is instead estimated by
+    least squares on the first ``initial_rows`` samples; otherwise y may be missing throughout.
+    Raises ModelError naming the time where the run stops being finite, OptionError for a first
+    state of the wrong size.
+    """
+    series.check(model, measured=initial_rows > 0)
+    vector = model.theta(theta)
+    check_start(model, vector, series)
+    record = model.record(vector)
+    x1, spread = first_state(model, vector)
+    given = [("a1", a1, slice(0, model.na)), ("z1", z1, slice(model.na, model.nx))]
+    for name, value, where in given:
+        if value is not None:
+            values = np.asarray(value, dtype=float).ravel()
+            if values.size != x1[where].size or not np.isfinite(values).all():
+                raise OptionError(
+                    f"{name} = {values}; {x1[where].size} finite values are needed", name
+                )
+            x1[where], spread[where] = values, 0.0
+    if initial_rows:
+        x1 = _fit_first_state(model, vector, series, x1, spread, initial_rows)
+    y, a, z = propagate(model, record, series, x1[None, : model.na], x1[None, model.na :])
+    check_finite(model, series, y, a, z)
+    lower = upper = None
+    if bands is not None:
+        lower, upper = _bands(model, vector, series, x1, bands)
+    return FreeRun(model, vector, series, y[:, 0], a[:, 0], z[:, 0], lower, upper)
+
+
+def first_state(model: MixedModel, theta: Theta) -> tuple[Array, Array]:
+    """Mean and standard deviation (nx,) of x_1 = (a_1, z_1) under the initial density.
+
+    A density without ``mean`` and ``cov`` is averaged over 1000 draws.
+    """
+    start = model.start(model.record(theta))
+    density = start.density
+    if hasattr(density, "mean") and hasattr(density, "cov"):
+        mean, variance = np.asarray(density.mean), np.diagonal(density.cov)
+    else:
+        draws = density.sample(np.random.default_rng(0), 1000)
+        mean, variance = draws.mean(axis=0), draws.var(axis=0)
+    z, P = start.linear(np.array(mean, dtype=float)[None])
+    variance_z = np.diagonal(P if P.ndim == 2 else P[0])
+    return np.concatenate((mean, z[0])), np.sqrt(np.concatenate((variance, variance_z)))
+
+
+def run_rows(model: MixedModel, thetas: Array, series: Series, x1: Array) -> tuple[Array, Array]:
+    """Noise-free runs of K parameter vectors (K, n_theta) from K first states (K, nx).
+
+    Returns y (T, K, ny) and x (T, K, nx). K runs cost about as much as one where the model's functions
+    take arrays of parameters.
+    """
+    na = model.na
+    y, a, z = propagate(model, model.records(thetas), series, x1[:, :na], x1[:, na:])
+    return y, np.concatenate((a, z), axis=2)
+
+
+def _fit_first_state(
+    model: MixedModel, theta: Theta, series: Series, x1: Array, spread: Array, rows: int
+) -> Array:
+    """x_1 by least squares on the first rows; components without spread stay."""
+    part = series.part(0, min(max(rows, 2), len(series)))
+    free = np.flatnonzero(spread > 0.0)
+    seen = part.observed
+    if not free.size:
+        return x1
+    if not seen.any():
+        raise SeriesError(f"no measurement in the first {rows} rows to estimate the start from")
+    scale = output_scale([part])
+    h = 1e-5 * spread[free]
+    record, na = model.record(theta), model.na
+
+    def evaluate(p: Array) -> tuple[Array, Array]:
+        x = np.tile(x1, (2 * free.size + 1, 1))
+        x[:, free] = p
+        for i, column in enumerate(free):
+            x[1 + 2 * i, column] += h[i]
+            x[2 + 2 * i, column] -= h[i]
+        y, _, _ = propagate(model, record, part, x[:, :na], x[:, na:])
+        e = ((part.y[:, None] - y) / scale).transpose(0, 2, 1)[seen]
+        return e[:, 0], (e[:, 1::2] - e[:, 2::2]) / (2.0 * h)
+
+    def residuals(p: Array) -> Array:
+        return evaluate(p)[0]
+
+    def jacobian(p: Array) -> Array:
+        return evaluate(p)[1]
+
+    best = least_squares(residuals, x1[free], jacobian, x_scale=spread[free])
+    out = x1.copy()
+    out[free] = best.x
+    return out
+
+
+def output_scale(series: list[Series]) -> Array:
+    """One number per output to weigh residuals by: its standard deviation; 1 for one output."""
+    ny = series[0].y.shape[1]
+    if ny == 1:
+        return np.ones(1)
+    y = np.concatenate([one.y for one in series])
+    seen = ~np.isnan(y)
+    n = np.maximum(seen.sum(axis=0), 1)
+    mean = np.nansum(y, axis=0) / n
+    scale = np.sqrt(np.nansum((y - mean) ** 2, axis=0) / n)
+    return np.where(scale > 0.0, scale, 1.0)
+
+
+def _bands(
+    model: MixedModel, theta: Theta, series: Series, x1: Array, bands: Bands
+) -> tuple[Array, Array]:
+    """Quantiles (T, ny) of runs with drawn parameters, first states and noise."""
+    if bands.draws < 2 or not 0.0 < bands.level < 1.0:
+        raise OptionError(
+            f"bands: draws = {bands.draws}, level = {bands.level}; at least 2 draws and a level "
+            "between 0 and 1 are needed",
+            "bands",
+        )
+    K, na, rng = bands.draws, model.na, bands.rng
+    x = np.tile(x1, (K, 1))
+    if bands.start is not None:
+        x += noise(np.asarray(bands.start, dtype=float), x.shape, rng)
+    thetas = np.tile(np.asarray(theta), (K, 1))
+    if bands.covariance is not None:
+        thetas += noise(np.asarray(bands.covariance, dtype=float), thetas.shape, rng)
+        thetas = np.clip(thetas, model.lower, model.upper)
+    noises = {"process": bands.process, "measurement": bands.measurement}
+    y, _, _ = propagate(model, model.records(thetas), series, x[:, :na], x[:, na:], rng, **noises)
+    y = np.sort(np.where(np.isnan(y), np.inf, y), axis=1)
+    tail = 0.5 * (1.0 - bands.level)
+    low, high = int(np.floor(tail * (K - 1))), int(np.ceil((1.0 - tail) * (K - 1)))
+    return y[:, low], y[:, high]

@@ -1,0 +1,167 @@
+"""Draws from a model, and the loop over time that every open-loop run shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from engine.data.series import Series
+from engine.errors import ModelError, OptionError
+from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
+from engine.statespace.checks import check_start
+from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.statespace.refutation import repeated_if_refuted
+from engine.statespace.shapes import through
+from engine.views import Figures, figures, plots
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """y (T, ny), the states a (T, na), z (T, nz) behind it, and y with its inputs as a Series."""
+
+    y: Array
+    a: Array
+    z: Array
+    series: Series
+    model: MixedModel
+
+    def plot(self) -> Figures:
+        """``outputs`` and ``states``. Needs the extra ``plot``."""
+        units = {**self.model.nonlinear, **self.model.linear}
+        x = np.concatenate([self.a, self.z], axis=1)
+        return figures(
+            outputs=plots().states(self.series.t, self.model.outputs, self.y),
+            states=plots().states(self.series.t, units, x),
+        )
+
+    def _repr_html_(self) -> str:
+        return self.series._repr_html_()
+
+
+def simulate(
+    model: MixedModel,
+    theta: ThetaLike,
+    n_samples: int,
+    rng: np.random.Generator,
+    u: ArrayLike | None = None,
+    dt: float = 1.0,
+    t: ArrayLike | None = None,
+) -> Simulation:
+    """Draw T = n_samples samples of paper, eq. (1): x_1 from the initial density, w, e with noise.
+
+    u (T, nu) or (T,) are the inputs; dt or t (T,) the times in seconds. Q and R may be singular.
+    Raises ModelError naming the time at which the state stopped being finite.
+    """
+    if n_samples < 2:
+        raise OptionError(f"n_samples = {n_samples}; at least 2 are needed", "n_samples")
+    if u is None and model.nu:
+        raise OptionError(
+            f"model '{model.name}' has inputs ({', '.join(model.inputs)}); "
+            f"pass u ({n_samples}, {model.nu})",
+            "u",
+        )
+    blank = np.zeros((n_samples, model.ny))
+    frame = Series(blank, u, dt=dt, t=t).check(model)
+    values = model.theta(theta)
+    check_start(model, values, frame)
+    record = model.record(values)
+    a1 = model.start(record).density.sample(rng, 1)
+    z1, P1 = model.start(record).linear(a1)
+    z1 = z1 + noise(P1, z1.shape, rng)
+    y, a, z = propagate(model, record, frame, a1, z1, rng)
+    check_finite(model, frame, y, a, z)
+    y, a, z = y[:, 0], a[:, 0], z[:, 0]
+    series = Series(
+        y, frame.u, t=frame.t, y_names=tuple(model.outputs), u_names=tuple(model.inputs)
+    )
+    return Simulation(y, a, z, series, model)
+
+
+@repeated_if_refuted
+def propagate(
+    model: MixedModel,
+    record: Any,
+    series: Series,
+    a: Array,
+    z: Array,
+    rng: np.random.Generator | None = None,
+    process: bool = True,
+    measurement: bool = True,
+) -> tuple[Array, Array, Array]:
+    """Run K copies of a model over a series' inputs and times: y (T, K, ny), a (T, K, na), z.
+
+    ``a`` (K, na), ``z`` (K, nz) are the first states. Without ``rng`` the run is noise-free; with
+    it, process and measurement noise are drawn where asked for. The record's fields are numbers,
+    or arrays (K,), see ``model.records``. What overflows is left as inf or NaN.
+    """
+    T, K = len(series), a.shape[0]
+    a_all, z_all = np.empty((T, K, model.na)), np.empty((T, K, model.nz))
+    steps = step_lengths(series).tolist()
+    times, inputs = series.t.tolist(), series.u
+    na = model.na
+    model.transitions.look_again()
+    model.observations.look_again()
+    with np.errstate(all="ignore"):
+        for t in range(T - 1):
+            a_all[t], z_all[t] = a, z
+            f, A, Q = model.transition(a, inputs[t], times[t], steps[t], record)
+            x = f + through(A, z)
+            if rng is not None and process:
+                x += noise(Q, x.shape, rng)
+            a, z = x[:, :na], x[:, na:]
+        a_all[T - 1], z_all[T - 1] = a, z
+        y = _outputs(model, record, series, a_all, z_all, rng if measurement else None)
+    return y, a_all, z_all
+
+
+def _outputs(
+    model: MixedModel,
+    record: Any,
+    series: Series,
+    a: Array,
+    z: Array,
+    rng: np.random.Generator | None,
+) -> Array:
+    """All outputs y (T, K, ny) in one call of the model."""
+    T, K = a.shape[:2]
+    rows = T * K
+    record = type(record)(*(np.tile(v, T) if np.ndim(v) else v for v in record))
+    h, C, R = model.observation(
+        a.reshape(rows, -1), np.repeat(series.u, K, axis=0).T, np.repeat(series.t, K), record
+    )
+    y = h + through(C, z.reshape(rows, -1))
+    if rng is not None:
+        y += noise(R, y.shape, rng)
+    return y.reshape(T, K, model.ny)
+
+
+def noise(S: Array, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """Draws (K, n) from N(0, S), S (n, n) or (K, n, n), possibly singular."""
+    e = rng.standard_normal(shape)
+    if S.size == 0 or not np.isfinite(S).all():
+        return e * (0.0 if S.size == 0 else np.nan)
+    S = np.ascontiguousarray(S)
+    if S.ndim == 2:
+        return np.asarray(e @ psd_cholesky(S).T)
+    return through(psd_cholesky_many(S), e)
+
+
+def step_lengths(series: Series) -> Array:
+    """Time steps (T-1,) in seconds; exactly equal ones where sampling is regular."""
+    return series.steps if series.dt is None else np.full(len(series) - 1, series.dt)
+
+
+def check_finite(model: MixedModel, series: Series, *values: Array) -> None:
+    """Raise ModelError naming the first time at which any of the values (T, ...) is not finite."""
+    finite = np.ones(len(series), dtype=bool)
+    for value in values:
+        finite &= np.isfinite(value).reshape(len(series), -1).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise ModelError(
+            f"model '{model.name}': the simulation runs away; at t = {series.t[row]:g} s (row "
+            f"{row}) it is not finite any more. Check theta, the inputs' scale and the time step"
+        )

@@ -1,0 +1,135 @@
+"""The Rao-Blackwellized forward filter backward simulator; report, Algorithm 3."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import OptionError
+from engine.filters.rbpf import Filtered
+from engine.kernels.backward import backward_simulation
+from engine.kernels.resampling import stratified
+from engine.statespace.model import Array
+from engine.statespace.points import Points
+from engine.views import Figures, figures, html, plots, tables
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """N backward trajectories, each of weight 1/N.
+
+    ``a`` (T, N, na) nonlinear states; ``z`` (T, N, nz) = z_{t|T}, ``cov`` = P_{t|T} and ``cross`` = M_{t|T},
+    the moments of z given the trajectory, with an axis of length 1 where common to all (``P``
+    (T, N, nz, nz) and ``M`` (T-1, N, nz, nz) are the full views); ``index`` (T, N) the filter particle
+    of each point; ``trajectories`` (T, N, nx) whole joint draws of x = (a, z), or None.
+    """
+
+    filtered: Filtered
+    a: Array
+    z: Array
+    cov: Array
+    cross: Array
+    index: NDArray[np.int64]
+    trajectories: Array | None = None
+
+    @property
+    def P(self) -> Array:
+        """P_{t|T}^j (T, N, nz, nz)."""
+        T, N, nz = self.z.shape
+        return np.broadcast_to(self.cov, (T, N, nz, nz))
+
+    @property
+    def M(self) -> Array:
+        """M_{t|T}^j = Cov(z_t, z_{t+1}) given the trajectory (T-1, N, nz, nz)."""
+        T, N, nz = self.z.shape
+        return np.broadcast_to(self.cross, (T - 1, N, nz, nz))
+
+    def mean(self) -> Array:
+        """Smoothed mean of x = (a, z), (T, nx)."""
+        return np.concatenate([self.a.mean(axis=1), self.z.mean(axis=1)], axis=1)
+
+    def std(self) -> Array:
+        """Smoothed standard deviation of x = (a, z), (T, nx)."""
+        variance = self.z.var(axis=1) + np.diagonal(self.cov, axis1=2, axis2=3).mean(axis=1)
+        return np.concatenate([self.a.std(axis=1), np.sqrt(np.maximum(variance, 0.0))], axis=1)
+
+    def outputs(self) -> Array:
+        """Smoothed mean (T, ny) of h(a) + C(a) z: what the outputs were but for e."""
+        model, theta = self.filtered.model, self.filtered.theta
+        points = Points(model, self.filtered.series, self.a)
+        h, C, _ = points.observation(model.record(theta))
+        return np.asarray((h + (C @ self.z[..., None])[..., 0]).mean(axis=1))
+
+    def plot(self) -> Figures:
+        """``states`` with 95 % bands, ``residuals``: measured against smoothed outputs.
+
+        Needs the extra ``plot``.
+        """
+        model, series = self.filtered.model, self.filtered.series
+        units = {**model.nonlinear, **model.linear}
+        return figures(
+            states=plots().states(series.t, units, self.mean(), self.std()),
+            residuals=plots().against_data(
+                series.t, model.outputs, series.y, self.outputs(), "smoothed"
+            ),
+        )
+
+    def _repr_html_(self) -> str:
+        model = self.filtered.model
+        units = {**model.nonlinear, **model.linear}
+        numbers = zip(
+            *(
+                f(x, axis=0).tolist()
+                for x, f in ((self.mean(), np.min), (self.mean(), np.max), (self.std(), np.mean))
+            ),
+            strict=True,
+        )
+        rows = [
+            (name, *row, unit) for (name, unit), row in zip(units.items(), numbers, strict=True)
+        ]
+        return html(
+            f"{model.name}: {len(self.a)} samples smoothed by {self.a.shape[1]} trajectories",
+            tables().line(f"Log-likelihood of the filter {self.filtered.log_likelihood:.2f}"),
+            tables().table(("state", "least", "most", "mean sd", "unit"), rows),
+        )
+
+
+def rb_ffbsi(
+    filtered: Filtered,
+    n_trajectories: int,
+    rng: np.random.Generator,
+    joint: bool = False,
+) -> Smoothed:
+    """Draw N = ``n_trajectories`` backward trajectories; report, Algorithm 3.
+
+    ``z``, ``P`` and ``M`` are the moments of the report, eqs. (61): under Approximation 1, as in the
+    filter's stored moments, and Approximation 2, which leaves a bias in P and M that does not
+    vanish as M grows. ``joint=True`` chains the drawn z~ into whole trajectories from the joint
+    smoothing density of (a, z); these converge, and the a of such a run are exact draws too.
+    :func:`engine.smoothers.exact_conditional.condition_on_trajectories` turns them into exact moments of z.
+    """
+    if int(n_trajectories) != n_trajectories or n_trajectories < 1:
+        raise OptionError(
+            f"n_trajectories = {n_trajectories}; a positive whole number is needed",
+            "n_trajectories",
+        )
+    T, N, nz = len(filtered.a), n_trajectories, filtered.z.shape[2]
+    index, z, P, M, draws = backward_simulation(
+        filtered.a,
+        filtered.z,
+        filtered.cov,
+        filtered.log_weights,
+        filtered.mu,
+        filtered.L,
+        filtered.AP,
+        filtered.ancestors,
+        stratified(filtered.weights[-1], rng.random(N)),
+        rng.random((T - 1, N)),
+        rng.standard_normal((T, N, nz)),
+        joint,
+    )
+    a = np.take_along_axis(filtered.a, index[:, :, None], axis=1)
+    trajectories = np.concatenate([a, draws], axis=2) if joint else None
+    return Smoothed(filtered, a, z, P, M, index, trajectories)

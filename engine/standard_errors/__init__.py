@@ -1,6 +1,0 @@
-"""How far an estimate may be off: standard errors, and intervals by the likelihood ratio."""
-
-from engine.standard_errors.likelihood import LikelihoodIntervals, likelihood_intervals
-from engine.standard_errors.observed import StandardErrors, standard_errors
-
-__all__ = ["LikelihoodIntervals", "StandardErrors", "likelihood_intervals", "standard_errors"]

@@ -1,0 +1,199 @@
+"""What every model has: a name, named inputs and outputs, and parameters theta with bounds."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Self, TypeAlias
+from weakref import WeakSet
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from engine.arrays import Array as Array
+from engine.errors import OptionError
+from engine.views import html, tables
+
+ThetaLike: TypeAlias = "Mapping[str, float] | ArrayLike | None"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One component of theta: its name, default value, unit, closed bounds and meaning.
+
+    ``scale`` is a typical size, in the same unit; only a parameter whose default is 0 may need one, and
+    estimations find it from the data where it is 0.
+    """
+
+    name: str
+    default: float
+    unit: str = ""
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    description: str = ""
+    scale: float = 0.0
+
+
+class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):
+    """Parameter values as a vector (n_theta,) with names: ``theta[0]``, ``theta["k1"]``."""
+
+    names: tuple[str, ...]
+
+    def __new__(cls, values: ArrayLike, names: Sequence[str]) -> Self:
+        """A copy of ``values`` that knows the ``names`` of its components."""
+        self = np.array(values, dtype=float).view(cls)
+        self.names = tuple(names)
+        return self
+
+    def __array_finalize__(self, obj: Any) -> None:
+        self.names = getattr(obj, "names", ())
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str):
+            return float(np.asarray(self)[self.names.index(key)])
+        value = np.asarray(self)[key]
+        return value if isinstance(value, np.ndarray) else float(value)
+
+    def __reduce__(self) -> tuple[Any, ...]:  # NumPy's own would lose the names
+        return type(self), (self.tolist(), self.names)
+
+    def asdict(self) -> dict[str, float]:
+        """{name: value}."""
+        return dict(zip(self.names, self.tolist(), strict=True))
+
+
+class BaseModel:
+    """Names and parameters; a model adds its functions."""
+
+    name: str
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    parameters: Sequence[Parameter]
+
+    @cached_property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @cached_property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of theta, in order."""
+        return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower bounds (n_theta,)."""
+        return np.array([p.bounds[0] for p in self.parameters], dtype=float)
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper bounds (n_theta,)."""
+        return np.array([p.bounds[1] for p in self.parameters], dtype=float)
+
+    @cached_property
+    def _record(self) -> Any:
+        return namedtuple("theta", self.parameter_names)  # noqa: PYI024 - fields are dynamic
+
+    @cached_property
+    def checked(self) -> WeakSet[Any]:
+        """Series on which the model's functions were checked; see :mod:`engine.statespace.checks`."""
+        return WeakSet()
+
+    @cached_property
+    def derived(self) -> dict[str, Any]:
+        """Other forms of the model, made once."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: the model's fields, not what was found out from them."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+    def record(self, theta: Sequence[Any] | Array) -> Any:
+        """Theta as the record handed to the model's functions."""
+        return self._record(*(theta.tolist() if isinstance(theta, np.ndarray) else theta))
+
+    def records(self, thetas: Array, copies: int = 1) -> Any:
+        """The parameter vectors (K, n_theta) as the record of K ``copies`` rows, ``copies`` of each in turn.
+
+        Fields that are the same in all rows are numbers, the others arrays (K copies,).
+        """
+        fields: list[Any] = thetas[0].tolist()
+        for i in np.flatnonzero((thetas != thetas[0]).any(axis=0)):
+            fields[i] = np.repeat(thetas[:, i], copies)
+            fields[i].setflags(write=False)  # a model may remember what belongs to it
+        return self.record(fields)
+
+    def theta(self, values: ThetaLike = None) -> Theta:
+        """A full parameter vector from None (defaults), {name: value} or (n_theta,) values.
+
+        Raises OptionError naming the parameter that is unknown, not finite or out of bounds.
+        """
+        out = np.array([p.default for p in self.parameters], dtype=float)
+        if isinstance(values, Mapping):
+            for name, value in values.items():
+                out[self.index(name)] = float(value)
+        elif values is not None:
+            given = np.asarray(values, dtype=float).ravel()
+            if given.size != out.size:
+                raise OptionError(
+                    f"theta has {given.size} values; model '{self.name}' has {out.size} parameters: "
+                    f"{', '.join(self.parameter_names)}",
+                    "theta",
+                )
+            out[:] = given
+        for p, value in zip(self.parameters, out, strict=True):
+            if not p.bounds[0] <= value <= p.bounds[1]:  # also catches NaN
+                raise OptionError(
+                    f"parameter '{p.name}' = {value:g} is not within [{p.bounds[0]:g}, "
+                    f"{p.bounds[1]:g}] {p.unit}".rstrip(),
+                    p.name,
+                )
+        return Theta(out, self.parameter_names)
+
+    def index(self, name: str) -> int:
+        """Position of a parameter in theta. Raises OptionError for an unknown name."""
+        try:
+            return self.parameter_names.index(name)
+        except ValueError:
+            raise OptionError(
+                f"model '{self.name}' has no parameter '{name}'; it has "
+                f"{', '.join(self.parameter_names) or 'none'}",
+                name,
+            ) from None
+
+    def free_indices(self, free: Sequence[str] | None) -> NDArray[np.intp]:
+        """Positions of the free parameters; None means all of them."""
+        if free is None:
+            return np.arange(len(self.parameters))
+        return np.array(sorted({self.index(name) for name in free}), dtype=np.intp)
+
+    def _repr_html_(self) -> str:
+        kinds = (
+            ("nonlinear state", "nonlinear"),
+            ("linear state", "linear"),
+            ("state", "states"),
+            ("input", "inputs"),
+            ("output", "outputs"),
+        )
+        channels = [
+            (kind, name, unit)
+            for kind, field in kinds
+            for name, unit in getattr(self, field, {}).items()
+        ]
+        parameters = [
+            (p.name, float(p.default), p.unit, *map(float, p.bounds), p.description)
+            for p in self.parameters
+        ]
+        return html(
+            self.name,
+            tables().line(getattr(self, "description", "")),
+            tables().lines(getattr(self, "equations", ())),
+            tables().table(("channel", "name", "unit"), channels),
+            tables().table(("parameter", "default", "unit", "from", "to", "meaning"), parameters),
+        )

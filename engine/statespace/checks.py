@@ -1,0 +1,128 @@
+"""Checks of what a model's functions return, with errors that say what to put right.
+
+:func:`check_start` looks at the first use of a model with a series, at the start values it is used with and on
+the series' own inputs and times; :func:`check_model` when a model is registered and there are no data yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.errors import EngineError, ModelError
+from engine.statespace.model import Array, Gaussian, MixedModel
+
+ROWS = 3  # draws of a_1 tried at once: enough to tell (M, n) from (n,)
+TIMES = 8  # rows of a series on which functions are tried
+ROUNDING = 1e-9  # of a standard deviation each, what a covariance may be off
+
+
+def check_start(model: MixedModel, theta: Array, series: Series) -> None:
+    """Raise ModelError unless the model can be used on the series from theta on; looks once for each series.
+
+    Shapes must fit, covariances be symmetric and non-negative, and values finite for some of the
+    states that a_1 may have.
+    """
+    if series in model.checked:
+        return
+    rows = np.unique(np.linspace(0, len(series) - 2, TIMES).astype(int))
+    at = ((series.u[i], float(series.t[i]), float(series.steps[i])) for i in rows)
+    _check_functions(model, theta, at, "the start values")
+    model.checked.add(series)
+
+
+def check_model(model: MixedModel) -> None:
+    """Raise ModelError unless shapes, values and covariances are usable at the default parameters.
+
+    Without data, inputs are 0 and dt = 1 s.
+    """
+    theta = model.theta()
+    at = ((np.zeros(model.nu), t, 1.0) for t in (0.0, 1.0))
+    for R in _check_functions(model, theta, at, "the default parameters"):
+        if np.any(np.diagonal(R, axis1=-2, axis2=-1) <= 0.0):
+            raise ModelError(
+                f"model '{model.name}', measurement: R has a zero on its diagonal; every output "
+                "needs measurement noise, at least the sensor's resolution"
+            )
+
+
+def check_covariance(model: MixedModel, where: str, S: Array) -> None:
+    """Raise ModelError unless every finite S is symmetric and non-negative, in whatever units."""
+    S = S if S.ndim == 3 else S[None]
+    S = S[np.isfinite(S).all(axis=(1, 2))]
+    if S.size == 0:
+        return
+    variance = np.diagonal(S, axis1=1, axis2=2)
+    size = np.sqrt(np.abs(variance[:, :, None] * variance[:, None, :]))
+    if (np.abs(S - np.swapaxes(S, 1, 2)) > ROUNDING * size).any():
+        raise ModelError(f"model '{model.name}', {where} is not symmetric:\n{S.squeeze()}")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scaled = np.where(S == 0.0, 0.0, S / size)  # +-inf beside a variance of zero
+    low = -1.0 if not np.isfinite(scaled).all() else float(np.linalg.eigvalsh(scaled).min())
+    if low < -ROUNDING or (variance < 0.0).any():
+        raise ModelError(
+            f"model '{model.name}', {where} has the negative eigenvalue "
+            f"{float(np.linalg.eigvalsh(S).min()):g}; a covariance must be non-negative:\n{S.squeeze()}"
+        )
+
+
+def _check_functions(
+    model: MixedModel,
+    theta: Array,
+    at: Iterable[tuple[Array, float, float]],
+    what: str,
+) -> list[Array]:
+    """Check all three functions, dynamics and measurement at some u, t, dt; returns the R."""
+    record = model.record(theta)
+    a = _check_first(model, record, what)
+    noises = []
+    for u, t, dt in at:
+        f, A, Q = model.transition(a, u, t, dt, record)
+        h, C, R = model.observation(a, u, t, record)
+        values = {"dynamics: f": f, "dynamics: A": A, "dynamics: Q": Q}
+        values |= {"measurement: h": h, "measurement: C": C, "measurement: R": R}
+        for name, value in values.items():
+            _check_finite(model, name, value, f"{what}, t = {t:g} s")
+        check_covariance(model, "dynamics: Q", Q)
+        check_covariance(model, "measurement: R", R)
+        noises.append(R)
+    return noises
+
+
+def _check_first(model: MixedModel, record: object, what: str) -> Array:
+    """Draws of a_1, (M, na), after checking its density and those of z_1."""
+    try:
+        start = model.start(record)
+        a = np.asarray(start.density.sample(np.random.default_rng(0), ROWS), dtype=float)
+        if a.shape != (ROWS, model.na):
+            raise ModelError(f"p(a_1) draws shape {a.shape}; ({ROWS}, {model.na}) is needed")
+        log_p = np.asarray(start.density.log_density(a))
+        if log_p.shape != (ROWS,):
+            raise ModelError(f"log p(a_1) has shape {log_p.shape}; ({ROWS},) is needed")
+        z, P = start.linear(a)
+    except EngineError as error:
+        text = str(error)
+        raise ModelError(
+            text if text.startswith("model '") else f"model '{model.name}', {text}"
+        ) from error
+    except Exception as error:
+        raise ModelError(
+            f"model '{model.name}': initial raised {type(error).__name__}: {error}"
+        ) from error
+    if isinstance(start.density, Gaussian):
+        check_covariance(model, "initial: cov of p(a_1)", start.density.cov)
+        a = np.concatenate([a, start.density.mean[None]])
+    _check_finite(model, "initial: p(a_1)", a, what)
+    _check_finite(model, "initial: z1", z, what)
+    _check_finite(model, "initial: P1", P, what)
+    check_covariance(model, "initial: P1", P)
+    return a
+
+
+def _check_finite(model: MixedModel, where: str, value: Array, what: str) -> None:
+    """Raise ModelError where no state gives a finite value."""
+    finite = np.isfinite(value)
+    if not (finite.any(axis=0) if where[-1] in "fh" or value.ndim == 3 else finite).all():
+        raise ModelError(f"model '{model.name}', {where} is not finite at {what}: {value}")

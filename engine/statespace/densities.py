@@ -1,0 +1,69 @@
+"""Noise densities that are not Gaussian; independent components, each with its own scale.
+
+Together with :class:`engine.Gaussian` they serve wherever a :class:`engine.statespace.model.Density` is asked
+for: v_t and e_t of poster, eq. (1), and the density of the first state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import gammaln, logsumexp
+
+from engine.statespace.model import Array
+
+
+@dataclass(frozen=True)
+class StudentT:
+    """Independent Student-t components: ``scale`` (n,), ``nu`` > 0 degrees of freedom, mean 0.
+
+    The variance is scale^2 nu / (nu - 2) for nu > 2.
+    """
+
+    scale: Array
+    nu: float
+
+    def __init__(self, scale: ArrayLike, nu: float) -> None:
+        object.__setattr__(self, "scale", np.atleast_1d(np.asarray(scale, dtype=float)))
+        object.__setattr__(self, "nu", float(nu))
+
+    def sample(self, rng: np.random.Generator, n: int) -> Array:
+        """Draw (n, len(scale))."""
+        return np.asarray(rng.standard_t(self.nu, (n, self.scale.size)) * self.scale)
+
+    def log_density(self, e: Array) -> Array:
+        """Evaluate at e (K, n) -> (K,)."""
+        nu = self.nu
+        c = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
+        each = c - np.log(self.scale) - 0.5 * (nu + 1.0) * np.log1p((e / self.scale) ** 2 / nu)
+        return np.asarray(each.sum(axis=1))
+
+
+@dataclass(frozen=True)
+class GaussianMixture:
+    """Independent components, each a mixture: ``shares`` (k,), ``means`` (k,), ``sds`` (k,)."""
+
+    shares: Array
+    means: Array
+    sds: Array
+    n: int = 1
+
+    def __init__(self, shares: ArrayLike, means: ArrayLike, sds: ArrayLike, n: int = 1) -> None:
+        weights = np.asarray(shares, dtype=float)
+        object.__setattr__(self, "shares", weights / weights.sum())
+        object.__setattr__(self, "means", np.asarray(means, dtype=float))
+        object.__setattr__(self, "sds", np.asarray(sds, dtype=float))
+        object.__setattr__(self, "n", n)
+
+    def sample(self, rng: np.random.Generator, n: int) -> Array:
+        """Draw (n, self.n)."""
+        which = np.searchsorted(np.cumsum(self.shares)[:-1], rng.random((n, self.n)), side="right")
+        return np.asarray(self.means[which] + self.sds[which] * rng.standard_normal((n, self.n)))
+
+    def log_density(self, e: Array) -> Array:
+        """Evaluate at e (K, n) -> (K,)."""
+        r = (e[:, :, None] - self.means) / self.sds
+        each = -0.5 * r**2 - np.log(self.sds * np.sqrt(2.0 * np.pi))
+        return np.asarray(logsumexp(each, axis=2, b=self.shares).sum(axis=1))

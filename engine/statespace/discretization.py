@@ -1,0 +1,89 @@
+"""Continuous-time linear parts to discrete time: matrix exponential and van Loan's integrals.
+
+For dx = (F x + G u) dt + dw with E dw dw' = Qc dt, u held over the step (zero-order hold),
+
+    x_{t+dt} = A x_t + B u_t + w_t,   w_t ~ N(0, Q)
+    A = exp(F dt),   B = int_0^dt exp(F s) ds G,   Q = int_0^dt exp(F s) Qc exp(F s)' ds
+
+Source: C. F. van Loan, "Computing integrals involving the matrix exponential", IEEE Transactions
+on Automatic Control 23 (1978) 395-404. The step is halved until h |F| <= 1/2, the three series
+
+    A = sum (F h)^k / k!,   B = h sum (F h)^k / (k+1)! G,   Q = h sum h^k L^k(Qc) / (k+1)!
+
+with L(S) = F S + S F' are summed to rounding, and the step is doubled back by A(2h) = A A,
+B(2h) = B + A B, Q(2h) = Q + A Q A'. Nothing of exp(-F dt) appears, which would overflow where a
+stable F is fast beside dt, and Q stays symmetric and non-negative.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from engine.errors import OptionError
+from engine.statespace.model import Array
+
+TERMS = 18  # of each series: |h L| <= 1, and 1 / 18! is below rounding
+
+
+def discretize(
+    F: ArrayLike,
+    G: ArrayLike | None = None,
+    Qc: ArrayLike | None = None,
+    *,
+    dt: float | Array,
+) -> tuple[Array, Array, Array]:
+    """A (n, n), B (n, m), Q (n, n) of a linear system over a step of dt seconds.
+
+    F (n, n) in 1/s, G (n, m), Qc (n, n) the noise's intensity per second. F, G, Qc may have
+    leading axes and dt may be an array; what is returned has their common leading axes. Without
+    G, B is (n, 0); without Qc, Q is zero. Raises OptionError naming the argument.
+    """
+    F = _matrix(F, "F")
+    n = F.shape[-1]
+    if F.shape[-2] != n:
+        raise OptionError(f"F has shape {F.shape}; a square matrix is needed", "F")
+    G = np.zeros((n, 0)) if G is None else _matrix(G, "G")
+    Qc = np.zeros((n, n)) if Qc is None else _matrix(Qc, "Qc")
+    if G.shape[-2] != n:
+        raise OptionError(f"G has shape {G.shape}; {n} rows are needed, as F has", "G")
+    if Qc.shape[-2:] != (n, n):
+        raise OptionError(f"Qc has shape {Qc.shape}; ({n}, {n}) is needed, as F has", "Qc")
+    step = np.asarray(dt, dtype=float)
+    if not (np.isfinite(step).all() and (step > 0.0).all()):
+        raise OptionError(f"dt = {dt} s; positive time steps are needed", "dt")
+    batch = np.broadcast_shapes(F.shape[:-2], G.shape[:-2], Qc.shape[:-2], step.shape)
+
+    stiffness = float((np.abs(F).sum(axis=-1).max(axis=-1, initial=0.0) * step).max(initial=0.0))
+    halvings = max(0, 1 + int(np.ceil(np.log2(stiffness)))) if stiffness > 0.0 else 0
+    noisy = bool(Qc.any())
+    h = (step / 2.0**halvings)[..., None, None]
+    Fh, Ft = F * h, np.swapaxes(F, -1, -2)
+    A = power = np.broadcast_to(np.eye(n), (*batch, n, n))
+    Gamma = np.eye(n) * h
+    Q = term = np.broadcast_to(Qc * h, (*batch, n, n))
+    for k in range(1, TERMS):
+        power = power @ Fh / k
+        A = A + power
+        Gamma = Gamma + power * h / (k + 1)
+        if noisy:
+            term = (F @ term + term @ Ft) * (h / (k + 1))
+            Q = Q + term
+    B = Gamma @ np.broadcast_to(G, (*batch, *G.shape[-2:]))
+    for _ in range(halvings):
+        B = B + A @ B
+        Q = Q + A @ Q @ np.swapaxes(A, -1, -2) if noisy else Q
+        A = A @ A
+    Q = 0.5 * (Q + np.swapaxes(Q, -1, -2))
+    return np.ascontiguousarray(A), np.ascontiguousarray(B), np.ascontiguousarray(Q)
+
+
+def _matrix(value: Any, name: str) -> Array:
+    array = np.asarray(value, dtype=float)
+    if array.ndim < 2:
+        raise OptionError(f"{name} has shape {array.shape}; a matrix is needed", name)
+    if not np.isfinite(array).all():
+        raise OptionError(f"{name} is not finite: {array}", name)
+    return array

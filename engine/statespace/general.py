@@ -1,0 +1,250 @@
+"""General nonlinear, non-Gaussian state-space models; poster, eq. (1).
+
+    x_{t+1} = f(x_t, u_t, theta) + g(x_t, u_t, theta) v_t
+    y_t     = h(x_t, u_t, theta) + s(x_t, u_t, theta) e_t
+
+v and e have any densities that can be drawn and evaluated. A model is a few plain NumPy functions,
+called with all particles of one time step, or with those of all time steps where it takes them
+(u is then (nu, K), t (K,)); :mod:`engine.statespace.model` says what may be written:
+
+    dynamics(x, u, t, dt, theta) -> f, g     f (K, nx) or a list of rows; g (nx, nx), (K, nx, nx) or None = I
+    measurement(x, u, t, theta)  -> h, s     h (K, ny) or a list of rows; s (ny, ny), (K, ny, ny) or None = I
+    initial(theta), process_noise(theta), measurement_noise(theta) -> densities of x_1, v and e
+
+A density has ``sample(rng, n)`` and ``log_density(values)``: :class:`engine.Gaussian`,
+:mod:`engine.statespace.densities`, or your own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.errors import EngineError, ModelError
+from engine.kernels.gaussian import psd_cholesky_many
+from engine.statespace.base import BaseModel
+from engine.statespace.checks import TIMES
+from engine.statespace.declared import check_declared
+from engine.statespace.evaluation import ModelFunction
+from engine.statespace.model import (
+    Array,
+    Density,
+    Gaussian,
+    MixedModel,
+    Parameter,
+    Theta,
+    as_matrix,
+    as_rows,
+)
+from engine.statespace.promotion import as_nonlinear
+from engine.statespace.shapes import through
+
+Noise: TypeAlias = Callable[[Any], Density]
+
+DRAWS = 3  # of each density, to look at
+
+
+@dataclass(frozen=True)
+class NonlinearModel(BaseModel):
+    """A general state-space model; see the module's docstring."""
+
+    name: str
+    dynamics: Callable[[Array, Any, Any, Any, Any], tuple[Any, Any]]
+    measurement: Callable[[Array, Any, Any, Any], tuple[Any, Any]]
+    initial: Noise
+    process_noise: Noise
+    measurement_noise: Noise
+    states: Mapping[str, str]
+    outputs: Mapping[str, str]
+    parameters: Sequence[Parameter]
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    description: str = ""
+    equations: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        channels = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
+        check_declared(self.name, channels, ("states",), self.parameters)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.states)
+
+    # ---- all that the algorithms need; ``theta`` is a record --------------------------------
+
+    def draw_next(
+        self, x: Array, u: Any, t: Any, dt: Any, theta: Any, rng: np.random.Generator
+    ) -> Array:
+        """x_{t+1} (K, nx) given x_t = x (K, nx)."""
+        f, g = self.transition(x, u, t, dt, theta)
+        v = self.process_noise(theta).sample(rng, len(x))
+        return f + (v if g is None else through(g, v))
+
+    def transition(
+        self, x: Array, u: Any, t: Any, dt: Any, theta: Any
+    ) -> tuple[Array, Array | None]:
+        """F (K, nx) and g, of which None stands for the unit matrix."""
+        f, g = self.transitions(x, u, t, dt, theta)
+        return f, g
+
+    @cached_property
+    def transitions(self) -> ModelFunction:
+        """``transition``, with what is known of the calls that ``dynamics`` takes."""
+
+        def regular(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
+            f, g = self.dynamics(x, u, t, dt, theta)
+            K, nx = x.shape[0], self.nx
+            f = as_rows(f, K, nx, "dynamics: f")
+            return f, None if g is None else as_matrix(g, K, nx, nx, "dynamics: g")
+
+        return ModelFunction(
+            regular, self.dynamics, self.name, "dynamics", (self.lower, self.upper)
+        )
+
+    def log_transition(self, x_next: Array, f: Array, g: Array | None, theta: Any) -> Array:
+        """log p(x_{t+1} | x_t) for x_next (..., nx), f (..., nx) and g as ``transition`` gives them."""
+        r = x_next - f
+        shape = r.shape[:-1]
+        v, log_scale = _unscale(r, g, self.name, "g")
+        log_p = self.process_noise(theta).log_density(v.reshape(-1, self.nx)).reshape(shape)
+        return np.asarray(log_p - log_scale)
+
+    def output(self, x: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array | None]:
+        """h (K, ny) and s, of which None stands for the unit matrix."""
+        h, s = self.observations(x, u, t, 0.0, theta)
+        return h, s
+
+    @cached_property
+    def observations(self) -> ModelFunction:
+        """``output``, likewise; its dt has no meaning."""
+
+        def regular(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array | None]:
+            h, s = self.measurement(x, u, t, theta)
+            K, ny = x.shape[0], self.ny
+            h = as_rows(h, K, ny, "measurement: h")
+            return h, None if s is None else as_matrix(s, K, ny, ny, "measurement: s")
+
+        return ModelFunction(
+            regular, self.measurement, self.name, "measurement", (self.lower, self.upper)
+        )
+
+    def log_measurement(self, y: Array, x: Array, u: Any, t: Any, theta: Any) -> Array:
+        """log p(y_t | x_t) for x (K, nx), y (ny,) or (K, ny) -> (K,)."""
+        h, s = self.output(x, u, t, theta)
+        e, log_scale = _unscale(y - h, s, self.name, "s")
+        return np.asarray(self.measurement_noise(theta).log_density(e) - log_scale)
+
+
+def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
+    """As :func:`engine.statespace.checks.check_start`, for a general model and its densities."""
+    if series in model.checked:
+        return
+    record = model.record(theta)
+    for name, n in (
+        ("initial", model.nx),
+        ("process_noise", model.nx),
+        ("measurement_noise", model.ny),
+    ):
+        try:
+            density = getattr(model, name)(record)
+            values = np.asarray(density.sample(np.random.default_rng(0), DRAWS), dtype=float)
+            log_p = np.asarray(density.log_density(values), dtype=float)
+            alone = [float(np.squeeze(density.log_density(v[None]))) for v in values]
+        except EngineError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"model '{model.name}': {name} raised {type(error).__name__}: {error}"
+            ) from error
+        for what, got, shape in (("draws", values, (DRAWS, n)), ("log density", log_p, (DRAWS,))):
+            if got.shape != shape or not np.isfinite(got).all():
+                raise ModelError(
+                    f"model '{model.name}', {name}: {what} {got.tolist()} of shape {got.shape}; finite "
+                    f"numbers {shape} are needed"
+                )
+        if not np.allclose(log_p, alone, rtol=1e-9, atol=1e-9):
+            raise ModelError(
+                f"model '{model.name}', {name}: the log density of a row depends on the other rows; use "
+                "axis=1 in sums over its components"
+            )
+        if name == "initial":
+            x = values
+    for i in np.unique(np.linspace(0, len(series) - 2, TIMES).astype(int)):
+        u, t = series.u[i], float(series.t[i])
+        f, g = model.transition(x, u, t, float(series.steps[i]), record)
+        h, s = model.output(x, u, t, record)
+        for name, value in (("f", f), ("g", g), ("h", h), ("s", s)):
+            if (
+                value is not None
+                and not np.isfinite(value).reshape(len(value), -1).any(axis=0).all()
+            ):
+                raise ModelError(
+                    f"model '{model.name}': {name} is not finite at the start values, t = {t:g} s"
+                )
+    model.checked.add(series)
+
+
+def as_general(model: MixedModel) -> NonlinearModel:
+    """A mixed model as a general one: x = (a, z), g = chol Q, s = chol R, Gaussian noise.
+
+    A singular Q has no density to evaluate; the general algorithms raise ModelError then.
+    """
+    full = as_nonlinear(model)
+    nx, ny = model.nx, model.ny
+
+    def dynamics(x: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any]:
+        f, _, Q = full.transition(x, u, t, dt, theta)
+        return f, _factor(Q)
+
+    def measurement(x: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any]:
+        h, _, R = full.observation(x, u, t, theta)
+        return h, _factor(R)
+
+    return NonlinearModel(
+        name=model.name,
+        dynamics=dynamics,
+        measurement=measurement,
+        initial=lambda theta: full.start(theta).density,
+        process_noise=lambda theta: Gaussian(np.zeros(nx), np.eye(nx)),
+        measurement_noise=lambda theta: Gaussian(np.zeros(ny), np.eye(ny)),
+        states=full.nonlinear,
+        outputs=model.outputs,
+        parameters=model.parameters,
+        inputs=model.inputs,
+        description=model.description,
+        equations=model.equations,
+    )
+
+
+def _factor(S: Array) -> Array:
+    L = psd_cholesky_many(S if S.ndim == 3 else S[None])
+    return np.asarray(L if S.ndim == 3 else L[0])
+
+
+def _unscale(r: Array, g: Array | None, name: str, what: str) -> tuple[Array, Any]:
+    """g^{-1} r for r (..., n) and log |det g|, g (n, n) or with the leading axes of r's last but one."""
+    if g is None:
+        return r, 0.0
+    if g.shape[-1] == 1:
+        scale = g[..., 0]
+        if not np.all(scale):
+            raise _singular(name, what)
+        return r / scale, np.log(np.abs(scale[..., 0]))
+    sign, log_det = np.linalg.slogdet(g)
+    if not np.all(sign):
+        raise _singular(name, what)
+    if g.ndim == 2:
+        return np.asarray(r @ np.linalg.inv(g).T), log_det
+    return np.asarray(np.linalg.solve(g, r[..., None])[..., 0]), log_det
+
+
+def _singular(name: str, what: str) -> ModelError:
+    return ModelError(
+        f"model '{name}': {what} is singular, so the density does not exist; give every state "
+        "(and output) noise of its own, however small"
+    )

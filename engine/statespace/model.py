@@ -1,0 +1,287 @@
+"""What a model is: the mixed linear/nonlinear state-space model of paper, eq. (1).
+
+    a_{t+1} = f_a(a_t, u_t, theta) + A_a(a_t, u_t, theta) z_t + w_a
+    z_{t+1} = f_z(a_t, u_t, theta) + A_z(a_t, u_t, theta) z_t + w_z      w ~ N(0, Q(a_t, theta))
+    y_t     = h(a_t, u_t, theta)   + C(a_t, u_t, theta) z_t   + e_t      e ~ N(0, R(a_t, theta))
+
+A model is three plain NumPy functions and the names of its channels. Each function is called
+with all particles of one time step at once:
+
+    dynamics(a, u, t, dt, theta) -> f, A, Q       from t to t + dt, x = (a, z)
+    measurement(a, u, t, theta)  -> h, C, R
+    initial(theta)               -> p(a_1), z_{1|0}, P_{1|0}
+
+``a`` is (M, na); ``u`` is (nu,); ``t`` and ``dt`` are seconds; ``theta`` is a record, so
+``theta.k1`` and ``k1, k2 = theta`` both work. What may be returned (nx = na + nz):
+
+    f, h      (M, nx), (M, ny)          or a list of rows, each a number or (M,)
+    A, C      (nx, nz), (ny, nz)        common to all particles, or (M, ., .), or a nested list
+    Q, R      (nx, nx), (ny, ny)        likewise; symmetric, non-negative, may be singular
+    p(a_1)    Gaussian(mean, cov), or any object with ``sample(rng, n)`` and ``log_density(a)``
+    z_{1|0}   (nz,) or a function of a_1 (M, na) -> (M, nz)
+    P_{1|0}   (nz, nz) or a function of a_1 -> (M, nz, nz); may be zero
+
+A matrix returned without a particle axis is common to all particles, and the engine is much
+faster for it.
+
+What must be written: row i of what is returned depends on row i of ``a`` alone, as its rows are
+different particles. So ``a[:, 0]``, not ``a[0]``; ``np.where(condition, x, y)`` for a condition on states,
+not ``if``; NumPy's functions on states, with ``axis=1`` in sums and norms over them. A function that
+breaks this is refused with a ModelError.
+
+What need not be written: anything about ``u``, ``t``, ``dt`` and ``theta`` may be a plain number's, as in
+``if t > 5``, ``math.cos(theta.w)``, ``np.linalg.norm(u)``, ``np.diag([1e-4, theta.q])``. The engine also tries
+to call a function with many times, u (nu, M) and t (M,), and with many parameter vectors, arrays (M,)
+in ``theta``, and finds out by itself whether that gives the same. Where it does not, each time or
+parameter vector is a call of its own, which is slower and as right. A function may write into ``a``,
+which is its own copy, and into nothing else it is given; see :mod:`engine.statespace.evaluation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Protocol, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from engine.errors import EngineError, ModelError
+from engine.statespace.base import Array as Array
+from engine.statespace.base import BaseModel
+from engine.statespace.base import Parameter as Parameter
+from engine.statespace.base import Theta as Theta
+from engine.statespace.base import ThetaLike as ThetaLike
+from engine.statespace.declared import check_declared
+from engine.statespace.evaluation import ModelFunction
+from engine.statespace.shapes import as_matrix as as_matrix
+from engine.statespace.shapes import as_rows as as_rows
+from engine.statespace.shapes import stacked as stacked
+
+
+class Density(Protocol):
+    """A density of a_1."""
+
+    def sample(self, rng: np.random.Generator, n: int) -> Array:
+        """Draw (n, na)."""
+
+    def log_density(self, a: Array) -> Array:
+        """Evaluate at a (M, na) -> (M,)."""
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """N(mean, cov): mean (na,), cov (na, na); a singular cov fixes components exactly."""
+
+    mean: Array
+    cov: Array
+
+    def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
+        m = np.atleast_1d(np.asarray(mean, dtype=float))
+        object.__setattr__(self, "mean", m)
+        P = np.asarray(cov, dtype=float)
+        if m.ndim != 1 or P.size != m.size**2:
+            raise ModelError(
+                f"a Gaussian with mean {m.shape} needs cov ({m.size}, {m.size}); it has {P.shape}"
+            )
+        object.__setattr__(self, "cov", P.reshape(m.size, m.size))
+
+    def sample(self, rng: np.random.Generator, n: int) -> Array:
+        """Draw (n, na)."""
+        from engine.kernels.gaussian import psd_cholesky
+
+        return cast(
+            Array, self.mean + rng.standard_normal((n, self.mean.size)) @ psd_cholesky(self.cov).T
+        )
+
+    def log_density(self, a: Array) -> Array:
+        """Evaluate at a (M, na) -> (M,); a fixed component contributes nothing."""
+        from engine.kernels.gaussian import log_normal_common, psd_cholesky
+
+        return cast(
+            Array,
+            log_normal_common(np.ascontiguousarray(a), self.mean[None], psd_cholesky(self.cov)),
+        )
+
+
+Dynamics: TypeAlias = Callable[[Array, Any, Any, Any, Any], tuple[Any, Any, Any]]
+Measurement: TypeAlias = Callable[[Array, Any, Any, Any], tuple[Any, Any, Any]]
+Initial: TypeAlias = Callable[[Any], tuple[Density, Any, Any]]
+
+
+@dataclass(frozen=True)
+class MixedModel(BaseModel):
+    """A mixed linear/nonlinear state-space model, paper, eq. (1); see the module's docstring.
+
+    ``nonlinear`` (a), ``linear`` (z), ``inputs`` (u) and ``outputs`` (y) map names to units.
+    ``equations`` are lines of text for people. ``kinematic`` names states whose equation holds by
+    definition, as q' = v does: a diagnosis adds nothing to it. ``reference`` maps channels to the value
+    of their natural zero, in their unit (20 for a temperature that is counted from room temperature):
+    effects that have a zero of their own, such as drag or a gain error, count from there. ``continuous``
+    declares that dt is a real time step: two half-steps agree with one, A and Q included, up to the order
+    of the scheme, so that a diagnosis may step more finely than the data (checked when it is used).
+
+    Raises ModelError for names, bounds or defaults that cannot be used.
+    """
+
+    name: str
+    dynamics: Dynamics
+    measurement: Measurement
+    initial: Initial
+    outputs: Mapping[str, str]
+    parameters: Sequence[Parameter]
+    nonlinear: Mapping[str, str] = field(default_factory=dict)
+    linear: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    description: str = ""
+    equations: Sequence[str] = ()
+    kinematic: Sequence[str] = ()
+    reference: Mapping[str, float] = field(default_factory=dict)
+    continuous: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("parameters", "equations", "kinematic"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        check_declared(
+            self.name,
+            {
+                "nonlinear states": self.nonlinear,
+                "linear states": self.linear,
+                "inputs": self.inputs,
+                "outputs": self.outputs,
+            },
+            ("nonlinear states", "linear states"),
+            self.parameters,
+        )
+        unknown = [name for name in self.kinematic if name not in {**self.nonlinear, **self.linear}]
+        if unknown:
+            raise ModelError(
+                f"model '{self.name}': kinematic state '{unknown[0]}' is not among its states"
+            )
+        for name, value in self.reference.items():
+            channels = [*self.nonlinear, *self.linear, *self.inputs, *self.outputs]
+            if name not in channels:
+                raise ModelError(
+                    f"model '{self.name}': reference of '{name}', which is none of its channels "
+                    f"({', '.join(channels)})"
+                )
+            if not np.isfinite(value):
+                raise ModelError(
+                    f"model '{self.name}': reference of '{name}' is {value}; a number is needed"
+                )
+
+    @cached_property
+    def na(self) -> int:
+        """Number of nonlinear states."""
+        return len(self.nonlinear)
+
+    @cached_property
+    def nz(self) -> int:
+        """Number of linear states."""
+        return len(self.linear)
+
+    @cached_property
+    def nx(self) -> int:
+        """Number of states, na + nz."""
+        return self.na + self.nz
+
+    # ---- evaluation with regular shapes; ``theta`` is a record -----------------------------
+    #
+    # Rows of a (M, na) may have times and parameters of their own: u (nu, M), t (M,), dt (M,), and
+    # arrays (M,) in theta. Whatever the user's function takes of these, the result is right; see
+    # :mod:`engine.statespace.evaluation`.
+
+    def transition(
+        self, a: Array, u: Any, t: Any, dt: Any, theta: Any
+    ) -> tuple[Array, Array, Array]:
+        """F (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
+        f, A, Q = self.transitions(a, u, t, dt, theta)
+        return f, A, Q
+
+    def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
+        """H (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
+        h, C, R = self.observations(a, u, t, 0.0, theta)
+        return h, C, R
+
+    @cached_property
+    def transitions(self) -> ModelFunction:
+        """``transition``, with what is known of the calls that ``dynamics`` takes."""
+
+        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+            f, A, Q = self.dynamics(a, u, t, dt, theta)
+            M, nx, nz = a.shape[0], self.nx, self.nz
+            return (
+                as_rows(f, M, nx, "dynamics: f"),
+                as_matrix(A, M, nx, nz, "dynamics: A"),
+                as_matrix(Q, M, nx, nx, "dynamics: Q"),
+            )
+
+        return ModelFunction(
+            regular, self.dynamics, self.name, "dynamics", (self.lower, self.upper)
+        )
+
+    @cached_property
+    def observations(self) -> ModelFunction:
+        """``observation``, likewise; its dt has no meaning."""
+
+        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+            h, C, R = self.measurement(a, u, t, theta)
+            M, ny, nz = a.shape[0], self.ny, self.nz
+            return (
+                as_rows(h, M, ny, "measurement: h"),
+                as_matrix(C, M, ny, nz, "measurement: C"),
+                as_matrix(R, M, ny, ny, "measurement: R"),
+            )
+
+        return ModelFunction(
+            regular, self.measurement, self.name, "measurement", (self.lower, self.upper)
+        )
+
+    def with_parameters(self, parameters: Sequence[Parameter]) -> MixedModel:
+        """The same functions with parameters described otherwise; what is known of their calls is kept."""
+        model = replace(self, parameters=tuple(parameters))
+        for known in ("transitions", "observations", "checked"):
+            vars(model)[known] = getattr(self, known)
+        return model
+
+    def start(self, theta: Any) -> Start:
+        """The initial density p(a_1) N(z_1; z_{1|0}(a_1), P_{1|0}(a_1)), report, eq. (1f).
+
+        Raises ModelError naming the model where the user's function fails.
+        """
+        try:
+            density, z1, P1 = self.initial(theta)
+        except EngineError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"model '{self.name}': initial raised {type(error).__name__}: {error}",
+                placed=True,
+                numeric=isinstance(error, (ArithmeticError, ValueError)),
+            ) from error
+        return Start(density, z1, P1, self.nz)
+
+
+@dataclass(frozen=True)
+class Start:
+    """The initial density with z_{1|0} and P_{1|0} as functions of a_1."""
+
+    density: Density
+    z1: Any
+    P1: Any
+    nz: int
+
+    def linear(self, a: Array) -> tuple[Array, Array]:
+        """z_{1|0} (M, nz); P_{1|0} (nz, nz) or (M, nz, nz) at a_1 = a (M, na)."""
+        M, nz = a.shape[0], self.nz
+        try:
+            z = self.z1(a) if callable(self.z1) else self.z1
+            P = self.P1(a) if callable(self.P1) else self.P1
+        except EngineError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"initial: z1 or P1 as a function of a_1 {a.shape} raised {type(error).__name__}: {error}"
+            ) from error
+        return as_rows(z, M, nz, "initial: z1"), as_matrix(P, M, nz, nz, "initial: P1")

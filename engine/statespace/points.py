@@ -1,0 +1,62 @@
+"""The model evaluated at every point of a set of trajectories, in one call where it can be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.statespace.model import Array, MixedModel
+
+
+class Points:
+    """Trajectories a (T, N, na) of one series, at which the model is evaluated for any theta.
+
+    Matrices come back as (T', N', ., .), with T' = 1 where common to all times and N' = 1 where
+    common to all trajectories.
+    """
+
+    def __init__(self, model: MixedModel, series: Series, a: Array) -> None:
+        self.model, self.series = model, series
+        self.a = np.ascontiguousarray(a)
+        self.T, self.N = a.shape[:2]
+        model.transitions.look_again()
+        model.observations.look_again()
+
+    def transition(self, record: Any) -> tuple[Array, Array, Array]:
+        """f (T-1, N, nx), A (T', N', nx, nz), Q (T', N', nx, nx) at t = 1 .. T-1."""
+        return self.at(np.arange(self.T - 1), record, True)
+
+    def observation(self, record: Any, rows: Any = None) -> tuple[Array, Array, Array]:
+        """h (n, N, ny), C (T', N', ny, nz), R (T', N', ny, ny) at the given n rows (default all)."""
+        return self.at(np.arange(self.T) if rows is None else rows, record, False)
+
+    def at(self, rows: Any, record: Any, transition: bool) -> tuple[Array, Array, Array]:
+        """The transition or the observation at the given rows."""
+        n, N = len(rows), self.N
+        function = self.model.transitions if transition else self.model.observations
+        value, slope, cov = function(*self.arguments(rows, transition), record)
+        return value.reshape(n, N, -1), _unstack(slope, n, N), _unstack(cov, n, N)
+
+    def arguments(
+        self, rows: NDArray[np.intp], transition: bool
+    ) -> tuple[Array, Array, Array, Any]:
+        """a (n N, na), u, t, dt of all points at the given rows of the series."""
+        N, series = self.N, self.series
+        dt: Any = 0.0  # a measurement has none
+        if transition:
+            dt = series.dt if series.dt is not None else np.repeat(series.steps[rows], N)
+        return (
+            self.a[rows].reshape(len(rows) * N, self.model.na),
+            np.repeat(series.u[rows].T, N, axis=1),
+            np.repeat(series.t[rows], N),
+            dt,
+        )
+
+
+def _unstack(matrix: Array, n: int, N: int) -> Array:
+    if matrix.ndim == 2:
+        return matrix[None, None]
+    return matrix.reshape(n, N, *matrix.shape[1:])

@@ -1,0 +1,49 @@
+"""Every study by name."""
+
+from __future__ import annotations
+
+from tests.studies import (
+    diagnose_measured,
+    estimates,
+    lost,
+    poster,
+    sindy,
+    states,
+    table_ii,
+    tried,
+    uncertainty,
+)
+from tests.studies.blind.report import BLIND
+from tests.studies.foreign.report import FOREIGN, FOREIGN_DEVELOPMENT
+from tests.studies.study import Study
+
+STUDIES: dict[str, Study] = {
+    study.name: study
+    for study in (
+        states.TABLES_1_2,
+        states.TABLES_3_4,
+        estimates.TABLE_I,
+        estimates.FIGURE_1,
+        lost.FIGURE_1_SMALL,
+        table_ii.TABLE_II,
+        tried.TABLE_II_TRIED,
+        lost.LOST_RUNS,
+        poster.POSTER_LINEAR,
+        poster.POSTER_NONLINEAR,
+        uncertainty.STANDARD_ERRORS,
+        diagnose_measured.MEASURED,
+        BLIND,
+        FOREIGN,
+        FOREIGN_DEVELOPMENT,
+        sindy.SINDY,
+    )
+}
+# not asked for by ``all``
+BESIDE = ("table-II-tried", "diagnose-measured", "blind", "foreign", "foreign-dev", "sindy")
+DOCUMENTS = tuple(name for name in STUDIES if name not in BESIDE)
+ALIASES = {
+    "table-1": "table-1-2",
+    "table-2": "table-1-2",
+    "table-3": "table-3-4",
+    "table-4": "table-3-4",
+}

@@ -1,0 +1,158 @@
+"""The same thing in other words: effects that no data of a plant can tell from the truth, or hardly.
+
+``python -m tests.studies.foreign.alike`` measures, on pilot series, |cos| of the screened footprints of every
+fault and every other effect of the catalogue, and keeps those above ``SAME`` in ``alike.csv``; ``ARGUED`` holds
+what follows from the equations. Both were written down before any judged series was drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from engine.diagnose.screening.time_scan import TIMED
+from engine.diagnose.search.pipeline import Causes, find_causes
+from engine.errors import EngineError
+from tests.studies.foreign.cells import CLEAN, Cell, every_cell
+from tests.studies.foreign.drawing import series_of
+from tests.studies.foreign.sizes import size_of
+
+FILE = Path(__file__).with_name("alike.csv")
+PILOT = 34_000_000  # first part of the seeds
+SERIES = 2
+SAME = 0.98
+EVERY = (
+    1.0  # alpha: everything is an alarm, so that nothing is refitted before the first one is named
+)
+ARGUED: dict[tuple[str, str], tuple[tuple[str, ...], str]] = {
+    ("room", "input-offset:heater"): (
+        ("force:air",),
+        "the heater enters the air's equation only, times 1 / Ca",
+    ),
+    ("tanks", "input-offset:pump"): (
+        ("force:upper",),
+        "the pump enters the upper level's equation only, times a constant",
+    ),
+    ("reactor", "input-offset:coolant"): (
+        ("force:temperature",),
+        "the coolant enters the temperature's equation only, times the constant a",
+    ),
+    ("battery", "quantisation:terminal"): (
+        ("level:terminal",),
+        "rounding to steps q predicts as white noise of variance q^2 / 12 more does",
+    ),
+    ("room", "lag:thermometer"): (
+        ("delay:thermometer",),
+        "a lag shorter than a sample is a share that comes late: one sample, or a smaller one of two",
+    ),
+    ("vehicle", "lag:satellite"): (
+        ("delay:satellite",),
+        "a lag shorter than a sample is a share that comes late: one sample, or a smaller one of two",
+    ),
+    ("mixer", "lag:probe2"): (
+        ("delay:probe2",),
+        "a lag shorter than a sample is a share that comes late: one sample, or a smaller one of two",
+    ),
+    ("reactor", "lag:thermometer"): (
+        ("delay:thermometer",),
+        "a lag shorter than a sample is a share that comes late: one sample, or a smaller one of two",
+    ),
+}
+
+
+def same(system: str, hidden: str, name: str) -> bool:
+    """Whether a name is the truth, or the truth in other words."""
+    return bool(name) and name in words(system, hidden)
+
+
+@lru_cache
+def words(system: str, hidden: str) -> frozenset[str]:
+    """The truth and its other words."""
+    others = {other for pair in (measured(), argued()) for other in pair.get((system, hidden), ())}
+    return frozenset({hidden, *others})
+
+
+def argued() -> dict[tuple[str, str], tuple[str, ...]]:
+    """Other words by argument; a base by Euler's rule has those of its plant."""
+    found = {key: others for key, (others, _) in ARGUED.items()}
+    euler = {(f"{system}-euler", hidden): others for (system, hidden), others in found.items()}
+    return {**found, **euler}
+
+
+@lru_cache
+def measured() -> dict[tuple[str, str], tuple[str, ...]]:
+    """Other words by their footprints."""
+    found: dict[tuple[str, str], tuple[str, ...]] = {}
+    if FILE.exists():
+        with FILE.open(newline="") as file:
+            for row in csv.DictReader(file):
+                key = (row["system"], row["hidden"])
+                found[key] = (*found.get(key, ()), row["other"])
+    return found
+
+
+def likenesses(cell: Cell) -> dict[str, float]:
+    """Mean |cos| of the fault's footprint with every other effect's, over the pilots.
+
+    On clean series; where the effect has a time or a frequency, which a clean series does not tell, on
+    series with the fault.
+    """
+    timed = cell.hidden.partition(":")[0] in TIMED
+    found: dict[str, list[float]] = {}
+    for run in range(SERIES):
+        drawn = cell if timed else Cell(cell.system, CLEAN, cell.level)
+        seen = _screened(drawn, run)
+        if seen is None:
+            continue
+        screen = seen.search.rounds[0].screen
+        names = [s.effect.name for s in screen.scores]
+        if cell.hidden not in names:
+            continue
+        at = names.index(cell.hidden)
+        for i, name in enumerate(names):
+            if i != at and screen.scores[i].effect.kind != "latent":
+                found.setdefault(name, []).append(screen.likeness(at, i))
+    return {name: float(np.mean(values)) for name, values in found.items()}
+
+
+@lru_cache(maxsize=16)
+def _screened(cell: Cell, run: int) -> Causes | None:
+    plan = cell.plan
+    train = series_of(cell, size_of(cell), [PILOT, run])[0]
+    base = plan.base(cell.level)
+    theta = base.theta(plan.truth(cell.level))
+    try:
+        free = plan.free(cell.level)
+        return find_causes(base, train, theta, free=free, alpha=EVERY, max_effects=0, seed=run)
+    except (EngineError, np.linalg.LinAlgError):
+        return None
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure all, or some systems again."""
+    parser = argparse.ArgumentParser(prog="python -m tests.studies.foreign.alike")
+    parser.add_argument("--systems", default="", help="only these, separated by commas, made again")
+    asked = [text for text in parser.parse_args(arguments).systems.split(",") if text]
+    rows: list[list[str]] = []
+    if FILE.exists():
+        with FILE.open(newline="") as file:
+            rows = [row for row in list(csv.reader(file))[1:] if asked and row[0] not in asked]
+    for cell in every_cell():
+        if not cell.hidden or cell.outside or (asked and cell.system not in asked):
+            continue
+        found = likenesses(cell)
+        alike = sorted(((c, n) for n, c in found.items() if c > SAME), reverse=True)
+        print(cell.name, cell.hidden, len(found), alike, flush=True)
+        rows += [[cell.system, cell.hidden, name, f"{cos:.4f}"] for cos, name in alike]
+        with FILE.open("w", newline="") as file:
+            out = csv.writer(file, lineterminator="\n")
+            out.writerow(["system", "hidden", "other", "cos"])
+            out.writerows(sorted(rows))
+
+
+if __name__ == "__main__":
+    main()
