@@ -16,6 +16,7 @@ from engine.estimation.ps_em import ps_em
 from engine.estimation.quasi_ml import quasi_ml, whitening
 from engine.filters.sigma_point import moment_path
 from engine.smoothers.linear_cost import rb_ffbsi_linear
+from tests.engine.estimation.test_noise_free import TRUTH, level
 from tests.engine.models_for_tests import (
     awkward_series,
     draw,
@@ -24,7 +25,6 @@ from tests.engine.models_for_tests import (
     theta_everywhere,
 )
 from tests.engine.other_units import Units
-from tests.engine.test_noise_free import TRUTH, level
 from tests.studies.ekf import ekf
 
 factors = st.integers(-30, 30)
