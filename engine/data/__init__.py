@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
+from importlib import resources
 
 from engine.data.files import read_series_bytes
 from engine.data.series import Series
@@ -14,5 +14,5 @@ def nile() -> Series:
     The time step is one year and the series' times count years, not seconds: t = 1871, 1872, ...
     ``local-level`` takes the same unit, since nothing in it depends on the time step.
     """
-    data = (files("engine.data") / "nile.csv").read_bytes()
+    data = (resources.files("engine.data") / "nile.csv").read_bytes()
     return read_series_bytes(data, "nile.csv", y=["flow"], t="year")

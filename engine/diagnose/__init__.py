@@ -32,6 +32,7 @@ from engine.diagnose.effects.catalogue import (
 )
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.spare_inputs import with_inputs
+from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -49,12 +50,14 @@ from engine.statespace.model import MixedModel, ThetaLike
 
 __all__ = [
     "Cause",
+    "Course",
     "Detectable",
     "Diagnosis",
     "Effect",
     "Gain",
     "LookAlike",
     "Symptoms",
+    "Traits",
     "Verdict",
     "all_effects",
     "diagnose",
@@ -175,7 +178,8 @@ def diagnose(
         history = None if test is not None else train
         later = test is not None and test.t[0] > series.t[-1]  # else the test's clock is its own
         if not later and all(r.refits[0].effect.family == "time" for r in named):
-            gain = measure_gain_interleaved(base, found.final, fine.series, seed=seed)
+            times = [name for r in named for name in r.refits[0].effect.sought]
+            gain = measure_gain_interleaved(base, found.final, fine.series, times, seed)
         else:
             gain = measure_gain(base, found.final, held_out, history, seed)
         gain = gain.every(fine.k)

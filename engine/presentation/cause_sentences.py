@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import Cause
-from engine.diagnose.search.rounds import GENERIC
 from engine.words import estimate, number, probability
 
 
@@ -57,4 +57,4 @@ def experiment(cause: Cause) -> str:
 
 def _force(effect: str) -> bool:
     """Whether an effect is a force that nobody named."""
-    return effect.partition(":")[0] == GENERIC
+    return effect.partition(":")[0] == LATENT

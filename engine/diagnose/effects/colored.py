@@ -11,9 +11,11 @@ import numpy as np
 from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
 from engine.diagnose.effects.effect import Effect, Split, identifier
 from engine.diagnose.effects.setting import Kind, Setting, each_output
+from engine.diagnose.effects.traits import Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
 
+LATENT = "latent"  # the kind of the force that nobody named
 OSCILLATING = "oscillating"  # the second manner of an unnamed force
 
 
@@ -85,7 +87,7 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
     target, _, manner = channel.partition(",")
     if target not in setting.states or manner not in ("", OSCILLATING):
         return None
-    name, unit = identifier("latent", channel), setting.rate(target)
+    name, unit = identifier(LATENT, channel), setting.rate(target)
     most = setting.limits(0.0, 100.0 * (setting.size(target) / setting.dt) ** 2, 0.0)
     swings = manner == OSCILLATING
     states = {f"force_{target}": unit}
@@ -116,7 +118,7 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
         parameters.append(Parameter(f"{name}_frequency", 0.1 / setting.dt, "Hz", bounds))
         probes = tuple((15.0 * setting.dt, f / setting.dt) for f in (0.02, 0.06, 0.12, 0.25))
     return Effect(
-        "latent",
+        LATENT,
         channel,
         "noise",
         f"unnamed {'oscillating' if swings else 'slow'} force on {target}",
@@ -127,6 +129,7 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
         probes=probes,
         look_alikes={"colored": "does not move the state"},
         one_sided=True,
+        traits=Traits(unnamed=True, swallowed=True),
     )
 
 
@@ -170,5 +173,5 @@ def _swing(
 
 KINDS: list[Kind] = [
     ("colored", _colored, each_output),
-    ("latent", _latent, _each_latent),
+    (LATENT, _latent, _each_latent),
 ]

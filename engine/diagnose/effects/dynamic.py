@@ -11,6 +11,7 @@ from engine.diagnose.effects.augmentation import Begin, add_linear_states, add_m
 from engine.diagnose.effects.effect import Effect, Split, identifier, pushed
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Setting, each_moved, each_state, pair
+from engine.diagnose.effects.traits import Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
@@ -94,6 +95,7 @@ def _pole(setting: Setting, channel: str) -> Effect | None:
         extend,
         probes=((5.0 * setting.dt,), (30.0 * setting.dt,)),
         look_alikes={"coupling": "acts without delay", "latent": "is not driven by the states"},
+        traits=Traits(contains=("linear", "coupling")),
     )
 
 
@@ -147,6 +149,7 @@ def _mode(setting: Setting, channel: str) -> Effect | None:
         extend,
         probes=tuple((f / setting.dt, 0.2) for f in (0.02, 0.06, 0.12, 0.25)),
         look_alikes={"pole": "does not ring", "harmonic": "does not depend on the states"},
+        traits=Traits(contains=("linear", "coupling", "pole")),
     )
 
 
@@ -201,6 +204,7 @@ def _hysteresis(setting: Setting, channel: str) -> Effect | None:
         held=origin.held,
         zero=origin.name,
         look_alikes={"coulomb": "has no memory beyond the sign", "coupling": "has no loop"},
+        traits=Traits(suits="rate"),
     )
 
 

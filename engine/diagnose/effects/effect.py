@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.errors import OptionError
 from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -34,7 +35,7 @@ class Effect:
     of its parameters that are a reference, not to be estimated; ``zero`` the one among them that is the
     zero the effect counts from, where nothing declares or tells it: it may be estimated after all, where
     the data can tell; ``readings(y, size)`` what it does to a channel's finished readings (T,), where the
-    extension only stands for that (rounding as noise).
+    extension only stands for that (rounding as noise); ``traits`` what the search must know of its kind.
     """
 
     kind: str
@@ -50,6 +51,7 @@ class Effect:
     held: tuple[str, ...] = ()
     zero: str | None = None
     readings: Callable[[Array, float], Array] | None = None
+    traits: Traits = USUAL
 
     @property
     def name(self) -> str:
@@ -60,6 +62,12 @@ class Effect:
     def size(self) -> Parameter:
         """The parameter that is zero when the effect is absent."""
         return self.parameters[0]
+
+    @property
+    def sought(self) -> tuple[str, ...]:
+        """Times at which the likelihood jumps: sought on rows, not by slopes."""
+        jumps = self.traits.course in (Course.STEP, Course.PULSE)
+        return (self.parameters[1].name,) if jumps else ()
 
     def with_free_zero(self) -> Effect:
         """The same effect with the zero it counts from estimated too."""

@@ -20,6 +20,7 @@ from engine.diagnose.effects.effect import (
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import POSITIVE, WIDEST, Kind, Setting, each_input
 from engine.diagnose.effects.spare_inputs import UNIT, with_inputs
+from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 
 
@@ -37,6 +38,7 @@ def input_offset(setting: Setting, channel: str) -> Effect | None:
         (Parameter(name, 0.0, setting.unit(channel), description="input offset"),),
         lambda model: change_inputs(model, channel, lambda u, own: u + own[0]),
         look_alikes={"force": "a constant force through the same equation looks alike"},
+        traits=Traits(plainness=3),
     )
 
 

@@ -18,6 +18,7 @@ from engine.diagnose.effects.effect import (
 )
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Maker, Setting, each_output
+from engine.diagnose.effects.traits import Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
@@ -131,6 +132,7 @@ def _bias(setting: Setting, channel: str) -> Effect | None:
         (Parameter(name, 0.0, setting.unit(channel), description="sensor bias"),),
         lambda model: add_to_output(model, channel, lambda v, own: own[0]),
         look_alikes={"force": "moves the state, not only the reading", "drift": "grows with time"},
+        traits=Traits(plainness=0),
     )
 
 
@@ -164,6 +166,7 @@ def _drift(setting: Setting, channel: str) -> Effect | None:
         probes=((start,),),
         look_alikes={"bias": "does not grow", "ramp": "moves the state"},
         held=(f"{name}_start",),
+        traits=Traits(swallowed=True),
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from engine.diagnose.effects.effect import Effect, Split, identifier, on_base, per_point
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import POSITIVE, Kind, Setting, each_output, each_state
+from engine.diagnose.effects.traits import Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.words import with_unit
@@ -58,6 +59,7 @@ def _level(setting: Setting, channel: str) -> Effect | None:
         (Parameter(name, 0.0, "1", (-5.0, 5.0), "log ratio of standard deviations"),),
         extend,
         look_alikes={"variance": "changes with a signal or with time"},
+        traits=Traits(noise_level=True),
     )
 
 
@@ -101,6 +103,7 @@ def _quantisation(setting: Setting, channel: str) -> Effect | None:
         ),
         extend,
         look_alikes={"level": "is not seen in the readings: they take any value"},
+        traits=Traits(plainness=4),
         one_sided=True,
         readings=_rounded,
     )
@@ -180,6 +183,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         extend,
         probes=(tuple(p.default for p in further),),
         look_alikes={"level": "does not change", "heavy-tails": "comes at random times"},
+        traits=Traits(noise_level=True, contains=("level",)),
         held=tuple(p.name for p in further),
         zero=None if origin is None else origin.name,
     )

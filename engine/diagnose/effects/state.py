@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,10 +18,13 @@ from engine.diagnose.effects.effect import (
 )
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Maker, Setting, each_pair, each_state, pair
+from engine.diagnose.effects.traits import USUAL, Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import MixedModel, Parameter
 
 ODD = "an odd function of the same state; told apart by the amplitudes that were visited"
+FRICTION, STIFFNESS = Traits(suits="rate"), Traits(suits="position")
+BENT = ("coulomb", "coupling", "linear")  # what a bend becomes where its width is nothing or all
 WIDTHS = (0.25, 0.7)  # shares of the record that are within the widths the screen looks at
 
 
@@ -32,6 +36,7 @@ def _static(
     power: float,
     look_alikes: dict[str, str],
     width: bool = False,
+    traits: Traits = USUAL,
 ) -> Maker:
     """A kind ``size * term(x)``, x counted from its zero, where term grows like x ** power.
 
@@ -81,6 +86,7 @@ def _static(
             look_alikes=look_alikes,
             held=origin.held,
             zero=origin.name,
+            traits=traits,
         )
 
     return make
@@ -121,6 +127,7 @@ def _coulomb(setting: Setting, channel: str) -> Effect | None:
         look_alikes={"drag": ODD, "stribeck": ODD, "deadzone": ODD},
         held=origin.held,
         zero=origin.name,
+        traits=FRICTION,
     )
 
 
@@ -144,6 +151,7 @@ def _force(setting: Setting, channel: str) -> Effect | None:
             "bias": "a sensor bias does not move the state",
             "step": "acts from one time on",
         },
+        traits=Traits(plainness=2),
     )
 
 
@@ -221,6 +229,7 @@ KINDS: list[Kind] = [
             lambda x, own: x * x,
             2,
             {"force": "is constant"},
+            traits=STIFFNESS,
         ),
         each_pair,
     ),
@@ -233,6 +242,7 @@ KINDS: list[Kind] = [
             lambda x, own: x**3,
             3,
             {"drag": ODD, "deadzone": ODD},
+            traits=STIFFNESS,
         ),
         each_pair,
     ),
@@ -245,6 +255,7 @@ KINDS: list[Kind] = [
             lambda x, own: -x * np.abs(x),
             2,
             {"cubic": ODD, "coulomb": ODD},
+            traits=FRICTION,
         ),
         each_pair,
     ),
@@ -259,6 +270,7 @@ KINDS: list[Kind] = [
             0,
             {"coulomb": "does not fade with speed"},
             width=True,
+            traits=replace(FRICTION, contains=("coulomb",)),
         ),
         each_pair,
     ),
@@ -272,6 +284,7 @@ KINDS: list[Kind] = [
             1,
             {"coulomb": ODD, "saturation": ODD},
             width=True,
+            traits=replace(STIFFNESS, contains=BENT),
         ),
         each_pair,
     ),
@@ -285,6 +298,7 @@ KINDS: list[Kind] = [
             1,
             {"cubic": ODD, "deadzone": ODD},
             width=True,
+            traits=replace(STIFFNESS, contains=BENT),
         ),
         each_pair,
     ),

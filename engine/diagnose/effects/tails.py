@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from engine.diagnose.effects.effect import Effect, identifier
 from engine.diagnose.effects.setting import Kind, Setting
+from engine.diagnose.effects.traits import Traits
 from engine.filters.heavy_tails import with_mixture
 from engine.statespace.model import MixedModel, Parameter
-
-KIND = "heavy-tails"
 
 
 def _heavy_tails(setting: Setting, channel: str) -> Effect | None:
@@ -22,7 +21,7 @@ def _heavy_tails(setting: Setting, channel: str) -> Effect | None:
 
     what = "measurement" if at_output else "process"
     return Effect(
-        KIND,
+        "heavy-tails",
         channel,
         "noise",
         f"outliers in the {what} noise of {channel}",
@@ -34,9 +33,10 @@ def _heavy_tails(setting: Setting, channel: str) -> Effect | None:
         extend,
         look_alikes={"pulse": "comes once", "variance": "comes at certain times or states"},
         one_sided=True,
+        traits=Traits(outliers=True),
     )
 
 
 KINDS: list[Kind] = [
-    (KIND, _heavy_tails, lambda s: iter([*s.model.outputs, *s.targets])),
+    ("heavy-tails", _heavy_tails, lambda s: iter([*s.model.outputs, *s.targets])),
 ]

@@ -25,6 +25,7 @@ from engine.diagnose.effects.setting import (
     each_parameter,
     each_state,
 )
+from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 
 
@@ -36,6 +37,7 @@ def _signal(
     shape: Callable[[str, Setting], list[Parameter]],
     look_alikes: dict[str, str],
     held: tuple[str, ...] = (),
+    traits: Traits = USUAL,
 ) -> Maker:
     """A kind ``size * signal(t)`` added to a state's equation or to an output."""
 
@@ -62,6 +64,7 @@ def _signal(
             probes=(tuple(p.default for p in further),),
             look_alikes=look_alikes,
             held=tuple(f"{name}_{part}" for part in held),
+            traits=traits,
         )
 
     return make
@@ -116,6 +119,7 @@ def _harmonic(setting: Setting, channel: str) -> Effect | None:
         extend,
         probes=((0.0, frequency[1].default),),
         look_alikes={"pole": "a lightly damped missing mode rings, a harmonic does not decay"},
+        traits=Traits(Course.HARMONIC, swallowed=True),
     )
 
 
@@ -173,6 +177,9 @@ def _parameter_change(kind: str, title: str) -> Maker:
             probes=(tuple(p.default for p in further),),
             held=() if steps else tuple(p.name for p in further),
             look_alikes={"cubic": "depends on the state", "step": "a force, whatever the state"},
+            traits=Traits(
+                Course.STEP if steps else Course.DRIFT, of_parameter=True, swallowed=steps
+            ),
         )
 
     return make
@@ -208,6 +215,7 @@ KINDS: list[Kind] = [
             lambda t, own: 1.0 * (t >= own[0]),
             _when,
             {"ramp": "goes on growing", "pulse": "is over at once"},
+            traits=Traits(Course.STEP, swallowed=True, plainness=1),
         ),
         _each_place,
     ),
@@ -221,6 +229,7 @@ KINDS: list[Kind] = [
             _width,
             {"step": "stays", "heavy-tails": "comes again"},
             held=("width",),
+            traits=Traits(Course.PULSE),
         ),
         _each_place,
     ),
@@ -234,6 +243,7 @@ KINDS: list[Kind] = [
             _start,
             {"drift": "moves the reading only", "step": "comes at once"},
             held=("start",),
+            traits=Traits(swallowed=True),
         ),
         each_state,
     ),

@@ -100,9 +100,15 @@ def measure_gain(
 
 
 def measure_gain_interleaved(
-    base: QuasiFit, extended: QuasiFit, series: Series, seed: int = 0
+    base: QuasiFit,
+    extended: QuasiFit,
+    series: Series,
+    times: Sequence[str] = (),
+    seed: int = 0,
 ) -> Gain:
     """The gain on blocks of rows left out, for models fitted anew to the others.
+
+    ``times`` are parameters that were sought on rows: of each fit they are sought again.
 
     For effects of time, which seldom happen again in the last rows of a record. Every fifth block
     is left out; in a record below 500 rows, where that is too little to judge by, five times in
@@ -120,7 +126,7 @@ def measure_gain_interleaved(
         for fit in (base, extended):
             theta = np.asarray(fit.theta)
             if fit is extended:
-                theta = _times_again(base, extended, masked)
+                theta = _times_again(extended, masked, times)
             try:
                 fits.append(quasi_ml(fit.model, masked, theta, fit.free))
             except (EngineError, np.linalg.LinAlgError):
@@ -260,19 +266,16 @@ def every_fifth(T: int, first: int = EVERY // 2) -> NDArray[np.bool_]:
     return np.asarray(block % EVERY == first)
 
 
-def _times_again(base: QuasiFit, extended: QuasiFit, masked: Series) -> Array:
+def _times_again(extended: QuasiFit, masked: Series, times: Sequence[str]) -> Array:
     """Times that the search chose with all rows in view are sought again without those left out."""
     model = extended.model
     theta = np.asarray(extended.theta).copy()
-    known = set(base.model.parameter_names) | set(extended.free)
-    for name in model.parameter_names:
-        if name in known or not name.endswith("_time"):
-            continue
+    for name in times:
         k = model.index(name)
         rows = np.flatnonzero(masked.observed.any(axis=1))
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(TIMES, len(rows))).astype(int))]
-        times = np.append(masked.t[rows], theta[k])
-        thetas = np.repeat(theta[None], len(times), axis=0)
-        thetas[:, k] = np.clip(times, model.lower[k], model.upper[k])
+        tried = np.append(masked.t[rows], theta[k])
+        thetas = np.repeat(theta[None], len(tried), axis=0)
+        thetas[:, k] = np.clip(tried, model.lower[k], model.upper[k])
         theta = thetas[int(np.argmax(log_likelihoods(model, [masked], thetas)))]
     return theta

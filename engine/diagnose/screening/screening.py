@@ -13,7 +13,6 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.tails import KIND as TAILS
 from engine.diagnose.screening.score_columns import Projection, effect_columns, parameter_columns
 from engine.diagnose.screening.screen import Screen, Test, make_test, screen
 from engine.diagnose.screening.tails import fit_tails, pit_of, standardised_errors, tail_test
@@ -55,12 +54,12 @@ def screen_effects(
     effects = [e for e in all_effects(setting, kinds) if e.size.name not in model.parameter_names]
     if outliers is not None:
         left = outliers.channel
-        effects = [e for e in effects if e.kind != TAILS and not _noise_of(e, left)]
+        effects = [e for e in effects if not e.traits.outliers and not _noise_of(e, left)]
     tests: list[Test] = []
     for i, effect in enumerate(effects):
         progress("screen", i / len(effects))
         try:
-            if effect.kind == TAILS:
+            if effect.traits.outliers:
                 test = None if errors is None else tail_test(effect, model, path, errors)
                 if test is not None:
                     test = _confirmed(test, fit, series)
@@ -83,7 +82,7 @@ def screen_effects(
 
 def _noise_of(effect: Effect, channel: str) -> bool:
     """Whether an effect changes the size of a channel's noise."""
-    return effect.kind in ("level", "variance") and effect.channel.partition("->")[0] == channel
+    return effect.traits.noise_level and effect.channel.partition("->")[0] == channel
 
 
 def _confirmed(test: Test, fit: QuasiFit, series: Series) -> Test:

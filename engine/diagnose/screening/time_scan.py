@@ -6,6 +6,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
 from engine.diagnose.screening.score_columns import Column, Projection
 from engine.diagnose.screening.screen import Test, make_test
@@ -23,7 +24,6 @@ FINER = 2.0  # frequencies per cycle over the whole record
 MOST_IRREGULAR = 4000  # of them where steps are not equal
 PEAKS = 20  # of them tested exactly
 EDGE = 0.04  # share of the record at each end in which no step can be told from the start
-TIMED = ("step", "parameter-step", "parameter-drift", "harmonic", "pulse")
 
 
 def family_test(
@@ -40,7 +40,7 @@ def family_test(
     root = whitening(path.S, series.observed)
     z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
     T, ny = z.shape
-    degrees = 2 if effect.kind == "harmonic" else 1
+    degrees = 2 if effect.traits.course is Course.HARMONIC else 1
 
     def chunk(start: int) -> list[tuple[tuple[float, ...], Column]]:
         some = np.ascontiguousarray(gate[:, start : start + CHUNK])
@@ -60,7 +60,7 @@ def grid(effect: Effect, series: Series) -> Array:
     """The times in seconds, or frequencies in hertz, at which a timed effect is tried."""
     t = series.t[series.samples]
     T = len(t)
-    if effect.kind == "harmonic":
+    if effect.traits.course is Course.HARMONIC:
         length, step = float(t[-1] - t[0]), float(np.median(np.diff(t)))
         first, last = 1.5 / length, 0.48 / step
         wanted = (last - first) * length * FINER
@@ -68,7 +68,9 @@ def grid(effect: Effect, series: Series) -> Array:
             wanted = min(wanted, FINER * T, MOST_IRREGULAR)
         return np.asarray(np.linspace(first, last, max(2, int(wanted))))
     first, last = int(EDGE * T) + 2, T - int(EDGE * T) - 3
-    most = STEP_GRID if effect.kind == "step" else GRID
+    most = (
+        GRID if effect.traits.of_parameter or effect.traits.course is not Course.STEP else STEP_GRID
+    )
     n = max(2, min(most, last - first + 1))
     rows = np.unique(np.linspace(first, max(last, first + 1), n).astype(int))
     return np.asarray(t[rows])
@@ -79,10 +81,10 @@ def _gates(
 ) -> tuple[list[tuple[float, ...]], Array, int]:
     """Values of the effect's other parameters, the factors (T, n) in time, places they were chosen from."""
     t = series.t[:, None]
-    if effect.kind == "parameter-drift":
+    if effect.traits.course is Course.DRIFT:
         middle, per = effect.probes[0]
         return [(middle, per)], (t - middle) / per, 1
-    if effect.kind == "pulse":
+    if effect.traits.course is Course.PULSE:
         scores, information = (
             np.add.reduceat(x, series.samples)  # a pulse lasts a sample
             for x in pulse_scores(path, series, b, e)
@@ -93,7 +95,7 @@ def _gates(
         gate[row : row + series.substeps] = 1.0
         return [(float(series.t[row]), *effect.probes[0][1:])], gate, series.n_measured
     points = grid(effect, series)
-    if effect.kind == "harmonic":
+    if effect.traits.course is Course.HARMONIC:
         tries = len(points)
         points = points[best_frequencies(path, series, b, e, points, PEAKS)]
         angle = 2.0 * np.pi * points * t
@@ -109,7 +111,7 @@ def _driver(
     T = len(series)
     b, e = np.zeros((T - 1, model.nx)), np.zeros((T, model.ny))
     states = [*model.nonlinear, *model.linear]
-    if effect.kind in ("parameter-step", "parameter-drift"):
+    if effect.traits.of_parameter:
         return _sensitivity(model, theta, model.index(effect.channel), series, path)
     if effect.channel in model.outputs:
         e[:, list(model.outputs).index(effect.channel)] = 1.0
@@ -153,4 +155,4 @@ def _mean(step: tuple[Array, Array, Array], z: Array) -> Array:
 
 def is_timed(effect: Effect) -> bool:
     """Whether the effect is tested by footprints over time."""
-    return effect.kind in TIMED
+    return effect.traits.course is not None

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.tails import KIND as TAILS
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
 from engine.filters.rbpf import rbpf
@@ -29,7 +28,7 @@ def undetermined(found: Sequence[Round]) -> list[str]:
 def _undetermined(refit: Refit) -> str:
     effect = refit.effect
     if (
-        effect.kind == TAILS or effect.one_sided
+        effect.traits.outliers or effect.one_sided
     ):  # a share or a variance: its error is no Gaussian one
         return ""
     amplitudes = [effect.size.name, f"{effect.size.name}_sine"]

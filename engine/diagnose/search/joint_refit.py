@@ -15,9 +15,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.tails import KIND as TAILS
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.likeness import NESTS
 from engine.diagnose.search.refits import TOLERANCE, Refit, cost, free_parameters
 from engine.diagnose.search.rounds import Round, settle
 from engine.errors import EngineError
@@ -47,7 +45,7 @@ def look_back(
             without = _together(base, final, [*before, *after], {}, series, here)
         except (EngineError, np.linalg.LinAlgError):
             continue
-        again = [r for r in found.refits if r.effect.kind == TAILS]  # by another filter
+        again = [r for r in found.refits if r.effect.traits.outliers]  # by another filter
         for effect, own in _rivals(found, [other.name for other in (*before, *after)]):
             try:
                 among = [*before, effect, *after]
@@ -67,14 +65,14 @@ def _rivals(found: Round, taken: Sequence[str]) -> list[tuple[Effect, dict[str, 
 
     The choice, the next best, the unnamed force, and plainer kinds that the choice contains.
     """
-    named = [r for r in found.refits if r.effect.kind != TAILS]
+    named = [r for r in found.refits if not r.effect.traits.outliers]
     refits = [*named[: 1 + RIVALS], *([found.generic] if found.generic else [])]
     out = {
         r.effect.name: (r.effect, {p.name: r.fit.theta[p.name] for p in r.effect.parameters})
         for r in refits
     }
     chosen = found.refits[0]
-    plainer = NESTS.get(chosen.effect.kind, ())
+    plainer = chosen.effect.traits.contains
     for effect in (score.effect for score in found.screen.scores):
         if effect.kind in plainer and effect.channel == chosen.effect.channel:
             out.setdefault(effect.name, (effect, {effect.size.name: chosen.size}))

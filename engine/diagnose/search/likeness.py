@@ -8,35 +8,23 @@ from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search.refits import Refit, held_out_terms
 
-NESTS = {  # a kind with a width of its own, and plainer ones it becomes at the end of its range
-    "stribeck": ("coulomb",),
-    "deadzone": ("coulomb", "coupling", "linear"),
-    "saturation": ("coulomb", "coupling", "linear"),
-    "pole": ("linear", "coupling"),
-    "mode": ("linear", "coupling", "pole"),
-    "variance": ("level",),
-}
 NEEDED = 2.0  # of the score, that the wider kind must be ahead
 
 SAME = 0.5  # sum of squared differences of log-densities below which two refits say the same
 TIE = 0.5  # of the score: among refits that say the same, one this far behind the best fits as well
-
-PLAIN = ("bias", "step", "force", "input-offset", "quantisation")  # plainer names first
-FRICTION = ("coulomb", "stribeck", "drag", "hysteresis")  # natural for velocities
-STIFFNESS = ("cubic", "quadratic", "saturation", "deadzone")  # natural for positions
 
 
 def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple[Refit, ...]:
     """The refits without those that say the same in other words.
 
     A pulse on an integrator is a step of its reading: where two refits predict alike at every
-    sample and fit as well, the plainer kind stands for both (see PLAIN), or else the one that is
-    natural for its channel: friction for a velocity, stiffness for a position. Where neither is,
-    both stay.
+    sample and fit as well, the plainer kind stands for both, or else the one that suits its channel:
+    friction a velocity, stiffness a position (:class:`~engine.diagnose.effects.traits.Traits`).
+    Where neither does, both stay.
     """
     refits = [r for r in refits if not _merely_wider(r, refits)]
     terms = [held_out_terms(r.fit, series) for r in refits]
-    ranks = [(_plainness(r), _unnatural(r, setting)) for r in refits]
+    ranks = [(r.effect.traits.plainness, _unnatural(r, setting)) for r in refits]
 
     def stands_for(j: int, i: int) -> bool:
         fits_as_well = refits[j].score >= refits[i].score - TIE
@@ -51,22 +39,17 @@ def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
     """Whether a plainer effect at the same place does as well."""
     effect = found.effect
     return any(
-        other.effect.kind in NESTS.get(effect.kind, ())
+        other.effect.kind in effect.traits.contains
         and other.effect.channel in (effect.channel, effect.channel.partition("->")[0])
         and found.score < other.score + NEEDED
         for other in others
     )
 
 
-def _plainness(found: Refit) -> int:
-    kind = found.effect.kind
-    return PLAIN.index(kind) if kind in PLAIN else len(PLAIN)
-
-
 def _unnatural(found: Refit, setting: Setting) -> int:
     """0 where the kind is natural for the channel, 2 where it is for the other sort, 1 where unknown."""
     source = found.effect.channel.partition("->")[0]
-    friction, stiffness = found.effect.kind in FRICTION, found.effect.kind in STIFFNESS
+    friction, stiffness = (found.effect.traits.suits == sort for sort in ("rate", "position"))
     if not (friction or stiffness):
         return 1
     if setting.is_rate(source):

@@ -12,7 +12,6 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting, setting_for
-from engine.diagnose.effects.tails import KIND as TAILS
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import undetermined
 from engine.diagnose.search.findings import Verdict
@@ -133,7 +132,7 @@ def fit_base(
 
 def has_tails(found: Search) -> bool:
     """Whether outliers are among what was found."""
-    return any(r.refits[0].effect.kind == TAILS for r in found.rounds if r.equivalent)
+    return any(r.refits[0].effect.traits.outliers for r in found.rounds if r.equivalent)
 
 
 def misfit(fit: QuasiFit, series: Series, outliers: bool = False) -> float:

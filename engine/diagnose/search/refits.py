@@ -8,10 +8,10 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.screen import Score
 from engine.diagnose.screening.tails import fit_tails
-from engine.diagnose.screening.time_scan import grid, is_timed
+from engine.diagnose.screening.time_scan import grid
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.filters.sigma_point import moment_filter
@@ -54,14 +54,9 @@ def further_parameters(effect: Effect) -> int:
     return len(effect.parameters) - 1 - len(effect.held)
 
 
-def _sought(effect: Effect) -> list[str]:
-    """Times at which the likelihood jumps: sought on rows, not by slopes."""
-    return [p.name for p in effect.parameters if p.name.endswith("_time") and is_timed(effect)]
-
-
 def free_parameters(effect: Effect) -> list[str]:
     """The effect's own parameters that are estimated by slopes."""
-    fixed = {*_sought(effect), *effect.held}
+    fixed = {*effect.sought, *effect.held}
     return [p.name for p in effect.parameters if p.name not in fixed]
 
 
@@ -74,13 +69,13 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
     effect = score.effect
     extended = effect.apply(fit.model)
     n = len(fit.theta)
-    if effect.kind == TAILS:
+    if effect.traits.outliers:
         return _refit_tails(fit, extended, effect, series)
     start = np.concatenate([fit.theta, [score.size], score.at])
     null = start.copy()
     null[n] = 0.0
     start = np.clip(start, extended.lower, extended.upper)
-    sought = _sought(effect)
+    sought = effect.sought
     free = [*fit.free, *free_parameters(effect)]
     start, zero = _best_start(extended, series, start, null, n)
     if sought:
@@ -167,7 +162,7 @@ def _best_row(
     k = extended.index(name)
     here = int(np.argmin(np.abs(series.t - theta[k])))
     reach = 2
-    if effect.kind != "pulse":  # its grid leaves rows out
+    if effect.traits.course is not Course.PULSE:  # its grid leaves rows out
         reach = int(np.ceil(len(series) / max(len(grid(effect, series)), 1)))
     rows = np.arange(max(here - reach, 1), min(here + reach + 1, len(series) - 1))
     thetas = np.repeat(theta[None], len(rows) + 1, axis=0)

@@ -12,26 +12,24 @@ from scipy.stats import chi2
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.tails import KIND as TAILS
+from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.screening.screening import TAILS_ALARM
 from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import Refit, cost, refit, taken_up
-from engine.diagnose.search.rounds import GENERIC, Round, settle
+from engine.diagnose.search.rounds import Round, settle
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 
 REFITS = 12  # effects refitted in a round
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
 AT_LEAST = 6  # ... unless it is among the first few: large effects bend the scores of others
-PULSE = "pulse"
 AGAIN = (
     0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
 )
 REACH = 0.5  # of the best score: a refit left half-way that has this much is taken up again
 
-SWALLOWED = ("step", "harmonic", "latent", "parameter-step", "ramp", "drift")  # by a fitted Q
 SWALLOWED_REFITS = 6
 ALARM = 0.1  # family-wise p-value from which no alarm is to be feared at any usual level
 REFITTED = 0.1  # of alpha, for these refits: maxima between a grid's points are larger than on it
@@ -73,7 +71,7 @@ def swallowed_p(seen: Screen, refits: Sequence[Refit], boldness: float = 1.0) ->
 
 
 def _swallowed(seen: Screen) -> list[Score]:
-    return [s for s in seen.scores if s.effect.kind in SWALLOWED and s.statistic > 0.0]
+    return [s for s in seen.scores if s.effect.traits.swallowed and s.statistic > 0.0]
 
 
 def refit_best(
@@ -110,16 +108,18 @@ def without_one_of_many(refits: Sequence[Refit], series: Series) -> list[Refit]:
     A pulse of an output is one bad reading. Where that or outliers lead, and the tails of the errors are
     still heavy with that reading explained, it is the largest of several: outliers.
     """
-    named = [r for r in refits if r.effect.kind != GENERIC]
+    named = [r for r in refits if not r.effect.traits.unnamed]
     leading = max(named, key=lambda r: r.score, default=None)
-    if leading is None or leading.effect.kind not in (PULSE, TAILS):
+    if leading is None:
         return list(refits)
-    there = {r.effect.kind: r for r in named if r.effect.channel == leading.effect.channel}
-    if PULSE not in there or TAILS not in there:
+    there = [r for r in named if r.effect.channel == leading.effect.channel]
+    pulse = next((r for r in there if r.effect.traits.course is Course.PULSE), None)
+    tails = next((r for r in there if r.effect.traits.outliers), None)
+    if pulse is None or tails is None or leading not in (pulse, tails):
         return list(refits)
-    if tails_left(there[PULSE].fit, there[TAILS].effect, series) > AGAIN:
+    if tails_left(pulse.fit, tails.effect, series) > AGAIN:
         return list(refits)
-    return [r for r in refits if r is not there[PULSE]]
+    return [r for r in refits if r is not pulse]
 
 
 def followed(
@@ -140,7 +140,7 @@ def followed(
 
 def _worth_refitting(seen: Screen, series: Series) -> list[Score]:
     """The best named effects, outliers where they are likely, and the best unnamed forces."""
-    named = [s for s in seen.scores if s.effect.kind != GENERIC and s.statistic > 0.0]
+    named = [s for s in seen.scores if not s.effect.traits.unnamed and s.statistic > 0.0]
     worth = {s.effect.name: s.statistic - cost(s.effect, series) for s in named}
     named.sort(key=lambda s: -worth[s.effect.name])
     best = worth[named[0].effect.name] if named else 0.0
@@ -149,9 +149,9 @@ def _worth_refitting(seen: Screen, series: Series) -> list[Score]:
         for i, s in enumerate(named[:REFITS])
         if i < AT_LEAST or worth[s.effect.name] >= WORTH * best
     ]
-    tails = [s for s in seen.scores if s.effect.kind == TAILS and s.p_value < TAILS_ALARM]
+    tails = [s for s in seen.scores if s.effect.traits.outliers and s.p_value < TAILS_ALARM]
     chosen += [s for s in tails if s not in chosen]
-    return chosen + [s for s in seen.scores if s.effect.kind == GENERIC and s.statistic > 0.0][:2]
+    return chosen + [s for s in seen.scores if s.effect.traits.unnamed and s.statistic > 0.0][:2]
 
 
 def _made(compute: Callable[[], Refit]) -> Refit | None:

@@ -13,7 +13,6 @@ from engine.diagnose.search.refits import Refit
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e
 UNNAMED_MARGIN = 6.0  # over a force that nobody named, which is always possible
-GENERIC = "latent"  # the kind of the force that nobody named
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +27,8 @@ class Round:
 
 def settle(screen: Screen, refits: Sequence[Refit], series: Series, setting: Setting) -> Round:
     """Refits ranked by their score; those within MARGIN of the best named one are a set."""
-    unnamed = [r for r in refits if r.effect.kind == GENERIC]
-    ranked = sorted((r for r in refits if r.effect.kind != GENERIC), key=lambda r: -r.score)
+    unnamed = [r for r in refits if r.effect.traits.unnamed]
+    ranked = sorted((r for r in refits if not r.effect.traits.unnamed), key=lambda r: -r.score)
     within = [r for r in ranked if r.score >= ranked[0].score - MARGIN]
     equivalent = distinct(within, series, setting)
     if equivalent:  # of effects that are the same here, the name that stands for them leads

@@ -22,7 +22,6 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.effects.tails import KIND as TAILS
 from engine.diagnose.screening.screening import screen_effects
 from engine.diagnose.screening.tails import pit_of, standardised_errors
 from engine.diagnose.search.calibration import BOLDEST, Question, calibrated, decides, sequential_p
@@ -110,7 +109,7 @@ def search(
         rounds.append(found)
         if not found.equivalent:
             break
-        if found.refits[0].effect.kind != TAILS:
+        if not found.refits[0].effect.traits.outliers:
             best = found.refits[0].fit
             fit = here.fit(best.model, partial(_finished, best, series))
             continue

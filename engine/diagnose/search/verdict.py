@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.diagnose.effects.tails import KIND as TAILS
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.rounds import GENERIC, MARGIN, UNNAMED_MARGIN, Round
+from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.search.search import Search
 
 POWER = 0.84  # normal quantile of 80 %
@@ -38,7 +37,7 @@ def patchwork(search: Search, alpha: float) -> bool:
     the last rule only.
     """
     found = [r.refits[0].effect for r in search.rounds if r.equivalent]
-    effects = [effect for effect in found if effect.kind != TAILS]
+    effects = [effect for effect in found if not effect.traits.outliers]
     noise = any(effect.family == "noise" for effect in effects)
     last = search.rounds[-1]
     left = not last.equivalent and last.screen.p_value <= LEFT * alpha
@@ -113,7 +112,7 @@ def detectable_of(seen: Screen) -> tuple[Detectable, ...]:
     """The smallest size of each effect that a screen would have shown with 80 % probability."""
     out = []
     for score in seen.scores:
-        if score.effect.kind in (GENERIC, TAILS):
+        if score.effect.traits.unnamed or score.effect.traits.outliers:
             continue  # a detector, and a test whose power is not in its size
         testable = bool(np.isfinite(score.se) and score.rho > UNTESTABLE)
         smallest = (np.sqrt(seen.threshold * score.boldness) + POWER) * score.se

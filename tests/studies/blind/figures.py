@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 
 from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.search.refits import further_parameters
-from engine.diagnose.search.rounds import GENERIC
 from engine.statespace.model import Array
 from tests.studies.blind.bases import typical
 from tests.studies.statistics import wilson
@@ -106,7 +106,7 @@ def likeliest(row: Row) -> bool:
     rivals = [
         score + further_parameters(effect_of(row, name)) * float(np.log(T))
         for name, score in scores(str(row["evidence"]).split("|")[0])[1].items()
-        if name != row["hidden"] and name.partition(":")[0] != GENERIC
+        if name != row["hidden"] and name.partition(":")[0] != LATENT
     ]
     return float(row["ratio_truth"]) >= max(rivals, default=-np.inf) - TIE
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.diagnose.search.rounds import GENERIC, MARGIN, UNNAMED_MARGIN
+from engine.diagnose.effects.colored import LATENT
+from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN
 from engine.diagnose.search.verdict import LEFT
 from tests.studies.blind import figures as f
 from tests.studies.report import markdown
@@ -96,4 +97,4 @@ def decided(row: Row, rule: Rule) -> Row:
 
 
 def _unnamed(name: str) -> bool:
-    return name.partition(":")[0] == GENERIC
+    return name.partition(":")[0] == LATENT

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.diagnose.screening.time_scan import TIMED
 from engine.diagnose.search.pipeline import Causes, find_causes
 from engine.errors import EngineError
 from tests.studies.foreign.cells import CLEAN, Cell, every_cell
 from tests.studies.foreign.drawing import series_of
 from tests.studies.foreign.sizes import size_of
 
+TIMED = ("step", "parameter-step", "parameter-drift", "harmonic", "pulse")
 FILE = Path(__file__).with_name("alike.csv")
 PILOT = 34_000_000  # first part of the seeds
 SERIES = 2

@@ -1,0 +1,47 @@
+"""What the search needs to know of a kind of effect beside its equation; the same for anybody's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+ANY = 100  # plainness of a kind that is plainer than none
+
+
+class Course(Enum):
+    """How an effect runs over time: it is then tried at every time or frequency of a grid.
+
+    The effect's second parameter is the time of a ``STEP`` or ``PULSE``; a ``HARMONIC`` has the amplitude of
+    the sine and the frequency, a ``DRIFT`` the time where it is zero and the one to which its size refers.
+    """
+
+    STEP = "step"
+    PULSE = "pulse"
+    HARMONIC = "harmonic"
+    DRIFT = "drift"
+
+
+@dataclass(frozen=True)
+class Traits:
+    """Traits of a kind.
+
+    ``course`` over time, if it has one; ``of_parameter``: what runs is a parameter of the model, its channel.
+    ``swallowed``: a fitted process noise can hide it from the screen, so that it is refitted all the same.
+    ``unnamed``: it stands for whatever has no name. ``outliers``: judged by a filter that knows outliers.
+    ``noise_level``: it changes the size of a channel's noise. ``plainness``: of effects that say the same,
+    the one with the least is said. ``suits``: "rate" (friction) or "position" (stiffness), where the kind is
+    natural. ``contains``: plainer kinds that it becomes at the end of the range of its own parameters.
+    """
+
+    course: Course | None = None
+    of_parameter: bool = False
+    swallowed: bool = False
+    unnamed: bool = False
+    outliers: bool = False
+    noise_level: bool = False
+    plainness: int = ANY
+    suits: str = ""
+    contains: tuple[str, ...] = ()
+
+
+USUAL = Traits()
