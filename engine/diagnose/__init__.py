@@ -31,6 +31,7 @@ from engine.diagnose.effects.catalogue import (
     register_effect,
 )
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
@@ -63,6 +64,7 @@ __all__ = [
     "diagnose",
     "effect_kinds",
     "extend",
+    "hide",
     "make_effect",
     "register_effect",
 ]

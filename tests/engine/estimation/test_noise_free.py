@@ -132,7 +132,7 @@ def test_resuming_gives_the_same_bits_and_the_same_words(case):
 
     def proposal(step):
         seen.append(tuple(step.theta))
-        return engine.proposals.adapted(step)
+        return engine.filters.proposals.adapted(step)
 
     engine.rbps_em(model, series, n_iterations=5, resume=whole, proposal=proposal, **options)
     if model.na:  # only the last iteration was looked at again, with what it began from

@@ -51,7 +51,7 @@ def test_every_iteration_of_em_has_random_numbers_of_its_own():
     def proposal(step):
         if step.t == SERIES.t[0]:
             seen.append(step.rng.bit_generator.state["state"]["state"])
-        return engine.proposals.bootstrap(step)
+        return engine.filters.proposals.bootstrap(step)
 
     engine.rbps_em(
         MODEL,
@@ -200,7 +200,7 @@ def test_an_estimation_that_ran_out_of_iterations_is_named():
         errors = engine.standard_errors(MODEL, found, SERIES, exact=True)
     document = engine.examine(found, SERIES, errors).to_dict()
     assert document["warning"] == errors.warning
-    report = engine.report.estimate.estimate_report(document, lambda chart: "")
+    report = engine.presentation.report.estimate.estimate_report(document, lambda chart: "")
     assert "no standard errors of an estimate" in str(report)
 
 
