@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.data.series import Series, as_series_list
 from engine.estimation.e_steps import rbps_step, rts_step
-from engine.estimation.em_loop import Callback, iterate
+from engine.estimation.em_loop import Callback, Loop, iterate
 from engine.estimation.em_result import Checkpoint as Checkpoint
 from engine.estimation.em_result import EmResult as EmResult
 from engine.estimation.em_result import Iteration as Iteration
@@ -74,20 +74,8 @@ def rbps_em(
     )
     indices = model.free_indices(free)
     ahead = WarmStart(model, listed, indices) if warm_start else None
-    found = iterate(
-        model,
-        expect,
-        theta0,
-        free,
-        n_iterations,
-        seed,
-        callback,
-        resume,
-        m_step,
-        tolerance,
-        ahead=ahead,
-        likelihood=LikelihoodStep(model, listed),
-    )
+    loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
+    found = iterate(model, expect, loop, ahead, LikelihoodStep(model, listed))
     note = f" {ahead.note}" if ahead is not None and ahead.note else ""
     return replace(found, model=given, message=found.message + note)
 
@@ -110,19 +98,9 @@ def rts_em(
     """
     listed = as_series_list(series, model)
     given, model = model, scaled(model, listed, theta0, free, resume)
-    found = iterate(
-        model,
-        rts_step(model, listed),
-        theta0,
-        free,
-        n_iterations,
-        0,
-        callback,
-        resume,
-        m_step,
-        tolerance,
-        likelihood=LikelihoodStep(model, listed, "the exact", worth=1e-8),
-    )
+    loop = Loop(theta0, free, n_iterations, 0, callback, resume, m_step, tolerance)
+    likelihood = LikelihoodStep(model, listed, "the exact", worth=1e-8)
+    found = iterate(model, rts_step(model, listed), loop, likelihood=likelihood)
     return replace(found, model=given)
 
 

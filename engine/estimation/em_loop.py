@@ -29,58 +29,77 @@ from engine.statespace.base import BaseModel, Theta, ThetaLike
 Callback: TypeAlias = Callable[[Iteration], Any]
 
 
+@dataclass(frozen=True)
+class Loop:
+    """What every EM is told: where it starts, what it moves, when it ends, who looks on.
+
+    Fields as in :func:`engine.estimation.em.rbps_em`; ``resume`` comes before ``theta0``.
+    """
+
+    theta0: ThetaLike = None
+    free: Sequence[str] | None = None
+    n_iterations: int = 100
+    seed: int = 0
+    callback: Callback | None = None
+    resume: Checkpoint | EmResult | None = None
+    m_step: str = "scoring"
+    tolerance: float | None = 1e-3
+
+
 def iterate(
     model: BaseModel,
     expect: Expect,
-    theta0: ThetaLike,
-    free: Sequence[str] | None,
-    n_iterations: int,
-    seed: int,
-    callback: Callback | None,
-    resume: Checkpoint | EmResult | None,
-    m_step: str,
-    tolerance: float | None,
+    loop: Loop,
     ahead: Callable[[Theta], Theta | None] | None = None,
     likelihood: LikelihoodStep | None = None,
 ) -> EmResult:
-    """The loop of Algorithm 1: E step, M step, settled?
+    """Algorithm 1 of the paper: E step, M step, settled?
 
     ``ahead`` may name a point from which the first iteration leaves if that is far more likely;
     ``likelihood`` moves the parameters to which the Q-function is no guide.
     """
-    if int(n_iterations) != n_iterations or n_iterations < 1:
-        raise OptionError(
-            f"n_iterations = {n_iterations}; a positive whole number is needed", "n_iterations"
-        )
-    indices = model.free_indices(free)
-    names = tuple(model.parameter_names[i] for i in indices)
-    log = _Log(model, theta0, resume, n_iterations)
-    step = _Iterate(expect, indices, seed, m_step, ahead, likelihood)
+    n = loop.n_iterations
+    if int(n) != n or n < 1:
+        raise OptionError(f"n_iterations = {n}; a positive whole number is needed", "n_iterations")
+    indices = model.free_indices(loop.free)
+    log = _Log(model, loop)
+    steps = _Steps(expect, indices, loop, ahead, likelihood)
     outcome, last = Outcome.ITERATIONS_USED_UP, None
-    settled = log.settled(indices, tolerance)
-    for k in range(log.k + 1, n_iterations + 1):
+    settled = log.settled(indices)
+    for k in range(log.k + 1, n + 1):
         if settled:
             break
         started = time.perf_counter()
-        last = step(k, log.theta)
-        it = log.add(k, last.theta, last.seen, time.perf_counter() - started)
+        last = steps.m_step(steps.e_step(k, log.theta))
+        seconds = time.perf_counter() - started
+        it = log.add(k, last, seconds)
         if not last.finite:
             outcome = Outcome.DIVERGED
             break
-        settled = log.settled(indices, tolerance)
-        if _stops(callback, it):
+        settled = log.settled(indices)
+        if _stops(loop.callback, it):
             outcome = Outcome.STOPPED_BY_CALLER
             break
     if settled and outcome is not Outcome.STOPPED_BY_CALLER:
         outcome = Outcome.CONVERGED
     if last is None and log.k:  # all was done before: the last iteration again, for what it said
-        last = step(log.k, log.trace[-2])
+        last = steps.m_step(steps.e_step(log.k, log.trace[-2]))
+    names = tuple(model.parameter_names[i] for i in indices)
     return log.result(names, outcome, last)
 
 
 @dataclass(frozen=True, eq=False)
-class _Iterated:
-    """One iteration: theta after it, the E step before it; what the M step left from, and how it went."""
+class _Expected:
+    """The E step at theta_{k-1}, and the point ``at`` that the M step leaves from with its own, ``origin``."""
+
+    seen: EStep
+    at: Theta
+    origin: EStep
+
+
+@dataclass(frozen=True, eq=False)
+class _Maximized:
+    """Theta_k and the E step before it; what the M step left from, and how it went."""
 
     theta: Theta
     seen: EStep
@@ -101,33 +120,37 @@ class _Iterated:
 
 
 @dataclass(frozen=True, eq=False)
-class _Iterate:
-    """Iteration k from theta_{k-1}; it depends on nothing else."""
+class _Steps:
+    """The two steps of an iteration; iteration k depends on theta_{k-1} and on nothing else."""
 
     expect: Expect
     indices: NDArray[np.intp]
-    seed: int
-    m_step: str
+    loop: Loop
     ahead: Callable[[Theta], Theta | None] | None
     likelihood: LikelihoodStep | None
 
-    def __call__(self, k: int, theta: Theta) -> _Iterated:
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(k,)))
-        step = self.expect(theta, rng)
-        origin, at = step, theta
+    def e_step(self, k: int, theta: Theta) -> _Expected:
+        """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point."""
+        rng = np.random.default_rng(np.random.SeedSequence(self.loop.seed, spawn_key=(k,)))
+        seen = self.expect(theta, rng)
         if k == 1 and self.ahead is not None:
-            at, origin = _more_likely(self.expect, self.ahead(theta), theta, step, rng)
-        if not np.isfinite(origin.log_likelihood):
-            return _Iterated(at, step, False, origin.q, at)
-        q, names = origin.q, np.array(theta.names)
+            return _Expected(seen, *_more_likely(self.expect, self.ahead(theta), theta, seen, rng))
+        return _Expected(seen, theta, seen)
+
+    def m_step(self, expected: _Expected) -> _Maximized:
+        """theta_k = arg max Q; what enters without noise is moved by the likelihood instead."""
+        seen, at, q = expected.seen, expected.at, expected.origin.q
+        if not np.isfinite(expected.origin.log_likelihood):
+            return _Maximized(at, seen, False, q, at)
+        names = np.array(at.names)
         exact = q.moves_noise_free(at, self.indices)  # Q says nothing, or too little, about these
-        new = Theta(maximize(q, at, self.indices[~exact], self.m_step), theta.names)
+        new = Theta(maximize(q, at, self.indices[~exact], self.loop.m_step), at.names)
         stuck = exact.copy()
         if exact.any() and self.likelihood is not None:
             new, stuck[exact] = self.likelihood(new, self.indices[exact])
-        return _Iterated(
+        return _Maximized(
             new,
-            step,
+            seen,
             bool(np.isfinite(np.asarray(new)).all()),
             q,
             at,
@@ -161,17 +184,12 @@ def _stops(callback: Callback | None, iteration: Iteration) -> bool:
 class _Log:
     """The trace as it grows."""
 
-    def __init__(
-        self,
-        model: BaseModel,
-        theta0: ThetaLike,
-        resume: Checkpoint | EmResult | None,
-        n_iterations: int,
-    ) -> None:
-        self.model, self.n_iterations = model, n_iterations
+    def __init__(self, model: BaseModel, loop: Loop) -> None:
+        self.model, self.loop = model, loop
         self.lost_at = ""
+        resume = loop.resume
         if resume is None:
-            self.trace = [model.theta(theta0)]
+            self.trace = [model.theta(loop.theta0)]
             self.rows: list[tuple[float, float, float, float]] = []
             return
         if resume.trace.shape != (len(resume.log_likelihood) + 1, len(model.parameters)):
@@ -200,15 +218,15 @@ class _Log:
     def theta(self) -> Theta:
         return self.trace[-1]
 
-    def add(self, k: int, theta: Theta, step: EStep, seconds: float) -> Iteration:
-        self.trace.append(theta)
+    def add(self, k: int, done: _Maximized, seconds: float) -> Iteration:
+        step, n = done.seen, self.loop.n_iterations
+        self.trace.append(done.theta)
         self.lost_at = step.lost_at or self.lost_at
         self.rows.append((step.log_likelihood, step.ess, seconds, step.collapsed))
-        return Iteration(
-            k, self.n_iterations, theta, step.log_likelihood, step.ess, seconds, step.collapsed
-        )
+        return Iteration(k, n, done.theta, step.log_likelihood, step.ess, seconds, step.collapsed)
 
-    def settled(self, indices: Any, tolerance: float | None) -> bool:
+    def settled(self, indices: Any) -> bool:
+        tolerance = self.loop.tolerance
         if tolerance is None or self.k < 2 * WINDOW:
             return False
         trace = np.array(self.trace[-2 * WINDOW - 1 :])
@@ -216,7 +234,7 @@ class _Log:
         scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
         return has_settled(trace[:, indices], scale, tolerance)
 
-    def result(self, names: tuple[str, ...], outcome: Outcome, last: _Iterated | None) -> EmResult:
+    def result(self, names: tuple[str, ...], outcome: Outcome, last: _Maximized | None) -> EmResult:
         trace = np.array([np.asarray(row) for row in self.trace])
         columns = np.array(self.rows).reshape(-1, 4).T
         theta = trace[-1]

@@ -15,7 +15,7 @@ from engine.data.series import Series, as_series_list
 from engine.errors import OptionError
 from engine.estimation.e_steps import LOST_SHARE, RETRIES, EStep, Expect
 from engine.estimation.em import Checkpoint, EmResult, scaled
-from engine.estimation.em_loop import Callback, iterate
+from engine.estimation.em_loop import Callback, Loop, iterate
 from engine.estimation.expectation import expectation
 from engine.estimation.general_em import general_step
 from engine.estimation.likelihood_step import LikelihoodStep
@@ -84,19 +84,9 @@ def ps_em(
             ess_threshold=ess_threshold,
             recover=recover,
         )
-    found = iterate(
-        model,
-        expect,
-        theta0,
-        free,
-        n_iterations,
-        seed,
-        callback,
-        resume,
-        m_step or "scoring",
-        tolerance,
-        likelihood=likelihood,
-    )
+    chosen = m_step or "scoring"
+    loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)
+    found = iterate(model, expect, loop, likelihood=likelihood)
     return replace(found, model=given)
 
 

@@ -20,7 +20,7 @@ from engine.data.series import Series
 from engine.errors import OptionError
 from engine.estimation.e_steps import EStep, Expect
 from engine.estimation.em import EmResult
-from engine.estimation.em_loop import iterate
+from engine.estimation.em_loop import Loop, iterate
 from engine.filters.rbpf import COLLAPSED
 from engine.kernels.backward import pick
 from engine.kernels.resampling import multinomial
@@ -60,7 +60,7 @@ def guarded_ps_em(
         expect = stopping(expect, model, model.free_indices(free), m_step_iterations)
         m_step = "scoring"
     return iterate(
-        model, expect, theta0, free, n_iterations, seed, None, None, m_step, tolerance=None
+        model, expect, Loop(theta0, free, n_iterations, seed, m_step=m_step, tolerance=None)
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.estimation.e_steps import EStep, rbps_step
 from engine.estimation.em import EmResult
-from engine.estimation.em_loop import iterate
+from engine.estimation.em_loop import Loop, iterate
 from engine.statespace.model import MixedModel, Theta, ThetaLike
 from tests.studies.stopped import stopping
 
@@ -53,6 +53,4 @@ def varied_em(
         return expect(theta, np.random.default_rng(seed))
 
     used = stopping(same_numbers if common_numbers else expect, model, indices, m_step_iterations)
-    return iterate(
-        model, used, theta0, free, n_iterations, seed, None, None, "scoring", tolerance=None
-    )
+    return iterate(model, used, Loop(theta0, free, n_iterations, seed, tolerance=None))
