@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
+import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ from sqlalchemy import (
 from sqlalchemy.schema import CreateColumn
 
 metadata = MetaData()
+BESIDE = ("-wal", "-shm", "-journal", "-reserve")  # ends of names of what lies beside a SQLite file
 
 # A job, as its status document shows it. ``seq`` is the order of the queue and of the list.
 jobs = Table(
@@ -118,10 +121,7 @@ def connect(url: str) -> Engine:
         return engine
     engine = create_engine(url, connect_args={"timeout": 30.0, "check_same_thread": False})
     if engine.url.database:
-        file = Path(engine.url.database)
-        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if not file.exists():  # it holds everybody's data; what lies beside it gets the same mode
-            file.touch(mode=0o600)
+        _make_private(Path(engine.url.database))
 
     @event.listens_for(engine, "connect")
     def _connect(connection: sqlite3.Connection, record: Any) -> None:
@@ -144,6 +144,20 @@ def connect(url: str) -> Engine:
     metadata.create_all(engine)
     _add_columns(engine)
     return engine
+
+
+def _make_private(file: Path) -> None:
+    """A file that only its owner can read, for it holds everybody's data; one that is there becomes so.
+
+    What SQLite makes beside it gets the same mode.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    if not file.exists():
+        file.touch(mode=0o600)
+    for one in (file, *(file.with_name(file.name + suffix) for suffix in BESIDE)):
+        with suppress(FileNotFoundError, PermissionError):  # it has gone, or is somebody else's
+            if (mode := stat.S_IMODE(one.stat().st_mode)) & 0o077 and one.is_file():
+                one.chmod(mode & 0o700)
 
 
 def _missing(sql: Connection) -> list[Column[Any]]:
