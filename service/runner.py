@@ -228,11 +228,12 @@ def _until_end(
     """Wait; returns what to write to the store once the process is dead, if anything."""
     awake, renewed = Awake(max(terms.lease / 4, 2 * POLL_SECONDS)), 0.0
     run_seconds = min(terms.run_seconds, attempt.run_seconds or terms.run_seconds)
+    left = run_seconds - attempt.spent
     while not connection.wait([process.sentinel], POLL_SECONDS):
         now = awake.look()
         if stopping.is_set():
             return lambda: store.release(attempt)
-        if now > run_seconds:
+        if now > left:
             detail = f"the computation took longer than the {run_seconds:g} s it may take"
             problem = Problem(422, "run-time-exceeded", detail).document()
             return lambda: store.fail(attempt, problem)

@@ -16,6 +16,7 @@ from service.retention import Retention
 from service.runner import Runner
 from service.settings import Settings
 from service.store import Store
+from service.turns import Turns
 
 log = logging.getLogger("service")
 
@@ -30,6 +31,7 @@ class Supervisor:
         self._store, self._runner, self._settings = store, runner, settings
         self._wake, self._stop = threading.Event(), threading.Event()
         self._silence = Silence(settings.lease_seconds)
+        self._turns = Turns(settings.turn_seconds, 4 * LOOK_SECONDS)
         self._retention = Retention(store, settings.keep_days)
         self._holder = f"{socket.gethostname()}:{os.getpid()}"
         self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
@@ -113,5 +115,16 @@ class Supervisor:
                 log.exception("the attempt cannot be started", extra={"job": attempt.job_id})
                 self._store.release(attempt)
                 break
+        self._share()
         self._retention.look()
         self.beat = time.monotonic()
+
+    def _share(self) -> None:
+        """Where all places are taken, let keys have their turns."""
+        if self._runner.free() > 0 or not self._runner.places():
+            return
+        ask, take = self._turns.look(*self._store.standing())
+        if ask is not None:
+            self._store.ask(ask.token)
+        if take is not None:
+            self._store.take(take.token)

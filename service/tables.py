@@ -53,7 +53,7 @@ jobs = Table(
     Column("problem", Text),  # JSON problem document of a failed job
     Column("cause", String(60)),  # its kind, for counting
     Column("stages", Text, nullable=False),  # JSON [tasks of the first stage, of the second, ...]
-    Column("run_seconds", Double),  # longest run time of an attempt, if the job sets one
+    Column("run_seconds", Double),  # longest run time of a task, if the job sets one
     Column("owner", String(64), nullable=False, default=""),  # name of the API key
     Column("idempotency_key", String(200)),
     Column("digest", String(64)),  # of the request, to compare repeats of an idempotency key
@@ -83,8 +83,21 @@ tasks = Table(
         "futile", Integer, nullable=False, server_default="0"
     ),  # losses without a checkpoint between
     Column("mark", Integer, nullable=False, server_default="0"),  # checkpoints at the latest loss
+    Column("asked", Integer, nullable=False, server_default="0"),  # 1: to leave at a checkpoint
+    Column(
+        "taken", Integer, nullable=False, server_default="0"
+    ),  # attempts taken away since the latest checkpoint, see ``turns``
+    Column("spent", Double, nullable=False, server_default="0"),  # s, of attempts that made room
     Column("iteration", Integer, nullable=False, default=0),
     Index("tasks_state", "state", "job", "task"),
+)
+
+# When each key's tasks were last claimed: a number that only grows.
+turns = Table(
+    "turns",
+    metadata,
+    Column("owner", String(64), primary_key=True),
+    Column("turn", Integer, nullable=False),
 )
 
 # One row per iteration: at once progress, checkpoint and trace. ``row`` is float64

@@ -71,9 +71,13 @@ def test_the_store_of_an_earlier_version_is_taken_over(store):
             ("tasks", "beat"),
             ("tasks", "futile"),
             ("tasks", "mark"),
+            ("tasks", "asked"),
+            ("tasks", "taken"),
+            ("tasks", "spent"),
             ("jobs", "removed"),
         ):
             sql.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {column}")
+        sql.exec_driver_sql("DROP TABLE turns")
         sql.exec_driver_sql("ALTER TABLE tasks ADD COLUMN lease_until DOUBLE PRECISION")
     newer = Store(store.url)
     assert [newer.job(one).removed for one in (waiting, dismissed)] == [0, 1]
