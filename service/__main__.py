@@ -27,7 +27,11 @@ def main() -> None:
     except SQLAlchemyError as error:
         reason = str(error.__cause__ or error).splitlines()[0]
         sys.exit(f"rbps: the store {make_url(settings.store_url)!r} cannot be used: {reason}")
-    uvicorn.Server(server_config(app, settings)).run()
+    try:
+        uvicorn.Server(server_config(app, settings)).run()
+    except KeyboardInterrupt:  # passed on by uvicorn, which at the second one has not stopped all
+        app.state.supervisor.stop()
+        sys.exit(130)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.attempt import STORE_FAILED, main
 from service.clocks import Awake
+from service.lasting import Lasting
 from service.problems import Problem
 from service.settings import Settings
 from service.store import Store
@@ -34,7 +35,7 @@ POLL_SECONDS = 0.25  # how soon a cancelled job's process is killed
 START_TRIES = 3
 GUARD = "create_app() and uvicorn.run() belong under `if __name__ == '__main__':`"
 # The forkserver is killed when the thread that started it ends (``preload``): one that lasts.
-_starter = ThreadPoolExecutor(1, "starter")
+_starter = Lasting("starter")
 _starting = threading.Lock()  # multiprocessing polls all children when it starts one
 
 
@@ -88,8 +89,8 @@ class LocalRunner:
         self._threads: dict[str, threading.Thread] = {}
         self._stopping = threading.Event()
         self._warm = threading.Event()  # claimed before, an attempt could be silent in waiting
-        self._warming = threading.Thread(target=self._warm_up, name="warm-up")
-        self._warming.start()
+        # Loading takes seconds, or on a new machine minutes: who stops does not wait for it.
+        threading.Thread(target=self._warm_up, name="warm-up", daemon=True).start()
 
     def places(self) -> int:
         """How many attempts can run at once."""
@@ -117,7 +118,7 @@ class LocalRunner:
         """Let running attempts end (drain), or give them back to the queue; then return."""
         if not drain:
             self._stopping.set()
-        for thread in [self._warming, *self._threads.values()]:
+        for thread in list(self._threads.values()):
             thread.join()
 
     def _warm_up(self) -> None:
@@ -203,7 +204,7 @@ def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProce
     """Start a process; a forkserver that was killed is replaced by the next try."""
     for tries_left in reversed(range(START_TRIES)):
         try:
-            return _starter.submit(_begin, target, args).result()
+            return _starter(_begin, target, args)
         except (OSError, EOFError):
             if not tries_left:
                 raise

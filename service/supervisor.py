@@ -27,9 +27,16 @@ TRY_SECONDS = 3.0  # how long it is believed that the store can be written
 class Supervisor:
     """One thread; several supervisors may share a store."""
 
-    def __init__(self, store: Store, runner: Runner, settings: Settings) -> None:
+    def __init__(
+        self,
+        store: Store,
+        runner: Runner,
+        settings: Settings,
+        wake: threading.Event | None = None,
+    ) -> None:
+        """``wake`` is set by whoever has something for it to do, as the runner."""
         self._store, self._runner, self._settings = store, runner, settings
-        self._wake, self._stop = threading.Event(), threading.Event()
+        self._wake, self._stop = wake or threading.Event(), threading.Event()
         self._silence = Silence(settings.lease_seconds)
         self._turns = Turns(settings.turn_seconds, 4 * LOOK_SECONDS)
         self._retention = Retention(store, settings.keep_days)
