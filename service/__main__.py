@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 
 import uvicorn
 from sqlalchemy import make_url
@@ -14,11 +15,11 @@ from service.server import server_config
 from service.settings import Settings
 
 
-def main() -> None:
-    """Serve until a signal comes."""
+def main(env: Mapping[str, str] | None = None) -> None:
+    """Serve until a signal comes, with settings from ``env`` (None: this process's environment)."""
     configure()
     try:
-        settings = Settings.from_env()
+        settings = Settings.from_env(env)
         app = create_app(settings)
     except (ValueError, OSError) as error:
         sys.exit(f"rbps: {error}")

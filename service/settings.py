@@ -75,7 +75,14 @@ class Settings:
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"setting port = {self.port}; it must be 0 to 65535")
-        positive = ("workers", "lease_seconds", "run_seconds", "turn_seconds", "max_body", "max_queue")
+        positive = (
+            "workers",
+            "lease_seconds",
+            "run_seconds",
+            "turn_seconds",
+            "max_body",
+            "max_queue",
+        )
         for name in (*positive, "body_seconds", "header_seconds", "max_connections"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"setting {name} = {getattr(self, name)}; it must be positive")

@@ -109,7 +109,9 @@ def test_every_setting_of_the_service_is_documented_with_its_default():
     from service.settings import Settings
 
     rows = re.findall(r"^\| `RBPS_(\w+)` \|(.*?)\|(.+)\|$", README, re.MULTILINE)
-    assert sorted(name for name, _, _ in rows) == sorted(one.name.upper() for one in fields(Settings))
+    assert sorted(name for name, _, _ in rows) == sorted(
+        one.name.upper() for one in fields(Settings)
+    )
     of_the_machine = {"WORKERS": "number of cores", "STATE_DIR": "`~/.local/state/rbps`"}
     told = {name: default.strip() for name, default, _ in rows}
     assert {name: told.pop(name) for name in of_the_machine} == of_the_machine

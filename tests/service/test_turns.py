@@ -25,7 +25,9 @@ def clock():
 
 def attempts(**owners):
     """So many attempts of each owner: token, owner, not asked, never taken away."""
-    return [Running(f"{o}{i}", o, asked=False, taken=0) for o, n in owners.items() for i in range(n)]
+    return [
+        Running(f"{o}{i}", o, asked=False, taken=0) for o, n in owners.items() for i in range(n)
+    ]
 
 
 def asked(running, token, taken=0):
