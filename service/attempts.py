@@ -27,6 +27,7 @@ from service.transitions import (
     mine,
     of,
     put,
+    take,
 )
 from service.turns import Running
 
@@ -123,10 +124,11 @@ class Attempts:
 
     def take(self, token: str) -> None:
         """Put a task back into the queue; what its attempt computed since its checkpoint is lost."""
+        query = select(tasks.c.job).where(tasks.c.token == token)
         with self._engine.begin() as sql:
-            here = and_(tasks.c.token == token, tasks.c.state == "running")
-            values = {"state": "queued", "token": None, "taken": tasks.c.taken + 1}
-            sql.execute(update(tasks).where(here).values(values))
+            if (seq := sql.scalar(query)) is not None:
+                locked(sql, seq)
+                take(sql, seq, token)
 
     def running(self) -> int:
         """How many tasks belong to an attempt, of whichever service."""
@@ -194,6 +196,7 @@ class Attempts:
         ``ran`` as in ``record``.
         """
         with self._engine.begin() as sql:
+            locked(sql, attempt.job)
             if not mine(sql, attempt, state="running"):
                 return False
             put(sql, attempt.job, f"{KEPT}{n:08d}", text)

@@ -75,15 +75,8 @@ class Settings:
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"setting port = {self.port}; it must be 0 to 65535")
-        positive = (
-            "workers",
-            "lease_seconds",
-            "run_seconds",
-            "turn_seconds",
-            "max_body",
-            "max_queue",
-        )
-        for name in (*positive, "body_seconds", "header_seconds", "max_connections"):
+        seconds = [f"{what}_seconds" for what in ("lease", "run", "turn", "body", "header")]
+        for name in ("workers", "max_body", "max_queue", "max_connections", *seconds):
             if not getattr(self, name) > 0:
                 raise ValueError(f"setting {name} = {getattr(self, name)}; it must be positive")
         if not 0 <= self.max_queue_per_key < self.max_queue:

@@ -63,9 +63,23 @@ def mine(sql: Connection, attempt: Attempt, **values: Any) -> bool:
 
 def leave(sql: Connection, attempt: Attempt, ran: float) -> bool:
     """Put the task back into the queue if it is asked for, after so many seconds; whether it was."""
-    values = {"state": "queued", "token": None, "taken": 0, "spent": tasks.c.spent + ran}
     asked = and_(of(attempt), tasks.c.asked == 1)
-    return sql.execute(update(tasks).where(asked).values(values)).rowcount == 1
+    return _make_room(sql, attempt.job, asked, taken=0, spent=tasks.c.spent + ran)
+
+
+def take(sql: Connection, seq: int, token: str) -> None:
+    """Put a task of a job back into the queue; what its attempt did since its checkpoint is lost."""
+    here = and_(tasks.c.token == token, tasks.c.state == "running")
+    _make_room(sql, seq, here, taken=tasks.c.taken + 1)
+
+
+def _make_room(sql: Connection, seq: int, which: Any, **values: Any) -> bool:
+    queued = {"state": "queued", "token": None} | values
+    if sql.execute(update(tasks).where(which).values(queued)).rowcount != 1:
+        return False
+    message = "made room for others; goes on where it was"
+    sql.execute(update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message))
+    return True
 
 
 def locked(sql: Connection, seq: int) -> Row[Any]:

@@ -232,6 +232,8 @@ WRITERS = {
     "lost": lambda store, attempt: store.lost(attempt, "killed", 2),
     "expire": lambda store, attempt: store.expire({attempt.token: 1}, 2),
     "dismiss": lambda store, attempt: store.dismiss(attempt.job_id),
+    "keep": lambda store, attempt: store.keep(attempt, 0, "part", ran=1.0),
+    "take": lambda store, attempt: store.take(attempt.token),
 }
 
 
