@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import logging
-import signal
 
 from service.orphans import die_with_parent
 
 die_with_parent()  # before what takes seconds, or on a new machine minutes: nobody is asked meanwhile
-signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service's to handle, from the beginning
 
 import engine  # noqa: E402, F401
 import service.attempt  # noqa: E402, F401

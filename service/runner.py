@@ -9,12 +9,12 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import signal
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from multiprocessing import connection
+from multiprocessing import connection, resource_tracker
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from typing import Protocol
@@ -151,7 +151,7 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
     except (OSError, EOFError):  # the forkserver was killed, or the machine has no process left
         log.exception("no worker process could be started; the task is queued again", extra=job)
         store.release(attempt)
-        time.sleep(POLL_SECONDS)
+        stopping.wait(POLL_SECONDS)
         return
     log.info("attempt started, process %s", process.pid, extra=job)
     try:
@@ -208,13 +208,17 @@ def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProce
         except (OSError, EOFError):
             if not tries_left:
                 raise
-            time.sleep(0.1)
+            threading.Event().wait(0.1)  # under a faked clock time.sleep may fail
     raise AssertionError("unreachable")
 
 
 def _begin(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
     with _starting:
         process = _context().Process(target=target, args=args, daemon=True)
+        # Ctrl-C reaches all processes of a terminal and is the service's to handle: the forkserver inherits
+        # that this thread hears nothing of it. The tracker goes first, for its start lets the thread hear.
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         process.start()
     return process
 

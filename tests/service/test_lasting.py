@@ -8,6 +8,7 @@ import threading
 
 import pytest
 
+from service import runner
 from service.app import create_app
 from service.lasting import Lasting
 from service.settings import Settings
@@ -51,6 +52,35 @@ def test_a_runner_that_is_warm_before_there_is_a_supervisor(tmp_path, monkeypatc
     assert failed == []
 
 
+@pytest.mark.parametrize("times", [1, runner.START_TRIES])
+def test_a_forkserver_that_is_killed_while_it_loads(store, monkeypatch, times):
+    """It is replaced; where its successors die as well, the task goes back and nothing is lost."""
+    failed, tries = [], []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    begin = runner._begin
+
+    def killed(*arguments):
+        tries.append(arguments)
+        if len(tries) <= times:
+            raise ConnectionRefusedError(111, "Connection refused")
+        return begin(*arguments)
+
+    def sleep(_):
+        raise OSError(22, "Invalid argument")  # as under a faked clock
+
+    store.create("simulate", "m", {}, 1)
+    attempt = store.claim("x")
+    with monkeypatch.context() as patched:
+        patched.setattr(runner, "_begin", killed)
+        patched.setattr("time.sleep", sleep)
+        runner.watch(store, attempt, runner.Terms(60.0, 60.0, 0, 0), threading.Event())
+    ((task, _),) = store.tasks(attempt.job)
+    assert (failed, task.losses) == ([], 0)
+    found = store.job(attempt.job_id).status, task.state
+    assert found == (("failed", "stopped") if times == 1 else ("running", "queued"))
+    assert len(tries) == times + (times == 1)
+
+
 ENDS_WHILE_IT_STARTS = """
 import concurrent.futures.thread, threading, time
 from service import runner
@@ -77,7 +107,7 @@ def test_a_process_that_ends_meanwhile_says_nothing():
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_ctrl_c_while_the_engine_loads(spawn, children_of, dead, eventually, times):
-    """From a terminal it reaches all processes of the service."""
+    """From a terminal it reaches all processes of the service, whatever they are at."""
     service = spawn(new_session=True)
     below = eventually(lambda: children_of(service.process.pid))
     for _ in range(times):
