@@ -1,4 +1,7 @@
-"""Moves jobs: claims the first of the queue for each free place, queues abandoned ones again."""
+"""Moves jobs: claims the first of the queue for each free place, queues abandoned ones again.
+
+Where all places are taken it lets keys have their turns.
+"""
 
 from __future__ import annotations
 
@@ -128,7 +131,7 @@ class Supervisor:
 
     def _share(self) -> None:
         """Where all places are taken, let keys have their turns."""
-        if self._runner.free() > 0 or not self._runner.places():
+        if not self._runner.places() or self._runner.free() > 0:
             return
         ask, take = self._turns.look(*self._store.standing())
         if ask is not None:

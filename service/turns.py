@@ -63,9 +63,10 @@ class Turns:
             one
             for one in running
             if not one.asked
-            and has[one.owner] - leaving[one.owner] == most > wants
+            and has[one.owner] - leaving[one.owner] == most
             and age[one.token] >= self._seconds
         ]
-        enough = leaving.total() >= sum(has[owner] < most for owner in waiting)
+        poorer = sum(has[owner] < most for owner in waiting)
+        enough = leaving.total() >= poorer  # they get a place each
         oldest = None if enough else max(richest, key=lambda one: age[one.token], default=None)
         return oldest, max(overdue, key=lambda one: age[one.token], default=None)

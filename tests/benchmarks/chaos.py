@@ -268,7 +268,7 @@ def suspend(service: ServiceProcess) -> int:
 
 
 def lose_repeatedly(service: ServiceProcess) -> dict[str, Any]:
-    """An undisturbed job, and the same one whose worker is killed LOSSES times with iterations between."""
+    """A job whose worker is killed LOSSES times, with iterations between, and the same one undisturbed."""
     client = Client(service.url, iter(()), 0, threading.Event())
     body = request(9, 1000, 200)
     calm = _ended(client, client.ask("POST", "/jobs", json=body).json()["jobID"])
