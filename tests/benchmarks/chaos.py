@@ -485,12 +485,25 @@ def report(
         "| --- | ---: |",
         *(f"| {what} | {n} |" for what, n in promises.items()),
         "",
+        *wrong_ends(rows),
         f"{run['seconds']:.0f} s. The machine meanwhile: "
         + ", ".join(f"{what} {value:g}" for what, value in machine.items())
         + ".",
         *("", *run["broken"]),
     ]
     return "\n".join(lines).rstrip() + "\n", not any(promises.values())
+
+
+def wrong_ends(rows: list[dict[str, Any]]) -> list[str]:
+    """A paragraph on jobs that did not end as they should, if there are any."""
+    found = [
+        f"Job {row['number']} ('{row['job']}') ended as {row['status']} after {row['attempts']} attempts, "
+        f"the last from iteration {row['resumed_at']}."
+        for row in rows
+        if not row["right"]
+    ]
+    told = "Who is hit a third time with no checkpoint since the first is given up, as the setting says."
+    return [" ".join([*found, told]), ""] if found else []
 
 
 if __name__ == "__main__":
