@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 
 import uvicorn
 from sqlalchemy import make_url
@@ -13,12 +14,17 @@ from service.logs import configure
 from service.server import server_config
 from service.settings import Settings
 
+# How long a thread that works on a large body may go on while the event loop waits for its turn, which it
+# does several times for each answer; Python's own 5 ms add up where many ask.
+SWITCH_SECONDS = 0.0005
 
-def main() -> None:
-    """Serve until a signal comes."""
+
+def main(env: Mapping[str, str] | None = None) -> None:
+    """Serve until a signal comes, with settings from ``env`` (None: this process's environment)."""
     configure()
+    sys.setswitchinterval(SWITCH_SECONDS)
     try:
-        settings = Settings.from_env()
+        settings = Settings.from_env(env)
         app = create_app(settings)
     except (ValueError, OSError) as error:
         sys.exit(f"rbps: {error}")
@@ -27,7 +33,11 @@ def main() -> None:
     except SQLAlchemyError as error:
         reason = str(error.__cause__ or error).splitlines()[0]
         sys.exit(f"rbps: the store {make_url(settings.store_url)!r} cannot be used: {reason}")
-    uvicorn.Server(server_config(app, settings)).run()
+    try:
+        uvicorn.Server(server_config(app, settings)).run()
+    except KeyboardInterrupt:  # passed on by uvicorn, which at the second one has not stopped all
+        app.state.supervisor.stop()
+        sys.exit(130)
 
 
 if __name__ == "__main__":

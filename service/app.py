@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -35,8 +36,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     check_exposure(settings, keys)
     store = Store(settings.store_url)
     store.check()
-    runner = make_runner(store, settings, lambda: supervisor.wake())
-    supervisor = Supervisor(store, runner, settings)
+    wake = threading.Event()
+    supervisor = Supervisor(store, make_runner(store, settings, wake.set), settings, wake)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:

@@ -92,7 +92,7 @@ class StoredProgress:
         self.k = 0
         self._pending: dict[int, Array] = {}
         self._latest: Any = None
-        self._written = 0.0
+        self._written, self._begun = 0.0, time.monotonic()
 
     def rows(self) -> Array:
         """Iterations of earlier attempts at this task."""
@@ -113,7 +113,7 @@ class StoredProgress:
         self._pending[it.k] = np.append(it.theta, numbers)
         self.k, self._latest = it.k, it
         if time.monotonic() - self._written > FLUSH_SECONDS:
-            self.flush()
+            self.flush(ran=time.monotonic() - self._begun)
 
     def step(self, k: int, message: str = "") -> None:
         """Progress without a checkpoint."""
@@ -124,7 +124,7 @@ class StoredProgress:
         """What a task of an earlier stage left."""
         return json.loads(self.store.document(self.attempt.job, f"task-{task}") or b"null")
 
-    def flush(self, message: str = "") -> None:
+    def flush(self, message: str = "", ran: float | None = None) -> None:
         """Write what is pending; leaves the process if the task is not ours any more."""
         latest = self._latest
         mine = self.store.record(
@@ -134,6 +134,7 @@ class StoredProgress:
             latest and latest.theta.asdict(),
             latest and latest.log_likelihood,
             message,
+            ran,
         )
         if not mine:
             _leave(self.attempt)
@@ -151,6 +152,7 @@ class StoredParts(dict[str, Any]):
         self.store, self.attempt, self.version = store, attempt, version("rbps")
         known = [json.loads(text) for text in store.kept(attempt.job)]
         super().__init__()
+        self._begun = time.monotonic()
         for one in known:
             if one["name"] == ASKED:
                 self.clear()
@@ -163,7 +165,7 @@ class StoredParts(dict[str, Any]):
     def __setitem__(self, name: str, part: Any) -> None:
         super().__setitem__(name, part)
         text = json.dumps({"by": self.version, "name": name, "part": part})
-        if not self.store.keep(self.attempt, self.written, text):
+        if not self.store.keep(self.attempt, self.written, text, time.monotonic() - self._begun):
             _leave(self.attempt)
         self.written += 1
 

@@ -9,13 +9,32 @@ from collections.abc import Mapping
 from itertools import accumulate
 from typing import Any
 
-from sqlalchemy import and_, delete, func, insert, select, update
+from sqlalchemy import and_, delete, func, insert, select, text, update
 
 from engine.statespace.model import Array
 from service.reserve import Reserve
 from service.strict_json import dumps, finite
-from service.tables import connect, documents, iterations, jobs, tasks
-from service.transitions import KEPT, Attempt, add_tasks, end, fail, locked, lose, mine, of, put
+from service.tables import connect, documents, iterations, jobs, tasks, turns
+from service.transitions import (
+    KEPT,
+    Attempt,
+    add_tasks,
+    end,
+    fail,
+    leave,
+    locked,
+    lose,
+    mine,
+    of,
+    put,
+    take,
+)
+from service.turns import Running
+
+_SERVED = text(
+    "INSERT INTO turns (owner, turn) VALUES (:owner, (SELECT COALESCE(MAX(turn), 0) + 1 FROM turns)) "
+    "ON CONFLICT (owner) DO UPDATE SET turn = excluded.turn"
+)
 
 
 class Attempts:
@@ -33,7 +52,10 @@ class Attempts:
         self._engine.dispose()
 
     def claim(self, holder: str) -> Attempt | None:
-        """The oldest task of the key with fewest attempts, or None; its heartbeat begins."""
+        """The oldest task of the key with fewest attempts, or None; its heartbeat begins.
+
+        Of keys with equally many, the one goes first whose latest claim was longest ago.
+        """
         now, token = time.time(), uuid.uuid4().hex
         busy = (
             select(jobs.c.owner, func.count().label("n"))
@@ -43,11 +65,17 @@ class Attempts:
             .subquery()
         )
         first = (
-            select(tasks, jobs.c.id, jobs.c.status, jobs.c.run_seconds)
+            select(tasks, jobs.c.id, jobs.c.owner, jobs.c.status, jobs.c.run_seconds)
             .join(jobs, jobs.c.seq == tasks.c.job)
             .join(busy, busy.c.owner == jobs.c.owner, isouter=True)
+            .join(turns, turns.c.owner == jobs.c.owner, isouter=True)
             .where(tasks.c.state == "queued")
-            .order_by(func.coalesce(busy.c.n, 0), tasks.c.job, tasks.c.task)
+            .order_by(
+                func.coalesce(busy.c.n, 0),
+                func.coalesce(turns.c.turn, 0),
+                tasks.c.job,
+                tasks.c.task,
+            )
             .limit(1)
         )
         with self._read.begin() as sql:  # an idle service does not write
@@ -61,8 +89,9 @@ class Attempts:
             sql.execute(
                 update(tasks)
                 .where(tasks.c.job == task.job, tasks.c.task == task.task)
-                .values(state="running", token=token, holder=holder, beat=tasks.c.beat + 1)
+                .values(state="running", token=token, holder=holder, beat=tasks.c.beat + 1, asked=0)
             )
+            sql.execute(_SERVED, {"owner": task.owner})
             if task.status == "accepted":
                 sql.execute(
                     update(jobs)
@@ -73,7 +102,33 @@ class Attempts:
                         updated=now,
                     )
                 )
-        return Attempt(task.job, task.id, task.task, token, task.run_seconds)
+        return Attempt(task.job, task.id, task.task, token, task.run_seconds, task.spent)
+
+    def standing(self) -> tuple[list[Running], set[str]]:
+        """All attempts, and the keys that have tasks in the queue."""
+        columns = (tasks.c.token, jobs.c.owner, tasks.c.asked, tasks.c.taken)
+        here = select(*columns).join(jobs, jobs.c.seq == tasks.c.job)
+        queue = select(jobs.c.owner).join(tasks, tasks.c.job == jobs.c.seq).distinct()
+        with self._read.begin() as sql:
+            running = [
+                Running(row.token, row.owner, bool(row.asked), row.taken)
+                for row in sql.execute(here.where(tasks.c.state == "running"))
+            ]
+            return running, set(sql.scalars(queue.where(tasks.c.state == "queued")))
+
+    def ask(self, token: str) -> None:
+        """Let an attempt leave at its next checkpoint."""
+        with self._engine.begin() as sql:
+            here = and_(tasks.c.token == token, tasks.c.state == "running")
+            sql.execute(update(tasks).where(here).values(asked=1))
+
+    def take(self, token: str) -> None:
+        """Put a task back into the queue; what its attempt computed since its checkpoint is lost."""
+        query = select(tasks.c.job).where(tasks.c.token == token)
+        with self._engine.begin() as sql:
+            if (seq := sql.scalar(query)) is not None:
+                locked(sql, seq)
+                take(sql, seq, token)
 
     def running(self) -> int:
         """How many tasks belong to an attempt, of whichever service."""
@@ -106,8 +161,12 @@ class Attempts:
         estimate: Mapping[str, float] | None = None,
         log_likelihood: float | None = None,
         message: str = "",
+        ran: float | None = None,
     ) -> bool:
-        """Write progress, with the iterations {k: row} done since the last time."""
+        """Write progress, with the iterations {k: row} done since the last time.
+
+        An attempt that says how many seconds it ``ran`` may have to leave here, for others.
+        """
         with self._engine.begin() as sql:
             locked(sql, attempt.job)
             if not mine(sql, attempt, iteration=iteration):
@@ -129,15 +188,19 @@ class Attempts:
             if estimate is not None:
                 progress |= {"estimate": dumps(estimate), "log_likelihood": finite(log_likelihood)}
             sql.execute(update(jobs).where(jobs.c.seq == attempt.job).values(progress))
-        return True
+            return ran is None or not leave(sql, attempt, ran)
 
-    def keep(self, attempt: Attempt, n: int, text: str) -> bool:
-        """Write the n-th text for a later attempt at the job's only task; they go when it is done."""
+    def keep(self, attempt: Attempt, n: int, text: str, ran: float | None = None) -> bool:
+        """Write the n-th text for a later attempt at the job's only task; they go when it is done.
+
+        ``ran`` as in ``record``.
+        """
         with self._engine.begin() as sql:
+            locked(sql, attempt.job)
             if not mine(sql, attempt, state="running"):
                 return False
             put(sql, attempt.job, f"{KEPT}{n:08d}", text)
-        return True
+            return ran is None or not leave(sql, attempt, ran)
 
     def finish(self, attempt: Attempt, result: Any, message: str = "") -> bool:
         """The task is done. The last task of a stage starts the next; that of all ends the job."""

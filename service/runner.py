@@ -9,12 +9,12 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import signal
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from multiprocessing import connection
+from multiprocessing import connection, resource_tracker
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from typing import Protocol
@@ -23,6 +23,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.attempt import STORE_FAILED, main
 from service.clocks import Awake
+from service.lasting import Lasting
 from service.problems import Problem
 from service.settings import Settings
 from service.store import Store
@@ -34,7 +35,7 @@ POLL_SECONDS = 0.25  # how soon a cancelled job's process is killed
 START_TRIES = 3
 GUARD = "create_app() and uvicorn.run() belong under `if __name__ == '__main__':`"
 # The forkserver is killed when the thread that started it ends (``preload``): one that lasts.
-_starter = ThreadPoolExecutor(1, "starter")
+_starter = Lasting("starter")
 _starting = threading.Lock()  # multiprocessing polls all children when it starts one
 
 
@@ -88,8 +89,8 @@ class LocalRunner:
         self._threads: dict[str, threading.Thread] = {}
         self._stopping = threading.Event()
         self._warm = threading.Event()  # claimed before, an attempt could be silent in waiting
-        self._warming = threading.Thread(target=self._warm_up, name="warm-up")
-        self._warming.start()
+        # Loading takes seconds, or on a new machine minutes: who stops does not wait for it.
+        threading.Thread(target=self._warm_up, name="warm-up", daemon=True).start()
 
     def places(self) -> int:
         """How many attempts can run at once."""
@@ -117,7 +118,7 @@ class LocalRunner:
         """Let running attempts end (drain), or give them back to the queue; then return."""
         if not drain:
             self._stopping.set()
-        for thread in [self._warming, *self._threads.values()]:
+        for thread in list(self._threads.values()):
             thread.join()
 
     def _warm_up(self) -> None:
@@ -150,7 +151,7 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
     except (OSError, EOFError):  # the forkserver was killed, or the machine has no process left
         log.exception("no worker process could be started; the task is queued again", extra=job)
         store.release(attempt)
-        time.sleep(POLL_SECONDS)
+        stopping.wait(POLL_SECONDS)
         return
     log.info("attempt started, process %s", process.pid, extra=job)
     try:
@@ -203,17 +204,21 @@ def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProce
     """Start a process; a forkserver that was killed is replaced by the next try."""
     for tries_left in reversed(range(START_TRIES)):
         try:
-            return _starter.submit(_begin, target, args).result()
+            return _starter(_begin, target, args)
         except (OSError, EOFError):
             if not tries_left:
                 raise
-            time.sleep(0.1)
+            threading.Event().wait(0.1)  # under a faked clock time.sleep may fail
     raise AssertionError("unreachable")
 
 
 def _begin(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
     with _starting:
         process = _context().Process(target=target, args=args, daemon=True)
+        # Ctrl-C reaches all processes of a terminal and is the service's to handle: the forkserver inherits
+        # that this thread hears nothing of it. The tracker goes first, for its start lets the thread hear.
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         process.start()
     return process
 
@@ -228,11 +233,12 @@ def _until_end(
     """Wait; returns what to write to the store once the process is dead, if anything."""
     awake, renewed = Awake(max(terms.lease / 4, 2 * POLL_SECONDS)), 0.0
     run_seconds = min(terms.run_seconds, attempt.run_seconds or terms.run_seconds)
+    left = run_seconds - attempt.spent
     while not connection.wait([process.sentinel], POLL_SECONDS):
         now = awake.look()
         if stopping.is_set():
             return lambda: store.release(attempt)
-        if now > run_seconds:
+        if now > left:
             detail = f"the computation took longer than the {run_seconds:g} s it may take"
             problem = Problem(422, "run-time-exceeded", detail).document()
             return lambda: store.fail(attempt, problem)

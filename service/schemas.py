@@ -18,7 +18,12 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from engine.arrays import Array
+
 # ---- tables of numbers ----------------------------------------------------------------------
+
+
+_NUMBERS = {int, float, type(None)}
 
 
 def _table(value: Any) -> Any:
@@ -27,28 +32,35 @@ def _table(value: Any) -> Any:
         return value
     if not isinstance(value, list):
         raise PydanticCustomError("table", "a list of rows of numbers is needed")
-    rows = value if any(isinstance(row, list) for row in value) else [[cell] for cell in value]
-    if not all(isinstance(row, list) for row in rows):
+    kinds = set(map(type, value))
+    if kinds and kinds <= _NUMBERS:  # without a list for each of what may be a million
+        return _floats(value).reshape(-1, 1)
+    rows = value if list in kinds else [[cell] for cell in value]
+    if not set(map(type, rows)) <= {list}:
         at = next(i for i, row in enumerate(rows) if not isinstance(row, list))
         raise PydanticCustomError("table", "row {row} is not a list as the others are", {"row": at})
-    for i, row in enumerate(rows):
-        if len(row) != len(rows[0]):
-            raise PydanticCustomError(
-                "table",
-                "row {row} has {n} values where row 0 has {first}",
-                {"row": i, "n": len(row), "first": len(rows[0])},
-            )
-    if not set(map(type, chain.from_iterable(rows))) <= {int, float, type(None)}:
+    if len(set(map(len, rows))) > 1:
+        at = next(i for i, row in enumerate(rows) if len(row) != len(rows[0]))
+        raise PydanticCustomError(
+            "table",
+            "row {row} has {n} values where row 0 has {first}",
+            {"row": at, "n": len(rows[at]), "first": len(rows[0])},
+        )
+    if not set(map(type, chain.from_iterable(rows))) <= _NUMBERS:
         for i, row in enumerate(rows):
             for j, cell in enumerate(row):
-                if type(cell) not in (int, float, type(None)):
+                if type(cell) not in _NUMBERS:
                     raise PydanticCustomError(
                         "table",
                         "row {row}, channel {channel} is {what}; a number or null is needed",
                         {"row": i, "channel": j, "what": f"{cell!r:.40}"},
                     )
+    return _floats(rows).reshape(len(rows), len(rows[0]) if rows else 0)
+
+
+def _floats(cells: list[Any]) -> Array:
     try:
-        return np.array(rows, dtype=float).reshape(len(rows), len(rows[0]) if rows else 0)
+        return np.array(cells, dtype=float)
     except OverflowError:
         raise PydanticCustomError("table", "a number is too large for a float") from None
 

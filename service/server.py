@@ -9,6 +9,7 @@ limit here; the middleware ``BodyLimit`` times bodies.
 from __future__ import annotations
 
 import asyncio
+import math
 import resource
 from typing import Any
 
@@ -34,6 +35,9 @@ def server_config(app: ASGIApp, settings: Settings, **more: Any) -> uvicorn.Conf
         http=guarded(settings),
         ws="none",
         backlog=BACKLOG,
+        # Longer than clients keep one for a next request (often 5 s, as uvicorn's own default), whose
+        # request would else meet a connection that is just being closed.
+        timeout_keep_alive=math.ceil(settings.header_seconds),
         timeout_graceful_shutdown=STOP_SECONDS,
         log_config=None,
         **more,

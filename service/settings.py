@@ -52,7 +52,8 @@ class Settings:
     losses_allowed: int = 2  # how often an attempt whose worker died is started again
     worker_memory: int = 0  # address space of a worker process; 0: no limit
     drain: bool = False  # on shutdown, wait for running attempts; else they go on after the start
-    run_seconds: float = 6 * 3600.0  # longest run time of one attempt
+    run_seconds: float = 6 * 3600.0  # longest run time of a computation; one that died begins anew
+    turn_seconds: float = 60.0  # of a computation, until it makes room for a key that has fewer
 
     keep_days: float = 0.0  # how long the data of ended jobs are kept; 0: until they are deleted
     max_body: int = 64 * 2**20
@@ -74,8 +75,8 @@ class Settings:
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"setting port = {self.port}; it must be 0 to 65535")
-        positive = ("workers", "lease_seconds", "run_seconds", "max_body", "max_queue")
-        for name in (*positive, "body_seconds", "header_seconds", "max_connections"):
+        seconds = [f"{what}_seconds" for what in ("lease", "run", "turn", "body", "header")]
+        for name in ("workers", "max_body", "max_queue", "max_connections", *seconds):
             if not getattr(self, name) > 0:
                 raise ValueError(f"setting {name} = {getattr(self, name)}; it must be positive")
         if not 0 <= self.max_queue_per_key < self.max_queue:

@@ -1,4 +1,7 @@
-"""Moves jobs: claims the first of the queue for each free place, queues abandoned ones again."""
+"""Moves jobs: claims the first of the queue for each free place, queues abandoned ones again.
+
+Where all places are taken it lets keys have their turns.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from service.retention import Retention
 from service.runner import Runner
 from service.settings import Settings
 from service.store import Store
+from service.turns import Turns
 
 log = logging.getLogger("service")
 
@@ -26,10 +30,18 @@ TRY_SECONDS = 3.0  # how long it is believed that the store can be written
 class Supervisor:
     """One thread; several supervisors may share a store."""
 
-    def __init__(self, store: Store, runner: Runner, settings: Settings) -> None:
+    def __init__(
+        self,
+        store: Store,
+        runner: Runner,
+        settings: Settings,
+        wake: threading.Event | None = None,
+    ) -> None:
+        """``wake`` is set by whoever has something for it to do, as the runner."""
         self._store, self._runner, self._settings = store, runner, settings
-        self._wake, self._stop = threading.Event(), threading.Event()
+        self._wake, self._stop = wake or threading.Event(), threading.Event()
         self._silence = Silence(settings.lease_seconds)
+        self._turns = Turns(settings.turn_seconds, 4 * LOOK_SECONDS)
         self._retention = Retention(store, settings.keep_days)
         self._holder = f"{socket.gethostname()}:{os.getpid()}"
         self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
@@ -113,5 +125,16 @@ class Supervisor:
                 log.exception("the attempt cannot be started", extra={"job": attempt.job_id})
                 self._store.release(attempt)
                 break
+        self._share()
         self._retention.look()
         self.beat = time.monotonic()
+
+    def _share(self) -> None:
+        """Where all places are taken, let keys have their turns."""
+        if not self._runner.places() or self._runner.free() > 0:
+            return
+        ask, take = self._turns.look(*self._store.standing())
+        if ask is not None:
+            self._store.ask(ask.token)
+        if take is not None:
+            self._store.take(take.token)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
+import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ from sqlalchemy import (
 from sqlalchemy.schema import CreateColumn
 
 metadata = MetaData()
+BESIDE = ("-wal", "-shm", "-journal", "-reserve")  # ends of names of what lies beside a SQLite file
 
 # A job, as its status document shows it. ``seq`` is the order of the queue and of the list.
 jobs = Table(
@@ -50,7 +53,7 @@ jobs = Table(
     Column("problem", Text),  # JSON problem document of a failed job
     Column("cause", String(60)),  # its kind, for counting
     Column("stages", Text, nullable=False),  # JSON [tasks of the first stage, of the second, ...]
-    Column("run_seconds", Double),  # longest run time of an attempt, if the job sets one
+    Column("run_seconds", Double),  # longest run time of a task, if the job sets one
     Column("owner", String(64), nullable=False, default=""),  # name of the API key
     Column("idempotency_key", String(200)),
     Column("digest", String(64)),  # of the request, to compare repeats of an idempotency key
@@ -80,8 +83,21 @@ tasks = Table(
         "futile", Integer, nullable=False, server_default="0"
     ),  # losses without a checkpoint between
     Column("mark", Integer, nullable=False, server_default="0"),  # checkpoints at the latest loss
+    Column("asked", Integer, nullable=False, server_default="0"),  # 1: to leave at a checkpoint
+    Column(
+        "taken", Integer, nullable=False, server_default="0"
+    ),  # attempts taken away since the latest checkpoint, see ``turns``
+    Column("spent", Double, nullable=False, server_default="0"),  # s, of attempts that made room
     Column("iteration", Integer, nullable=False, default=0),
     Index("tasks_state", "state", "job", "task"),
+)
+
+# When each key's tasks were last claimed: a number that only grows.
+turns = Table(
+    "turns",
+    metadata,
+    Column("owner", String(64), primary_key=True),
+    Column("turn", Integer, nullable=False),
 )
 
 # One row per iteration: at once progress, checkpoint and trace. ``row`` is float64
@@ -118,10 +134,7 @@ def connect(url: str) -> Engine:
         return engine
     engine = create_engine(url, connect_args={"timeout": 30.0, "check_same_thread": False})
     if engine.url.database:
-        file = Path(engine.url.database)
-        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if not file.exists():  # it holds everybody's data; what lies beside it gets the same mode
-            file.touch(mode=0o600)
+        _make_private(Path(engine.url.database))
 
     @event.listens_for(engine, "connect")
     def _connect(connection: sqlite3.Connection, record: Any) -> None:
@@ -144,6 +157,20 @@ def connect(url: str) -> Engine:
     metadata.create_all(engine)
     _add_columns(engine)
     return engine
+
+
+def _make_private(file: Path) -> None:
+    """A file that only its owner can read, for it holds everybody's data; one that is there becomes so.
+
+    What SQLite makes beside it gets the same mode.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    if not file.exists():
+        file.touch(mode=0o600)
+    for one in (file, *(file.with_name(file.name + suffix) for suffix in BESIDE)):
+        with suppress(FileNotFoundError, PermissionError):  # it has gone, or is somebody else's
+            if (mode := stat.S_IMODE(one.stat().st_mode)) & 0o077 and one.is_file():
+                one.chmod(mode & 0o700)
 
 
 def _missing(sql: Connection) -> list[Column[Any]]:

@@ -25,6 +25,7 @@ class Attempt:
     task: int
     token: str
     run_seconds: float | None
+    spent: float = 0.0  # s, of earlier attempts that made room for others
 
 
 def put(sql: Connection, seq: int, name: str, text: str) -> None:
@@ -58,6 +59,27 @@ def of(attempt: Attempt) -> Any:
 def mine(sql: Connection, attempt: Attempt, **values: Any) -> bool:
     """Change the task if it is still this attempt's; whether it was."""
     return sql.execute(update(tasks).where(of(attempt)).values(values)).rowcount == 1
+
+
+def leave(sql: Connection, attempt: Attempt, ran: float) -> bool:
+    """Put the task back into the queue if it is asked for, after so many seconds; whether it was."""
+    asked = and_(of(attempt), tasks.c.asked == 1)
+    return _make_room(sql, attempt.job, asked, taken=0, spent=tasks.c.spent + ran)
+
+
+def take(sql: Connection, seq: int, token: str) -> None:
+    """Put a task of a job back into the queue; what its attempt did since its checkpoint is lost."""
+    here = and_(tasks.c.token == token, tasks.c.state == "running")
+    _make_room(sql, seq, here, taken=tasks.c.taken + 1)
+
+
+def _make_room(sql: Connection, seq: int, which: Any, **values: Any) -> bool:
+    queued = {"state": "queued", "token": None} | values
+    if sql.execute(update(tasks).where(which).values(queued)).rowcount != 1:
+        return False
+    message = "made room for others; goes on where it was"
+    sql.execute(update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message))
+    return True
 
 
 def locked(sql: Connection, seq: int) -> Row[Any]:
@@ -129,11 +151,11 @@ def _checkpoints(sql: Connection, seq: int, task: int) -> int:
 
 
 def resume(sql: Connection, seq: int) -> None:
-    """Queue what was stopped of an ended job; losses are counted anew."""
+    """Queue what was stopped of an ended job; its losses and its time are counted anew."""
     sql.execute(
         update(tasks)
         .where(tasks.c.job == seq, tasks.c.state == "stopped")
-        .values(state="queued", token=None, futile=0)
+        .values(state="queued", token=None, futile=0, taken=0, spent=0.0)
     )
     values = {"status": "accepted", "finished": None, "problem": None, "cause": None}
     message = "taken up again; goes on where it was"

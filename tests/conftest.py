@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import csv
+import locale
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[2] / "shared" / "data")
@@ -24,3 +29,27 @@ def measured_data() -> Callable[[str], Path]:
         return folder
 
     return find
+
+
+def of_the_process() -> dict[str, Any]:
+    """What holds for the whole process, and so for all tests that come later."""
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # which the service sets for its workers
+    passing = ("PYTEST_CURRENT_TEST",)
+    env = {key: value for key, value in os.environ.items() if key not in (*threads, *passing)}
+    return {
+        "environment": env,
+        "folder": os.getcwd(),
+        "longest cell of a CSV": csv.field_size_limit(),
+        "floating-point errors": np.geterr(),
+        "print options": np.get_printoptions(),
+        "recursion": sys.getrecursionlimit(),
+        "locale": locale.setlocale(locale.LC_ALL),
+    }
+
+
+@pytest.fixture(autouse=True)
+def no_trace_in_the_process() -> Iterator[None]:
+    """Tests pass in any order: none leaves anything changed that holds for the whole process."""
+    before = of_the_process()
+    yield
+    assert of_the_process() == before

@@ -9,7 +9,7 @@ import csv
 import io
 import math
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +21,8 @@ from engine.errors import SeriesError
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
 LARGEST = 4 << 30  # bytes an .npz may unpack to
+LONGEST = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
+_TOO_LONG = f"a cell has more than {LONGEST} characters; is a quotation mark left open?"
 
 
 @dataclass
@@ -93,9 +95,10 @@ def read_csv(data: bytes, file: str) -> Table:
     rows: list[list[str]] = []
     numbers: list[int] = []
     try:
-        names = [name.strip() for name in next(reader)]
+        each = _short_cells(reader)
+        names = [name.strip() for name in next(each)]
         _check_header(names, file, first + 1)
-        for row in reader:
+        for row in each:
             # An empty line is a missing value where there is one column, nothing otherwise.
             if not row and len(names) == 1:
                 row = [""]
@@ -105,12 +108,20 @@ def read_csv(data: bytes, file: str) -> Table:
                 raise _ragged(row, names, file, first + reader.line_num)
             rows.append(row)
             numbers.append(first + reader.line_num)
-    except csv.Error as error:  # a cell of more than 131,072 characters, an open quotation mark
-        raise SeriesError(f"{file}, line {first + reader.line_num}: {error}") from error
+    except csv.Error as error:
+        reason = _TOO_LONG if "field limit" in str(error) else str(error)
+        raise SeriesError(f"{file}, line {first + reader.line_num}: {reason}") from error
     columns = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
     return Table(file, dict(columns), {name: [name] for name in names}, numbers)
+
+
+def _short_cells(rows: Iterable[list[str]]) -> Iterator[list[str]]:
+    for row in rows:
+        if any(len(cell) > LONGEST for cell in row):
+            raise csv.Error(_TOO_LONG)
+        yield row
 
 
 def read_npz(data: bytes, file: str) -> Table:

@@ -13,6 +13,7 @@ import json
 import tempfile
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,6 @@ from tests.benchmarks.machine import Watch
 from tests.benchmarks.service_process import ServiceProcess
 
 RESULTS = Path(__file__).parent / "results"
-JSON = {"Content-Type": "application/json"}
 SIZE = 60 << 20
 LIVEZ_SECONDS, MEMORY_MB = 1.0, 700.0  # what is asked
 
@@ -34,19 +34,45 @@ def array(values: int) -> bytes:
     return b'{"kind":"estimate","model":"local-level","series":[{"y":[%s]}]}' % ones
 
 
-def bodies() -> dict[str, tuple[bytes, dict[str, str]]]:
-    """Body, and the settings of its service."""
+@dataclass(frozen=True)
+class Body:
+    """What is sent, where, and whether a key is needed for it."""
+
+    content: bytes
+    path: str = "/jobs"
+    media: str = "application/json"
+    keyed: bool = False
+
+
+def bodies() -> dict[str, Body]:
+    """By what they are."""
     table = {"y": [[i % 7 + 0.123456789012] * 2 for i in range(200_000)]}
     largest = {"kind": "smooth", "model": "mixed-4", "series": [table]}
+    channels = {f"c{k}": [i % 5 + 0.1 * k for i in range(70_000)] for k in range(11)}
+    wide = {"y": [[float(i % 7)] for i in range(70_000)], "extra": channels}
+    asks = {"kind": "diagnose", "model": "linear-2", "series": [wide]}
+    lines = "".join(f"{i % 7 + 0.123456789012},{i % 5}.5\n" for i in range(200_000))
+    empty_lists = b'{"a":[' + b",".join([b"[]"] * (SIZE // 3)) + b"]}"
     return {
-        "60 MiB of numbers": (array(SIZE // 2), {}),
-        "60 MiB of empty lists, no key where one is needed": (
-            b'{"a":[' + b",".join([b"[]"] * (SIZE // 3)) + b"]}",
-            {"keys": "yes"},
-        ),
-        "as many numbers as are allowed, too many samples": (array(999_000), {}),
-        "the most samples that are allowed, accepted": (json.dumps(largest).encode(), {}),
+        "60 MiB of numbers": Body(array(SIZE // 2)),
+        "60 MiB of empty lists, no key where one is needed": Body(empty_lists, keyed=True),
+        "as many numbers as are allowed, too many samples": Body(array(999_000)),
+        "the most samples that are allowed, accepted": Body(json.dumps(largest).encode()),
+        "as many numbers as are allowed, accepted": Body(json.dumps(asks).encode()),
+        "a file of the most samples, accepted": form("a,b\n" + lines),
+        "60 MiB of line ends as a file": form("\r\n" * (SIZE // 2)),
     }
+
+
+def form(text: str) -> Body:
+    """An upload of a file for mixed-4, whose first column is its first output."""
+    asked = {"kind": "smooth", "model": "mixed-4", "series": [{"file": "a.csv", "y": ["a", "b"]}]}
+    parts = [
+        'Content-Disposition: form-data; name="request"\r\n\r\n' + json.dumps(asked),
+        'Content-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n' + text,
+    ]
+    content = "".join(f"--xyz\r\n{part}\r\n" for part in parts) + "--xyz--\r\n"
+    return Body(content.encode(), "/jobs/upload", "multipart/form-data; boundary=xyz")
 
 
 def peak_mb(pid: int) -> float:
@@ -55,11 +81,11 @@ def peak_mb(pid: int) -> float:
     return float(next(line.split()[1] for line in status.splitlines() if "VmHWM" in line)) / 1024
 
 
-def measure(body: bytes, settings: dict[str, str]) -> dict[str, Any]:
+def measure(body: Body) -> dict[str, Any]:
     """One body, one service."""
     with tempfile.TemporaryDirectory(prefix="rbps-large-") as state:
         more = {}
-        if "keys" in settings:
+        if body.keyed:
             (Path(state) / "keys").write_text(f"anna {digest_of('key')}\n")
             more["keys_file"] = f"{state}/keys"
         service = ServiceProcess(Path(state), workers=1, **more)
@@ -78,7 +104,12 @@ def measure(body: bytes, settings: dict[str, str]) -> dict[str, Any]:
         others = threading.Thread(target=ask)
         others.start()
         begin = time.perf_counter()
-        answer = httpx.post(f"{service.url}/jobs", content=body, headers=JSON, timeout=600)
+        answer = httpx.post(
+            service.url + body.path,
+            content=body.content,
+            headers={"Content-Type": body.media},
+            timeout=600,
+        )
         took = time.perf_counter() - begin
         done.set()
         others.join()
@@ -99,7 +130,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     chosen = parser.parse_args()
     with Watch() as machine:
-        found = {name: measure(*one) for name, one in bodies().items()}
+        found = {name: measure(one) for name, one in bodies().items()}
     lines = [
         "# One large body",
         "",

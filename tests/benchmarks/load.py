@@ -56,6 +56,7 @@ class Load:
         self.waiting: set[str] = set()
         self.answers: dict[str, list[tuple[float, float]]] = defaultdict(list)  # sent, seconds
         self.wrong: list[str] = []
+        self.large = [(call, make(), {right}) for call, (make, right) in LARGE.items()]
 
     async def run(self) -> list[dict[str, Any]]:
         """Submit all, poll until all have ended; their last status documents."""
@@ -71,9 +72,8 @@ class Load:
         return [(await self.http.get(f"/jobs/{job}")).json() for job in self.jobs]
 
     async def _send_large(self) -> None:
-        bodies = [(call, make(), {right}) for call, (make, right) in LARGE.items()]
         while self.waiting or len(self.jobs) < self.n_jobs:
-            for call, body, right in bodies:
+            for call, body, right in self.large:
                 await self._ask("POST", "/jobs", call, right, content=body)
                 await asyncio.sleep(PAUSE)
 

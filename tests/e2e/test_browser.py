@@ -93,6 +93,30 @@ def test_watch_a_job_and_stop_it(visit, long):
     assert not page.is_visible("#stop")
 
 
+def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
+    page = visit(f"/jobs/{long}")
+    page.wait_for_selector("#traces canvas")
+    eventually(page, lambda: iteration(page) > 1)
+    assert not page.is_visible("#resume")
+    page.on("dialog", lambda asked: asked.accept())
+    page.click("#stop")
+    page.wait_for_selector("#status.dismissed")
+    at = httpx.get(f"{address}/jobs/{long}").json()["iteration"]
+    page.click("#resume")
+    page.wait_for_selector("#status.running")
+    eventually(page, lambda: page.is_visible("#stop") and iteration(page) > at)
+    assert not page.is_visible("#resume")
+    trace = httpx.get(f"{address}/jobs/{long}/trace").json()["iteration"]
+    assert trace == list(range(len(trace)))  # what it had was neither lost nor computed again
+    assert not page.is_visible("#problem")
+    httpx.delete(f"{address}/jobs/{long}")
+    page.wait_for_selector("#resume:visible")  # also where somebody else has stopped it
+    httpx.delete(f"{address}/jobs/{long}")  # its data, without which nothing can go on
+    page.reload()
+    page.wait_for_selector("#status.dismissed")
+    assert not page.is_visible("#resume")
+
+
 def iteration(page):
     return int(re.search(r"iteration\s+(\d+)", page.inner_text("#facts"), re.IGNORECASE)[1])
 

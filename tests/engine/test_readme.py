@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,30 @@ def test_commands_of_the_shell_page_exist_with_their_options(tmp_path, monkeypat
         command = root.get_command(None, words[0])
         assert command is not None, line
         command.make_context(words[0], words[1:], resilient_parsing=False)
+
+
+def test_every_setting_of_the_service_is_documented_with_its_default():
+    from service.settings import Settings
+
+    rows = re.findall(r"^\| `RBPS_(\w+)` \|(.*?)\|(.+)\|$", README, re.MULTILINE)
+    assert sorted(name for name, _, _ in rows) == sorted(
+        one.name.upper() for one in fields(Settings)
+    )
+    of_the_machine = {"WORKERS": "number of cores", "STATE_DIR": "`~/.local/state/rbps`"}
+    told = {name: default.strip() for name, default, _ in rows}
+    assert {name: told.pop(name) for name in of_the_machine} == of_the_machine
+    env = {f"RBPS_{name}": text.strip("`") for name, text in told.items() if text}
+    default = Settings(state_dir=Path())
+    assert Settings.from_env(env | {"RBPS_STATE_DIR": "."}) == default
+    without = {name for name, text in told.items() if not text}
+    assert without == {one.name.upper() for one in fields(Settings) if not getattr(default, one.name)
+                       and one.type in ("str", "Path | None")}  # fmt: skip
+
+
+def test_what_compose_asks_for_is_documented():
+    compose = (Path(__file__).parents[2] / "docker" / "compose.yaml").read_text()
+    assert set(re.findall(r"\$\{(\w+)", compose)) == {"POSTGRES_PASSWORD"}
+    assert "`POSTGRES_PASSWORD`" in README
 
 
 def test_the_settings_that_are_promised_exist():

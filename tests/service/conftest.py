@@ -179,6 +179,7 @@ class Spawned:
         state: Path,
         environment: dict[str, str] | None = None,
         before: Sequence[str] = (),
+        new_session: bool = False,
         **settings: Any,
     ) -> None:
         port = free_port()
@@ -191,6 +192,7 @@ class Spawned:
             [*before, sys.executable, "-m", "service"],
             env=os.environ | (environment or {}) | env,
             stderr=self.log,
+            start_new_session=new_session,
         )
         self.client = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60)
         eventually(self.answers)

@@ -9,6 +9,7 @@ import pytest
 
 from service.logs import Sparse
 from service.server import OTHER_FILES
+from service.settings import Settings
 
 BEGIN = b"POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
 WAITING = {
@@ -66,6 +67,17 @@ def test_a_second_request_has_no_longer(make_client, monkeypatch):
         client.port, BEGIN + b"Connection: close\r\nContent-Length: 1000\r\n\r\n{"
     ) as used:
         assert used.recv(65536).startswith(b"HTTP/1.1 413")
+        assert ends(used)
+
+
+def test_a_client_may_come_back_as_late_as_it_may_come(make_client):
+    """httpx and others reuse a connection for 5 s; one that is closed then resets their request."""
+    assert Settings().header_seconds > 5
+    client = make_client(header_seconds=6.5)
+    assert client.server.config.timeout_keep_alive == 7
+    soon = make_client(header_seconds=0.5)
+    with connect(soon.port, b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n") as used:
+        assert used.recv(65536).startswith(b"HTTP/1.1 200")
         assert ends(used)
 
 

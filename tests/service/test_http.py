@@ -7,6 +7,7 @@ import os
 import socket
 import time
 import zipfile
+from csv import field_size_limit
 
 import numpy as np
 import pytest
@@ -196,7 +197,7 @@ def claiming(rows):
 
 BAD = {
     "many rows": (BASE, "a.npz", claiming("1000000000000"), "claims 8000000000000 bytes"),
-    "long cell": (BASE, "a.csv", b"y\n" + b"1" * 140_000, "field larger than field limit"),
+    "long cell": (BASE, "a.csv", b"y\n" + b"1" * 140_000, "line 2: a cell has more than 131072 characters"),
     "no such number": (BASE, "a.csv", b"y\n1_000\n2\n", "'1_000' is not a number"),
     "pickled npz": (BASE, "a.npz", npz(y=np.array([Evil()], dtype=object)), "not usable: 'y'"),
     "bomb": (BASE, "a.npz", npz(y=np.zeros(50_000_000)), "unpacks to more"),
@@ -233,6 +234,18 @@ def test_previews_of_files_that_are_not_what_they_seem(client, name):
     answer = client.post("/preview", files={"file": (filename, data)})
     assert answer.status_code == 422
     assert words in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("limit", [200, 1 << 30])
+def test_a_long_cell_is_refused_whatever_others_have_set_csv_to(client, limit):
+    """Its limit is one of the process, which a plug-in may change."""
+    request, filename, data, words = BAD["long cell"]
+    usual = field_size_limit(limit)
+    try:
+        answer = post_files(client, request, (filename, data))
+    finally:
+        field_size_limit(usual)
+    assert (answer.status_code, words in answer.json()["detail"]) == (422, True)
 
 
 def test_two_files_of_one_name_are_told_apart_by_the_client(client, data):

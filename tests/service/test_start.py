@@ -98,3 +98,20 @@ def test_the_store_is_its_owner_s_alone(tmp_path):
         store.close()
     finally:
         os.umask(before)
+
+
+def test_an_old_store_becomes_its_owner_s_alone(tmp_path):
+    """Earlier versions made files that others could read; a killed service leaves the journal's."""
+    url = Settings(state_dir=tmp_path).store_url
+    old = Store(url)
+    made = old.create("simulate", "m", {}, 1)
+    files = [*tmp_path.iterdir()]
+    assert len(files) == 4
+    for file in files:
+        file.chmod(0o644)
+    store = Store(url)
+    assert store.job(made) is not None
+    for file in files:
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600, file
+    store.close()
+    old.close()

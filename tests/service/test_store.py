@@ -71,9 +71,13 @@ def test_the_store_of_an_earlier_version_is_taken_over(store):
             ("tasks", "beat"),
             ("tasks", "futile"),
             ("tasks", "mark"),
+            ("tasks", "asked"),
+            ("tasks", "taken"),
+            ("tasks", "spent"),
             ("jobs", "removed"),
         ):
             sql.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {column}")
+        sql.exec_driver_sql("DROP TABLE turns")
         sql.exec_driver_sql("ALTER TABLE tasks ADD COLUMN lease_until DOUBLE PRECISION")
     newer = Store(store.url)
     assert [newer.job(one).removed for one in (waiting, dismissed)] == [0, 1]
@@ -228,6 +232,8 @@ WRITERS = {
     "lost": lambda store, attempt: store.lost(attempt, "killed", 2),
     "expire": lambda store, attempt: store.expire({attempt.token: 1}, 2),
     "dismiss": lambda store, attempt: store.dismiss(attempt.job_id),
+    "keep": lambda store, attempt: store.keep(attempt, 0, "part", ran=1.0),
+    "take": lambda store, attempt: store.take(attempt.token),
 }
 
 
