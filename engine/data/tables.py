@@ -8,9 +8,12 @@ from __future__ import annotations
 import csv
 import io
 import math
+import subprocess
+import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +23,8 @@ from engine.errors import SeriesError
 
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
-LARGEST = 4 << 30  # bytes an .npz may unpack to
+LARGEST = 4 << 30  # bytes an .npz may unpack to, and memory for reading a .mat
+MAT_TO_NPZ = Path(__file__).with_name("mat_to_npz.py")  # a program of its own
 LONGEST = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
 _TOO_LONG = f"a cell has more than {LONGEST} characters; is a quotation mark left open?"
 
@@ -171,15 +175,15 @@ def _check_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:
 
 def read_mat(data: bytes, file: str) -> Table:
     """Arrays y, u, t, dt (or others by name) of a MATLAB file, version 4 to 7."""
-    from scipy.io import loadmat
-
     if data[:4] == b"\x89HDF" or data[512:516] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
         raise SeriesError(f"{file} is a MATLAB 7.3 file; save it with -v7: save('{file}', '-v7')")
-    try:
-        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]  # stubs know paths only
-    except Exception as error:
-        raise SeriesError(f"{file} is not a readable MATLAB file: {error}") from error
-    return _from_arrays({k: v for k, v in found.items() if not k.startswith("__")}, file)
+    program = [sys.executable, "-P", str(MAT_TO_NPZ), str(LARGEST >> 20)]
+    read = subprocess.run(program, input=data, capture_output=True, check=False)
+    if read.returncode:
+        told = read.stderr.decode(errors="replace").strip().splitlines()
+        reason = told[-1] if told and read.returncode > 0 else "its reader crashed on it"
+        raise SeriesError(f"{file} is not a readable MATLAB file: {reason}")
+    return _from_arrays(dict(np.load(io.BytesIO(read.stdout), allow_pickle=False)), file)
 
 
 def _from_arrays(found: dict[str, object], file: str) -> Table:
