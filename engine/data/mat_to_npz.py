@@ -31,7 +31,7 @@ def flat(name: str, value: object) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind in "fiub":
         return array
-    if name.endswith("_names"):
+    if name.endswith("_names") or name.lower() == "hold":
         cells = array.ravel().tolist()
         return np.array([str(np.ravel(cell)[0]) if np.size(cell) else "" for cell in cells])
     return np.array("")

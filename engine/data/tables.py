@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 import subprocess
 import sys
 import zipfile
@@ -21,6 +22,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.errors import SeriesError
 
+HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)  # a comment at the head of a CSV
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
 LARGEST = 4 << 30  # bytes an .npz may unpack to, and memory for reading a .mat
@@ -34,7 +36,7 @@ class Table:
     """Columns of one file.
 
     ``groups`` maps a name a user may ask for to the columns it stands for: itself in a CSV, all
-    channels of a two-dimensional array in .mat and .npz. ``dt`` is a scalar stored in the file.
+    channels of a two-dimensional array in .mat and .npz. ``dt`` and ``hold`` as stored in the file.
     """
 
     file: str
@@ -42,6 +44,7 @@ class Table:
     groups: dict[str, list[str]]
     lines: Sequence[int] = ()  # line of each CSV row, counted from 1
     dt: float | None = None
+    hold: str | None = None  # of the inputs, where the file says it
     ignored: list[str] = field(default_factory=list)
 
     def column(self, name: str) -> Array:
@@ -91,6 +94,7 @@ def read_csv(data: bytes, file: str) -> Table:
         first += 1
     if first == len(lines):
         raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
+    said = [found[1] for line in lines[:first] if (found := HOLD.fullmatch(line.strip()))]
     delimiter = max(DELIMITERS, key=lines[first].count)
     last = len(lines)
     while not lines[last - 1].strip():  # the file's end, however many lines it has
@@ -118,7 +122,9 @@ def read_csv(data: bytes, file: str) -> Table:
     columns = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
-    return Table(file, dict(columns), {name: [name] for name in names}, numbers)
+    table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
+    table.hold = said[-1] if said else None
+    return table
 
 
 def _short_cells(rows: Iterable[list[str]]) -> Iterator[list[str]]:
@@ -191,6 +197,9 @@ def _from_arrays(found: dict[str, object], file: str) -> Table:
     table = Table(file, {}, {})
     for name, value in found.items():
         if name.endswith("_names"):
+            continue
+        if name.lower() == "hold" and isinstance(value, np.ndarray) and value.dtype.kind == "U":
+            table.hold = str(value.ravel()[0]) if value.size else ""
             continue
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim > 2:
             table.ignored.append(f"'{name}' is not a table of real numbers")

@@ -83,12 +83,4 @@ def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array
 
 
 def _head(series: Series) -> Series:
-    if len(series) <= ROWS:
-        return series
-    return Series(
-        series.y[:ROWS],
-        series.u[:ROWS],
-        t=series.t[:ROWS],
-        y_names=series.y_names,
-        u_names=series.u_names,
-    )
+    return series if len(series) <= ROWS else series.part(0, ROWS)

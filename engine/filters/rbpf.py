@@ -147,7 +147,7 @@ def rbpf(
             log_w = even
         else:
             ancestors = own
-        f, A, Q = model.transition(a, u[t], times[t], steps[t], record)
+        f, A, Q = model.transition(a, series.u_step[t], times[t], steps[t], record)
         mu, L, AP = predict(f, stacked(A), stacked(Q), z, P)
         predicted.append((mu, L, AP))
 

@@ -49,10 +49,12 @@ def simulate(
     u: ArrayLike | None = None,
     dt: float = 1.0,
     t: ArrayLike | None = None,
+    hold: str = "zoh",
 ) -> Simulation:
     """Draw T = n_samples samples of paper, eq. (1): x_1 from the initial density, w, e with noise.
 
-    u (T, nu) or (T,) are the inputs; dt or t (T,) the times in seconds. Q and R may be singular.
+    u (T, nu) or (T,) are the inputs, ``hold`` what they do between samples (see
+    :class:`engine.Series`); dt or t (T,) the times in seconds. Q and R may be singular.
     Raises ModelError naming the time at which the state stopped being finite.
     """
     if n_samples < 2:
@@ -64,7 +66,7 @@ def simulate(
             "u",
         )
     blank = np.zeros((n_samples, model.ny))
-    frame = Series(blank, u, dt=dt, t=t).check(model)
+    frame = Series(blank, u, dt=dt, t=t, hold=hold).check(model)
     values = model.theta(theta)
     check_start(model, values, frame)
     record = model.record(values)
@@ -74,9 +76,7 @@ def simulate(
     y, a, z = propagate(model, record, frame, a1, z1, rng)
     check_finite(model, frame, y, a, z)
     y, a, z = y[:, 0], a[:, 0], z[:, 0]
-    series = Series(
-        y, frame.u, t=frame.t, y_names=tuple(model.outputs), u_names=tuple(model.inputs)
-    )
+    series = frame.replace(y=y, y_names=tuple(model.outputs), u_names=tuple(model.inputs))
     return Simulation(y, a, z, series, model)
 
 
@@ -100,7 +100,7 @@ def propagate(
     T, K = len(series), a.shape[0]
     a_all, z_all = np.empty((T, K, model.na)), np.empty((T, K, model.nz))
     steps = step_lengths(series).tolist()
-    times, inputs = series.t.tolist(), series.u
+    times, inputs = series.t.tolist(), series.u_step
     na = model.na
     model.transitions.look_again()
     model.observations.look_again()
