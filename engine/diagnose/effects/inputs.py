@@ -103,9 +103,10 @@ def _hold(setting: Setting, channel: str) -> Effect | None:
 
     With g the gain of an input held over the step, x_(t+1) = F(x_t, u_t) + size g (u_(t+1) - u_t) / 2. The
     states of the extended model are x_t - size g (u_t - u_1) / 2, which needs no input of the next sample
-    and is x_1 at first. The input must add to the state equation; g may depend on a slowly.
+    and is x_1 at first. The input must add to the state equation; g may depend on a slowly. Nothing is asked
+    of a series that says already what its inputs did.
     """
-    if channel not in setting.model.inputs:
+    if channel not in setting.model.inputs or setting.hold != "zoh":
         return None
     name, scale, first = identifier("hold", channel), setting.size(channel), setting.first(channel)
 
@@ -151,6 +152,7 @@ def _hold(setting: Setting, channel: str) -> Effect | None:
         look_alikes={"delay": "looks back, not ahead"},
         held=(f"{name}_step", f"{name}_first"),
         one_sided=True,
+        traits=Traits(says_hold="foh"),
     )
 
 

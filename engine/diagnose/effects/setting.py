@@ -47,7 +47,8 @@ class Setting:
     those inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
     step its readings come in, where they show one. ``record`` is what the series showed, None without
     data. ``zeros`` are the known zeros of channels (default: as the model declares and tells);
-    ``substeps`` the steps that the model makes from one sample to the next.
+    ``substeps`` the steps that the model makes from one sample to the next; ``hold`` what the series says of
+    its inputs between samples.
     """
 
     model: MixedModel
@@ -59,6 +60,7 @@ class Setting:
     record: Record | None = None
     zeros: Mapping[str, float] | None = None
     substeps: int = 1
+    hold: str = "zoh"
 
     # ---- sizes --------------------------------------------------------------------------------
 
@@ -294,6 +296,7 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         resolution,
         Record(values, t, np.append(steps, steps[-1]), np.asarray(theta, dtype=float)),
         substeps=series.substeps,
+        hold=series.hold,
     )
 
 
