@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 import engine.kernels
+from engine.data.series import Series
 from engine.diagnose.screening.tails import prediction_pit
 from engine.estimation.em import rbps_em, rts_em
 from engine.estimation.quasi_ml import quasi_ml
@@ -33,7 +34,9 @@ from engine.filters.sigma_point import moment_path
 from engine.kernels.sensitivities import footprints
 from engine.models.registry import get_model
 from engine.simulation.fit import fit_simulation
+from engine.simulation.free_run import free_run
 from engine.simulation.simulate import simulate
+from engine.simulation.whole_record import SHORTEST
 from engine.smoothers.linear_cost import rb_ffbsi_linear
 
 
@@ -63,6 +66,7 @@ def warm() -> dict[str, set[Any]]:
     tanks = get_model("tanks")
     measured = simulate(tanks, None, 12, rng, u=np.ones(12), dt=4.0).series
     fit_simulation(tanks, measured, free=[tanks.parameter_names[0]])
+    free_run(tanks, None, Series(np.zeros(SHORTEST), np.ones(SHORTEST), dt=4.0))
     return compiled_kernels()
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from engine.data.series import Series
 from engine.errors import ModelError, OptionError
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
+from engine.simulation.whole_record import whole_record
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
@@ -95,9 +96,11 @@ def propagate(
 
     ``a`` (K, na), ``z`` (K, nz) are the first states. Without ``rng`` the run is noise-free; with
     it, process and measurement noise are drawn where asked for. The record's fields are numbers,
-    or arrays (K,), see ``model.records``. What overflows is left as inf or NaN.
+    or arrays (K,), see ``model.records``. What overflows is left as inf or NaN. A single long run without
+    process noise is found as a whole where that is faster, see :mod:`engine.simulation.whole_record`.
     """
     T, K = len(series), a.shape[0]
+    noisy = rng is not None and process
     a_all, z_all = np.empty((T, K, model.na)), np.empty((T, K, model.nz))
     steps = step_lengths(series).tolist()
     times, inputs = series.t.tolist(), series.u
@@ -105,11 +108,17 @@ def propagate(
     model.transitions.look_again()
     model.observations.look_again()
     with np.errstate(all="ignore"):
-        for t in range(T - 1):
+        begin = 0
+        if K == 1 and not noisy and all(value.__class__ is float for value in record):
+            known = whole_record(model, record, series, np.concatenate((a[0], z[0])))
+            begin = len(known) - 1
+            a_all[:begin, 0], z_all[:begin, 0] = known[:begin, :na], known[:begin, na:]
+            a, z = known[begin:, :na], known[begin:, na:]
+        for t in range(begin, T - 1):
             a_all[t], z_all[t] = a, z
             f, A, Q = model.transition(a, inputs[t], times[t], steps[t], record)
             x = f + through(A, z)
-            if rng is not None and process:
+            if rng is not None and noisy:
                 x += noise(Q, x.shape, rng)
             a, z = x[:, :na], x[:, na:]
         a_all[T - 1], z_all[T - 1] = a, z

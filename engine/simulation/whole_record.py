@@ -1,0 +1,144 @@
+"""A whole free run at once: Newton's method on the trajectory in place of a loop over time.
+
+A run without noise, x_{t+1} = F(x_t, u_t, theta), is the trajectory X at which every defect
+F(X_t) - X_{t+1} is zero. From a guess X all steps and their derivatives J_t = dF/dx are evaluated in a few
+calls of the model, and the linearised equations solved by one recursion over time,
+
+    x_{t+1} = F(X_t) + J_t (x_t - X_t),      X := x,
+
+until nothing moves. The fixed point is the run itself, whatever J was; a linear model needs one iteration,
+and after k iterations at least the first k rows are right. Lim et al. (2024), "Parallelizing non-linear
+sequential models over the sequence length" (DEER); Gonzalez et al. (2024), "Towards scalable and stable
+parallelization of nonlinear RNNs", on where it does not converge.
+
+Here it is left to the loop where the run would not come out cheaper, from the last row that is right on:
+where Newton's iterations have cost a share of what the loop costs (friction that sticks and slips, long
+steps of a stiff oscillator), where the run amplifies rounding (chaos), where the model takes one time in a
+call only, and in short records.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.kernels.trajectory import correct
+from engine.simulation.steps import Steps, tested, transitions
+from engine.statespace.model import Array, MixedModel
+from engine.statespace.shapes import through
+
+SHORTEST = 300  # rows from which on it is tried
+TOLERANCE = 1e-10  # of how far a state has moved: a correction this small ends the iterations ...
+FLOOR = 1e-13  # ... and of its value, which rounding is a share of
+AGREES = 1e-9  # the same, for steps that are made once more by themselves
+CHECKED = 4  # of those, spread over the record, besides extremes of the nonlinear states
+MOST_SPENT = 0.15  # of the loop's cost, counted in its steps:
+LOOK = 25.0  # what a tested call and the last check cost
+CALL, ROWS_PER_STEP = 1.2, 2000.0  # a call of few rows, and so many rows of one
+PATIENCE = 5  # iterations without a row more at the beginning
+MOST_ROWS, MOST_NUMBERS = 2000, 60_000  # in one part of a long record: rows; entries of their J
+
+
+def whole_record(
+    model: MixedModel, record: object, series: Series, x1: Array, guess: Array | None = None
+) -> Array:
+    """The leading rows (n, nx) of the noise-free run from x1 (nx,); all T where Newton's method converges.
+
+    Parameters
+    ----------
+    model, record
+        The model, and its parameters as a record of plain numbers.
+    series : Series
+        Inputs and times; outputs are not looked at.
+    x1 : (nx,)
+        The first state, in the states' units.
+    guess : (T, nx), optional
+        A trajectory to begin with, such as that of nearby parameters; by default x1 throughout.
+
+    Returns
+    -------
+    (n, nx)
+        The run's first n rows, n >= 1, to 1e-9 of what each state moves; what is missing is the loop's.
+
+    """
+    T = len(series)
+    start = x1[None].copy()
+    if T < SHORTEST or not np.isfinite(x1).all():
+        return start
+    X = np.tile(x1, (T, 1)) if guess is None else guess.copy()
+    X[0] = x1
+    try:
+        with np.errstate(all="ignore"):
+            solved = _solve(model, transitions(model, record, series), X, guess is not None)
+            return X[:solved] if _checked(model, record, series, X[:solved]) else start
+    except Exception:  # noqa: BLE001 - a user's function may raise anything away from the run itself
+        return start
+
+
+def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
+    """Newton's method on X (T, nx), in place; how many of its rows are the run.
+
+    Rows before ``first`` are done, those from ``there`` + 1 on hold nothing yet, and ``first`` to ``last``
+    are worked on: a part of a long record, less where the linearised run explodes.
+    """
+    n, x1 = len(X) - 1, X[0].copy()
+    seen = tested(model, steps, X[:-1])
+    if seen is None:
+        return 1
+    F, A, Q = seen
+    scale, rounding = np.tile(_sizes(F, Q, x1), (n + 1, 1)), np.zeros_like(X)
+    most = max(MOST_ROWS, MOST_NUMBERS // model.nx**2)
+    first, last = 0, min(n, most)
+    there, solved, stuck, spent = n if guessed else last, 0, 0, LOOK
+    F, A = F[:last], A if A.ndim == 2 else A[:last]
+    while True:
+        part = X[first : last + 1]
+        J = steps.rows(first, last).slopes(part[:-1], F, A, scale[first:last], central=False)
+        right, finite, steady, scale[first : last + 1], rounding[first : last + 1] = correct(
+            part, F, J, x1, scale[first], rounding[first], TOLERANCE, FLOOR
+        )
+        spent += 1.0 + (1 + model.na) * (CALL + (last - first) / ROWS_PER_STEP)
+        stuck = 0 if first + right > solved else stuck + 1
+        solved = first + int(right)
+        if not steady:
+            return 1
+        if solved > n or spent > MOST_SPENT * n or stuck == PATIENCE:
+            return solved
+        before = first, last
+        if finite <= last - first:
+            there = last = first + max(finite // 2, right)
+        if 2 * right > last - first:
+            first = solved - 1
+            last = max(last, first + min(2 * right, most))
+        last = min(last, n)
+        if last > there:
+            X[there + 1 : last + 1], scale[there + 1 : last + 1] = X[there], scale[there]
+            there = last
+        spent += LOOK * ((first, last) != before)  # a model within a model is tested on new rows
+        F, A = steps.rows(first, last)(X[first:last])
+
+
+def _sizes(F: Array, Q: Array, x1: Array) -> Array:
+    """What each state (nx,) moves by at least in one step from x1; something of its unit where it stays."""
+    variances = np.diagonal(Q, axis1=-2, axis2=-1).reshape(-1, len(x1)).max(axis=0)
+    size: Array = np.where(np.isfinite(F), np.abs(F - x1), 0.0).max(axis=0)
+    for other in (np.abs(x1), np.sqrt(np.maximum(variances, 0.0)), 1.0):
+        size = np.where(size > 0.0, size, other)
+    return size
+
+
+def _checked(model: MixedModel, record: object, series: Series, X: Array) -> bool:
+    """Whether single steps, as the loop makes them, agree with those of X (n, nx)."""
+    n, na = len(X), model.na
+    if n < 2:
+        return True
+    ends = (end(X[:-1, i]) for i in range(na) for end in (np.argmin, np.argmax))
+    scale = np.abs(X - X[0]).max(axis=0)
+    times, dt = series.t.tolist(), series.dt
+    for t in {*map(int, ends), *np.linspace(0, n - 2, CHECKED).astype(int).tolist()}:
+        step = float(series.steps[t]) if dt is None else dt
+        f, A, _ = model.transition(X[t : t + 1, :na], series.u[t], times[t], step, record)
+        off = np.abs(f[0] + through(A, X[t : t + 1, na:])[0] - X[t + 1])
+        if not (off <= AGREES * scale + FLOOR * np.abs(X[t + 1])).all():
+            return False
+    return True
