@@ -23,7 +23,8 @@ class Steps:
     """x_{t+1} = f(a_t) + A(a_t) z_t, or y_t = h(a_t) + C(a_t) z_t, at n rows of a series at once.
 
     ``u`` (nu, n), ``t`` (n,) and ``dt``, (n,) or a number, are those of the rows; ``na`` of the nx states are
-    nonlinear. ``record`` holds plain numbers.
+    nonlinear. ``record`` holds plain numbers. ``split`` says that the function does not take such rows in one
+    call.
     """
 
     function: ModelFunction
@@ -32,6 +33,7 @@ class Steps:
     t: Array
     dt: Any
     record: Any
+    split: bool = False
 
     def rows(self, start: int, stop: int) -> Steps:
         """Those of rows start ... stop - 1."""
@@ -43,10 +45,11 @@ class Steps:
         """The same with other parameters."""
         return replace(self, record=record)
 
-    def __call__(self, x: Array) -> tuple[Array, Array]:
-        """The values (n, m) at x (n, nx), and A, common (m, nz) or (n, m, nz); whatever the function raises."""
-        f, A, _ = self.function.once(x[:, : self.na], self.u, self.t, self.dt, self.record)
-        return f + through(A, x[:, self.na :]), A
+    def __call__(self, x: Array) -> tuple[Array, Array, Array]:
+        """The values (n, m) at x (n, nx), A and Q, common or (n, ., .); whatever the function raises."""
+        call = self.function if self.split else self.function.once
+        f, A, Q = call(x[:, : self.na], self.u, self.t, self.dt, self.record)
+        return f + through(A, x[:, self.na :]), A, Q
 
     def slopes(self, x: Array, value: Array, A: Array, size: Array, central: bool) -> Array:
         """The derivative (n, m, nx) at x: A for the linear states, differences for the others.
@@ -62,23 +65,51 @@ class Steps:
         return J
 
     def _slope(self, x: Array, value: Array, i: int, step: Array, central: bool) -> Array:
-        """Difference quotients (n, m) in state i; on one side where the other is not finite."""
+        """Difference quotients (n, m) in state i, one-sided unless ``central``."""
         up, ahead = self._moved(x, i, step)
-        slope = (ahead - value) / up
+        slope: Array = (ahead - value) / up
         if central or not np.isfinite(slope).all():
             down, behind = self._moved(x, i, -step)
-            backward = (behind - value) / down
-            both = (ahead - behind) / (up - down) if central else slope
-            one = np.where(np.isfinite(slope), slope, backward)
-            slope = np.where(np.isfinite(both), both, one)
+            slope = _quotient((behind, value, ahead), down, up, central)
         return slope
 
     def _moved(self, x: Array, i: int, step: Array) -> tuple[Array, Array]:
         """By how much state i was really moved (n, 1), and the values there."""
         moved = x.copy()
         moved[:, i] += step
-        value, _ = self(moved)
-        return (moved[:, i] - x[:, i])[:, None], value
+        return (moved[:, i] - x[:, i])[:, None], self(moved)[0]
+
+    def slope_between(
+        self, x: Array, value: Array, ends: tuple[Any, Any], down: float, up: float
+    ) -> Array:
+        """Difference quotient (n, m) between two records, at ``down`` <= 0 <= ``up`` from this one."""
+        behind, ahead = (self.at(record)(x)[0] for record in ends)
+        return _quotient((behind, value, ahead), down, up, True)
+
+
+def _quotient(values: tuple[Array, Array, Array], down: Any, up: Any, central: bool) -> Array:
+    """The slope from values behind, at and ahead of a point; on one side where the other is not finite."""
+    behind, value, ahead = values
+    forward, backward = (ahead - value) / up, (behind - value) / down
+    slope: Array = np.where(np.isfinite(forward), forward, backward)
+    if central:
+        both = (ahead - behind) / (up - down)
+        slope = np.where(np.isfinite(both), both, slope)
+    return slope
+
+
+def sizes(moved: Array, *others: Array) -> Array:
+    """What each state (nx,) typically moves by; where that is 0 the first of ``others`` that is not, or 1."""
+    size: Array = moved
+    for other in (*others, np.ones_like(moved)):
+        size = np.where(size > 0.0, size, other)
+    return size
+
+
+def deviations(Q: Array) -> Array:
+    """Largest standard deviation (nx,) of each state's noise; Q (nx, nx) or (n, nx, nx)."""
+    variances: Array = np.diagonal(Q, axis1=-2, axis2=-1).reshape(-1, Q.shape[-1]).max(axis=0)
+    return np.sqrt(np.maximum(variances, 0.0))
 
 
 def transitions(model: MixedModel, record: Any, series: Series) -> Steps:

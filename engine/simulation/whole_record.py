@@ -23,7 +23,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.kernels.trajectory import correct
-from engine.simulation.steps import Steps, tested, transitions
+from engine.simulation.steps import Steps, deviations, sizes, tested, transitions
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.shapes import through
 
@@ -86,7 +86,11 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
     if seen is None:
         return 1
     F, A, Q = seen
-    scale, rounding = np.tile(_sizes(F, Q, x1), (n + 1, 1)), np.zeros_like(X)
+    moved = np.where(np.isfinite(F), np.abs(F - x1), 0.0).max(
+        axis=0
+    )  # in a step from x1, at the least
+    scale = np.tile(sizes(moved, np.abs(x1), deviations(Q)), (n + 1, 1))
+    rounding = np.zeros_like(X)
     most = max(MOST_ROWS, MOST_NUMBERS // model.nx**2)
     first, last = 0, min(n, most)
     there, solved, stuck, spent = n if guessed else last, 0, 0, LOOK
@@ -115,16 +119,7 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
             X[there + 1 : last + 1], scale[there + 1 : last + 1] = X[there], scale[there]
             there = last
         spent += LOOK * ((first, last) != before)  # a model within a model is tested on new rows
-        F, A = steps.rows(first, last)(X[first:last])
-
-
-def _sizes(F: Array, Q: Array, x1: Array) -> Array:
-    """What each state (nx,) moves by at least in one step from x1; something of its unit where it stays."""
-    variances = np.diagonal(Q, axis1=-2, axis2=-1).reshape(-1, len(x1)).max(axis=0)
-    size: Array = np.where(np.isfinite(F), np.abs(F - x1), 0.0).max(axis=0)
-    for other in (np.abs(x1), np.sqrt(np.maximum(variances, 0.0)), 1.0):
-        size = np.where(size > 0.0, size, other)
-    return size
+        F, A, _ = steps.rows(first, last)(X[first:last])
 
 
 def _checked(model: MixedModel, record: object, series: Series, X: Array) -> bool:
