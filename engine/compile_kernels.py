@@ -35,6 +35,7 @@ from engine.kernels.sensitivities import footprints
 from engine.models.registry import get_model
 from engine.simulation.fit import fit_simulation
 from engine.simulation.free_run import free_run
+from engine.simulation.sensitivities import sensitivities
 from engine.simulation.simulate import simulate
 from engine.simulation.whole_record import SHORTEST
 from engine.smoothers.linear_cost import rb_ffbsi_linear
@@ -64,9 +65,11 @@ def warm() -> dict[str, set[Any]]:
     prediction_pit(rbpf(walk, None, short, 4, rng), rng)
     rb_ffbsi_linear(rbpf(walk, None, short, 4, rng), 4, rng)
     tanks = get_model("tanks")
-    measured = simulate(tanks, None, 12, rng, u=np.ones(12), dt=4.0).series
+    measured = simulate(tanks, None, SHORTEST, rng, u=np.ones(SHORTEST), dt=4.0).series
     fit_simulation(tanks, measured, free=[tanks.parameter_names[0]])
-    free_run(tanks, None, Series(np.zeros(SHORTEST), np.ones(SHORTEST), dt=4.0))
+    run = free_run(walk, None, Series(np.zeros(SHORTEST)))
+    first, x = np.arange(1), np.hstack((run.a, run.z))
+    sensitivities(walk, np.asarray(run.theta), run.series, x, first, first, np.full(1, 1e-5))
     return compiled_kernels()
 
 

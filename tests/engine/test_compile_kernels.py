@@ -18,7 +18,7 @@ from tests.engine.models_for_tests import (
 )
 
 # called by estimations from Python; the other kernels are compiled into these, or by studies
-USED = ("backward.", "conditional.", "filtering.", "gaussian.", "resampling.", "trajectory.correct")
+USED = ("backward.", "conditional.", "filtering.", "gaussian.", "resampling.", "trajectory.")
 
 
 def used():
