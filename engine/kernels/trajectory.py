@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 EPS = np.finfo(np.float64).eps
+NOTHING = 1e-30  # of a state's scale: what decays further is zero, as denormal numbers are slow
 
 
 @njit(cache=True, error_model="numpy")
@@ -44,6 +45,8 @@ def correct(X, F, J, first, size, carried, tolerance, floor):
         The first row that is not finite; n + 1 where all are.
     steady : bool
         Whether rounding stays within the same tolerance up to there.
+    most : float
+        The largest |d| / s.
     s, c : (n + 1, nx)
         The scales and what rounding errors have grown to.
 
@@ -58,7 +61,7 @@ def correct(X, F, J, first, size, carried, tolerance, floor):
     for i in range(nx):
         s[0, i] = max(size[i], abs(X[0, i] - first[i]))
         c[0, i] = carried[i]
-    right, finite, steady = n + 1, n + 1, True
+    right, finite, steady, most = n + 1, n + 1, True, 0.0
     for t in range(n):
         close, whole = True, True
         for i in range(nx):
@@ -73,10 +76,12 @@ def correct(X, F, J, first, size, carried, tolerance, floor):
             right = min(right, finite)
             break
         for i in range(nx):
-            d[i] = e[i]
+            d[i] = e[i] if abs(e[i]) > NOTHING * s[t, i] else 0.0
             X[t + 1, i] += d[i]
             size_here = abs(X[t + 1, i])
             s[t + 1, i] = max(s[t, i], abs(X[t + 1, i] - first[i]))
+            if d[i] != 0.0:
+                most = max(most, abs(d[i]) / s[t + 1, i])
             allowed = tolerance * s[t + 1, i] + floor * size_here
             close = close and abs(d[i]) <= allowed
             top[i] = max(top[i], size_here)
@@ -93,7 +98,7 @@ def correct(X, F, J, first, size, carried, tolerance, floor):
         X[t] = X[finite - 1]
         s[t] = s[finite - 1]
         c[t] = c[finite - 1]
-    return right, finite, steady, s, c
+    return right, finite, steady, most, s, c
 
 
 @njit(cache=True, error_model="numpy")

@@ -105,7 +105,8 @@ def propagate(
     steps = step_lengths(series).tolist()
     times, inputs = series.t.tolist(), series.u
     na = model.na
-    model.transitions.look_again()
+    if K > 1:  # a whole record is compared with single steps anyway
+        model.transitions.look_again()
     model.observations.look_again()
     with np.errstate(all="ignore"):
         begin = 0

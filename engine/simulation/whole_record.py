@@ -29,6 +29,7 @@ from engine.statespace.shapes import through
 
 SHORTEST = 300  # rows from which on it is tried
 TOLERANCE = 1e-10  # of how far a state has moved: a correction this small ends the iterations ...
+SMALL = 1e-4  # of the same: after such a correction J is as good as new
 FLOOR = 1e-13  # ... and of its value, which rounding is a share of
 AGREES = 1e-9  # the same, for steps that are made once more by themselves
 CHECKED = 4  # of those, spread over the record, besides extremes of the nonlinear states
@@ -91,17 +92,19 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
     )  # in a step from x1, at the least
     scale = np.tile(sizes(moved, np.abs(x1), deviations(Q)), (n + 1, 1))
     rounding = np.zeros_like(X)
-    most = max(MOST_ROWS, MOST_NUMBERS // model.nx**2)
-    first, last = 0, min(n, most)
+    longest = max(MOST_ROWS, MOST_NUMBERS // model.nx**2)
+    first, last = 0, min(n, longest)
     there, solved, stuck, spent = n if guessed else last, 0, 0, LOOK
-    F, A = F[:last], A if A.ndim == 2 else A[:last]
+    F, A, J = F[:last], A if A.ndim == 2 else A[:last], None
     while True:
         part = X[first : last + 1]
-        J = steps.rows(first, last).slopes(part[:-1], F, A, scale[first:last], central=False)
-        right, finite, steady, scale[first : last + 1], rounding[first : last + 1] = correct(
+        calls = 1 if J is not None else 1 + model.na
+        if J is None:
+            J = steps.rows(first, last).slopes(part[:-1], F, A, scale[first:last], central=False)
+        right, finite, steady, most, scale[first : last + 1], rounding[first : last + 1] = correct(
             part, F, J, x1, scale[first], rounding[first], TOLERANCE, FLOOR
         )
-        spent += 1.0 + (1 + model.na) * (CALL + (last - first) / ROWS_PER_STEP)
+        spent += 1.0 + calls * (CALL + (last - first) / ROWS_PER_STEP)
         stuck = 0 if first + right > solved else stuck + 1
         solved = first + int(right)
         if not steady:
@@ -113,11 +116,13 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
             there = last = first + max(finite // 2, right)
         if 2 * right > last - first:
             first = solved - 1
-            last = max(last, first + min(2 * right, most))
+            last = max(last, first + min(2 * right, longest))
         last = min(last, n)
         if last > there:
             X[there + 1 : last + 1], scale[there + 1 : last + 1] = X[there], scale[there]
             there = last
+        if most > SMALL or (first, last) != before:
+            J = None
         spent += LOOK * ((first, last) != before)  # a model within a model is tested on new rows
         F, A, _ = steps.rows(first, last)(X[first:last])
 
