@@ -328,7 +328,7 @@ class _Problem:
             return None
         steps, values = self.steps(), np.asarray(theta)
         dy, _ = sensitivities(model, values, one, x, self.active, self.uncertain, steps)
-        return seen[0], dy
+        return seen.value, dy
 
     def _by_differences(self, theta: Theta, x1: Array, s: int) -> tuple[Array, Array]:
         """The same by central differences of runs; one-sided at a bound, NaN where one is not finite."""

@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.kernels.trajectory import carry
-from engine.simulation.steps import Steps, deviations, observations, sizes, tested, transitions
+from engine.simulation.steps import (
+    Steps,
+    Values,
+    deviations,
+    observations,
+    sizes,
+    tested,
+    transitions,
+)
 from engine.statespace.model import Array, MixedModel
 
 
@@ -68,10 +76,10 @@ def sensitivities(
     with np.errstate(all="ignore"):
         F = _in_rows(model, transitions(model, record, series), x[:-1])
         G = _in_rows(model, observations(model, record, series), x)
-        _, _, Q = F(x[:-1])
-        size = sizes(np.abs(x - x[0]).max(axis=0), np.abs(x[0]), deviations(Q))
-        J, b = _slopes(F, x[:-1], size, ends)
-        H, d = _slopes(G, x, size, ends)
+        at = F(x[:-1])
+        size = sizes(np.abs(x - x[0]).max(axis=0), np.abs(x[0]), deviations(at.Q))
+        J, b = _slopes(F, x[:-1], at, size, ends)
+        H, d = _slopes(G, x, G(x), size, ends)
         still = np.zeros((*b.shape[:2], len(states)))
         xi = carry(J, np.concatenate((b, still), axis=2), first)
         dy = H @ xi
@@ -94,11 +102,10 @@ def _ends(
     return records, float(low[i] - theta[i]), float(high[i] - theta[i])
 
 
-def _slopes(F: Steps, x: Array, size: Array, ends: list[Any]) -> tuple[Array, Array]:
+def _slopes(F: Steps, x: Array, at: Values, size: Array, ends: list[Any]) -> tuple[Array, Array]:
     """dF/dx (n, m, nx) and dF/dtheta (n, m, k) at x (n, nx)."""
-    value, A, _ = F(x)
-    J = F.slopes(x, value, A, size, central=True)
-    b = np.empty((*value.shape, len(ends)))
+    J = F.slopes(x, at, size, central=True)
+    b = np.empty((*at.value.shape, len(ends)))
     for i, end in enumerate(ends):
-        b[:, :, i] = F.slope_between(x, value, *end)
+        b[:, :, i] = F.slope_between(x, at, *end)
     return J, b

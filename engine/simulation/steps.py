@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from engine.data.series import Series
+from engine.statespace.compare import Result
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.refutation import calls_split
@@ -15,7 +16,17 @@ from engine.statespace.shapes import through
 
 FORWARD, CENTRAL = 1e-7, 5e-6  # length of a difference as a share of a state's size, by kind
 OF_VALUE = 1e-9  # the same as a share of a state's value, which rounding is a share of
+ALONE, OF_NUMBER = 1e-9, 1e-12  # of how values vary, of their size: what calls may differ by
 TRIED = 4  # rows on which a function is tried first
+
+
+class Values(NamedTuple):
+    """f + A z (n, m); f (n, m), A and the noise's covariance Q, common or (n, ., .)."""
+
+    value: Array
+    f: Array
+    A: Array
+    Q: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,55 +56,82 @@ class Steps:
         """The same with other parameters."""
         return replace(self, record=record)
 
-    def __call__(self, x: Array) -> tuple[Array, Array, Array]:
-        """The values (n, m) at x (n, nx), A and Q, common or (n, ., .); whatever the function raises."""
+    def __call__(self, x: Array) -> Values:
+        """The values at x (n, nx); whatever the function raises."""
         call = self.function if self.split else self.function.once
-        f, A, Q = call(x[:, : self.na], self.u, self.t, self.dt, self.record)
-        return f + through(A, x[:, self.na :]), A, Q
+        return _values(x, call(x[:, : self.na], self.u, self.t, self.dt, self.record))
 
-    def slopes(self, x: Array, value: Array, A: Array, size: Array, central: bool) -> Array:
+    def as_alone(self, x: Array, values: Array) -> bool:
+        """Whether values (n, m) at x (n, nx) are those of single rows: the first, the last, extreme states.
+
+        A function may take its rows together until a state that was not seen before.
+        """
+        if not len(x):
+            return True
+        ends = (end(x[:, i]) for i in range(self.na) for end in (np.argmin, np.argmax))
+        allowed = ALONE * np.abs(values - values[0]).max(axis=0)
+        for i in {0, len(x) - 1, *map(int, ends)}:
+            dt = float(self.dt[i]) if np.ndim(self.dt) else self.dt
+            row = x[i : i + 1]
+            own = self.function(row[:, : self.na], self.u[:, i], float(self.t[i]), dt, self.record)
+            off = np.abs(_values(row, own).value[0] - values[i])
+            if not (off <= allowed + OF_NUMBER * np.abs(values[i])).all():
+                return False
+        return True
+
+    def slopes(self, x: Array, at: Values, size: Array, central: bool) -> Array:
         """The derivative (n, m, nx) at x: A for the linear states, differences for the others.
 
-        ``value`` and ``A`` are those at x, ``size`` (n, nx) or (nx,) what each state typically moves by.
+        ``at`` are the values at x, ``size`` (n, nx) or (nx,) what each state typically moves by.
         """
-        J = np.empty((*value.shape, x.shape[1]))
-        J[:, :, self.na :] = A
+        J = np.empty((*at.value.shape, x.shape[1]))
+        J[:, :, self.na :] = at.A
         share = CENTRAL if central else FORWARD
-        step = np.maximum(share * size, OF_VALUE * np.abs(x))
         for i in range(self.na):
-            J[:, :, i] = self._slope(x, value, i, step[:, i], central)
+            step = np.maximum(share * size[..., i], OF_VALUE * np.abs(x[:, i]))
+            J[:, :, i] = self._slope(x, at, i, step, central)
         return J
 
-    def _slope(self, x: Array, value: Array, i: int, step: Array, central: bool) -> Array:
+    def _slope(self, x: Array, at: Values, i: int, step: Array, central: bool) -> Array:
         """Difference quotients (n, m) in state i, one-sided unless ``central``."""
-        up, ahead = self._moved(x, i, step)
-        slope: Array = (ahead - value) / up
+        up, rise = self._moved(x, at, i, step)
+        slope: Array = rise / up
         if central or not np.isfinite(slope).all():
-            down, behind = self._moved(x, i, -step)
-            slope = _quotient((behind, value, ahead), down, up, central)
+            down, fall = self._moved(x, at, i, -step)
+            slope = _quotient(fall, rise, down, up, central)
         return slope
 
-    def _moved(self, x: Array, i: int, step: Array) -> tuple[Array, Array]:
-        """By how much state i was really moved (n, 1), and the values there."""
+    def _moved(self, x: Array, at: Values, i: int, step: Array) -> tuple[Array, Array]:
+        """By how much state i was really moved (n, 1), and what that changes (n, m)."""
         moved = x.copy()
         moved[:, i] += step
-        return (moved[:, i] - x[:, i])[:, None], self(moved)[0]
+        call = self.function if self.split else self.function.once
+        f, A, _ = call(moved[:, : self.na], self.u, self.t, self.dt, self.record)
+        change = f - at.f
+        if A.ndim == 3 or at.A.ndim == 3:  # else it is common to all states
+            z = x[:, self.na :]
+            change += through(A, z) - through(at.A, z)
+        return (moved[:, i] - x[:, i])[:, None], change
 
     def slope_between(
-        self, x: Array, value: Array, ends: tuple[Any, Any], down: float, up: float
+        self, x: Array, at: Values, ends: tuple[Any, Any], down: float, up: float
     ) -> Array:
         """Difference quotient (n, m) between two records, at ``down`` <= 0 <= ``up`` from this one."""
-        behind, ahead = (self.at(record)(x)[0] for record in ends)
-        return _quotient((behind, value, ahead), down, up, True)
+        fall, rise = (self.at(record)(x).value - at.value for record in ends)
+        return _quotient(fall, rise, down, up, True)
 
 
-def _quotient(values: tuple[Array, Array, Array], down: Any, up: Any, central: bool) -> Array:
-    """The slope from values behind, at and ahead of a point; on one side where the other is not finite."""
-    behind, value, ahead = values
-    forward, backward = (ahead - value) / up, (behind - value) / down
+def _values(x: Array, result: Result) -> Values:
+    f, A, Q = result
+    return Values(f + through(A, x[:, x.shape[1] - A.shape[-1] :]), f, A, Q)
+
+
+def _quotient(fall: Array, rise: Array, down: Any, up: Any, central: bool) -> Array:
+    """The slope from what changes below and above a point; of one side where the other is not finite."""
+    forward, backward = rise / up, fall / down
     slope: Array = np.where(np.isfinite(forward), forward, backward)
     if central:
-        both = (ahead - behind) / (up - down)
+        both = (rise - fall) / (up - down)
         slope = np.where(np.isfinite(both), both, slope)
     return slope
 
@@ -123,8 +161,8 @@ def observations(model: MixedModel, record: Any, series: Series) -> Steps:
     return Steps(model.observations, model.na, series.u.T, series.t, 0.0, record)
 
 
-def tested(model: MixedModel, steps: Steps, x: Array) -> tuple[Array, Array, Array] | None:
-    """Values, A and noise covariance at x, tested as :mod:`engine.statespace.evaluation` tests calls.
+def tested(model: MixedModel, steps: Steps, x: Array) -> Values | None:
+    """Values at x (n, nx), tested as :mod:`engine.statespace.evaluation` tests calls.
 
     None where the model, or one within it, does not take rows of other times in one call; that is found out
     on a few rows and remembered.
@@ -135,6 +173,6 @@ def tested(model: MixedModel, steps: Steps, x: Array) -> tuple[Array, Array, Arr
     for n in (few, len(x)) if kind not in known else (len(x),):
         if known.get(kind, True):
             before, some = calls_split(), steps.rows(0, n)
-            f, A, Q = some.function(x[:n, : some.na], some.u, some.t, some.dt, some.record)
+            result = some.function(x[:n, : some.na], some.u, some.t, some.dt, some.record)
             known[kind] = calls_split() == before
-    return (f + through(A, x[:, steps.na :]), A, Q) if known[kind] else None
+    return _values(x, result) if known[kind] else None

@@ -25,14 +25,11 @@ from engine.data.series import Series
 from engine.kernels.trajectory import correct
 from engine.simulation.steps import Steps, deviations, sizes, tested, transitions
 from engine.statespace.model import Array, MixedModel
-from engine.statespace.shapes import through
 
 SHORTEST = 300  # rows from which on it is tried
 TOLERANCE = 1e-10  # of how far a state has moved: a correction this small ends the iterations ...
-SMALL = 1e-4  # of the same: after such a correction J is as good as new
+SMALL = 1e-3  # of the same: after such a correction J is as good as new
 FLOOR = 1e-13  # ... and of its value, which rounding is a share of
-AGREES = 1e-9  # the same, for steps that are made once more by themselves
-CHECKED = 4  # of those, spread over the record, besides extremes of the nonlinear states
 MOST_SPENT = 0.15  # of the loop's cost, counted in its steps:
 LOOK = 25.0  # what a tested call and the last check cost
 CALL, ROWS_PER_STEP = 1.2, 2000.0  # a call of few rows, and so many rows of one
@@ -70,8 +67,10 @@ def whole_record(
     X[0] = x1
     try:
         with np.errstate(all="ignore"):
-            solved = _solve(model, transitions(model, record, series), X, guess is not None)
-            return X[:solved] if _checked(model, record, series, X[:solved]) else start
+            steps = transitions(model, record, series)
+            solved = _solve(model, steps, X, guess is not None)
+            alike = steps.rows(0, solved - 1).as_alone(X[: solved - 1], X[1:solved])
+            return X[:solved] if alike else start
     except Exception:  # noqa: BLE001 - a user's function may raise anything away from the run itself
         return start
 
@@ -83,26 +82,25 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
     are worked on: a part of a long record, less where the linearised run explodes.
     """
     n, x1 = len(X) - 1, X[0].copy()
-    seen = tested(model, steps, X[:-1])
-    if seen is None:
+    at = tested(model, steps, X[:-1])
+    if at is None:
         return 1
-    F, A, Q = seen
-    moved = np.where(np.isfinite(F), np.abs(F - x1), 0.0).max(
-        axis=0
-    )  # in a step from x1, at the least
-    scale = np.tile(sizes(moved, np.abs(x1), deviations(Q)), (n + 1, 1))
-    rounding = np.zeros_like(X)
+    moved = np.where(np.isfinite(at.value), np.abs(at.value - x1), 0.0).max(axis=0)
+    scale = np.tile(sizes(moved, np.abs(x1), deviations(at.Q)), (n + 1, 1))
+    rounding, J = np.zeros_like(X), None
     longest = max(MOST_ROWS, MOST_NUMBERS // model.nx**2)
     first, last = 0, min(n, longest)
     there, solved, stuck, spent = n if guessed else last, 0, 0, LOOK
-    F, A, J = F[:last], A if A.ndim == 2 else A[:last], None
+    own = steps.rows(first, last)
+    if last < n:
+        at = own(X[first:last])
     while True:
-        part = X[first : last + 1]
-        calls = 1 if J is not None else 1 + model.na
+        part, calls = X[first : last + 1], 1
         if J is None:
-            J = steps.rows(first, last).slopes(part[:-1], F, A, scale[first:last], central=False)
+            J = own.slopes(part[:-1], at, scale[first:last], central=False)
+            calls += model.na
         right, finite, steady, most, scale[first : last + 1], rounding[first : last + 1] = correct(
-            part, F, J, x1, scale[first], rounding[first], TOLERANCE, FLOOR
+            part, at.value, J, x1, scale[first], rounding[first], TOLERANCE, FLOOR
         )
         spent += 1.0 + calls * (CALL + (last - first) / ROWS_PER_STEP)
         stuck = 0 if first + right > solved else stuck + 1
@@ -123,22 +121,7 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
             there = last
         if most > SMALL or (first, last) != before:
             J = None
-        spent += LOOK * ((first, last) != before)  # a model within a model is tested on new rows
-        F, A, _ = steps.rows(first, last)(X[first:last])
-
-
-def _checked(model: MixedModel, record: object, series: Series, X: Array) -> bool:
-    """Whether single steps, as the loop makes them, agree with those of X (n, nx)."""
-    n, na = len(X), model.na
-    if n < 2:
-        return True
-    ends = (end(X[:-1, i]) for i in range(na) for end in (np.argmin, np.argmax))
-    scale = np.abs(X - X[0]).max(axis=0)
-    times, dt = series.t.tolist(), series.dt
-    for t in {*map(int, ends), *np.linspace(0, n - 2, CHECKED).astype(int).tolist()}:
-        step = float(series.steps[t]) if dt is None else dt
-        f, A, _ = model.transition(X[t : t + 1, :na], series.u[t], times[t], step, record)
-        off = np.abs(f[0] + through(A, X[t : t + 1, na:])[0] - X[t + 1])
-        if not (off <= AGREES * scale + FLOOR * np.abs(X[t + 1])).all():
-            return False
-    return True
+        if (first, last) != before:
+            own = steps.rows(first, last)
+            spent += LOOK  # a model within a model is tested on new rows
+        at = own(X[first:last])

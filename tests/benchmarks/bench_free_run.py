@@ -41,8 +41,8 @@ from tests.engine.simulation.free_run_models import (
 )
 
 RESULTS = Path(__file__).parent / "results"
-SIZES = (500, 1000, 10_000)
-REPEATS = {500: 15, 1000: 15, 10_000: 3}
+SIZES = (500, 1000, 2000, 10_000)
+REPEATS = {500: 15, 1000: 15, 2000: 9, 10_000: 3}
 FIRST = {"mixed-4": [0.5, 0.0, 1.0, 0.0]}  # its initial mean is at rest
 
 
@@ -272,9 +272,9 @@ def main() -> None:
     text = [
         "Free runs without noise found as a whole (Newton's method on the trajectory) beside the loop over",
         "time, in turn in one run (`make bench-free-run`). Processor time on one core, medians; other programs",
-        f"used {foreign:.1f} of {cores:.0f} cores meanwhile. Ratios are medians of those of pairs. Models below",
-        "the first unstable one are left to the loop: their ratio is what trying costs. Differences of the two",
-        "trajectories as a share of what a state moves.",
+        f"used {foreign:.1f} of {cores:.0f} cores meanwhile. Ratios are medians of those of pairs. Models",
+        "below the first unstable one are left to the loop: their ratio is what trying costs. Differences",
+        "of the two trajectories as a share of what a state moves.",
         "",
     ]
     for title, lines in parts.items():
