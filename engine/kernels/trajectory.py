@@ -80,8 +80,8 @@ def correct(X, F, J, first, size, carried, tolerance, floor):
             X[t + 1, i] += d[i]
             size_here = abs(X[t + 1, i])
             s[t + 1, i] = max(s[t, i], abs(X[t + 1, i] - first[i]))
-            if d[i] != 0.0:
-                most = max(most, abs(d[i]) / s[t + 1, i])
+            if abs(d[i]) > most * s[t + 1, i]:
+                most = abs(d[i]) / s[t + 1, i]
             allowed = tolerance * s[t + 1, i] + floor * size_here
             close = close and abs(d[i]) <= allowed
             top[i] = max(top[i], size_here)

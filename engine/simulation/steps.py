@@ -62,30 +62,31 @@ class Steps:
         return _values(x, call(x[:, : self.na], self.u, self.t, self.dt, self.record))
 
     def as_alone(self, x: Array, values: Array) -> bool:
-        """Whether values (n, m) at x (n, nx) are those of single rows: the first, the last, extreme states.
+        """Whether values (n, m) at x (n, nx) are those of single rows: the last, extreme states.
 
         A function may take its rows together until a state that was not seen before.
         """
-        if not len(x):
-            return True
         ends = (end(x[:, i]) for i in range(self.na) for end in (np.argmin, np.argmax))
-        allowed = ALONE * np.abs(values - values[0]).max(axis=0)
-        for i in {0, len(x) - 1, *map(int, ends)}:
+        rows = np.array(sorted({len(x) - 1, *map(int, ends)}))
+        alone = np.empty((len(rows), values.shape[1]))
+        for k, i in enumerate(rows.tolist()):
             dt = float(self.dt[i]) if np.ndim(self.dt) else self.dt
             row = x[i : i + 1]
             own = self.function(row[:, : self.na], self.u[:, i], float(self.t[i]), dt, self.record)
-            off = np.abs(_values(row, own).value[0] - values[i])
-            if not (off <= allowed + OF_NUMBER * np.abs(values[i])).all():
-                return False
-        return True
+            alone[k] = _values(row, own).value[0]
+        return near(alone, values, rows)
 
-    def slopes(self, x: Array, at: Values, size: Array, central: bool) -> Array:
+    def slopes(
+        self, x: Array, at: Values, size: Array, central: bool, known: Array | None = None
+    ) -> Array:
         """The derivative (n, m, nx) at x: A for the linear states, differences for the others.
 
-        ``at`` are the values at x, ``size`` (n, nx) or (nx,) what each state typically moves by.
+        ``at`` are the values at x, ``size`` (n, nx) or (nx,) what each state typically moves by. ``known`` is
+        the derivative at other states of the same rows, which is overwritten.
         """
-        J = np.empty((*at.value.shape, x.shape[1]))
-        J[:, :, self.na :] = at.A
+        J = np.empty((*at.value.shape, x.shape[1])) if known is None else known
+        if known is None or at.A.ndim == 3:  # else it is common to all states
+            J[:, :, self.na :] = at.A
         share = CENTRAL if central else FORWARD
         for i in range(self.na):
             step = np.maximum(share * size[..., i], OF_VALUE * np.abs(x[:, i]))
@@ -134,6 +135,13 @@ def _quotient(fall: Array, rise: Array, down: Any, up: Any, central: bool) -> Ar
         both = (rise - fall) / (up - down)
         slope = np.where(np.isfinite(both), both, slope)
     return slope
+
+
+def near(one: Array, values: Array, rows: Any = slice(None)) -> bool:
+    """Whether values that were made otherwise agree with the ``rows`` of values (n, m)."""
+    own = values[rows]
+    allowed = ALONE * np.abs(values - values[0]).max(axis=0) + OF_NUMBER * np.abs(own)
+    return bool((np.abs(one - own) <= allowed).all())
 
 
 def sizes(moved: Array, *others: Array) -> Array:

@@ -23,7 +23,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.kernels.trajectory import correct
-from engine.simulation.steps import Steps, deviations, sizes, tested, transitions
+from engine.simulation.steps import Steps, deviations, near, sizes, tested, transitions
 from engine.statespace.model import Array, MixedModel
 
 SHORTEST = 300  # rows from which on it is tried
@@ -69,8 +69,7 @@ def whole_record(
         with np.errstate(all="ignore"):
             steps = transitions(model, record, series)
             solved = _solve(model, steps, X, guess is not None)
-            alike = steps.rows(0, solved - 1).as_alone(X[: solved - 1], X[1:solved])
-            return X[:solved] if alike else start
+            return X[:solved] if _is_run(steps.rows(0, solved - 1), X[:solved]) else start
     except Exception:  # noqa: BLE001 - a user's function may raise anything away from the run itself
         return start
 
@@ -87,7 +86,8 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
         return 1
     moved = np.where(np.isfinite(at.value), np.abs(at.value - x1), 0.0).max(axis=0)
     scale = np.tile(sizes(moved, np.abs(x1), deviations(at.Q)), (n + 1, 1))
-    rounding, J = np.zeros_like(X), None
+    rounding = np.zeros_like(X)
+    J, is_kept = None, False
     longest = max(MOST_ROWS, MOST_NUMBERS // model.nx**2)
     first, last = 0, min(n, longest)
     there, solved, stuck, spent = n if guessed else last, 0, 0, LOOK
@@ -96,8 +96,8 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
         at = own(X[first:last])
     while True:
         part, calls = X[first : last + 1], 1
-        if J is None:
-            J = own.slopes(part[:-1], at, scale[first:last], central=False)
+        if not is_kept:
+            J = own.slopes(part[:-1], at, scale[first:last], False, J)
             calls += model.na
         right, finite, steady, most, scale[first : last + 1], rounding[first : last + 1] = correct(
             part, at.value, J, x1, scale[first], rounding[first], TOLERANCE, FLOOR
@@ -119,9 +119,14 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
         if last > there:
             X[there + 1 : last + 1], scale[there + 1 : last + 1] = X[there], scale[there]
             there = last
-        if most > SMALL or (first, last) != before:
-            J = None
+        is_kept = most <= SMALL and (first, last) == before
         if (first, last) != before:
-            own = steps.rows(first, last)
+            own, J = steps.rows(first, last), None
             spent += LOOK  # a model within a model is tested on new rows
         at = own(X[first:last])
+
+
+def _is_run(steps: Steps, X: Array) -> bool:
+    """Whether steps made from X (n + 1, nx) end where it says: where F jumps a correction is never small."""
+    x, ends = X[:-1], X[1:]
+    return not len(x) or (near(steps(x).value, ends) and steps.as_alone(x, ends))

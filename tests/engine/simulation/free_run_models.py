@@ -9,7 +9,7 @@ from engine.statespace.model import Gaussian, MixedModel, Parameter
 NONE = np.zeros(0), np.zeros((0, 0))
 
 
-def _model(name, states, first, f, parameters, inputs=()):
+def small_model(name, states, first, f, parameters, inputs=()):
     """x' = f(x, u, dt, theta) without linear states; the first state is measured."""
     n = len(states)
     return MixedModel(
@@ -37,7 +37,9 @@ def pendulum():
             x[1] + dt * (0.2 * u[0] - th.k * np.sin(x[0]) - th.d * x[1]),
         ]
 
-    return _model("pendulum", ("angle", "rate"), [0.1, 0.0], f, {"k": 2.0, "d": 0.8}, ("moment",))
+    return small_model(
+        "pendulum", ("angle", "rate"), [0.1, 0.0], f, {"k": 2.0, "d": 0.8}, ("moment",)
+    )
 
 
 def van_der_pol(mu=5.0):
@@ -46,7 +48,7 @@ def van_der_pol(mu=5.0):
     def f(x, u, dt, th):
         return [x[0] + dt * x[1], x[1] + dt * (th.mu * (1.0 - x[0] ** 2) * x[1] - x[0] + u[0])]
 
-    return _model("van-der-pol", ("x", "v"), [2.0, 0.0], f, {"mu": mu}, ("force",))
+    return small_model("van-der-pol", ("x", "v"), [2.0, 0.0], f, {"mu": mu}, ("force",))
 
 
 def lorenz():
@@ -60,19 +62,19 @@ def lorenz():
             c + dt * (a * b - 8.0 / 3.0 * c),
         ]
 
-    return _model("lorenz", ("a", "b", "c"), [1.0, 1.0, 20.0], f, {"r": 28.0})
+    return small_model("lorenz", ("a", "b", "c"), [1.0, 1.0, 20.0], f, {"r": 28.0})
 
 
 def logistic(r=3.9):
     """Chaos in one state, errors doubled at every step."""
-    return _model(
+    return small_model(
         "logistic", ("x",), [0.3], lambda x, u, dt, th: [th.r * x[0] * (1.0 - x[0])], {"r": r}
     )
 
 
 def unstable(k):
     """Grows by the factor k a step, slightly nonlinear."""
-    return _model(
+    return small_model(
         "unstable",
         ("x",),
         [0.3],

@@ -21,6 +21,7 @@ from tests.engine.simulation.free_run_models import (
     logistic,
     lorenz,
     pendulum,
+    small_model,
     unstable,
     van_der_pol,
 )
@@ -92,6 +93,19 @@ def test_friction_that_sticks_and_slips():
     series = record_of(model, 2000, 0.01).replace(u=3.0 * np.sin(0.05 * np.arange(2000.0)))
     assert len(solved(model, series, {"Fc": 60.0})) == 2000
     assert_as_in_the_loop(model, series, {"Fc": 60.0})
+
+
+@pytest.mark.parametrize("force", [0.0, 0.2, 2.0])
+def test_friction_that_jumps_and_chatters(force):
+    """Coulomb's law by np.sign: around standstill each step overshoots, or stands exactly."""
+
+    def f(x, u, dt, th):
+        return [x[0] + dt * x[1], x[1] + dt * (force * u[0] - np.sign(x[1]) - 0.3 * x[0])]
+
+    model = small_model("sign", ("q", "v"), [1.0, 0.0], f, {}, ("force",))
+    series = record_of(model, dt=0.05)
+    u = np.sin(0.3 * series.t)
+    assert_as_in_the_loop(model, series.replace(u=u))
 
 
 @pytest.mark.parametrize("n", [2, 5, 299, 301, 6500])
