@@ -1,6 +1,6 @@
 """Linear recursions along a trajectory: Newton's correction of all its states, and derivatives.
 
-Both are x_{t+1} = J_t x_t + b_t with J_t = dF/dx at time t.
+Both are x_{t+1} = J_t x_t + b_t with J_t = dF/dx at time t. Before them what its differences are made of.
 """
 
 from __future__ import annotations
@@ -10,6 +10,35 @@ from numba import njit
 
 EPS = np.finfo(np.float64).eps
 NOTHING = 1e-30  # of a state's scale: what decays further is zero, as denormal numbers are slow
+
+
+@njit(cache=True, error_model="numpy")
+def displaced(x, na, i, share, of_value, size):
+    """The first na states of x (n, nx) with state i moved by share * size, and by how much it really was (n,).
+
+    At least by ``of_value`` of its value; size (n, nx). Forwards or backwards, as share is.
+    """
+    n = len(x)
+    a = np.empty((n, na))
+    up = np.empty(n)
+    for t in range(n):
+        for j in range(na):
+            a[t, j] = x[t, j]
+        step = max(abs(share) * size[t, i], of_value * abs(x[t, i]))
+        a[t, i] += step if share > 0.0 else -step
+        up[t] = a[t, i] - x[t, i]
+    return a, up
+
+
+@njit(cache=True, error_model="numpy")
+def fill_column(J, i, ahead, value, up):
+    """J[:, :, i] = (ahead - value) / up; whether all is finite. J (n, m, nx), values (n, m), up (n,)."""
+    finite = True
+    for t in range(len(up)):
+        for k in range(J.shape[1]):
+            J[t, k, i] = (ahead[t, k] - value[t, k]) / up[t]
+            finite = finite and np.isfinite(J[t, k, i])
+    return finite
 
 
 @njit(cache=True, error_model="numpy")

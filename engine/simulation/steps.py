@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from engine.data.series import Series
+from engine.kernels.trajectory import displaced, fill_column
 from engine.statespace.compare import Result
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.model import Array, MixedModel
@@ -81,7 +82,7 @@ class Steps:
     ) -> Array:
         """The derivative (n, m, nx) at x: A for the linear states, differences for the others.
 
-        ``at`` are the values at x, ``size`` (n, nx) or (nx,) what each state typically moves by. ``known`` is
+        ``at`` are the values at x, ``size`` (n, nx) what each state typically moves by. ``known`` is
         the derivative at other states of the same rows, which is overwritten.
         """
         J = np.empty((*at.value.shape, x.shape[1])) if known is None else known
@@ -89,30 +90,23 @@ class Steps:
             J[:, :, self.na :] = at.A
         share = CENTRAL if central else FORWARD
         for i in range(self.na):
-            step = np.maximum(share * size[..., i], OF_VALUE * np.abs(x[:, i]))
-            J[:, :, i] = self._slope(x, at, i, step, central)
+            up, ahead, base = self._moved(x, at, i, share, size)
+            if central or not fill_column(J, i, ahead, base, up):
+                down, behind, _ = self._moved(x, at, i, -share, size)
+                ends = behind - base, ahead - base, down[:, None], up[:, None]
+                J[:, :, i] = _quotient(*ends, central)
         return J
 
-    def _slope(self, x: Array, at: Values, i: int, step: Array, central: bool) -> Array:
-        """Difference quotients (n, m) in state i, one-sided unless ``central``."""
-        up, rise = self._moved(x, at, i, step)
-        slope: Array = rise / up
-        if central or not np.isfinite(slope).all():
-            down, fall = self._moved(x, at, i, -step)
-            slope = _quotient(fall, rise, down, up, central)
-        return slope
-
-    def _moved(self, x: Array, at: Values, i: int, step: Array) -> tuple[Array, Array]:
-        """By how much state i was really moved (n, 1), and what that changes (n, m)."""
-        moved = x.copy()
-        moved[:, i] += step
+    def _moved(
+        self, x: Array, at: Values, i: int, share: float, size: Array
+    ) -> tuple[Array, Array, Array]:
+        """By how much state i was really moved (n,); values (n, m) there and at x, without what is alike."""
+        a, up = displaced(x, self.na, i, share, OF_VALUE, size)
         call = self.function if self.split else self.function.once
-        f, A, _ = call(moved[:, : self.na], self.u, self.t, self.dt, self.record)
-        change = f - at.f
-        if A.ndim == 3 or at.A.ndim == 3:  # else it is common to all states
-            z = x[:, self.na :]
-            change += through(A, z) - through(at.A, z)
-        return (moved[:, i] - x[:, i])[:, None], change
+        f, A, _ = call(a, self.u, self.t, self.dt, self.record)
+        if A.ndim == 2 and at.A.ndim == 2:  # common to all states
+            return up, f, at.f
+        return up, f + through(A, x[:, self.na :]), at.value
 
     def slope_between(
         self, x: Array, at: Values, ends: tuple[Any, Any], down: float, up: float
