@@ -77,12 +77,12 @@ def correct(X, F, J, first, size, carried, tolerance, floor):
     most : float
         The largest |d| / s.
     s, c : (n + 1, nx)
-        The scales and what rounding errors have grown to.
+        The scales and what rounding errors have grown to, c up to the row ``right``.
 
     """
     n, nx = F.shape
     s = np.empty((n + 1, nx))
-    c = np.empty((n + 1, nx))
+    c = np.zeros((n + 1, nx))
     d = np.zeros(nx)
     e = np.zeros(nx)
     top = np.abs(X[0])
@@ -92,7 +92,7 @@ def correct(X, F, J, first, size, carried, tolerance, floor):
         c[0, i] = carried[i]
     right, finite, steady, most = n + 1, n + 1, True, 0.0
     for t in range(n):
-        close, whole = True, True
+        close, whole, calm = True, True, True
         for i in range(nx):
             x = F[t, i] - X[t + 1, i]
             for j in range(nx):
@@ -114,19 +114,22 @@ def correct(X, F, J, first, size, carried, tolerance, floor):
             allowed = tolerance * s[t + 1, i] + floor * size_here
             close = close and abs(d[i]) <= allowed
             top[i] = max(top[i], size_here)
+            if right <= t + 1:
+                continue  # of no use behind what is not right
             sign = np.uint32(sign * np.uint32(1664525) + np.uint32(1013904223))
             w = EPS * top[i] if sign >> np.uint32(31) else -EPS * top[i]
             for j in range(nx):
                 w += J[t, i, j] * c[t, j]
             c[t + 1, i] = w
-            if right > t + 1 and close and not abs(w) <= allowed:
+            calm = calm and abs(w) <= allowed
+        if right > t + 1:
+            if not close:
+                right = t + 1
+            elif not calm:
                 steady = False
-        if right > t + 1 and not close:
-            right = t + 1
     for t in range(finite, n + 1):
         X[t] = X[finite - 1]
         s[t] = s[finite - 1]
-        c[t] = c[finite - 1]
     return right, finite, steady, most, s, c
 
 
