@@ -132,9 +132,10 @@ def test_a_full_disk(spawn, catch, dead, estimation, ended, eventually):
 
 
 def test_a_disk_that_stays_full_for_the_worker(spawn, catch, long, ended):
-    service = spawn(losses_allowed=0)
+    """Its log, with what Python keeps of it until the end, is on the same disk."""
+    service = spawn({"PYTHONUNBUFFERED": ""}, losses_allowed=0)
     url, worker = catch(service, long, iterations=1)
-    limit([worker], 4096)
+    limit([worker], 1)
     job = ended(service.client, url)
     assert job["status"] == "failed"
     assert "the store could not be written (its disk may be full)" in job["message"]
