@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from engine.arrays import Array
+from engine.data.matlab import readable
 from engine.errors import SeriesError
 
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
@@ -175,11 +176,18 @@ def read_mat(data: bytes, file: str) -> Table:
 
     if data[:4] == b"\x89HDF" or data[512:516] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
         raise SeriesError(f"{file} is a MATLAB 7.3 file; save it with -v7: save('{file}', '-v7')")
+    wanted: list[str] | None = None
+    others: list[str] = []
     try:
-        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]  # stubs know paths only
+        if 0 not in data[:4]:  # which version 4 has there
+            wanted, others = readable(data)
+        stream: Any = io.BytesIO(data)
+        found = loadmat(stream, variable_names=wanted)
     except Exception as error:
         raise SeriesError(f"{file} is not a readable MATLAB file: {error}") from error
-    return _from_arrays({k: v for k, v in found.items() if not k.startswith("__")}, file)
+    table = _from_arrays({k: v for k, v in found.items() if not k.startswith("__")}, file)
+    table.ignored += [f"'{name}' is not a table of real numbers" for name in others if name]
+    return table
 
 
 def _from_arrays(found: dict[str, object], file: str) -> Table:
