@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import locale
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +15,10 @@ import numpy as np
 import pytest
 
 DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+# A shell has its background jobs ignore Ctrl-C, and the services that tests start would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
@@ -33,9 +38,10 @@ def measured_data() -> Callable[[str], Path]:
 
 def of_the_process() -> dict[str, Any]:
     """What holds for the whole process, and so for all tests that come later."""
-    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # which the service sets for its workers
-    passing = ("PYTEST_CURRENT_TEST",)
-    env = {key: value for key, value in os.environ.items() if key not in (*threads, *passing)}
+    # which the service and the studies set for their workers
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    others = ("PYTEST_CURRENT_TEST", "KMP_DUPLICATE_LIB_OK", "KMP_INIT_AT_FORK")  # scikit-learn's
+    env = {key: value for key, value in os.environ.items() if key not in (*threads, *others)}
     return {
         "environment": env,
         "folder": os.getcwd(),

@@ -3,7 +3,6 @@
 import os
 import resource
 import sys
-import time
 
 import pytest
 
@@ -61,9 +60,7 @@ def service(spawn, tmp_path):
     return spawn({"PYTHONPATH": path}, worker_memory=3 << 30, run_seconds=6.0)
 
 
-def test_good_and_broken_and_misbehaving_models(
-    service, workers, dead, ended, eventually, wait, patience
-):
+def test_good_and_broken_and_misbehaving_models(service, workers, dead, ended, eventually, wait):
     client = service.client
     models = client.get("/models").json()
     assert "valve" in {model["name"] for model in models["models"]}
@@ -95,10 +92,8 @@ def test_good_and_broken_and_misbehaving_models(
     url = client.post("/jobs", json=request).headers["location"]
     wait(client, url, lambda job: job["status"] == "running")
     (worker,) = eventually(lambda: workers(service.process.pid))
-    begin = time.monotonic()
     assert client.delete(url).json()["status"] == "dismissed"
     eventually(lambda: dead(worker))
-    assert time.monotonic() - begin < 2.0 * patience
 
     causes = client.get("/metrics").text
     assert 'rbps_failures_total{cause="computation-failed"}' in causes
