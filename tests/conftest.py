@@ -36,6 +36,16 @@ def measured_data() -> Callable[[str], Path]:
     return find
 
 
+@pytest.fixture(scope="session")
+def nile_diagnosis() -> Any:
+    """A diagnosis of the Nile's flows, which several tests look at and none changes."""
+    import engine
+    from engine.data import nile
+
+    effects = ["step", "pulse", "ramp", "latent"]
+    return engine.diagnose(engine.get_model("local-level"), nile(), effects=effects, seed=1)
+
+
 def of_the_process() -> dict[str, Any]:
     """What holds for the whole process, and so for all tests that come later."""
     # which the service and the studies set for their workers

@@ -222,6 +222,14 @@ def spawn(tmp_path: Path) -> Iterator[Callable[..., Spawned]]:
         one.log.close()
 
 
+@pytest.fixture(scope="session")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Spawned]:
+    """A service with the usual settings, for all tests that leave it without a job to compute."""
+    made = Spawned(tmp_path_factory.mktemp("running"))
+    yield made
+    made.stop()
+
+
 def parent(pid: int) -> int:
     """Of a process; 0 if it has gone."""
     try:

@@ -77,7 +77,7 @@ def numbers(found):
     ("case", "steps"),
     [
         pytest.param("two effects", 1, marks=pytest.mark.slow),
-        ("two effects", 4),
+        ("two effects", 9),
         ("outliers", 4),
         ("swallowed, bootstrap", 5),
     ],

@@ -126,6 +126,7 @@ def test_a_stranger_is_not_named_with_confidence(effects):
     assert found.verdict in (Verdict.UNKNOWN, Verdict.SET)
 
 
+@pytest.mark.slow
 def test_the_step_of_the_nile_in_1899():
     from engine.data import nile
 

@@ -62,7 +62,7 @@ def test_particles_give_the_exact_interval_within_their_stated_error(linear):
 
 def test_other_parameters_are_maximised_over():
     model = scalar_linear.MODEL
-    series = engine.simulate(model, None, 150, np.random.default_rng(1)).series
+    series = engine.simulate(model, None, 80, np.random.default_rng(1)).series
     best = quasi_ml(model, series)
     told = []
     found = engine.likelihood_intervals(model, best.theta, series, exact=True, callback=told.append)

@@ -74,8 +74,8 @@ def check_alone(text):
 
 
 @pytest.fixture(scope="module")
-def diagnosis():
-    return diagnose(LEVEL, nile(), effects=["step", "pulse", "ramp", "latent"], seed=1).to_dict()
+def diagnosis(nile_diagnosis):
+    return nile_diagnosis.to_dict()
 
 
 @pytest.fixture(scope="module")
