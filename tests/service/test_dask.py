@@ -158,6 +158,7 @@ def test_a_killed_computation_and_a_killed_service(front, attempts, estimation, 
     assert "restart" not in job["message"]
 
 
+@pytest.mark.slow
 def test_workers_that_another_service_uses_are_not_free(
     front, attempts, estimation, long, wait, ended, eventually
 ):
@@ -179,6 +180,7 @@ def test_workers_that_another_service_uses_are_not_free(
     assert job["status"] == "successful", job["message"]
 
 
+@pytest.mark.slow
 def test_members_of_a_cluster_show_certificates(
     spawn, free_ports, tmp_path, eventually, estimation, ended
 ):

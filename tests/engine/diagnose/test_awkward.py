@@ -67,7 +67,10 @@ def looked_at(series, theta=None, effects=None):
     return found
 
 
-@pytest.mark.parametrize("name", NOTHING_IN_THEM)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(one, marks=[pytest.mark.slow] * (one != "gaps")) for one in NOTHING_IN_THEM],
+)
 def test_poor_data_in_which_nothing_is_hidden(name):
     assert looked_at(NOTHING_IN_THEM[name](0)).verdict is Verdict.NOTHING
 

@@ -57,6 +57,7 @@ def found_in_turn(pair, seed):
     return any(i != j for i in first for j in second), found
 
 
+@pytest.mark.slow
 def test_friction_and_drag_are_told_apart_once_both_are_known():
     """Before drag is known Coulomb friction passes for Stribeck's; after it, it does not."""
     both, found = found_in_turn(friction, 0)

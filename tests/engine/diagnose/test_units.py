@@ -80,7 +80,7 @@ def test_at_size_zero_every_effect_leaves_the_model_as_it_is(name):
         np.testing.assert_allclose(values, base, rtol=0.0, atol=1e-6, err_msg=effect.name)
 
 
-@pytest.mark.parametrize("factor", [1e-3, 1e4])
+@pytest.mark.parametrize("factor", [1e-3, pytest.param(1e4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", MODELS)
 def test_scores_are_the_same_in_other_units(name, factor):
     model = MODELS[name]()
