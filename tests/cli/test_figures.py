@@ -110,8 +110,8 @@ def test_long_curves_are_pixels_within_an_svg(tmp_path):
 def test_without_matplotlib_the_extra_is_named(tmp_path):
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
-        "import engine, engine.presentation.plots\n"
-        "try: engine.presentation.plots.axes(1, 1, (1, 1))\n"
+        "import engine, engine.presentation.plots as plots\n"
+        "try: plots.axes(1, 1, (1, 1))\n"
         "except engine.OptionError as error: print(error)\n"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
