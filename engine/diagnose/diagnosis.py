@@ -13,7 +13,7 @@ from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
 from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.statespace.model import MixedModel, Theta
-from engine.views import Figures, figures, html, tables, view
+from engine.views import Figures, html, plots, tables, view
 from engine.words import probability, tidy
 
 
@@ -57,12 +57,12 @@ class Diagnosis:
 
     def figures(self) -> dict[str, Any]:
         """Matplotlib figures by name; needs the extra ``plot``."""
-        made: dict[str, Any] = view("diagnosis_figures").figures(self)
-        return made
+        return dict(self.plot())
 
     def plot(self) -> Figures:
         """The same as one object: ``diagnosis.plot().save("figures")``."""
-        return figures(self.figures())
+        made: Figures = plots().of_document({"diagnosis": self.to_dict()})
+        return made
 
     def _repr_html_(self) -> str:
         causes = [

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Array, BaseModel, Theta
 from engine.views import Figures, figures, html, plots, tables
@@ -72,16 +70,7 @@ class EmResult:
         ``intervals`` (n_theta, 2) are drawn as bands: ``standard_errors(...).interval()``. Needs the
         extra ``plot``.
         """
-        at = self.model.free_indices(self.free)
-        figure = plots().convergence(
-            {self.model.parameters[i].name: self.model.parameters[i].unit for i in at},
-            self.trace[:, at],
-            np.asarray(self.theta)[at],
-            self.log_likelihood,
-            self.ess,
-            None if intervals is None else intervals[at],
-        )
-        return figures(convergence=figure)
+        return figures(convergence=plots().convergence(self, intervals))
 
     def _repr_html_(self) -> str:
         rows = [

@@ -23,6 +23,7 @@ from engine.json_values import plain
 from engine.presentation.report import write_report
 from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.rb_ffbsi import rb_ffbsi
+from engine.statespace.base import BaseModel
 from engine.statespace.model import Array, MixedModel, ThetaLike
 
 
@@ -96,7 +97,7 @@ def model_document(model: MixedModel) -> dict[str, Any]:
 
 
 def estimate_document(
-    model: MixedModel,
+    model: BaseModel,
     theta: ThetaLike,
     free: Sequence[str],
     errors: StandardErrors | None,

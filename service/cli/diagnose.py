@@ -220,7 +220,7 @@ def _tell(
 ) -> None:
     """Write the files and print the page; the state goes once they are there, unless asked for by name."""
     try:
-        written = write_outputs(asked, document, [asked.data], asked.seed, found.plot)
+        written = write_outputs(asked, document, [asked.data], asked.seed)
     except OSError as error:
         kept.save()
         raise not_written(error, kept.file.again) from None

@@ -7,13 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from engine import words
 from engine.data.series import Series
-from engine.errors import ModelError
-from engine.presentation import plots
-from engine.simulation.free_run import free_run
 from engine.statespace.model import MixedModel
 from service import stages, strict_json
 from service.cli import references
@@ -172,9 +167,7 @@ def _tell(
     one_run = asked.starts == 1 and not asked.bootstrap
     more = one_run and document["outcome"] == "iterations-used-up"
     try:
-        written = write_outputs(
-            asked, document, asked.data, asked.seed, lambda: figures(job, document)
-        )
+        written = write_outputs(asked, document, asked.data, asked.seed)
     except OSError as error:
         recorder.save()
         raise not_written(error, recorder.file.again) from None
@@ -243,39 +236,3 @@ def _starts(document: dict[str, Any]) -> list[str]:
         if "log_likelihood" not in one
     ]
     return lines + lost
-
-
-def figures(job: Prepared, document: dict[str, Any]) -> plots.Figures:
-    """Convergence, smoothed states with bands, free runs against the data."""
-    model = job.model
-    estimate = document["estimate"]
-    free = [p for p in model.parameters if not estimate[p.name].get("fixed")]
-    trace = document["trace"]
-    value = np.array([estimate[p.name]["value"] for p in free])
-    error = np.array([estimate[p.name]["standard_error"] for p in free], dtype=float)
-    half = plots.TWO_SIDED * error
-    out = plots.Figures(
-        convergence=plots.convergence(
-            {p.name: p.unit for p in free},
-            np.array([trace["theta"][p.name] for p in free]).T,
-            value,
-            np.array(trace["log_likelihood"][1:], dtype=float),
-            np.array(trace["ess"][1:], dtype=float),
-            np.stack([value - half, value + half], axis=1),
-        )
-    )
-    theta = model.theta({name: one["value"] for name, one in estimate.items()})
-    smoothed = document["states"]
-    for i, (series, one) in enumerate(zip(job.series, smoothed["series"], strict=True)):
-        suffix = f"-{i + 1}" if len(job.series) > 1 else ""
-        mean, sd = (
-            np.array(list(one[key].values()), dtype=float).T
-            for key in ("mean", "standard_deviation")
-        )
-        out[f"states{suffix}"] = plots.states(series.t, smoothed["units"], mean, sd)
-        try:
-            run = free_run(model, theta, series, initial_rows=20)
-        except ModelError:
-            continue  # without measurements the model runs away: nothing to draw
-        out[f"free-run{suffix}"] = run.plot()["outputs"]
-    return out

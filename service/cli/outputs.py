@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,19 +35,19 @@ def write_outputs(
     document: dict[str, Any],
     data: Sequence[str],
     seed: int,
-    figures: Callable[[], plots.Figures],
 ) -> list[str]:
-    """Write what was asked for; the paths. ``figures`` are made where ``--plot`` asks. Raises OSError."""
+    """Write what was asked for; the paths. Raises OSError."""
     written = []
     text = strict_json.dumps(document)
+    plain = json.loads(text)
     if wanted.out:
         Path(wanted.out).write_text(text + "\n", encoding="utf-8")
         written.append(wanted.out)
     if wanted.report:
         about_run = {"data": ", ".join(Path(name).name for name in data), "seed": seed}
-        written.append(str(write_report(json.loads(text), wanted.report, about_run)))
+        written.append(str(write_report(plain, wanted.report, about_run)))
     if wanted.plot:
-        figures().save(wanted.plot)
+        plots.of_document(plain).save(wanted.plot)
         written.append(wanted.plot)
     return written
 

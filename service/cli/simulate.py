@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -81,7 +80,7 @@ def run(wanted: Wanted, as_json: bool) -> None:
     if wanted.out:
         write_series(drawn, wanted.out)
     if wanted.plot:
-        figures(model, drawn, one["states"]).save(wanted.plot)
+        plots.of_document(document).save(wanted.plot)
     if as_json:
         print(strict_json.dumps(document))
     elif wanted.out:
@@ -154,13 +153,3 @@ def _sizes(model: MixedModel, effects: Mapping[str, float], frame: Series) -> di
         out[effect.size.name] = size
         model = effect.apply(model)
     return out
-
-
-def figures(model: MixedModel, drawn: Series, states: dict[str, Any]) -> plots.Figures:
-    """Outputs and states over time."""
-    units = {**model.nonlinear, **model.linear}
-    x = np.array([states[name] for name in units]).T
-    return plots.Figures(
-        outputs=plots.states(drawn.t, model.outputs, drawn.y),
-        states=plots.states(drawn.t, units, x),
-    )

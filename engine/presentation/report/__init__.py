@@ -22,9 +22,9 @@ from engine.presentation.report.parts import (
     Report,
     Section,
     facts,
-    on_paper,
 )
 from engine.presentation.report.style import RULES, stylesheet
+from engine.presentation.report.svg import svg_element
 
 __all__ = ["RULES", "OnPage", "Report", "Section", "make_report", "report_html", "write_report"]
 
@@ -72,7 +72,7 @@ def report_html(document: Document, about: Mapping[str, object] | None = None) -
     return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
 
 
-def make_report(document: Document, draw: Drawer = on_paper) -> Report:
+def make_report(document: Document, draw: Drawer = svg_element) -> Report:
     """The report's parts; ``draw`` makes its charts."""
     if document.get("diagnosis"):
         document = document["diagnosis"]

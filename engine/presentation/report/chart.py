@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from engine.arrays import Array
 from engine.presentation.report.downsample import keep
 
-Numbers = Sequence[float | None]
+Numbers = Sequence[float | None] | Array
 POINTS = 4000  # of a chart, at most about
 TIMES = "t"  # ``sync`` of charts over time
 
@@ -32,6 +33,16 @@ class Trace:
     reach: Numbers | None = None
     width: Numbers | None = None
     dash: bool = False
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Horizontal bars: ``rows`` of (name, value, role), and a ``line`` at a value to compare with."""
+
+    title: str
+    x_label: str
+    rows: Sequence[tuple[str, float, str]]
+    line: float | None = None
 
 
 @dataclass(frozen=True)
@@ -74,19 +85,16 @@ class Chart:
             return None if values is None else [values[i] for i in rows]
 
         traces = tuple(
-            Trace(
-                t.label,
-                few(t.y) or (),
-                t.kind,
-                t.role,
-                None if t.band is None else (few(t.band[0]) or (), few(t.band[1]) or ()),
-                few(t.reach),
-                few(t.width),
-                t.dash,
+            replace(
+                t,
+                y=few(t.y) or (),
+                band=None if t.band is None else (few(t.band[0]) or (), few(t.band[1]) or ()),
+                reach=few(t.reach),
+                width=few(t.width),
             )
             for t in self.traces
         )
-        return Chart(**{**self.__dict__, "x": few(self.x), "traces": traces})
+        return replace(self, x=few(self.x) or (), traces=traces)
 
     def spec(self) -> dict[str, Any]:
         """What the page's script ``charts.js`` draws."""

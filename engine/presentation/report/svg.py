@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from engine.presentation.report.chart import Chart, Numbers, Trace
+from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
 from engine.presentation.report.html import Html, tag, text
 from engine.words import number
 
@@ -55,8 +55,10 @@ class Axis:
         return [k * step for k in range(begin, end + 1)]
 
 
-def svg_element(chart: Chart) -> Html:
+def svg_element(chart: Chart | Ranking) -> Html:
     """A figure: title, legend, and the chart; a wide one also drawn narrow, for small screens."""
+    if isinstance(chart, Ranking):
+        return _hbars(chart)
     if chart.small:
         sizes = [(SMALL, LOW, "chart-svg")]
     elif chart.wide:
@@ -82,7 +84,7 @@ def legend(chart: Chart) -> Html:
 def svg(chart: Chart, width: int, height: int, class_: str = "chart-svg") -> Html:
     """The chart alone, ``width`` by ``height`` units."""
     chart = chart.thinned(int(PIXELS * width * _columns(chart)))
-    y = _axis(_ys(chart), height - BOTTOM, TOP, "y" in chart.log, 0.06)
+    y = y_axis(chart, height - BOTTOM, TOP)
     longest = max(len(number(tick, 4)) for tick in y.ticks(_rows(height)))
     left = max(LEFT, MARGIN + LETTER * longest)
     x = _axis(_xs(chart), left, width - RIGHT, "x" in chart.log, 0.0)
@@ -106,13 +108,14 @@ def svg(chart: Chart, width: int, height: int, class_: str = "chart-svg") -> Htm
     )
 
 
-def hbars(
-    title: str, x_label: str, rows: Iterable[tuple[str, float, str]], line: float | None = None
-) -> Html:
-    """Horizontal bars (name, value, role), the longest names written in full above their bars."""
-    shown = [(name, value, role) for name, value, role in rows if math.isfinite(value)]
-    if not shown:
-        return Html("")
+def y_axis(chart: Chart, start: float, end: float) -> Axis:
+    """What of the values is seen, between two pixels."""
+    return _axis(_ys(chart), start, end, "y" in chart.log, 0.06)
+
+
+def _hbars(chart: Ranking) -> Html:
+    """Horizontal bars, the longest names written in full above them."""
+    shown, line = chart.rows, chart.line
     values = [value for _, value, _ in shown] + ([line] if line is not None else [])
     low, high = min(0.0, *values), max(0.0, *values)
     width, step, bottom = NARROW, 38, 40
@@ -133,13 +136,13 @@ def hbars(
         parts.append(_words(right + 5, top + 28, number(value), "start"))
     if line is not None:
         parts.append(_line(x(line), 2, x(line), height - bottom, "level"))
-    parts.append(_words(width / 2, height - 6, x_label, "middle"))
+    parts.append(_words(width / 2, height - 6, chart.x_label, "middle"))
     said = "; ".join(f"{name} {number(value)}" for name, value, _ in shown)
     drawn = tag(
         "svg", *parts, viewBox=f"0 0 {width} {height}", class_="chart-svg", role="img",
-        aria_label=f"{title}: {said}",
+        aria_label=f"{chart.title}: {said}",
     )  # fmt: skip
-    return tag("figure", tag("figcaption", text(title)), drawn, class_="figure")
+    return tag("figure", tag("figcaption", text(chart.title)), drawn, class_="figure")
 
 
 # ---- parts --------------------------------------------------------------------------------------
