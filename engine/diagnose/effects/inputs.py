@@ -18,17 +18,14 @@ from engine.diagnose.effects.effect import (
     on_base,
 )
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import POSITIVE, WIDEST, Kind, Setting, each_input
+from engine.diagnose.effects.setting import POSITIVE, WIDEST, Kind, Setting, at_inputs
 from engine.diagnose.effects.spare_inputs import UNIT, with_inputs
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 
 
-def input_offset(setting: Setting, channel: str) -> Effect | None:
+def _input_offset(setting: Setting, channel: str, name: str) -> Effect:
     """The system sees u + size."""
-    if channel not in setting.model.inputs:
-        return None
-    name = identifier("input_offset", channel)
     return Effect(
         "input-offset",
         channel,
@@ -42,10 +39,10 @@ def input_offset(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _input_dead_zone(setting: Setting, channel: str) -> Effect | None:
-    if channel not in setting.model.inputs:
-        return None
-    name = identifier("input_deadzone", channel)
+INPUT_OFFSET = at_inputs("input-offset", _input_offset)
+
+
+def _input_dead_zone(setting: Setting, channel: str, name: str) -> Effect:
     origin = Origin(setting, name, channel)
     bounds = setting.limits(0.0, WIDEST * setting.distance(channel, 0.7), 0.0)
 
@@ -59,23 +56,14 @@ def _input_dead_zone(setting: Setting, channel: str) -> Effect | None:
         "input",
         f"dead zone of the input {channel}",
         f"v = {origin.text(channel)} -> (|v| - {name})+ sign(v)",
-        (
-            Parameter(name, 0.0, setting.unit(channel), bounds, "half width"),
-            *origin.parameters,
-        ),
-        lambda model: change_inputs(model, channel, change),
-        probes=(origin.probe,),
+        extend=lambda model: change_inputs(model, channel, change),
         look_alikes={"coulomb": "acts on the sign of the velocity, not of the input"},
         one_sided=True,
-        held=origin.held,
-        zero=origin.name,
+        **origin.counted(Parameter(name, 0.0, setting.unit(channel), bounds, "half width")),
     )
 
 
-def _input_saturation(setting: Setting, channel: str) -> Effect | None:
-    if channel not in setting.model.inputs:
-        return None
-    name = identifier("input_saturation", channel)
+def _input_saturation(setting: Setting, channel: str, name: str) -> Effect:
     clip = Clip(setting, name, channel)
     return Effect(
         "input-saturation",
@@ -83,31 +71,23 @@ def _input_saturation(setting: Setting, channel: str) -> Effect | None:
         "input",
         f"saturation of the input {channel}",
         f"{channel} -> {channel} - {name} * {clip.text(channel)}",
-        (
-            Parameter(name, 0.0, "1", (0.0, 1.0), "share of the excess that is lost"),
-            *clip.parameters,
-        ),
-        lambda model: change_inputs(
+        extend=lambda model: change_inputs(
             model, channel, lambda u, own: u - own[0] * clip.excess(u, own)
         ),
-        probes=clip.probes,
         look_alikes={"saturation": "depends on the state, not on the input"},
         one_sided=True,
-        held=clip.held,
-        zero=clip.zero,
+        **clip.members,
     )
 
 
-def _hold(setting: Setting, channel: str) -> Effect | None:
+def _hold(setting: Setting, channel: str, name: str) -> Effect:
     """The input goes on between its samples: the step is driven by u_t + size (u_(t+1) - u_t) / 2.
 
     With g the gain of an input held over the step, x_(t+1) = F(x_t, u_t) + size g (u_(t+1) - u_t) / 2. The
     states of the extended model are x_t - size g (u_t - u_1) / 2, which needs no input of the next sample
     and is x_1 at first. The input must add to the state equation; g may depend on a slowly.
     """
-    if channel not in setting.model.inputs:
-        return None
-    name, scale, first = identifier("hold", channel), setting.size(channel), setting.first(channel)
+    scale, first = setting.size(channel), setting.first(channel)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -183,15 +163,11 @@ def _extra_input(setting: Setting, channel: str) -> Effect | None:
         "input",
         f"the channel {source}, which the model leaves out, drives {target}",
         f"{target}' = ... + dt * {name} * {origin.text(source)}",
-        (
-            Parameter(name, 0.0, setting.rate(target, unit), description="rate per unit"),
-            *origin.parameters,
-        ),
-        extend,
-        probes=(origin.probe,),
-        held=origin.held,
-        zero=origin.name,
+        extend=extend,
         look_alikes={"force": "is constant", "latent": "does not follow the channel"},
+        **origin.counted(
+            Parameter(name, 0.0, setting.rate(target, unit), description="rate per unit")
+        ),
     )
 
 
@@ -202,9 +178,9 @@ def _each_extra(setting: Setting) -> Iterator[str]:
 
 
 KINDS: list[Kind] = [
-    ("input-offset", input_offset, each_input),
-    ("input-deadzone", _input_dead_zone, each_input),
-    ("input-saturation", _input_saturation, each_input),
-    ("hold", _hold, each_input),
+    INPUT_OFFSET,
+    at_inputs("input-deadzone", _input_dead_zone),
+    at_inputs("input-saturation", _input_saturation),
+    at_inputs("hold", _hold),
     ("extra-input", _extra_input, _each_extra),
 ]
