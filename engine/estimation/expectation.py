@@ -101,10 +101,7 @@ class QFunction:
         return out
 
     def _neighbours(self, theta: Array, k: int) -> tuple[Any, Any, float]:
-        step = STEP * parameter_scale(self.model, theta, k)
-        below, above = np.array(theta), np.array(theta)
-        below[k] = max(theta[k] - step, self.model.lower[k])
-        above[k] = min(theta[k] + step, self.model.upper[k])
+        below, above = either_side(self.model, theta, k, STEP)
         return self.model.record(below), self.model.record(above), float(above[k] - below[k])
 
 
@@ -120,6 +117,15 @@ def parameter_scale(model: BaseModel, theta: Array, k: int) -> float:
         return size
     width = float(model.upper[k] - model.lower[k])
     return TYPICAL * width if np.isfinite(width) else 1.0
+
+
+def either_side(model: BaseModel, theta: Array, k: int, share: float) -> tuple[Array, Array]:
+    """Theta with parameter k less and more by a ``share`` of its size, within its bounds."""
+    step = share * parameter_scale(model, theta, k)
+    below, above = np.array(theta), np.array(theta)
+    below[k] = max(theta[k] - step, model.lower[k])
+    above[k] = min(theta[k] + step, model.upper[k])
+    return below, above
 
 
 def expectation(

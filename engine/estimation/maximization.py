@@ -57,11 +57,7 @@ def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
         if not (np.isfinite(value) and np.isfinite(g).all() and np.isfinite(H).all()):
             return theta
         x = theta[free]
-        moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
-        if not moving.any():
-            return theta
-        direction = np.zeros_like(x)
-        direction[moving] = _solve(H[np.ix_(moving, moving)], g[moving])
+        direction = scoring_step(x, g, H, lower, upper, RIDGE)
         expected = float(g @ direction)
         if not expected > GAIN:
             return theta
@@ -80,12 +76,16 @@ def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
     return theta
 
 
-def _solve(H: Array, g: Array) -> Array:
-    """H^{-1} g with H scaled to a unit diagonal and slightly ridged."""
-    scale = 1.0 / np.sqrt(np.diag(H))
-    scaled = H * scale[:, None] * scale[None, :]
-    scaled[np.diag_indices_from(scaled)] += RIDGE
-    return np.asarray(np.linalg.solve(scaled, g * scale) * scale)
+def scoring_step(x: Array, g: Array, H: Array, lower: Array, upper: Array, ridge: float) -> Array:
+    """H^{-1} g in the parameters that are not held at a bound, H scaled to a unit diagonal and ridged."""
+    moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
+    direction = np.zeros_like(x)
+    if moving.any():
+        H = H[np.ix_(moving, moving)]
+        scale = 1.0 / np.sqrt(np.diag(H))
+        scaled = H * scale[:, None] * scale[None, :] + ridge * np.eye(len(scale))
+        direction[moving] = np.linalg.solve(scaled, g[moving] * scale) * scale
+    return direction
 
 
 def _bfgs(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:

@@ -8,23 +8,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from engine.data.series import Series, as_series_list
 from engine.errors import OptionError
-from engine.estimation.e_steps import LOST_SHARE, RETRIES, EStep, Expect
+from engine.estimation.e_steps import ParticleStep
 from engine.estimation.em import Checkpoint, EmResult, scaled
 from engine.estimation.em_loop import Callback, Loop, iterate
 from engine.estimation.expectation import expectation
-from engine.estimation.general_em import general_step
+from engine.estimation.general_em import trajectory_q
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.filters.particle import ParticleFiltered, particle_filter
 from engine.filters.proposals import Proposal, get_proposal
 from engine.filters.rbpf import check_options
 from engine.smoothers.ffbsi import ffbsi
+from engine.smoothers.general import (
+    GeneralFiltered,
+    check_rows,
+    filter_general,
+    smooth_general,
+)
+from engine.smoothers.moments import Moments
 from engine.statespace.general import NonlinearModel
-from engine.statespace.model import MixedModel, Theta, ThetaLike
+from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.points import Points
 
 
@@ -56,74 +65,42 @@ def ps_em(
     the bootstrap's.
     """
     listed = as_series_list(series, model)
-    n_trajectories = n_particles if n_trajectories is None else n_trajectories
+    N = n_particles if n_trajectories is None else n_trajectories
+    check_options(n_particles, resampling, ess_threshold)
     given, likelihood = model, None
+    run: Any
+    smooth: Any
+    objective: Any
+    options: dict[str, Any] = {"resampling": resampling, "ess_threshold": ess_threshold}
     if isinstance(model, NonlinearModel):
         if proposal != "bootstrap":
             raise OptionError("a general model is filtered with proposal='bootstrap'", "proposal")
-        expect = general_step(
-            model,
-            listed,
-            n_particles,
-            n_trajectories,
-            resampling=resampling,
-            ess_threshold=ess_threshold,
-            recover=recover,
-        )
-        m_step = m_step or "bfgs"
+        check_options(N, resampling, ess_threshold)
+        for one in listed:
+            check_rows(one)
+        run, smooth = partial(filter_general, model, **options), partial(_trajectories, N)
+        objective = partial(trajectory_q, model)
     else:
+        get_proposal(proposal)
         model = scaled(model, listed, theta0, free, resume)
         likelihood = LikelihoodStep(model, listed)
-        expect = ps_step(
-            model,
-            listed,
-            n_particles,
-            n_trajectories,
-            proposal=proposal,
-            resampling=resampling,
-            ess_threshold=ess_threshold,
-            recover=recover,
-        )
-    chosen = m_step or "scoring"
+        run = partial(particle_filter, model, proposal=proposal, **options)
+        smooth, objective = partial(_draws, N), partial(expectation, model)
+    expect = ParticleStep(listed, run, smooth, objective, n_particles, recover)
+    chosen = m_step or ("scoring" if likelihood else "bfgs")
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)
     found = iterate(model, expect, loop, likelihood=likelihood)
     return replace(found, model=given)
 
 
-def ps_step(
-    model: MixedModel,
-    listed: Sequence[Series],
-    n_particles: int,
-    n_trajectories: int,
-    *,
-    proposal: str | Proposal = "bootstrap",
-    resampling: str = "multinomial",
-    ess_threshold: float = 1.0,
-    recover: bool = True,
-) -> Expect:
-    """Particle filter and FFBSi over every series; options as in :func:`ps_em`."""
-    check_options(n_particles, resampling, ess_threshold)
-    get_proposal(proposal)
+def _trajectories(
+    N: int, filtered: GeneralFiltered, series: Series, rng: np.random.Generator
+) -> tuple[Series, Array]:
+    return series, smooth_general(filtered, N, rng)
 
-    def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> ParticleFiltered:
-        for times in (1, *RETRIES) if recover else (1,):
-            filtered = particle_filter(
-                model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
-            )
-            if len(filtered.collapsed) <= LOST_SHARE * len(one):
-                break
-        return filtered
 
-    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
-        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
-        for one in listed:
-            filtered = run_filter(theta, one, rng)
-            draws = ffbsi(filtered, n_trajectories, rng)
-            smoothed.append((draws.moments, Points(model, one, draws.a)))
-            log_likelihood += filtered.log_likelihood
-            ess += float(filtered.ess.sum())
-            lost += len(filtered.collapsed)
-        n = sum(map(len, listed))
-        return EStep(expectation(model, theta, smoothed), log_likelihood, ess / n, lost / n)
-
-    return expect
+def _draws(
+    N: int, filtered: ParticleFiltered, series: Series, rng: np.random.Generator
+) -> tuple[Moments, Points]:
+    draws = ffbsi(filtered, N, rng)
+    return draws.moments, Points(filtered.model, series, draws.a)

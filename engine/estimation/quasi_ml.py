@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series, as_series_list
 from engine.errors import ModelError
-from engine.estimation.expectation import parameter_scale
+from engine.estimation.expectation import either_side, parameter_scale
+from engine.estimation.maximization import scoring_step
 from engine.filters.sigma_point import free_thetas, moment_filter
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
@@ -103,7 +104,7 @@ def quasi_ml(
     while iterations < max_iterations:
         iterations += 1
         x = theta[indices]
-        direction = _direction(x, g, H, lower, upper, damping)
+        direction = scoring_step(x, g, H, lower, upper, damping)
         expected = float(g @ direction)
         if not expected > tolerance:
             converged = True
@@ -218,10 +219,7 @@ def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tu
     thetas = [np.array(theta)]
     distances = []
     for k in indices:
-        step = DIFFERENCE * parameter_scale(model, theta, k)
-        low, high = np.array(theta), np.array(theta)
-        low[k] = max(theta[k] - step, model.lower[k])
-        high[k] = min(theta[k] + step, model.upper[k])
+        low, high = either_side(model, theta, k, DIFFERENCE)
         thetas += [low, high]
         distances.append(high[k] - low[k])
     return np.array(thetas), np.array(distances)
@@ -266,15 +264,3 @@ def whitening(S: Array, observed: NDArray[np.bool_]) -> Array:
     inverse = np.linalg.inv(np.linalg.cholesky(safe))
     out: Array = np.where(there, inverse, 0.0)
     return out
-
-
-def _direction(x: Array, g: Array, H: Array, lower: Array, upper: Array, damping: float) -> Array:
-    """A damped scoring step in the parameters that are not held at a bound."""
-    moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
-    direction = np.zeros_like(x)
-    if moving.any():
-        H = H[np.ix_(moving, moving)]
-        scale = 1.0 / np.sqrt(np.diag(H))
-        scaled = H * scale[:, None] * scale[None, :] + damping * np.eye(len(scale))
-        direction[moving] = np.linalg.solve(scaled, g[moving] * scale) * scale
-    return direction
