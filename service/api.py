@@ -66,7 +66,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
                 job.model.name[:200],
                 dump(request),
                 stages.steps(job),
-                [n for _, n in stages.plan(request)],
+                stages.plan(request),
                 request.run_seconds,
                 caller,
                 key,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,6 @@ from service.auth import Keys
 from service.prepare import load
 from service.problems import Problem
 from service.store import Store
-
-# What the tasks of each stage do, by the number of stages; see ``stages.plan``.
-_ROLES = {
-    1: ("computation",),
-    2: ("start", "choice"),
-    3: ("estimate", "bootstrap", "summary"),
-    4: ("start", "choice", "bootstrap", "summary"),
-}
 
 
 def find_job(store: Store, keys: Keys, job_id: str, caller: str) -> Any:
@@ -88,9 +79,3 @@ def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
         "message": f"Stopped after {ks[-1]} of at most {request['options']['iterations']} iterations.",
         "trace": documents.trace(list(job.model.parameter_names), ks, rows).model_dump(),
     }
-
-
-def roles(stages: Sequence[int]) -> list[str]:
-    """What each task of a job does, the tasks of later stages included."""
-    names = _ROLES[len(stages)]
-    return [name for name, n in zip(names, stages, strict=True) for _ in range(n)]

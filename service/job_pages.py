@@ -15,10 +15,11 @@ from engine.presentation.report import RULES, OnPage, Report, make_report, repor
 from service.answers import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
 from service.auth import Keys
 from service.etags import tagged
-from service.found import find_job, find_result, parameter_names, roles
+from service.found import find_job, find_result, parameter_names
 from service.openapi import JobId, problem_answers
 from service.pages import Page, prefers_html, render
 from service.problems import Problem, invalid
+from service.stages import roles
 from service.store import Store
 from service.strict_json import finite
 from service.thin import thin_results

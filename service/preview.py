@@ -15,6 +15,7 @@ from service.answers import ColumnOut, PreviewOut, TimeOut
 from service.columns import counts
 from service.problems import invalid
 from service.settings import Settings
+from service.strict_json import finite
 from service.thin import keep
 from service.uploads import check_size
 
@@ -101,12 +102,12 @@ def _column(table: Table, name: str) -> ColumnOut:
         name=name,
         rows=len(values),
         missing=int(missing.sum()),
-        minimum=_finite(there.min()) if there.size else None,
-        maximum=_finite(there.max()) if there.size else None,
+        minimum=finite(float(there.min())) if there.size else None,
+        maximum=finite(float(there.max())) if there.size else None,
         problem=problem,
         counts=counts(values),
         row=rows.tolist(),
-        value=[_finite(x) for x in values[rows]],
+        value=[finite(x) for x in values[rows].tolist()],
         gaps=gaps,
     )
 
@@ -116,7 +117,3 @@ def _gaps(missing: np.ndarray[Any, np.dtype[np.bool_]]) -> list[tuple[int, int]]
     edges = np.flatnonzero(np.diff(np.concatenate(([False], missing, [False]))))
     found = list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
     return sorted(sorted(found, key=lambda gap: gap[0] - gap[1])[:GAPS])
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -11,7 +11,7 @@ often it was interrupted, changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
+from collections.abc import MutableMapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,15 +31,27 @@ SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the
 START, BOOTSTRAP = 1 << 40, 1 << 41  # spawn keys far from those of iterations
 
 
-def plan(request: Request) -> list[tuple[str, int]]:
-    """The stages: what their tasks do, and how many tasks."""
+# What the tasks of each stage do, by the number of stages.
+ROLES = {
+    1: ("computation",),
+    2: ("start", "choice"),
+    3: ("estimate", "bootstrap", "summary"),
+    4: ("start", "choice", "bootstrap", "summary"),
+}
+
+
+def plan(request: Request) -> list[int]:
+    """How many tasks each stage has."""
     if not isinstance(request, EstimateRequest):
-        return [(request.kind, 1)]
+        return [1]
     options = request.options
-    stages = [("estimate", 1)] if options.starts == 1 else [("fit", options.starts), ("choose", 1)]
-    if options.bootstrap:
-        stages += [("resample", options.bootstrap), ("summarize", 1)]
-    return stages
+    stages = [1] if options.starts == 1 else [options.starts, 1]
+    return [*stages, options.bootstrap, 1] if options.bootstrap else stages
+
+
+def roles(stages: Sequence[int]) -> list[str]:
+    """What each task of a job does, the tasks of later stages included."""
+    return [name for name, n in zip(ROLES[len(stages)], stages, strict=True) for _ in range(n)]
 
 
 def steps(job: Prepared) -> int:
@@ -64,25 +76,21 @@ def run(
             return kinds.simulate(job, job.request, progress)
         case DiagnoseRequest():
             return diagnoses.diagnose(job, job.request, progress, kept)
-    before = first = 0
-    stages = iter(plan(job.request))
-    role, n = next(stages)
-    while task >= first + n:
-        before, first = first, first + n
-        role, n = next(stages)
-    match role:
-        case "estimate":
+    stages = plan(job.request)
+    first = sum(stages[:-2])  # of the bootstrap's tasks, where there are any
+    match roles(stages)[task]:
+        case "start":
+            return _fit(job, job.request, task, progress)
+        case "choice":
+            return _choose(job, job.request, progress)
+        case "bootstrap":
+            return _resample(job, job.request, task - first, first - 1, progress)
+        case "summary":
+            return _summarize(job, job.request, range(first, task), first - 1, progress)
+        case _:
             options = job.request.options
             found = kinds.fit(job, options, job.theta, options.seed, progress)
             return kinds.describe(job, options, found, progress)
-        case "fit":
-            return _fit(job, job.request, task, progress)
-        case "choose":
-            return _choose(job, job.request, progress)
-        case "resample":
-            return _resample(job, job.request, task - first, first - 1, progress)
-        case _:
-            return _summarize(job, job.request, range(before, first), before - 1, progress)
 
 
 def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) -> dict[str, Any]:

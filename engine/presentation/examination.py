@@ -6,7 +6,7 @@ The documents made here are those of ``GET /jobs/{id}/results`` too;
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,8 @@ from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.rb_ffbsi import rb_ffbsi
 from engine.statespace.base import BaseModel
 from engine.statespace.model import Array, MixedModel, ThetaLike
+
+AFTER_START = ("log_likelihood", "ess", "seconds")  # of a trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,24 +66,51 @@ def examine(
         )
     listed = as_series_list(series, model)
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    states = []
-    for one in listed:
-        draws = rb_ffbsi(
-            rbpf(model, found.theta, one, n_particles, rng), n_particles, rng, joint=True
-        )
-        smoothed = condition_on_trajectories(draws)
-        states.append((smoothed.mean(), smoothed.std()))
+    states = [smoothed(model, found.theta, one, n_particles, n_particles, rng) for one in listed]
     document = {
-        "model": model_document(model),
-        "estimate": estimate_document(model, found.theta, found.free, errors, intervals),
+        **estimation_document(
+            model, found.theta, found.free, listed, states, (errors, intervals), seed
+        ),
         "outcome": found.outcome.name.lower().replace("_", "-"),
         "message": found.message,
-        "warning": " ".join(one.warning for one in (errors, intervals) if one and one.warning),
-        "trace": trace_document(found),
-        "states": states_document(model, listed, states),
-        "examination": examination(model, found.theta, listed, covariance_of(model, errors), seed),
+        "trace": trace_document(model.parameter_names, vars(found)),
     }
     return Examination(plain(document))
+
+
+def smoothed(
+    model: MixedModel, theta: ThetaLike, series: Series, M: int, N: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Means and standard deviations (T, nx) of the states by M particles and N trajectories.
+
+    Given whole trajectories of a, so without Algorithm 3's lasting bias.
+    """
+    draws = rb_ffbsi(rbpf(model, theta, series, M, rng), N, rng, joint=True)
+    exact = condition_on_trajectories(draws)
+    return exact.mean(), exact.std()
+
+
+Uncertainty = tuple[StandardErrors | None, LikelihoodIntervals | None]
+
+
+def estimation_document(
+    model: MixedModel,
+    theta: ThetaLike,
+    free: Sequence[str],
+    series: Sequence[Series],
+    states: Sequence[tuple[Array, Array]],
+    uncertainty: Uncertainty,
+    seed: int,
+) -> dict[str, Any]:
+    """An estimate on the series it comes from; ``states`` are smoothed means and standard deviations."""
+    errors, intervals = uncertainty
+    return {
+        "model": model_document(model),
+        "estimate": estimate_document(model, theta, free, errors, intervals),
+        "warning": " ".join(one.warning for one in uncertainty if one and one.warning),
+        "states": states_document(model, series, states),
+        "examination": examination(model, theta, series, covariance_of(model, errors), seed),
+    }
 
 
 def model_document(model: MixedModel) -> dict[str, Any]:
@@ -127,16 +156,13 @@ def estimate_document(
     return out
 
 
-def trace_document(found: EmResult) -> dict[str, Any]:
-    """Every iteration; row 0 is the start. A log-likelihood belongs to the theta before its M step."""
-    names = found.model.parameter_names
-    return {
-        "iteration": list(range(len(found.trace))),
-        "theta": {name: found.trace[:, i].tolist() for i, name in enumerate(names)},
-        "log_likelihood": [None, *found.log_likelihood.tolist()],
-        "ess": [None, *found.ess.tolist()],
-        "seconds": [None, *found.seconds.tolist()],
-    }
+def trace_document(names: Sequence[str], found: Mapping[str, Any]) -> dict[str, Any]:
+    """Every iteration; row 0 is the start. ``found`` has the members of an :class:`engine.EmResult`."""
+    trace = np.asarray(found["trace"])
+    # a log-likelihood belongs to the theta before its M step; row 0 has none
+    after = {key: [None, *np.asarray(found[key]).tolist()] for key in AFTER_START}
+    theta = {name: trace[:, i].tolist() for i, name in enumerate(names)}
+    return {"iteration": list(range(len(trace))), "theta": theta, **after}
 
 
 def states_document(

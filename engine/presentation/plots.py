@@ -214,7 +214,10 @@ def convergence(found: EmResult, intervals: Array | None = None) -> Any:
     if intervals is not None:
         for one, ends in zip(estimate.values(), intervals, strict=True):
             one["interval"] = ends.tolist() if np.isfinite(ends).all() else None
-    document = {"estimate": estimate, "trace": trace_document(found)}
+    document = {
+        "estimate": estimate,
+        "trace": trace_document(found.model.parameter_names, vars(found)),
+    }
     return figure(_collected(convergence_figures, document), 2)
 
 

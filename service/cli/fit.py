@@ -19,7 +19,6 @@ from service.cli.outputs import check_outputs, not_written, output_path, say_wri
 from service.cli.state import Asked, Recorder
 from service.cli.state_file import StateFile, beside, keep_old, read
 from service.cli.values import free_of, theta_of
-from service.found import roles
 from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import (
@@ -131,19 +130,18 @@ def _resumable(asked: Asked) -> Iterator[list[Recorder]]:
 
 def _name_tasks(job: Prepared, recorder: Recorder) -> None:
     """Names of the tasks, as the page of a job has them."""
-    sizes = [n for _, n in stages.plan(job.request)]
+    sizes = stages.plan(job.request)
     if len(sizes) > 1:
-        parts = [roles(sizes)[sum(sizes[:i])] for i in range(len(sizes))]
         recorder.names = [
             f"{role} {i + 1} of {n}" if n > 1 else role
-            for role, n in zip(parts, sizes, strict=True)
+            for role, n in zip(stages.ROLES[len(sizes)], sizes, strict=True)
             for i in range(n)
         ]
 
 
 def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[str, Any]:
     """All tasks that are left, one after the other; what the last one leaves is the result."""
-    last = sum(n for _, n in stages.plan(job.request)) - 1
+    last = sum(stages.plan(job.request)) - 1
     shown.begin(stages.steps(job), recorder.steps)
     try:
         while True:
