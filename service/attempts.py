@@ -12,9 +12,9 @@ from typing import Any
 from sqlalchemy import and_, delete, func, insert, select, text, update
 
 from engine.statespace.model import Array
+from service.db_schema import connect, documents, iterations, jobs, tasks, turns
 from service.reserve import Reserve
 from service.strict_json import dumps, finite
-from service.tables import connect, documents, iterations, jobs, tasks, turns
 from service.transitions import (
     KEPT,
     Attempt,

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import engine
 from engine.diagnose import Diagnosis
 from engine.errors import OptionError
-from service.kinds import Progress
-from service.prepare import Prepared
+from service.computations import Progress
 from service.schemas import DiagnoseRequest
+from service.validation import Prepared
 
 STEPS = 100  # of progress
 FIT, SEARCH = 5.0, 85.0  # per cent for the base model's fit, and for all rounds of search
@@ -64,11 +64,11 @@ def diagnose(
 
 def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, Any]:
     """The result document; ``name`` with ``effects`` is the model that was diagnosed."""
-    told = found.to_dict()
-    reference = told["extension"]["model"]
+    diagnosis = found.to_dict()
+    reference = diagnosis["extension"]["model"]
     reference["name"] = name
     reference["with"] = [*effects, *reference["with"]]
-    return {"diagnosis": told, "message": found.verdict.sentence}
+    return {"diagnosis": diagnosis, "message": found.verdict.sentence}
 
 
 class Steps(Protocol):

@@ -11,12 +11,12 @@ from engine.data.files import READERS, TIME
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import Array
-from service.answers import ColumnOut, PreviewOut, TimeOut
 from service.columns import counts
+from service.downsample import keep
 from service.problems import invalid
+from service.responses import ColumnOut, PreviewOut, TimeOut
 from service.settings import Settings
 from service.strict_json import finite
-from service.thin import keep
 from service.uploads import check_size
 
 POINTS = 2000  # about so many values of each column

@@ -21,11 +21,11 @@ from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
 from engine.statespace.model import Theta
-from service import diagnoses, kinds
-from service.kinds import Progress
-from service.prepare import Prepared, Request
+from service import computations, diagnoses
+from service.computations import Progress
 from service.problems import Problem
 from service.schemas import DiagnoseRequest, EstimateRequest, SimulateRequest, SmoothRequest
+from service.validation import Prepared, Request
 
 SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
 START, BOOTSTRAP = 1 << 40, 1 << 41  # spawn keys far from those of iterations
@@ -71,9 +71,9 @@ def run(
     """
     match job.request:
         case SmoothRequest():
-            return kinds.smooth(job, job.request, progress)
+            return computations.smooth(job, job.request, progress)
         case SimulateRequest():
-            return kinds.simulate(job, job.request, progress)
+            return computations.simulate(job, job.request, progress)
         case DiagnoseRequest():
             return diagnoses.diagnose(job, job.request, progress, kept)
     stages = plan(job.request)
@@ -89,8 +89,8 @@ def run(
             return _summarize(job, job.request, range(first, task), first - 1, progress)
         case _:
             options = job.request.options
-            found = kinds.fit(job, options, job.theta, options.seed, progress)
-            return kinds.describe(job, options, found, progress)
+            found = computations.fit(job, options, job.theta, options.seed, progress)
+            return computations.describe(job, options, found, progress)
 
 
 def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) -> dict[str, Any]:
@@ -98,13 +98,15 @@ def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) ->
     options, theta0 = request.options, _start(job, request, i)
     start = {"start": theta0.asdict()}
     try:
-        found = kinds.fit(job, options, theta0, options.seed, progress)
+        found = computations.fit(job, options, theta0, options.seed, progress)
     except ModelError as error:
         return start | {"success": False, "outcome": "failed", "message": str(error)}
     if found["success"]:
         rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(START,)))
         theta = job.model.theta(found["theta"])
-        found["reached"] = kinds.log_likelihood(job, theta, options.particles, rng, options.method)
+        found["reached"] = computations.log_likelihood(
+            job, theta, options.particles, rng, options.method
+        )
     return start | found
 
 
@@ -134,7 +136,7 @@ def _choose(job: Prepared, request: EstimateRequest, progress: Progress) -> dict
             422, "no-start-succeeded", f"none of {len(found)} starts succeeded: {reasons}"
         )
     best = max(reached, key=lambda one: one["reached"]["value"])
-    result = kinds.describe(job, request.options, best, progress)
+    result = computations.describe(job, request.options, best, progress)
     names = job.model.parameter_names
     result["starts"] = [
         {"start": one["start"], "outcome": one["outcome"], "message": one["message"]}
@@ -173,7 +175,7 @@ def _resample(
         drawn.append(Series(y, series.u if model.nu else None, t=series.t))
     again = Prepared(request, model, drawn, theta, job.free)
     try:
-        found = kinds.fit(again, options, theta, options.seed + 1 + i, progress)
+        found = computations.fit(again, options, theta, options.seed + 1 + i, progress)
     except ModelError as error:
         return {"success": False, "message": str(error)}
     return {key: found[key] for key in ("theta", "success", "message")}

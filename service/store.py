@@ -1,6 +1,6 @@
 """The store: the only channel between service and workers.
 
-All SQL is here, in ``attempts`` and in ``transitions``; the tables are in ``tables``.
+All SQL is here, in ``attempts`` and in ``transitions``; the tables are in ``db_schema``.
 
 A job has one or more tasks (computations). A task that is running belongs to an attempt, named
 by a token, for as long as its heartbeat goes on. Whoever writes says which attempt it is; the
@@ -29,8 +29,8 @@ from sqlalchemy.exc import IntegrityError, OperationalError
 
 from engine.statespace.model import Array
 from service.attempts import Attempts
+from service.db_schema import documents, iterations, jobs, pulse, tasks
 from service.strict_json import dumps
-from service.tables import documents, iterations, jobs, pulse, tasks
 from service.transitions import KEPT, add, add_tasks, end, forget, locked, put, resume
 
 ENDED = ("successful", "failed", "dismissed")

@@ -10,8 +10,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, and_, delete, func, insert, select, update
 
+from service.db_schema import documents, iterations, jobs, tasks
 from service.strict_json import dumps
-from service.tables import documents, iterations, jobs, tasks
 
 KEPT = "kept-"  # names of documents that serve an attempt's successor
 

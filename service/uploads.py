@@ -20,9 +20,9 @@ from engine.data.tables import Table
 from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
 from service.columns import match
-from service.prepare import ADAPTER, Request, find_model
 from service.problems import Problem, invalid
 from service.schemas import ModelReference
+from service.validation import ADAPTER, Request, find_model
 
 SMALL = 1 << 22  # bytes that any file may hold
 

@@ -231,12 +231,12 @@ class Series:
 
 def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:
     """One series or several, each checked against the model."""
-    listed = [series] if isinstance(series, Series) else list(series)
-    if not listed:
+    all_series = [series] if isinstance(series, Series) else list(series)
+    if not all_series:
         raise SeriesError("no series was given; at least one is needed")
-    for one in listed:
+    for one in all_series:
         one.check(model)
-    return listed
+    return all_series
 
 
 def _columns(values: ArrayLike, name: str) -> Array:

@@ -59,7 +59,7 @@ class ParticleStep:
     ``smooth(filtered, series, rng)`` gives what the ``objective(theta, [...])`` needs of one series.
     """
 
-    listed: Sequence[Series]
+    all_series: Sequence[Series]
     run: Callable[..., Any]
     smooth: Callable[[Any, Series, np.random.Generator], Any]
     objective: Callable[[Theta, list[Any]], Objective]
@@ -69,7 +69,7 @@ class ParticleStep:
     def __call__(self, theta: Theta, rng: np.random.Generator) -> EStep:
         """Q(., theta) with random numbers of ``rng``."""
         smoothed, log_likelihood, ess, lost, lost_at = [], 0.0, 0.0, 0, ""
-        for i, one in enumerate(self.listed):
+        for i, one in enumerate(self.all_series):
             for times in (1, *RETRIES) if self.recover else (1,):
                 filtered = self.run(theta, one, times * self.n_particles, rng)
                 if len(filtered.collapsed) <= LOST_SHARE * len(one):
@@ -81,13 +81,13 @@ class ParticleStep:
             log_likelihood += filtered.log_likelihood
             ess += float(filtered.ess.sum())
             lost += len(filtered.collapsed)
-        n = sum(map(len, self.listed))
+        n = sum(map(len, self.all_series))
         return EStep(self.objective(theta, smoothed), log_likelihood, ess / n, lost / n, lost_at)
 
 
 def rbps_step(
     model: MixedModel,
-    listed: Sequence[Series],
+    all_series: Sequence[Series],
     n_particles: int,
     n_trajectories: int,
     *,
@@ -122,16 +122,16 @@ def rbps_step(
         "ess_threshold": ess_threshold,
     }
     run = partial(rbpf, model, **options)
-    return ParticleStep(listed, run, smooth, partial(expectation, model), n_particles, recover)
+    return ParticleStep(all_series, run, smooth, partial(expectation, model), n_particles, recover)
 
 
-def rts_step(model: MixedModel, listed: Sequence[Series]) -> Expect:
+def rts_step(model: MixedModel, all_series: Sequence[Series]) -> Expect:
     """The exact Kalman smoother over every series, for linear Gaussian models."""
     linear = as_linear(model)
 
     def expect(theta: Theta, rng: np.random.Generator) -> EStep:
         smoothed, log_likelihood = [], 0.0
-        for one in listed:
+        for one in all_series:
             k = kalman_smoother(model, theta, one)
             points = Points(linear, one, np.zeros((len(one), 1, 0)))
             moments = Moments(points.a, k.x[:, None], k.P[:, None], k.M[:, None])

@@ -59,11 +59,11 @@ def rbps_em(
     Parameters that move what has no noise are moved by :mod:`engine.estimation.likelihood_step`;
     ``message`` says so. Raises OptionError, SeriesError, ModelError.
     """
-    listed = as_series_list(series, model)
-    given, model = model, scaled(model, listed, theta0, free, resume)
+    all_series = as_series_list(series, model)
+    given, model = model, scaled(model, all_series, theta0, free, resume)
     expect = rbps_step(
         model,
-        listed,
+        all_series,
         n_particles,
         n_particles if n_trajectories is None else n_trajectories,
         proposal=proposal,
@@ -73,10 +73,10 @@ def rbps_em(
         recover=recover,
     )
     indices = model.free_indices(free)
-    ahead = WarmStart(model, listed, indices) if warm_start else None
+    start = WarmStart(model, all_series, indices) if warm_start else None
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
-    found = iterate(model, expect, loop, ahead, LikelihoodStep(model, listed))
-    note = f" {ahead.note}" if ahead is not None and ahead.note else ""
+    found = iterate(model, expect, loop, start, LikelihoodStep(model, all_series))
+    note = f" {start.note}" if start is not None and start.note else ""
     return replace(found, model=given, message=found.message + note)
 
 
@@ -96,17 +96,17 @@ def rts_em(
 
     Raises ModelError where the model is not linear Gaussian.
     """
-    listed = as_series_list(series, model)
-    given, model = model, scaled(model, listed, theta0, free, resume)
+    all_series = as_series_list(series, model)
+    given, model = model, scaled(model, all_series, theta0, free, resume)
     loop = Loop(theta0, free, n_iterations, 0, callback, resume, m_step, tolerance)
-    likelihood = LikelihoodStep(model, listed, "the exact", worth=1e-8)
-    found = iterate(model, rts_step(model, listed), loop, likelihood=likelihood)
+    likelihood = LikelihoodStep(model, all_series, "the exact", worth=1e-8)
+    found = iterate(model, rts_step(model, all_series), loop, likelihood=likelihood)
     return replace(found, model=given)
 
 
 def scaled(
     model: MixedModel,
-    listed: Sequence[Series],
+    all_series: Sequence[Series],
     theta0: ThetaLike,
     free: Sequence[str] | None,
     resume: Checkpoint | EmResult | None,
@@ -115,4 +115,4 @@ def scaled(
     start = model.theta(theta0) if resume is None else resume.trace[0]
     if np.shape(start) != (len(model.parameters),):
         return model  # a checkpoint of another model; ``iterate`` says so
-    return with_scales(model, listed, start, model.free_indices(free))
+    return with_scales(model, all_series, start, model.free_indices(free))

@@ -31,7 +31,7 @@ Callback: TypeAlias = Callable[[Iteration], Any]
 
 @dataclass(frozen=True)
 class Loop:
-    """What every EM is told: where it starts, what it moves, when it ends, who looks on.
+    """The options of every EM: start, free parameters, when it ends, and who sees each iteration.
 
     Fields as in :func:`engine.estimation.em.rbps_em`; ``resume`` comes before ``theta0``.
     """
@@ -50,12 +50,12 @@ def iterate(
     model: BaseModel,
     expect: Expect,
     loop: Loop,
-    ahead: Callable[[Theta], Theta | None] | None = None,
+    better_start: Callable[[Theta], Theta | None] | None = None,
     likelihood: LikelihoodStep | None = None,
 ) -> EmResult:
     """Algorithm 1 of the paper: E step, M step, settled?
 
-    ``ahead`` may name a point from which the first iteration leaves if that is far more likely;
+    ``better_start`` may name a point from which the first iteration leaves if that is far more likely;
     ``likelihood`` moves the parameters to which the Q-function is no guide.
     """
     n = loop.n_iterations
@@ -63,7 +63,7 @@ def iterate(
         raise OptionError(f"n_iterations = {n}; a positive whole number is needed", "n_iterations")
     indices = model.free_indices(loop.free)
     log = _Log(model, loop)
-    steps = _Steps(expect, indices, loop, ahead, likelihood)
+    steps = _Steps(expect, indices, loop, better_start, likelihood)
     outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
@@ -99,7 +99,7 @@ class _Expected:
 
 @dataclass(frozen=True, eq=False)
 class _Maximized:
-    """Theta_k and the E step before it; what the M step left from, and how it went."""
+    """theta_k with the E step before it, the point that the M step left from, and how it went."""
 
     theta: Theta
     seen: EStep
@@ -126,15 +126,17 @@ class _Steps:
     expect: Expect
     indices: NDArray[np.intp]
     loop: Loop
-    ahead: Callable[[Theta], Theta | None] | None
+    better_start: Callable[[Theta], Theta | None] | None
     likelihood: LikelihoodStep | None
 
     def e_step(self, k: int, theta: Theta) -> _Expected:
         """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point."""
         rng = np.random.default_rng(np.random.SeedSequence(self.loop.seed, spawn_key=(k,)))
         seen = self.expect(theta, rng)
-        if k == 1 and self.ahead is not None:
-            return _Expected(seen, *_more_likely(self.expect, self.ahead(theta), theta, seen, rng))
+        if k == 1 and self.better_start is not None:
+            return _Expected(
+                seen, *_more_likely(self.expect, self.better_start(theta), theta, seen, rng)
+            )
         return _Expected(seen, theta, seen)
 
     def m_step(self, expected: _Expected) -> _Maximized:

@@ -32,7 +32,7 @@ class LikelihoodStep:
     """
 
     model: MixedModel
-    listed: Sequence[Series]
+    all_series: Sequence[Series]
     whose: str = "the moment filter's"
     worth: float = 1e-4
 
@@ -43,7 +43,7 @@ class LikelihoodStep:
         """
         names = [self.model.parameter_names[k] for k in indices]
         try:
-            found = quasi_ml(self.model, self.listed, theta, names, STEPS, self.worth)
+            found = quasi_ml(self.model, self.all_series, theta, names, STEPS, self.worth)
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)
@@ -51,7 +51,7 @@ class LikelihoodStep:
     def score(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Array, Array]:
         """Gradient (n,) and information (n, n) in the parameters ``indices``. Raises ModelError."""
         value, gradient, information = derivatives(
-            self.model, self.listed, np.asarray(theta), indices
+            self.model, self.all_series, np.asarray(theta), indices
         )
         if not np.isfinite(value):
             names = ", ".join(self.model.parameter_names[k] for k in indices)

@@ -64,7 +64,7 @@ def ps_em(
     "scoring" by default for mixed models, "bfgs" for general ones, which know no ``proposal`` but
     the bootstrap's.
     """
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     N = n_particles if n_trajectories is None else n_trajectories
     check_options(n_particles, resampling, ess_threshold)
     given, likelihood = model, None
@@ -76,17 +76,17 @@ def ps_em(
         if proposal != "bootstrap":
             raise OptionError("a general model is filtered with proposal='bootstrap'", "proposal")
         check_options(N, resampling, ess_threshold)
-        for one in listed:
+        for one in all_series:
             check_rows(one)
         run, smooth = partial(filter_general, model, **options), partial(_trajectories, N)
         objective = partial(trajectory_q, model)
     else:
         get_proposal(proposal)
-        model = scaled(model, listed, theta0, free, resume)
-        likelihood = LikelihoodStep(model, listed)
+        model = scaled(model, all_series, theta0, free, resume)
+        likelihood = LikelihoodStep(model, all_series)
         run = partial(particle_filter, model, proposal=proposal, **options)
         smooth, objective = partial(_draws, N), partial(expectation, model)
-    expect = ParticleStep(listed, run, smooth, objective, n_particles, recover)
+    expect = ParticleStep(all_series, run, smooth, objective, n_particles, recover)
     chosen = m_step or ("scoring" if likelihood else "bfgs")
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)
     found = iterate(model, expect, loop, likelihood=likelihood)

@@ -87,15 +87,15 @@ def quasi_ml(
     where even twice what is expected would not reach ``target``; then ``given_up`` is True.
     Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     theta = np.asarray(model.theta(theta0))
     indices = model.free_indices(free)
-    for one in listed:
+    for one in all_series:
         check_start(model, theta, one)
-    given, model = model, with_scales(model, listed, theta, indices)
+    given, model = model, with_scales(model, all_series, theta, indices)
     names = tuple(model.parameter_names[i] for i in indices)
     lower, upper = model.lower[indices], model.upper[indices]
-    value, g, H = derivatives(model, listed, theta, indices)
+    value, g, H = derivatives(model, all_series, theta, indices)
     if not np.isfinite(value):
         raise ModelError(
             f"model '{model.name}': the likelihood is not finite at the start values; choose others"
@@ -112,7 +112,7 @@ def quasi_ml(
         if iterations > PATIENCE and value + expected < target:
             given_up = True
             break
-        moved, there = _step(model, listed, theta, indices, direction, value, expected)
+        moved, there = _step(model, all_series, theta, indices, direction, value, expected)
         if moved is None:
             if damping > 1.0:
                 break
@@ -139,7 +139,7 @@ def quasi_ml(
 
 
 def with_scales(
-    model: MixedModel, listed: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+    model: MixedModel, all_series: Sequence[Series], theta: Array, indices: NDArray[np.intp]
 ) -> MixedModel:
     """The model with a ``scale`` for each parameter of ``indices`` whose default is 0 and that has none.
 
@@ -149,15 +149,17 @@ def with_scales(
     parameters = list(model.parameters)
     unknown = [k for k in indices if parameters[k].default == parameters[k].scale == 0.0]
     for k in unknown:
-        scale = abs(float(theta[k])) or _informed_scale(model, listed, np.asarray(theta), int(k))
+        scale = abs(float(theta[k])) or _informed_scale(
+            model, all_series, np.asarray(theta), int(k)
+        )
         scale = scale or parameter_scale(model, theta, k)
         parameters[k] = replace(parameters[k], scale=scale)
     return model.with_parameters(parameters) if unknown else model
 
 
-def _informed_scale(model: MixedModel, listed: Sequence[Series], theta: Array, k: int) -> float:
+def _informed_scale(model: MixedModel, all_series: Sequence[Series], theta: Array, k: int) -> float:
     """1 / sqrt(information of one reading) on parameter k; 0 where there is none."""
-    scale, n = 1.0, sum(int(one.observed.sum()) for one in listed)
+    scale, n = 1.0, sum(int(one.observed.sum()) for one in all_series)
     for _ in range(
         TRIALS
     ):  # differences over steps of a wrong size are lost in rounding, or too long
@@ -165,7 +167,7 @@ def _informed_scale(model: MixedModel, listed: Sequence[Series], theta: Array, k
         parameters[k] = replace(parameters[k], scale=scale)
         tried = model.with_parameters(parameters)
         try:
-            value, _, H = derivatives(tried, listed, theta, np.array([k]))
+            value, _, H = derivatives(tried, all_series, theta, np.array([k]))
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return 0.0
         if not np.isfinite(value):
@@ -180,7 +182,7 @@ def _informed_scale(model: MixedModel, listed: Sequence[Series], theta: Array, k
 
 def _step(
     model: MixedModel,
-    listed: Sequence[Series],
+    all_series: Sequence[Series],
     theta: Array,
     indices: NDArray[np.intp],
     direction: Array,
@@ -195,22 +197,22 @@ def _step(
     lower, upper = model.lower[indices], model.upper[indices]
     trials = np.clip(theta[indices] + TRIES[:, None] * direction, lower, upper)
     moved = free_thetas(theta, indices, trials[:1])[0]
-    there = derivatives(model, listed, moved, indices)
+    there = derivatives(model, all_series, moved, indices)
     if there[0] > value + GOOD * expected:
         return moved, there
-    values = log_likelihoods(model, listed, free_thetas(theta, indices, trials[1:]))
+    values = log_likelihoods(model, all_series, free_thetas(theta, indices, trials[1:]))
     best = 1 + int(np.argmax(values))
     if there[0] > value and not values[best - 1] > there[0]:
         return moved, there
     if not values[best - 1] > value:
         return None, there
     moved = free_thetas(theta, indices, trials[best : best + 1])[0]
-    return moved, derivatives(model, listed, moved, indices)
+    return moved, derivatives(model, all_series, moved, indices)
 
 
-def log_likelihoods(model: MixedModel, listed: Sequence[Series], thetas: Array) -> Array:
+def log_likelihoods(model: MixedModel, all_series: Sequence[Series], thetas: Array) -> Array:
     """Log-likelihood of all series together at each of the parameter vectors (K, n_theta)."""
-    each = [moment_filter(model, thetas, one).log_likelihood for one in listed]
+    each = [moment_filter(model, thetas, one).log_likelihood for one in all_series]
     return np.asarray(np.sum(each, axis=0))
 
 
@@ -226,13 +228,13 @@ def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tu
 
 
 def derivatives(
-    model: MixedModel, listed: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+    model: MixedModel, all_series: Sequence[Series], theta: Array, indices: NDArray[np.intp]
 ) -> tuple[float, Array, Array]:
     """Log-likelihood, gradient (n,) and information (n, n) in the free parameters."""
     thetas, distances = neighbours(model, theta, indices)
     n = len(indices)
     value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
-    for one in listed:
+    for one in all_series:
         f = moment_filter(model, thetas, one)
         total = f.log_likelihood
         value += float(total[0])

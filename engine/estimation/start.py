@@ -31,15 +31,15 @@ class WarmStart:
     """:func:`moment_maximum` for a theta; ``note`` says why where it found nothing."""
 
     def __init__(
-        self, model: MixedModel, listed: Sequence[Series], indices: NDArray[np.intp]
+        self, model: MixedModel, all_series: Sequence[Series], indices: NDArray[np.intp]
     ) -> None:
-        self.model, self.listed, self.indices = model, listed, indices
+        self.model, self.all_series, self.indices = model, all_series, indices
         self.note = ""
 
     def __call__(self, theta: Theta) -> Theta | None:
         """The most likely parameters found, or None with a ``note``."""
         try:
-            return moment_maximum(self.model, self.listed, self.indices, theta)
+            return moment_maximum(self.model, self.all_series, self.indices, theta)
         except (ModelError, np.linalg.LinAlgError) as error:
             self.note = (
                 f"EM left from the start values; no better start could be looked for: {error}"
@@ -48,28 +48,28 @@ class WarmStart:
 
 
 def moment_maximum(
-    model: MixedModel, listed: Sequence[Series], indices: NDArray[np.intp], theta: Theta
+    model: MixedModel, all_series: Sequence[Series], indices: NDArray[np.intp], theta: Theta
 ) -> Theta:
     """The most likely parameters found. Raises ModelError where the moment filter cannot follow the model.
 
     Deterministic: the candidates are always the same for the same start.
     """
-    listed = [_head(series) for series in listed]
+    all_series = [_head(series) for series in all_series]
     names = [model.parameter_names[k] for k in indices]
     candidates = free_thetas(theta, indices, _around(model, theta, indices))
-    values = log_likelihoods(model, listed, candidates)
+    values = log_likelihoods(model, all_series, candidates)
     order = np.argsort(values)[::-1]
     found = []
     lost: Exception | None = None
     for start in (np.asarray(theta), *candidates[order[:BEST]]):
         try:
-            found.append(quasi_ml(model, listed, start, names, SHORT))
+            found.append(quasi_ml(model, all_series, start, names, SHORT))
         except (ModelError, np.linalg.LinAlgError) as error:
             lost = lost or error
     if not found and lost is not None:
         raise lost
     best = max(found, key=lambda fit: fit.log_likelihood)
-    return best.theta if best.converged else quasi_ml(model, listed, best.theta, names).theta
+    return best.theta if best.converged else quasi_ml(model, all_series, best.theta, names).theta
 
 
 def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array:

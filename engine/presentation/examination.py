@@ -64,12 +64,14 @@ def examine(
         raise ModelError(
             f"model '{model.name}' is no mixed model; there is nothing to smooth it by"
         )
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    states = [smoothed(model, found.theta, one, n_particles, n_particles, rng) for one in listed]
+    states = [
+        smoothed(model, found.theta, one, n_particles, n_particles, rng) for one in all_series
+    ]
     document = {
         **estimation_document(
-            model, found.theta, found.free, listed, states, (errors, intervals), seed
+            model, found.theta, found.free, all_series, states, (errors, intervals), seed
         ),
         "outcome": found.outcome.name.lower().replace("_", "-"),
         "message": found.message,

@@ -88,7 +88,7 @@ class NonlinearModel(BaseModel):
     def transition(
         self, x: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array | None]:
-        """F (K, nx) and g, of which None stands for the unit matrix."""
+        """f (K, nx) and g, of which None stands for the unit matrix."""
         f, g = self.transitions(x, u, t, dt, theta)
         return f, g
 

@@ -195,12 +195,12 @@ class MixedModel(BaseModel):
     def transition(
         self, a: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array, Array]:
-        """F (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
+        """f (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
         f, A, Q = self.transitions(a, u, t, dt, theta)
         return f, A, Q
 
     def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
-        """H (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
+        """h (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
         h, C, R = self.observations(a, u, t, 0.0, theta)
         return h, C, R
 

@@ -1,4 +1,4 @@
-"""``rbps diagnose``: what a model leaves out, told, and kept until then so that it can be gone on with."""
+"""``rbps diagnose``: find out what a model leaves out; what is finished is kept for a resumed run."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ def _tell(
     kept: Kept,
     as_json: bool,
 ) -> None:
-    """Write the files and print the page; the state goes once they are there, unless asked for by name."""
+    """Write the files and print the page; then the state is removed, unless --state named it."""
     try:
         written = write_outputs(asked, document, [asked.data], asked.seed)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What an estimation and a diagnosis are both told: the model, its parameters, where the data are."""
+"""The options that an estimation and a diagnosis share: the model, its parameters, where the data are."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Experiment(Sealed):
     keep: bool = False  # the state file, when there is nothing to go on with any more
 
 
-def told(
+def parsed(
     model: str,
     effects: list[str],
     values: Sequence[str],

@@ -115,11 +115,11 @@ def _assigned(
 def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns: Columns) -> str:
     every = f"every {series.dt:g} s" if series.dt is not None else "at irregular times"
     channels = [*series.y_names, *series.u_names]
-    told = [
+    channels_read = [
         channel if channel == column else f"{channel} from column {column}"
         for channel, column in zip(channels, read, strict=True)
     ]
-    text = f"{path.name}: {len(series)} samples {every}; {', '.join(told)}"
+    text = f"{path.name}: {len(series)} samples {every}; {', '.join(channels_read)}"
     missing = int((~series.observed).sum())
     text += f"; {missing} missing" if missing else ""
     clock = columns.time or columns.dt or table.dt or any(map(TIME.fullmatch, table.groups))

@@ -1,4 +1,4 @@
-"""``rbps fit``: estimate, tell, and leave what a resumed run needs."""
+"""``rbps fit``: estimate, print the estimate, and keep the state that a resumed run needs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from service.cli.outputs import check_outputs, not_written, output_path, say_wri
 from service.cli.state import Asked, Recorder
 from service.cli.state_file import StateFile, beside, keep_old, read
 from service.cli.values import free_of, theta_of
-from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import (
     EstimateOptions,
@@ -27,6 +26,7 @@ from service.schemas import (
     EstimateRequest,
     ModelReference,
 )
+from service.validation import Prepared
 
 
 def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
@@ -161,7 +161,7 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
 def _tell(
     job: Prepared, asked: Asked, document: dict[str, Any], recorder: Recorder, as_json: bool
 ) -> None:
-    """Write the files and print the estimate; a state that is of no more use goes once they are there."""
+    """Write the files and print the estimate; then remove a state that nothing can be resumed from."""
     one_run = asked.starts == 1 and not asked.bootstrap
     more = one_run and document["outcome"] == "iterations-used-up"
     try:

@@ -12,7 +12,7 @@ from engine.statespace.model import MixedModel
 from engine.words import number, tidy
 from service import strict_json
 from service.cli.references import model_of, with_effects
-from service.documents import members
+from service.serializers import members
 
 
 def show_all(as_json: bool) -> None:

@@ -14,14 +14,14 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.presentation import plots
 from engine.statespace.model import Array, MixedModel
-from service import kinds, strict_json
+from service import computations, strict_json
 from service.cli import references
 from service.cli.ending import wrong
 from service.cli.files import Columns, inputs_of
 from service.cli.outputs import figure_folder, output_path
 from service.cli.values import about
-from service.prepare import Prepared
 from service.schemas import ModelReference, SimulateOptions, SimulateRequest
+from service.validation import Prepared
 
 SHAPES = ("steps", "square", "sine")
 
@@ -44,7 +44,7 @@ class Wanted:
 
 
 class Steps:
-    """The part of ``kinds.Progress`` that a simulation uses; it takes no time to speak of."""
+    """The part of ``computations.Progress`` that a simulation uses; it takes no time to speak of."""
 
     def step(self, k: int, message: str = "") -> None:
         """Nothing to show."""
@@ -68,7 +68,7 @@ def run(wanted: Wanted, as_json: bool) -> None:
         ),
     )
     job = Prepared(request, model, [frame], theta)
-    document = kinds.simulate(job, request, Steps())  # type: ignore[arg-type]  # told steps only
+    document = computations.simulate(job, request, Steps())  # type: ignore[arg-type]  # told steps only
     one = document["simulation"]["series"][0]
     drawn = Series(
         np.array([one["y"][name] for name in model.outputs]).T,

@@ -39,7 +39,7 @@ class Asked(Experiment):
 
 
 class Recorder:
-    """``kinds.Progress`` on a state file and a meter; rows are (theta..., log-likelihood, ess, ...)."""
+    """``computations.Progress`` on a state file and a meter; rows are (theta..., log-likelihood, ess, ...)."""
 
     def __init__(
         self,

@@ -19,10 +19,10 @@ from engine import words
 from engine.data import nile
 from engine.data.files import read_series, write_series
 from service import stages
+from service.computations import simulate as simulated_by_the_service
 from service.examples import EXAMPLES
-from service.kinds import simulate as simulated_by_the_service
-from service.prepare import load
 from service.strict_json import dumps
+from service.validation import load
 from tests.cli.conftest import RBPS
 
 QUICK = ("-n", "3", "--no-standard-errors")

@@ -10,7 +10,7 @@ from engine.data import nile
 from engine.diagnose import extend
 from service import diagnoses
 from service.diagnoses import Percent
-from service.prepare import load
+from service.validation import load
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import re
 import pytest
 
 from service.auth import digest_of
+from service.downsample import thin_results
 from service.stages import plan, roles
-from service.thin import thin_results
 
 BROWSER = "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"
 
@@ -167,7 +167,7 @@ START, CHOICE, DRAW, SUMMARY = "start", "choice", "bootstrap", "summary"
     ],
 )
 def test_roles_are_those_of_the_plan(estimation, starts, bootstrap, expected):
-    from service.prepare import load
+    from service.validation import load
 
     request = load(estimation(starts=starts, bootstrap=bootstrap)).request
     assert roles(plan(request)) == expected

@@ -10,8 +10,8 @@ import pytest
 from service import stages
 from service.attempt import StoredParts
 from service.clocks import Silence
-from service.prepare import load
 from service.store import KeyReused, QueueFull, Store
+from service.validation import load
 
 
 def test_an_attempt_that_lost_its_task_cannot_write(store):

@@ -93,7 +93,7 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect:
         split = Split(model)
         index, na = list(model.inputs).index(channel), model.na
 
-        def ahead(a: Array, u: Any, t: Any, record: Any, own: Any) -> Array:
+        def shift_of(a: Array, u: Any, t: Any, record: Any, own: Any) -> Array:
             """size g (u_t - u_1) / 2, (M, nx)."""
             more = list(u)
             more[index] = u[index] + scale
@@ -103,13 +103,13 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect:
 
         def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
             record, own = split(theta)
-            shift = ahead(a, u, t, record, own)
+            shift = shift_of(a, u, t, record, own)
             f, A, Q = model.transition(a + shift[:, :na], u, t, dt, record)
             return f + np.einsum("...ij,...j->...i", A, shift[:, na:]) - shift, A, Q
 
         def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
             record, own = split(theta)
-            shift = ahead(a, u, t, record, own)
+            shift = shift_of(a, u, t, record, own)
             h, C, R = model.observation(a + shift[:, :na], u, t, record)
             return h + np.einsum("...ij,...j->...i", C, shift[:, na:]), C, R
 

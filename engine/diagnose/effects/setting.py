@@ -120,8 +120,8 @@ class Setting:
         """Zeros that are declared, or that the model tells: of a rate, where what it moves stands still."""
         if self.zeros is not None:
             return self.zeros
-        told = {name: rate.zero for name, rate in self._rates.items() if rate.zero is not None}
-        return {**told, **self.model.reference}
+        derived = {name: rate.zero for name, rate in self._rates.items() if rate.zero is not None}
+        return {**derived, **self.model.reference}
 
     def zero(self, channel: str) -> float:
         """The channel's zero in its unit: declared, derived from the model, else 0 of the unit."""

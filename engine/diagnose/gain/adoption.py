@@ -13,7 +13,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from engine.diagnose.gain.simulation_gain import OutputGain
-from engine.words import listed, number, percent, probability, with_unit
+from engine.words import enumerated, number, percent, probability, with_unit
 
 if TYPE_CHECKING:
     from engine.diagnose.gain.gain import Gain
@@ -51,9 +51,9 @@ def decide(
 
 def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
     """Outputs whose free run is significantly better, and those where it is significantly worse."""
-    told = [o for o in outputs if abs(o.difference) > MATTERS_RUN * o.rmse_before]
-    better = [o for o in told if o.interval_difference[1] < 0.0]
-    return better, [o for o in told if o.interval_difference[0] > 0.0]
+    changed = [o for o in outputs if abs(o.difference) > MATTERS_RUN * o.rmse_before]
+    better = [o for o in changed if o.interval_difference[1] < 0.0]
+    return better, [o for o in changed if o.interval_difference[0] > 0.0]
 
 
 def in_short(gain: Gain) -> str:
@@ -72,22 +72,20 @@ def in_full(gain: Gain) -> str:
     if gain.decision is Decision.LOSES:
         better = _names(runs_changed(gain.outputs)[0])
         but = f"; its free run of {better} is better" if better else ""
-        return (
-            f"Not adopted, as it loses on data that it has not seen: {listed(_losses(gain))}{but}."
-        )
+        return f"Not adopted, as it loses on data that it has not seen: {enumerated(_losses(gain))}{but}."
     if gain.decision is Decision.NO_EVIDENCE:
         return (
             "Not adopted for want of evidence: on data that it has not seen, "
             f"{_one_step(gain)}, and no free run is significantly better."
         )
-    ahead = gain.p_value <= LEVEL
-    reasons = [f"one step ahead ({probability(gain.p_value)})"] if ahead else []
+    predicts = gain.p_value <= LEVEL
+    reasons = [f"one step ahead ({probability(gain.p_value)})"] if predicts else []
     reasons += [
         f"in free run of {o.output} ({percent(1.0 - o.rmse_after / o.rmse_before)} of the error gone)"
         for o in runs_changed(gain.outputs)[0]
     ]
-    but = "" if ahead else f"; {_one_step(gain)}"
-    return f"Adopted: on data that it has not seen it does significantly better {listed(reasons)}{but}."
+    but = "" if predicts else f"; {_one_step(gain)}"
+    return f"Adopted: on data that it has not seen it does significantly better {enumerated(reasons)}{but}."
 
 
 def _one_step(gain: Gain) -> str:
@@ -114,4 +112,4 @@ def _losses(gain: Gain) -> list[str]:
 
 
 def _names(outputs: Sequence[OutputGain]) -> str:
-    return listed([o.output for o in outputs])
+    return enumerated([o.output for o in outputs])

@@ -29,7 +29,7 @@ from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array
-from engine.words import listed
+from engine.words import enumerated
 
 BLOCKS, EVERY = 25, 5  # of interleaved blocks
 FOLDS_BELOW = 500  # rows: where fewer, each block is left out in turn
@@ -203,7 +203,7 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     worse = [o.output for o in runs_changed(outputs)[1]]
     if worse and p_gain > LEVEL:
         notes.append(
-            f"The extended model simulates {listed(worse)} worse, and does not clearly predict better: it "
+            f"The extended model simulates {enumerated(worse)} worse, and does not clearly predict better: it "
             "explains the data as noise and not by a cause."
         )
     return Gain(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
 from engine.statespace.model import Array, MixedModel
-from engine.words import listed, number, percent, with_unit
+from engine.words import enumerated, number, percent, with_unit
 
 SHORT = 100  # samples; and ten per parameter
 OUTLIER = 6.0  # robust standard deviations
@@ -90,7 +90,7 @@ def _held(name: str, unit: str, y: Array, u: Array) -> list[str]:
     Readings that rest while all inputs rest are neither.
     """
     cut = [text for sign in (1.0, -1.0) for text in _cut(sign, unit, y)]
-    clipped = [f"Output {name} looks clipped: {listed(cut)}."] if cut else []
+    clipped = [f"Output {name} looks clipped: {enumerated(cut)}."] if cut else []
     same = np.concatenate([[False], np.diff(y) == 0.0])
     start, length = _longest(same)
     if length + 1 < max(20, 0.05 * len(y)) or (cut and y[start] in (np.nanmin(y), np.nanmax(y))):

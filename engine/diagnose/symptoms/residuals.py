@@ -91,5 +91,5 @@ def auxiliary(path: MomentPath, series: Series) -> tuple[Array, Array]:
 
 
 def _over_root(value: Array, variance: Array) -> Array:
-    told = variance > 0.0
-    return np.where(told, value / np.sqrt(np.where(told, variance, 1.0)), np.nan)
+    known = variance > 0.0
+    return np.where(known, value / np.sqrt(np.where(known, variance, 1.0)), np.nan)

@@ -119,9 +119,9 @@ def likelihood_intervals(
             errors = standard_errors(
                 model, theta, series, free, n_particles, n_trajectories, seed=seed, exact=exact
             )
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     indices = np.array([model.index(name) for name in errors.names], dtype=np.intp)
-    score = Score.of(model, theta, listed, indices, n_particles, n_trajectories, exact)
+    score = Score.of(model, theta, all_series, indices, n_particles, n_trajectories, exact)
     seeds = np.random.SeedSequence(seed, spawn_key=(1,))
     march = _March(score, errors.covariance, 1 if exact else replicates, seeds)
     fall = 0.5 * float(chi2.ppf(level, 1))
@@ -201,17 +201,17 @@ class _March:
             if room < NEAR * sd:
                 break
             length = min(step, 0.9 * room)  # at a bound a variance may be zero
-            there, ahead, direction = self._at(k, x + sign * length * v)
-            fallen = _fallen([*at, there[k]], [*slopes, float(ahead.mean())])
+            there, slope_there, direction = self._at(k, x + sign * length * v)
+            fallen = _fallen([*at, there[k]], [*slopes, float(slope_there.mean())])
             if fallen > fall + OVERSHOOT and halvings < HALVINGS:
                 step, halvings = 0.5 * length, halvings + 1
                 continue
-            out.append((float(there[k]), ahead))
+            out.append((float(there[k]), slope_there))
             if fallen > fall + BEYOND:
                 return out, float(there[k])
             x, v = there, direction
             at.append(x[k])
-            slopes.append(float(ahead.mean()))
+            slopes.append(float(slope_there.mean()))
             step *= GROWTH
         return out, float(bound)
 

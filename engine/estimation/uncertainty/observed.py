@@ -131,9 +131,9 @@ def standard_errors(
         found, theta = theta, theta.theta
         free = free or [name for name in found.free if name not in found.not_estimated]
     theta = model.theta(theta)
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     every = Score.of(
-        model, theta, listed, model.free_indices(free), n_particles, n_trajectories, exact
+        model, theta, all_series, model.free_indices(free), n_particles, n_trajectories, exact
     )
     within = np.isin(every.indices, inside(model, theta, free))
     score = replace(every, indices=every.indices[within])

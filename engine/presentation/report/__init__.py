@@ -30,7 +30,7 @@ __all__ = ["RULES", "OnPage", "Report", "Section", "make_report", "report_html",
 
 
 class Documented(Protocol):
-    """A result that can be told as data."""
+    """A result with a JSON document."""
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON document."""

@@ -11,7 +11,7 @@ import numpy as np
 
 import engine
 from engine.statespace.model import Array, MixedModel
-from service.answers import JobStatus, Link, ModelOut, Trace
+from service.responses import JobStatus, Link, ModelOut, Trace
 from service.schemas import ModelReference
 from service.strict_json import finite
 
@@ -59,7 +59,7 @@ def _time(seconds: float) -> str:
 
 
 def trace(names: list[str], ks: list[int], rows: Array) -> Trace:
-    """Iterations k with their rows (n, n_theta + 4), see ``tables.iterations``."""
+    """Iterations k with their rows (n, n_theta + 4), see ``db_schema.iterations``."""
     if rows.size and rows.shape[1] != len(names) + 4:  # nobody can say any more what they are
         names = [f"parameter {i + 1}" for i in range(rows.shape[1] - 4)]
     n = len(names)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from engine.presentation.examination import estimate_document, model_document
-from service import documents
+from service import serializers
 from service.auth import Keys
-from service.prepare import load
 from service.problems import Problem
 from service.store import Store
+from service.validation import load
 
 
 def find_job(store: Store, keys: Keys, job_id: str, caller: str) -> Any:
@@ -77,5 +77,5 @@ def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
         ),
         "outcome": "stopped",
         "message": f"Stopped after {ks[-1]} of at most {request['options']['iterations']} iterations.",
-        "trace": documents.trace(list(job.model.parameter_names), ks, rows).model_dump(),
+        "trace": serializers.trace(list(job.model.parameter_names), ks, rows).model_dump(),
     }

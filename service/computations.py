@@ -21,9 +21,9 @@ from engine.presentation.examination import (
     trace_document,
 )
 from engine.statespace.model import Array, MixedModel, Theta
-from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
+from service.validation import Prepared
 
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
 WIDE = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
@@ -55,7 +55,7 @@ class Progress(Protocol):
 def fit(
     job: Prepared, options: EstimateOptions, theta0: Theta, seed: int, progress: Progress
 ) -> dict[str, Any]:
-    """EM from theta0, going on where an earlier attempt was; rows as in ``tables.iterations``."""
+    """EM from theta0, going on where an earlier attempt was; rows as in ``db_schema.iterations``."""
     method = getattr(engine, options.method.replace("-", "_"))
     arguments: dict[str, Any] = {"n_iterations": options.iterations}
     if options.method != "rts-em":
