@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import engine
 from engine.diagnose import Diagnosis
@@ -49,7 +49,7 @@ def diagnose(
         effects=options.effects,
         max_effects=options.max_effects,
         free=job.free,
-        callback=Percent(progress),
+        callback=Percent(progress.step),
         kept=kept,
     )
     try:
@@ -71,13 +71,6 @@ def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, A
     return {"diagnosis": diagnosis, "message": found.verdict.sentence}
 
 
-class Steps(Protocol):
-    """What is told of the progress."""
-
-    def step(self, k: int, message: str = "") -> None:
-        """So many of STEPS are done."""
-
-
 class Percent:
     """The engine's callback(stage, fraction) as steps that never go back.
 
@@ -85,8 +78,8 @@ class Percent:
     is left, six tenths of it for the screen.
     """
 
-    def __init__(self, progress: Steps) -> None:
-        self.progress, self.done, self.said = progress, -1, ""
+    def __init__(self, step: Callable[[int, str], None]) -> None:
+        self.step, self.done, self.said = step, -1, ""
         self.round = -1
 
     def __call__(self, stage: str, fraction: float) -> None:
@@ -96,7 +89,7 @@ class Percent:
         done = max(self.done, int(self._percent(stage, min(max(fraction, 0.0), 1.0))))
         if done > self.done or stage != self.said:
             self.done, self.said = done, stage
-            self.progress.step(done, SAYS.get(stage, stage))
+            self.step(done, SAYS.get(stage, stage))
 
     def _percent(self, stage: str, fraction: float) -> float:
         if stage in ("screen", "refit"):

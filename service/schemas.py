@@ -171,13 +171,18 @@ class InputIn(_Recorded):
     y: Table | None = None
 
 
-class EstimateParameters(_Strict):
-    """Where the estimation starts and what it may change."""
+class DiagnoseParameters(_Strict):
+    """Where the model's own estimation starts and what it may change."""
 
     start: Values = Field(default_factory=dict, description="start values; else the defaults")
     free: Names | None = Field(
         default=None, min_length=1, description="parameters to estimate; null means all"
     )
+
+
+class EstimateParameters(DiagnoseParameters):
+    """Where the estimation starts and what it may change."""
+
     ranges: dict[Annotated[str, Field(max_length=200)], Annotated[list[Number], _FIRST]] = Field(
         default_factory=dict, description="where further starts are drawn, name: [low, high]"
     )
@@ -189,15 +194,6 @@ class EstimateParameters(_Strict):
             if len(values) != 2 or values[0] > values[1]:
                 raise PydanticCustomError("range", "{name} needs [low, high]", {"name": name})
         return ranges
-
-
-class DiagnoseParameters(_Strict):
-    """Where the model's own estimation starts and what it may change."""
-
-    start: Values = Field(default_factory=dict, description="start values; else the defaults")
-    free: Names | None = Field(
-        default=None, min_length=1, description="parameters to estimate; null means all"
-    )
 
 
 class FixedParameters(_Strict):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,26 +21,6 @@ BLOCK = 2**17  # numbers in an array of points; what fits the cache keeps time l
 FEW = 3  # time steps at which it is asked first whether a parameter is used
 STEP = 1e-5  # of a parameter's size, for differences of the model's functions
 TYPICAL = 0.05  # of the distance of its bounds: a parameter's size where nothing else is known
-
-
-class Term(Protocol):
-    """A summand of the Q-function."""
-
-    def value(self, record: Any, rank: int | None = None) -> float:
-        """The summand at theta."""
-
-    def rank(self, record: Any) -> int:
-        """Number of directions with noise."""
-
-    def derivatives(
-        self, record: Any, neighbours: list[tuple[Any, Any, float]]
-    ) -> tuple[float, Array, Array]:
-        """Value, gradient and scoring matrix along the parameters given by their neighbours."""
-
-    def moves_noise_free(
-        self, record: Any, neighbours: list[tuple[Any, Any, float]]
-    ) -> NDArray[np.bool_]:
-        """Which of these parameters move what has no noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,6 +280,9 @@ class DensityTerm:
             ]
         ).reshape(len(neighbours), len(self.a1))
         return self.value(record), scores.mean(axis=1), scores @ scores.T / len(self.a1)
+
+
+Term = GaussianTerm | DensityTerm  # a summand of the Q-function
 
 
 class _Forbidden:

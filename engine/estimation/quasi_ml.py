@@ -70,6 +70,11 @@ class QuasiFit:
         """Of the free parameters (n,), from the information; inf where there is none."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
+    def log_terms(self, series: Series) -> Array:
+        """One-step predictive log-densities (T,) of a series under the fitted model."""
+        thetas = np.asarray(self.theta)[None]
+        return np.asarray(moment_filter(self.model, thetas, series).log_terms[:, 0])
+
 
 @repeated_if_refuted
 def quasi_ml(

@@ -172,7 +172,7 @@ def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str
                 max_effects=asked.max_effects,
                 free=job.free,
                 bootstrap=asked.bootstrap,
-                callback=diagnoses.Percent(kept),
+                callback=diagnoses.Percent(kept.step),
                 kept=kept,
             )
     except KeyboardInterrupt:

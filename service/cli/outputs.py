@@ -6,24 +6,17 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from engine.presentation import plots
 from engine.presentation.report import write_report
 from service import strict_json
 from service.cli.ending import Ending, about_file, wrong
+from service.cli.experiment import Experiment
 from service.cli.values import about
 
 
-class Wanted(Protocol):
-    """``--out``, ``--report`` and ``--plot`` as they were given."""
-
-    out: str | None
-    report: str | None
-    plot: str | None
-
-
-def check_outputs(wanted: Wanted) -> None:
+def check_outputs(wanted: Experiment) -> None:
     """Refuse ``--out``, ``--report`` and ``--plot`` that cannot be written before any time is spent."""
     output_path("--out", Path(wanted.out) if wanted.out else None, (".json",))
     output_path("--report", Path(wanted.report) if wanted.report else None, (".html", ".htm"))
@@ -31,7 +24,7 @@ def check_outputs(wanted: Wanted) -> None:
 
 
 def write_outputs(
-    wanted: Wanted,
+    wanted: Experiment,
     document: dict[str, Any],
     data: Sequence[str],
     seed: int,

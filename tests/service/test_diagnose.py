@@ -150,7 +150,7 @@ def test_progress_only_goes_forward():
         def step(self, k, message=""):
             told.append((k, message))
 
-    percent = Percent(Recorded())
+    percent = Percent(Recorded().step)
     percent("fit", 0.0)
     percent("search", 0.0)
     for _ in range(3):

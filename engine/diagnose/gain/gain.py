@@ -27,7 +27,6 @@ from engine.diagnose.gain.simulation_gain import (
 from engine.diagnose.symptoms.error_localization import newey_west
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
-from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array
 from engine.words import enumerated
 
@@ -170,7 +169,7 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     for trial in trials:
         marked = trial.rows & seen
         rows |= marked
-        terms = [_terms(fit, series) for fit in (trial.base, trial.extended)]
+        terms = [fit.log_terms(series) for fit in (trial.base, trial.extended)]
         d[marked] = (terms[1] - terms[0])[marked]
         lost = [one or not np.isfinite(x[marked]).all() for one, x in zip(lost, terms, strict=True)]
         shown = trial.rows[first:] if len(trials) > 1 else np.ones(len(part), dtype=bool)
@@ -223,12 +222,6 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
         after=None if away[1] else runs[1],
         d=np.where(rows, d, np.nan)[first:],
     )
-
-
-def _terms(fit: QuasiFit, series: Series) -> Array:
-    """One-step predictive log-densities (T,)."""
-    theta = np.asarray(fit.theta)[None]
-    return np.asarray(moment_filter(fit.model, theta, series).log_terms[:, 0])
 
 
 def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, float]:

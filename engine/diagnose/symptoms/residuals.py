@@ -1,11 +1,10 @@
-"""One-step residuals as pictures want them: whitened, as probabilities, and by disturbance."""
+"""One-step residuals as pictures want them: whitened, by lag, and by disturbance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 from scipy.stats import chi2
 
 from engine.data.series import Series
@@ -67,11 +66,6 @@ def autocorrelation(z: Array, lags: int) -> tuple[Array, Array]:
         if pairs[k - 1] > 1 and variance > 0.0:
             r[k - 1] = float(e[k:] @ e[:-k]) / pairs[k - 1] / variance
     return np.where(pairs > 1, r, 0.0), np.where(pairs > 1, pairs, 0.0)
-
-
-def pit(z: Array) -> Array:
-    """Probability integral transform Phi(z): uniform on (0, 1) if predictions are right (T, ny)."""
-    return np.where(np.isfinite(z), ndtr(np.nan_to_num(z)), np.nan)
 
 
 def auxiliary(path: MomentPath, series: Series) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from engine.diagnose.symptoms.compare import (
 from engine.diagnose.symptoms.curves import bands_of, compared, residuals_of
 from engine.diagnose.symptoms.data_checks import check_data
 from engine.diagnose.symptoms.error_localization import NOTABLE, NOTABLE_RUN, most_telling
-from engine.diagnose.symptoms.residuals import Whiteness, auxiliary, pit, standardised, whiteness
+from engine.diagnose.symptoms.residuals import Whiteness, auxiliary, standardised, whiteness
 from engine.diagnose.symptoms.runs import draws, noise_free, start_state
 from engine.diagnose.symptoms.sentences import correlated, overall, sentence
 from engine.filters.sigma_point import moment_path
@@ -40,8 +40,7 @@ class Symptoms:
     """What the model's simulation and predictions get wrong on a series.
 
     ``sentences`` say it in words; ``free_run`` is None where it runs away. For pictures: standardised
-    innovations ``z``, their ``pit``, auxiliary residuals ``of_outputs`` (T, ny) and ``of_states`` (T-1, nx),
-    simulated states ``x`` (T, nx) and predicted states (T, nx).
+    innovations ``z`` (T, ny), auxiliary residuals ``of_outputs`` (T, ny) and ``of_states`` (T-1, nx).
     """
 
     sentences: tuple[str, ...]
@@ -51,11 +50,8 @@ class Symptoms:
     one_step: Comparison
     whiteness: tuple[Whiteness, ...]
     z: Array
-    pit: Array
     of_outputs: Array
     of_states: Array
-    x: Array | None
-    predicted: Array
 
     def to_dict(self) -> dict[str, Any]:
         """As data: sentences, fits, notable regions, whiteness, and what pictures need.
@@ -110,14 +106,13 @@ def find_symptoms(
     path = moment_path(model, vector, series)
     z = standardised(path, series)
     one_step = against_predictions(model, series, path, z, n_bands)
-    free, x, sentences = None, None, []
+    free, sentences = None, []
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     with np.errstate(over="ignore", invalid="ignore"):
         mean, P = start_state(model, vector, series)
         y, states = noise_free(model, vector, series, mean)
         row = lost_at(y, series)
         if row is None:
-            x = states
             n = int(np.clip(ROOM // len(series), FEWEST_DRAWS, DRAWS))
             drawn = draws(model, vector, series, mean, P, covariance, n, rng)
             fine = drawn[np.isfinite(drawn).all(axis=(1, 2))]
@@ -144,18 +139,6 @@ def find_symptoms(
     sentences += [
         correlated(w.output, w.statistic, w.lags, w.p_value) for w in white if w.p_value < 0.001
     ]
-    of_y, of_x = auxiliary(path, series)
     return Symptoms(
-        tuple(sentences),
-        model,
-        series,
-        free,
-        one_step,
-        white,
-        z,
-        pit(z),
-        of_y,
-        of_x,
-        x,
-        path.predicted,
+        tuple(sentences), model, series, free, one_step, white, z, *auxiliary(path, series)
     )
