@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,6 @@ class Filtered:
     model: MixedModel
     theta: Theta
     series: Series
-    log_likelihood: float
     a: Array
     z: Array
     cov: Array
@@ -57,6 +56,11 @@ class Filtered:
     mu: Array
     L: Array
     AP: Array
+
+    @property
+    def log_likelihood(self) -> float:
+        """Estimate of log p(y_{1:T})."""
+        return float(self.log_likelihood_terms.sum())
 
     @property
     def P(self) -> Array:
@@ -77,6 +81,27 @@ class Filtered:
             "tm,tmx->tx", self.weights, np.concatenate([self.a, self.z], axis=2)
         )
         return mean
+
+
+class Updated(NamedTuple):
+    """One row of :class:`Filtered`, once y_t is known."""
+
+    a: Array
+    z: Array
+    cov: Array
+    weights: Array
+    log_weights: Array
+    log_likelihood_terms: float
+    ess: float
+    ancestors: NDArray[np.int64]
+
+
+class Predicted(NamedTuple):
+    """The prediction of the next one, report, eq. (22)."""
+
+    mu: Array
+    L: Array
+    AP: Array
 
 
 @repeated_if_refuted
@@ -108,8 +133,8 @@ def rbpf(
     even = np.full(M, -np.log(M))
     nothing = np.zeros(M)
     log_w, ancestors, mu, L = even, own, np.empty((M, 0)), np.empty((1, 0, 0))
-    updated: list[tuple[Any, ...]] = []
-    predicted: list[tuple[Any, ...]] = []
+    updated: list[Updated] = []
+    predicted: list[Predicted] = []
     for t in range(T):
         # 1. Sampling, 2. Prediction, 3. Weighting, 4. Update of the linear states
         if t == 0:
@@ -137,7 +162,7 @@ def rbpf(
                 y[t],
                 log_w,
             )
-        updated.append((a, z, P, w, log_w, log_sum, ess, ancestors))
+        updated.append(Updated(a, z, P, w, log_w, log_sum, ess, ancestors))
         if t == T - 1:
             break
 
@@ -148,14 +173,9 @@ def rbpf(
         else:
             ancestors = own
         f, A, Q = model.transition(a, u[t], times[t], steps[t], record)
-        mu, L, AP = predict(f, stacked(A), stacked(Q), z, P)
-        predicted.append((mu, L, AP))
-
-    arrays = [
-        over_time(rows) for rows in (*zip(*updated, strict=True), *zip(*predicted, strict=True))
-    ]
-    log_likelihood = float(arrays[5].sum())
-    return Filtered(model, theta, series, log_likelihood, *arrays)
+        predicted.append(Predicted(*predict(f, stacked(A), stacked(Q), z, P)))
+        mu, L, _ = predicted[-1]
+    return Filtered(model, theta, series, **over_time(updated), **over_time(predicted))
 
 
 def check_options(
@@ -199,8 +219,13 @@ def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
     return a, z, stacked(P), log_ratio
 
 
-def over_time(rows: Sequence[Any]) -> Any:
-    """One array; rows common to all particles are repeated where others are not common."""
+def over_time(rows: Sequence[Any]) -> dict[str, Any]:
+    """{field: values (T, ...)} of named tuples; what is common to all particles at some rows is repeated."""
+    columns = map(_stacked, zip(*rows, strict=True))
+    return dict(zip(rows[0]._fields, columns, strict=True))
+
+
+def _stacked(rows: Sequence[Any]) -> Array:
     try:
         return np.array(rows)
     except ValueError:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.errors import ModelError, OptionError
-from engine.filters.rbpf import Filtered, check_options, over_time
+from engine.filters.rbpf import Filtered, Predicted, Updated, check_options, over_time
 from engine.kernels import resampling as schemes
 from engine.kernels.categorical import pick_each
 from engine.kernels.filtering import advance, predict, weigh
@@ -116,8 +116,8 @@ def rbpf_special(
     ancestors, y = own, np.array(series.y)
     start = model.start(record)
     a = np.asarray(start.density.sample(rng, M), dtype=float)
-    updated: list[tuple[Any, ...]] = []
-    predicted: list[tuple[Any, ...]] = []
+    updated: list[Updated] = []
+    predicted: list[Predicted] = []
     log_w, mu, L = even, none, np.empty((1, 0, 0))
     for t in range(T):
         u, time = series.u[t], float(series.t[t])
@@ -131,23 +131,19 @@ def rbpf_special(
             z, P, log_w, w, log_sum, ess = advance(
                 mu, L, ancestors, none, nothing, True, h, stacked(C), stacked(R), y[t], log_w
             )
-        updated.append((a, z, P, w, log_w, log_sum, ess, ancestors))
+        updated.append(Updated(a, z, P, w, log_w, log_sum, ess, ancestors))
         if t == T - 1:
             break
         ancestors, dt = own, float(series.steps[t])
         if ess <= ess_threshold * M:
             ancestors, log_w = scheme(w, rng.random(M)), even
-        mu, L, AP = predict(*case.linear(a, u, time, dt, record), z, P)
-        predicted.append((mu, L, AP))
+        predicted.append(Predicted(*predict(*case.linear(a, u, time, dt, record), z, P)))
+        mu, L, _ = predicted[-1]
         a = np.ascontiguousarray(
             case.sample(np.ascontiguousarray(a[ancestors]), u, time, dt, record, rng), dtype=float
         )
-    arrays = [
-        over_time(rows) for rows in (*zip(*updated, strict=True), *zip(*predicted, strict=True))
-    ]
-    log_likelihood = float(arrays[5].sum())
-    plain = Filtered(model, theta, series, log_likelihood, *arrays)
-    return SpecialFiltered(**vars(plain), case=case)
+    rows = {**over_time(updated), **over_time(predicted)}
+    return SpecialFiltered(model, theta, series, **rows, case=case)
 
 
 def rb_ffbsi_special(

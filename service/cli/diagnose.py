@@ -23,8 +23,8 @@ from service.cli.ending import Code, Ending, Interrupt, wrong
 from service.cli.experiment import Experiment
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
-from service.cli.outputs import check_outputs, not_written, output_path, say_written, write_outputs
-from service.cli.state_file import StateFile, beside, keep_old, read
+from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
+from service.cli.state_file import StateFile, beside, read
 from service.cli.values import free_of, theta_of
 
 
@@ -92,13 +92,8 @@ def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> No
     output_path("--state", path)
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
-        in_file = references.in_file(asked.model)
-        files = [Path(name) for name in (asked.data, asked.test) if name]
-        asked.seal([*files, in_file[0]] if in_file else files)
-        aside = keep_old(path)
-        if aside is not None:
-            shown.note(f"an earlier {path.name} is kept as {aside.name}")
-        kept = Kept(StateFile(path, asked), shown)
+        files = [name for name in (asked.data, asked.test) if name]
+        kept = Kept(asked.begin(path, files, shown), shown)
         found, document = _run(job, asked, kept)
     _tell(asked, found, document, kept, as_json)
 
@@ -106,9 +101,7 @@ def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> No
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
     """Go on with a diagnosis; ``changes`` are members of Asked that may differ."""
     asked, rows, left = read(path, Asked)
-    for name, value in changes.items():
-        setattr(asked, name, value)
-    asked.check()
+    asked.change(changes)
     _check(asked)
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
@@ -219,11 +212,7 @@ def _tell(
     as_json: bool,
 ) -> None:
     """Write the files and print the page; then the state is removed, unless --state named it."""
-    try:
-        written = write_outputs(asked, document, [asked.data], asked.seed)
-    except OSError as error:
-        kept.save()
-        raise not_written(error, kept.file.again) from None
+    written = write_outputs(asked, document, [asked.data], kept)
     if asked.keep:
         kept.save()
     else:

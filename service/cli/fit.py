@@ -15,9 +15,9 @@ from service.cli import references
 from service.cli.ending import Code, Ending, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
-from service.cli.outputs import check_outputs, not_written, output_path, say_written, write_outputs
+from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
 from service.cli.state import Asked, Recorder
-from service.cli.state_file import StateFile, beside, keep_old, read
+from service.cli.state_file import StateFile, beside, read
 from service.cli.values import free_of, theta_of
 from service.problems import Problem
 from service.schemas import (
@@ -35,15 +35,10 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     asked.keep = state is not None
     check_outputs(asked)
     output_path("--state", path)
-    in_file = references.in_file(asked.model)
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
-            asked.seal([Path(name) for name in asked.data] + ([in_file[0]] if in_file else []))
-            aside = keep_old(path)
-            if aside is not None:
-                shown.note(f"an earlier {path.name} is kept as {aside.name}")
-            begun.append(Recorder(path, asked, shown))
+            begun.append(Recorder(asked.begin(path, asked.data, shown), asked, shown))
             _name_tasks(job, begun[0])
             document = _run(job, asked, begun[0], shown)
         _tell(job, asked, document, begun[0], as_json)
@@ -54,14 +49,12 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     asked, rows, finished = read(path, Asked)
     if "iterations" in changes and (asked.starts > 1 or asked.bootstrap):
         raise wrong("--iterations cannot be changed where there are several starts or a bootstrap")
-    for name, value in changes.items():
-        setattr(asked, name, value)
-    asked.check()
+    asked.change(changes)
     check_outputs(asked)
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
-            recorder = Recorder(path, asked, shown, rows, finished)
+            recorder = Recorder(StateFile(path, asked), asked, shown, rows, finished)
             if len(rows) and rows.shape[1] != len(job.model.parameters) + 4:
                 raise wrong(
                     f"--resume {path}: its parameters are not those of model '{asked.model}'"
@@ -164,11 +157,7 @@ def _tell(
     """Write the files and print the estimate; then remove a state that nothing can be resumed from."""
     one_run = asked.starts == 1 and not asked.bootstrap
     more = one_run and document["outcome"] == "iterations-used-up"
-    try:
-        written = write_outputs(asked, document, asked.data, asked.seed)
-    except OSError as error:
-        recorder.save()
-        raise not_written(error, recorder.file.again) from None
+    written = write_outputs(asked, document, asked.data, recorder)
     if not more:
         _tidy(asked, recorder.file)
     if as_json:

@@ -6,14 +6,24 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from engine.presentation import plots
 from engine.presentation.report import write_report
 from service import strict_json
-from service.cli.ending import Ending, about_file, wrong
+from service.cli.ending import about_file, wrong
 from service.cli.experiment import Experiment
+from service.cli.state_file import StateFile
 from service.cli.values import about
+
+
+class Kept(Protocol):
+    """The state of a run, which can be written and gone on with."""
+
+    file: StateFile
+
+    def save(self) -> None:
+        """Write the state."""
 
 
 def check_outputs(wanted: Experiment) -> None:
@@ -24,12 +34,19 @@ def check_outputs(wanted: Experiment) -> None:
 
 
 def write_outputs(
-    wanted: Experiment,
-    document: dict[str, Any],
-    data: Sequence[str],
-    seed: int,
+    wanted: Experiment, document: dict[str, Any], data: Sequence[str], state: Kept
 ) -> list[str]:
-    """Write what was asked for; the paths. Raises OSError."""
+    """Write what was asked for; the paths. Where that fails, ``state`` writes it without computing anew."""
+    try:
+        return _write(wanted, document, data)
+    except OSError as error:
+        state.save()
+        raise wrong(
+            f"{about_file(error)}. What was found is kept; once that is mended:\n  {state.file.again}"
+        ) from None
+
+
+def _write(wanted: Experiment, document: dict[str, Any], data: Sequence[str]) -> list[str]:
     written = []
     text = strict_json.dumps(document)
     plain = json.loads(text)
@@ -37,17 +54,12 @@ def write_outputs(
         Path(wanted.out).write_text(text + "\n", encoding="utf-8")
         written.append(wanted.out)
     if wanted.report:
-        about_run = {"data": ", ".join(Path(name).name for name in data), "seed": seed}
+        about_run = {"data": ", ".join(Path(name).name for name in data), "seed": wanted.seed}
         written.append(str(write_report(plain, wanted.report, about_run)))
     if wanted.plot:
         plots.of_document(plain).save(wanted.plot)
         written.append(wanted.plot)
     return written
-
-
-def not_written(error: OSError, again: str) -> Ending:
-    """A file could not be written; the command ``again`` writes it without computing anew."""
-    return wrong(f"{about_file(error)}. What was found is kept; once that is mended:\n  {again}")
 
 
 def say_written(written: Sequence[str]) -> None:
