@@ -58,11 +58,56 @@ def ps_em(
 ) -> EmResult:
     """Estimate theta by EM with the bootstrap PF and FFBSi on x = (a, z); paper, section V.
 
-    The Q-function is that of paper, eqs. (8)-(19), with the drawn states in place of moments, P = 0
-    and M = 0. Arguments, result and errors as in :func:`engine.estimation.em.rbps_em`; ``recover=False`` is
-    the paper's method to the letter, which goes on with a filter that has collapsed. ``m_step`` is
-    "scoring" by default for mixed models, "bfgs" for general ones, which know no ``proposal`` but
-    the bootstrap's.
+    The Q-function is that of paper, eqs. (8)-(19), with the drawn states in place of moments, P = 0 and M = 0.
+
+    Parameters
+    ----------
+    model : MixedModel or NonlinearModel
+        A mixed model, paper, eq. (1), or a general one, poster, eq. (1).
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    theta0 : Theta, mapping, array or None
+        Start values: all as (n_theta,), some by name, or None for the model's defaults.
+    free : sequence of str, optional
+        Names of the parameters to estimate; all by default.
+    n_particles : int
+        Number of particles M.
+    n_trajectories : int, optional
+        Number of trajectories N; as many as particles by default.
+    n_iterations : int
+        Iterations at most.
+    seed : int
+        The same seed gives the same bits.
+    callback : callable, optional
+        Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
+    resume : Checkpoint or EmResult, optional
+        Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
+    proposal : str or callable
+        As for :func:`rbps_em`; general models know no other than ``bootstrap``.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+    recover : bool
+        Run a filter that collapsed again with more particles (the papers do not).
+    m_step : str, optional
+        ``scoring`` or ``bfgs``; the first by default for mixed models, the second for general ones.
+    tolerance : float, optional
+        Of the convergence rule in :mod:`engine.estimation.convergence`; None uses all iterations.
+
+    Returns
+    -------
+    EmResult
+        The estimate, the trace (K+1, n_theta), log-likelihoods, and how it ended in words.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
     all_series = as_series_list(series, model)
     N = n_particles if n_trajectories is None else n_trajectories

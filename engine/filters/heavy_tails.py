@@ -51,11 +51,32 @@ def with_student_t(
     channels: Sequence[str] | None = None,
     name: str = "nu",
 ) -> MixedModel:
-    """The model with Student-t noise e ("measurement") or w ("dynamics") of ``nu`` degrees of freedom.
+    """The model with Student-t noise.
 
-    R (or Q) is its scale matrix, the covariance over nu / (nu - 2). ``channels`` names the outputs
-    (or states) that share the factor s_t; the default is all. ``name`` is that of the new parameter;
-    the new state is ``g_<name>``. Raises OptionError.
+    R (or Q) is the scale matrix of the noise, which is its covariance over nu / (nu - 2).
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    where : str
+        ``measurement`` (e) or ``dynamics`` (w).
+    nu_default : float
+        Default degrees of freedom.
+    channels : sequence of str, optional
+        Outputs, or states, that share the random factor of their noise; all by default.
+    name : str
+        Of the new parameter and, as ``g_<name>``, of the new state.
+
+    Returns
+    -------
+    MixedModel
+        The extended model.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
     """
     tail = 1.0 - 0.5 ** np.arange(3, TAIL + 1)
     edges = np.concatenate([[0.0, 0.1, 0.25, 0.5, 0.75], tail, [1.0]])
@@ -76,10 +97,32 @@ def with_mixture(
     channels: Sequence[str] | None = None,
     name: str = "outlier",
 ) -> MixedModel:
-    """The model with a share of outliers in e ("measurement") or w ("dynamics").
+    """The model with a share of outliers in its noise.
 
-    With probability ``<name>_share`` the standard deviation is ``<name>_ratio`` times as large.
-    ``channels`` as in :func:`with_student_t`. Raises OptionError.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    where : str
+        ``measurement`` (e) or ``dynamics`` (w).
+    share_default : float
+        Default of ``<name>_share``, the probability of an outlier.
+    ratio_default : float
+        Default of ``<name>_ratio``, the outliers' standard deviation over the usual one.
+    channels : sequence of str, optional
+        Outputs, or states, that share the random factor of their noise; all by default.
+    name : str
+        Of the new parameters and, as ``g_<name>``, of the new state.
+
+    Returns
+    -------
+    MixedModel
+        The extended model.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
     """
     mixing = Mixing(
         (

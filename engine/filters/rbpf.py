@@ -115,12 +115,42 @@ def rbpf(
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
 ) -> Filtered:
-    """Filter a series with M = ``n_particles``; report, Algorithm 2.
+    """Filter a series by the Rao-Blackwellized particle filter; report, Algorithm 2.
 
-    ``proposal``: "adapted" looks at y_t, "bootstrap" does not, or any function, see
-    :mod:`engine.filters.proposals`. ``resampling``: multinomial, stratified, systematic or residual, done
-    when the effective sample size is at most ``ess_threshold`` * M (1: at every step, 0: never).
-    Missing channels of y are left out of the update. Raises OptionError, SeriesError, ModelError.
+    Missing channels of y are left out of the update.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    n_particles : int
+        Number of particles M.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    proposal : str or callable
+        ``adapted`` looks at y_t, ``bootstrap`` does not; or a function, see :mod:`engine.filters.proposals`.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+
+    Returns
+    -------
+    Filtered
+        Particles ``a`` (T, M, na) with ``z`` (T, M, nz) and ``P``, their weights, and the log-likelihood.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
     theta = model.theta(theta)
     check_start(model, theta, series.check(model))

@@ -54,10 +54,34 @@ def examine(
 ) -> Examination:
     """Look at an estimate on the series it comes from.
 
-    ``errors`` are its standard errors, where they were computed; with them the simulation's bands hold
-    the parameters' uncertainty. ``intervals`` by the likelihood ratio are shown in place of those that
-    the standard errors give. States are smoothed with ``n_particles`` particles. Raises ModelError
-    for a model without linear part, OptionError, SeriesError.
+    Parameters
+    ----------
+    found : EmResult
+        The estimate.
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    errors : StandardErrors, optional
+        Its standard errors; with them the simulation's bands hold the parameters' uncertainty.
+    intervals : LikelihoodIntervals, optional
+        Shown in place of those that the standard errors give.
+    n_particles : int
+        Particles and trajectories by which states are smoothed.
+    seed : int
+        The same seed gives the same bits.
+
+    Returns
+    -------
+    Examination
+        The document that pages and reports show.
+
+    Raises
+    ------
+    ModelError
+        The model is no mixed model.
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
     """
     model = found.model
     if not isinstance(model, MixedModel):

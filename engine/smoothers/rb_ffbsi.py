@@ -102,13 +102,33 @@ def rb_ffbsi(
     rng: np.random.Generator,
     joint: bool = False,
 ) -> Smoothed:
-    """Draw N = ``n_trajectories`` backward trajectories; report, Algorithm 3.
+    """Draw backward trajectories; report, Algorithm 3.
 
-    ``z``, ``P`` and ``M`` are the moments of the report, eqs. (61): under Approximation 1, as in the
-    filter's stored moments, and Approximation 2, which leaves a bias in P and M that does not
-    vanish as M grows. ``joint=True`` chains the drawn z~ into whole trajectories from the joint
-    smoothing density of (a, z); these converge, and the a of such a run are exact draws too.
-    :func:`engine.smoothers.exact_conditional.condition_on_trajectories` turns them into exact moments of z.
+    ``z``, ``P`` and ``M`` are the moments of the report, eqs. (61): under Approximation 1, as in the filter's
+    stored moments, and Approximation 2, which leaves a bias in P and M that does not vanish as M grows.
+    :func:`condition_on_trajectories` turns joint trajectories into exact moments of z.
+
+    Parameters
+    ----------
+    filtered : Filtered
+        A pass of :func:`rbpf`.
+    n_trajectories : int
+        Number of trajectories N.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    joint : bool
+        Chain the drawn z~ into whole trajectories from the joint smoothing density of (a, z); these converge,
+        and the a of such a run are exact draws too.
+
+    Returns
+    -------
+    Smoothed
+        ``a`` (T, N, na) with moments ``z`` (T, N, nz), ``P`` and ``M`` of z.
+
+    Raises
+    ------
+    OptionError
+        ``n_trajectories`` is no positive whole number.
     """
     if int(n_trajectories) != n_trajectories or n_trajectories < 1:
         raise OptionError(

@@ -57,9 +57,17 @@ class SpecialCase:
 
 
 def gaussian_case(model: MixedModel) -> SpecialCase:
-    """Eq. (64): p(a_{t+1} | a_t) = N(f_a(a_t), Q_a(a_t)) from the model's own rows of a.
+    """The special case with a Gaussian p(a_{t+1} | a_t) = N(f_a(a_t), Q_a(a_t)); report, eq. (64).
 
-    The model must have A_a = 0 and Q_az = 0; this is checked where it is evaluated.
+    Parameters
+    ----------
+    model : MixedModel
+        A model with A_a = 0 and Q_az = 0, which is checked where it is evaluated.
+
+    Returns
+    -------
+    SpecialCase
+        For :func:`rbpf_special`.
     """
     na = model.na
 
@@ -102,9 +110,38 @@ def rbpf_special(
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
 ) -> SpecialFiltered:
-    """Filter with M = ``n_particles`` drawn from p(a_{t+1} | a_t); report, Algorithm 2 for eq. (63).
+    """Filter with particles drawn from p(a_{t+1} | a_t); report, Algorithm 2 for eq. (63).
 
-    Options and errors as in :func:`engine.filters.rbpf.rbpf`.
+    Parameters
+    ----------
+    case : SpecialCase
+        The model with its density of a.
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    n_particles : int
+        Number of particles M.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+
+    Returns
+    -------
+    SpecialFiltered
+        As :func:`rbpf` returns.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
     model = case.model
     theta = model.theta(theta)
@@ -149,10 +186,30 @@ def rbpf_special(
 def rb_ffbsi_special(
     filtered: SpecialFiltered, n_trajectories: int, rng: np.random.Generator, joint: bool = False
 ) -> Smoothed:
-    """Draw N = ``n_trajectories`` backward trajectories, z smoothed in RTS form, eqs. (66)-(68).
+    """Draw backward trajectories, z smoothed in RTS form; report, eqs. (66)-(68).
 
     Backward weights are w_t^i p(a~_{t+1} | a_t^i) N(z~_{t+1}; z^i_{t+1|t}, P^i_{t+1|t}), from eq. (69).
-    Approximations 1 and 2 and ``joint`` as in :func:`engine.smoothers.rb_ffbsi.rb_ffbsi`.
+
+    Parameters
+    ----------
+    filtered : SpecialFiltered
+        A pass of :func:`rbpf_special`.
+    n_trajectories : int
+        Number of trajectories N.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    joint : bool
+        As for :func:`rb_ffbsi`.
+
+    Returns
+    -------
+    Smoothed
+        ``a`` (T, N, na) with moments of z, under Approximations 1 and 2 of the report.
+
+    Raises
+    ------
+    OptionError
+        ``n_trajectories`` is no positive whole number.
     """
     if int(n_trajectories) != n_trajectories or n_trajectories < 1:
         raise OptionError(

@@ -192,7 +192,15 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
 def as_general(model: MixedModel) -> NonlinearModel:
     """A mixed model as a general one: x = (a, z), g = chol Q, s = chol R, Gaussian noise.
 
-    A singular Q has no density to evaluate; the general algorithms raise ModelError then.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+
+    Returns
+    -------
+    NonlinearModel
+        The same model. A singular Q has no density to evaluate; general algorithms raise ModelError then.
     """
     full = as_nonlinear(model)
     nx, ny = model.nx, model.ny

@@ -42,7 +42,24 @@ _makers: dict[str, tuple[Maker, Channels]] = {kind: (make, where) for kind, make
 
 
 def register_effect(kind: str, maker: Maker, channels: Channels, replace: bool = False) -> None:
-    """Make a kind of effect known; ``channels`` lists where it may enter a given model."""
+    """Make a kind of effect known to the catalogue.
+
+    Parameters
+    ----------
+    kind : str
+        What stands before the colon in ``kind:channel``.
+    maker : callable
+        ``maker(setting, channel)`` returns an :class:`Effect`, or None where the channel is not of its sort.
+    channels : callable
+        ``channels(setting)`` lists where it may enter a given model.
+    replace : bool
+        Whether a kind of that name may be replaced.
+
+    Raises
+    ------
+    OptionError
+        The kind is registered already.
+    """
     if kind in _makers and not replace:
         raise OptionError(f"an effect of kind '{kind}' is already registered", "effects")
     _makers[kind] = (maker, channels)

@@ -102,13 +102,46 @@ def likelihood_intervals(
     exact: bool = False,
     callback: Callable[[str], Any] | None = None,
 ) -> LikelihoodIntervals:
-    """Likelihood-ratio intervals of confidence ``level`` about an estimate.
+    """Confidence intervals by the likelihood ratio about an estimate.
 
-    ``errors`` are the standard errors there, computed first if not given. Each slope is averaged over
-    ``replicates`` smoothers; some eight slopes are needed for each parameter. ``exact`` uses the Kalman
-    smoother (linear Gaussian models). ``callback(name)`` is told of each parameter before its interval is
-    sought, and may stop the run by raising. Raises OptionError; ModelError where the data hold no information
-    on a parameter, or the likelihood is not finite near the estimate.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping or array
+        The estimate.
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    free : sequence of str, optional
+        Names of the estimated parameters, where ``errors`` does not give them; all by default.
+    level : float
+        Confidence, between 0 and 1.
+    errors : StandardErrors, optional
+        The standard errors at the estimate; computed first if not given.
+    n_particles : int
+        Number of particles M.
+    n_trajectories : int
+        Number of trajectories N.
+    replicates : int
+        Smoothers that each slope is averaged over; some eight slopes are needed for each parameter.
+    seed : int
+        The same seed gives the same bits.
+    exact : bool
+        Use the Kalman smoother instead of particles (linear Gaussian models).
+    callback : callable, optional
+        ``callback(name)`` before a parameter's interval is sought; may stop the run by raising.
+
+    Returns
+    -------
+    LikelihoodIntervals
+        ``values`` (n_theta, 2) in the parameters' units, with Monte Carlo errors of the ends.
+
+    Raises
+    ------
+    OptionError
+        The level is not between 0 and 1.
+    ModelError
+        The data hold no information on a parameter, or the likelihood is not finite near the estimate.
     """
     if not 0.0 < level < 1.0:
         raise OptionError(f"level = {level:g}; a number between 0 and 1 is needed", "level")

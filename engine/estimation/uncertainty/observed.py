@@ -120,11 +120,39 @@ def standard_errors(
 ) -> StandardErrors:
     """Standard errors at an estimate; observed information by differences of the score.
 
-    ``theta`` are parameters or an :class:`engine.EmResult`, whose free parameters are then meant. Each of
-    the 2 n scores is averaged over ``replicates`` smoothers. ``exact`` uses the Kalman smoother (linear
-    Gaussian models). A free parameter at one of its bounds is held there. Where theta is no maximum of
-    the likelihood the result is not ``settled``, and a NotSettledWarning is given. Raises ModelError where
-    the data hold no information on a parameter.
+    A free parameter at one of its bounds is held there. Where theta is no maximum of the likelihood the
+    result is not ``settled``, and a NotSettledWarning is given.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping, array or EmResult
+        The estimate; of an EmResult its free parameters are meant.
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    free : sequence of str, optional
+        Names of the parameters to estimate; all by default.
+    n_particles : int
+        Number of particles M.
+    n_trajectories : int
+        Number of trajectories N.
+    replicates : int
+        Smoothers that each of the 2 n scores is averaged over.
+    seed : int
+        The same seed gives the same bits.
+    exact : bool
+        Use the Kalman smoother instead of particles (linear Gaussian models).
+
+    Returns
+    -------
+    StandardErrors
+        Covariance (n, n) and standard errors (n_theta,) in the parameters' units.
+
+    Raises
+    ------
+    ModelError
+        The data hold no information on a parameter.
     """
     found = None
     if isinstance(theta, Estimate):

@@ -39,12 +39,27 @@ class Documented(Protocol):
 def write_report(
     result: Documented | Document, path: str | Path, about: Mapping[str, object] | None = None
 ) -> Path:
-    """Write a report as one HTML file and return its path.
+    """Write a report as one HTML file.
 
-    ``result`` is a Diagnosis, an Examination, or the JSON document of either; a document of the
-    service's results, {"diagnosis": {...}} or {"estimate": {...}, ...}, will do as well. ``about`` are
-    rows to show at its end, such as {"data": "flows.csv", "seed": 1}. Raises OptionError for a
-    document that holds nothing to report.
+    Parameters
+    ----------
+    result : Diagnosis, Examination or mapping
+        Also the JSON document of either, or of the service's results, {"diagnosis": {...}} or
+        {"estimate": {...}, ...}.
+    path : str or Path
+        The file to write.
+    about : mapping, optional
+        Rows to show at its end, such as {"data": "flows.csv", "seed": 1}.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    OptionError
+        The document holds nothing to report.
     """
     document = result if isinstance(result, Mapping) else result.to_dict()
     file = Path(path)
