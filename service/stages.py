@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 import engine
-from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
 from engine.statespace.model import Theta
@@ -172,7 +171,7 @@ def _resample(
         u = series.u if model.nu else None
         y = engine.simulate(model, theta, len(series), rng, u=u, t=series.t).y
         y[~series.observed] = np.nan
-        drawn.append(Series(y, series.u if model.nu else None, t=series.t))
+        drawn.append(series.replace(y=y))
     again = Prepared(request, model, drawn, theta, job.free)
     try:
         found = computations.fit(again, options, theta, options.seed + 1 + i, progress)

@@ -54,7 +54,7 @@ def moment_maximum(
 
     Deterministic: the candidates are always the same for the same start.
     """
-    all_series = [_head(series) for series in all_series]
+    all_series = [one if len(one) <= ROWS else one.part(0, ROWS) for one in all_series]
     names = [model.parameter_names[k] for k in indices]
     candidates = free_thetas(theta, indices, _around(model, theta, indices))
     values = log_likelihoods(model, all_series, candidates)
@@ -80,15 +80,3 @@ def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array
     high: Array = np.minimum(x + reach, model.upper[indices])
     share: Array = np.random.default_rng(0).random((CANDIDATES, len(indices)))
     return low + share * (high - low)
-
-
-def _head(series: Series) -> Series:
-    if len(series) <= ROWS:
-        return series
-    return Series(
-        series.y[:ROWS],
-        series.u[:ROWS],
-        t=series.t[:ROWS],
-        y_names=series.y_names,
-        u_names=series.u_names,
-    )

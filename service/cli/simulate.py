@@ -70,13 +70,8 @@ def run(wanted: Wanted, as_json: bool) -> None:
     job = Prepared(request, model, [frame], theta)
     document = computations.simulate(job, request, Steps())  # type: ignore[arg-type]  # told steps only
     one = document["simulation"]["series"][0]
-    drawn = Series(
-        np.array([one["y"][name] for name in model.outputs]).T,
-        frame.u if model.nu else None,
-        t=frame.t,
-        y_names=tuple(model.outputs),
-        u_names=tuple(model.inputs),
-    )
+    y = np.array([one["y"][name] for name in model.outputs]).T
+    drawn = frame.replace(y=y, y_names=tuple(model.outputs), u_names=tuple(model.inputs))
     if wanted.out:
         write_series(drawn, wanted.out)
     if wanted.plot:
