@@ -207,6 +207,7 @@ RunSeconds = Annotated[
     float | None, Field(gt=0, allow_inf_nan=False, description="fail if it takes longer, s")
 ]
 Particles = Annotated[int, Field(ge=2)]
+Trajectories = Annotated[Particles | None, Field(description="null means as many as particles")]
 
 
 class EstimateOptions(_Strict):
@@ -214,9 +215,7 @@ class EstimateOptions(_Strict):
 
     method: Literal["rbps-em", "ps-em", "rts-em"] = "rbps-em"
     particles: Particles = 50
-    trajectories: Particles | None = Field(
-        default=None, description="null means as many as particles"
-    )
+    trajectories: Trajectories = None
     iterations: int = Field(default=100, ge=1)
     seed: Seed = 0
     standard_errors: bool = Field(default=True, description="takes about as long as the rest")
@@ -235,9 +234,7 @@ class SmoothOptions(_Strict):
     """How to smooth."""
 
     particles: Particles = 200
-    trajectories: Particles | None = Field(
-        default=None, description="null means as many as particles"
-    )
+    trajectories: Trajectories = None
     seed: Seed = 0
 
 

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.errors import OptionError
+from engine.errors import OptionError, check_count
 from engine.estimation.convergence import WINDOW, has_settled
 from engine.estimation.e_steps import LOST_SHARE, EStep, Expect
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
@@ -59,8 +59,7 @@ def iterate(
     ``likelihood`` moves the parameters to which the Q-function is no guide.
     """
     n = loop.n_iterations
-    if int(n) != n or n < 1:
-        raise OptionError(f"n_iterations = {n}; a positive whole number is needed", "n_iterations")
+    check_count("n_iterations", n)
     indices = model.free_indices(loop.free)
     log = _Log(model, loop)
     steps = _Steps(expect, indices, loop, better_start, likelihood)

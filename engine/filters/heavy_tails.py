@@ -24,7 +24,8 @@ from scipy.special import gammainccinv, gammaincinv, ndtr, ndtri
 from engine.errors import OptionError
 from engine.filters.proposals import Step
 from engine.filters.scale_mixture_proposal import MixingProposal
-from engine.statespace.model import Array, Density, Gaussian, MixedModel, Parameter
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.promotion import product
 
 LARGEST = 23.0  # of log s: noise a hundred thousand times as large is as good as no measurement
 FAR = 8.0  # |g| beyond which s is held constant; it is never drawn
@@ -204,7 +205,8 @@ def _with_mixing(
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         start = model.start(model.record(theta[:n]))
-        density = _with_g(start.density, mixing.mean(theta[n:]), na)
+        mean = float(mixing.mean(theta[n:]))
+        density = product(start.density, lambda a: (np.full((len(a), 1), mean), np.eye(1)), na)
         z1, P1 = start.z1, start.P1
         return (
             density,
@@ -259,30 +261,3 @@ class Scaled:
             self.mask,
             self.scales,
         )(step)
-
-
-@dataclass(frozen=True)
-class _Independent:
-    """p(a) N(g; mean, 1) for a density of a that is not Gaussian."""
-
-    density: Density
-    mean: float
-    na: int
-
-    def sample(self, rng: np.random.Generator, n: int) -> Array:
-        """Draw (n, na + 1)."""
-        a = np.asarray(self.density.sample(rng, n), dtype=float)
-        return np.concatenate([a, self.mean + rng.standard_normal((n, 1))], axis=1)
-
-    def log_density(self, a: Array) -> Array:
-        """Evaluate at a (M, na + 1) -> (M,)."""
-        log_g = -0.5 * (a[:, self.na] - self.mean) ** 2 - 0.5 * np.log(2.0 * np.pi)
-        return np.asarray(self.density.log_density(np.ascontiguousarray(a[:, : self.na])) + log_g)
-
-
-def _with_g(density: Density, mean: Any, na: int) -> Density:
-    if not isinstance(density, Gaussian):
-        return _Independent(density, mean, na)
-    cov = np.eye(na + 1)
-    cov[:na, :na] = density.cov
-    return Gaussian(np.append(density.mean, mean), cov)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.errors import OptionError
+from engine.errors import OptionError, check_count
 from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.kernels import resampling as schemes
 from engine.kernels.filtering import advance, predict, weigh
@@ -212,10 +212,7 @@ def check_options(
     n_particles: int, resampling: str, ess_threshold: float
 ) -> Callable[[Array, Array], NDArray[np.int64]]:
     """The resampling function, after checking the options of the filter. Raises OptionError."""
-    if int(n_particles) != n_particles or n_particles < 1:
-        raise OptionError(
-            f"n_particles = {n_particles}; a positive whole number is needed", "n_particles"
-        )
+    check_count("n_particles", n_particles)
     if resampling not in RESAMPLING:
         raise OptionError(
             f"resampling '{resampling}' is not known; use {', '.join(RESAMPLING)}", "resampling"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.errors import OptionError
+from engine.errors import OptionError, check_count
 from engine.filters.rbpf import Filtered
 from engine.kernels.linear_cost import backward_linear
 from engine.kernels.resampling import stratified
@@ -87,8 +87,7 @@ def backward_draws(
         raise OptionError(f"method '{method}' is not known; use {' or '.join(METHODS)}", "method")
     tries = max(16, M // 4) if tries is None else tries
     for name, value in (("n_trajectories", N), ("moves", moves), ("tries", tries)):
-        if int(value) != value or value < 1:
-            raise OptionError(f"{name} = {value}; a positive whole number is needed", name)
+        check_count(name, value)
     index, draws, accepted, full = backward_linear(
         filtered.a,
         filtered.z,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.errors import OptionError
+from engine.errors import check_count
 from engine.filters.rbpf import Filtered
 from engine.kernels.backward import backward_simulation
 from engine.kernels.resampling import stratified
@@ -130,11 +130,7 @@ def rb_ffbsi(
     OptionError
         ``n_trajectories`` is no positive whole number.
     """
-    if int(n_trajectories) != n_trajectories or n_trajectories < 1:
-        raise OptionError(
-            f"n_trajectories = {n_trajectories}; a positive whole number is needed",
-            "n_trajectories",
-        )
+    check_count("n_trajectories", n_trajectories)
     T, N, nz = len(filtered.a), n_trajectories, filtered.z.shape[2]
     index, z, P, M, draws = backward_simulation(
         filtered.a,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.errors import ModelError, OptionError
+from engine.errors import ModelError, check_count
 from engine.filters.rbpf import Filtered, Predicted, Updated, check_options, over_time
 from engine.kernels import resampling as schemes
 from engine.kernels.categorical import pick_each
@@ -211,11 +211,7 @@ def rb_ffbsi_special(
     OptionError
         ``n_trajectories`` is no positive whole number.
     """
-    if int(n_trajectories) != n_trajectories or n_trajectories < 1:
-        raise OptionError(
-            f"n_trajectories = {n_trajectories}; a positive whole number is needed",
-            "n_trajectories",
-        )
+    check_count("n_trajectories", n_trajectories)
     case, series = filtered.case, filtered.series
     record = case.model.record(filtered.theta)
     T, M, na = filtered.a.shape
