@@ -26,8 +26,8 @@ from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
 from service.validation import Prepared
 
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
-WIDE = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
-DRAWS = 4000  # of that mean, to know its error to about one per cent
+WIDE_NATS = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
+LOGNORMAL_DRAWS = 4000  # of that mean, to know its error to about one per cent
 
 
 class Progress(Protocol):
@@ -119,7 +119,7 @@ def describe(
         model, theta, found["free"], job.series, states, uncertainty, options.seed
     )
     likelihood = log_likelihood(job, theta, n, rng, options.method)
-    if not (likelihood["spread"] or 0.0) < WIDE:
+    if not (likelihood["spread"] or 0.0) < WIDE_NATS:
         message += (
             f" The log-likelihood is known poorly, and is probably too low: {LIKELIHOOD_RUNS} passes of the "
             f"filter scatter by {likelihood['spread']:.2g}. Use more particles."
@@ -171,7 +171,7 @@ def log_likelihood(
 
 def mean_error(spread: float, runs: int) -> float:
     """Standard deviation of log mean exp of ``runs`` normal numbers whose own is ``spread``."""
-    logs = spread * np.random.default_rng(0).standard_normal((DRAWS, runs))
+    logs = spread * np.random.default_rng(0).standard_normal((LOGNORMAL_DRAWS, runs))
     return float((np.logaddexp.reduce(logs, axis=1) - np.log(runs)).std())
 
 

@@ -13,10 +13,13 @@ from service.computations import Progress
 from service.schemas import DiagnoseRequest
 from service.validation import Prepared
 
-STEPS = 100  # of progress
-FIT, SEARCH = 5.0, 85.0  # per cent for the base model's fit, and for all rounds of search
-AFTER = {"symptoms": 92.0, "gain": 95.0}
-SAYS = {
+PROGRESS_STEPS = 100  # of progress
+FIT_PERCENT, SEARCH_PERCENT = (
+    5.0,
+    85.0,
+)  # per cent for the base model's fit, and for all rounds of search
+STAGE_PERCENT = {"symptoms": 92.0, "gain": 95.0}
+STAGE_MESSAGES = {
     "fit": "estimating the model as it is",
     "search": "looking for effects",
     "screen": "screening effects",
@@ -89,13 +92,14 @@ class Percent:
         done = max(self.done, int(self._percent(stage, min(max(fraction, 0.0), 1.0))))
         if done > self.done or stage != self.said:
             self.done, self.said = done, stage
-            self.step(done, SAYS.get(stage, stage))
+            self.step(done, STAGE_MESSAGES.get(stage, stage))
 
     def _percent(self, stage: str, fraction: float) -> float:
         if stage in ("screen", "refit"):
             left = 0.5 ** max(self.round, 0)
             part = 0.6 * fraction if stage == "screen" else 0.6 + 0.4 * fraction
-            return FIT + SEARCH * (1.0 - left + 0.5 * left * part)
+            return FIT_PERCENT + SEARCH_PERCENT * (1.0 - left + 0.5 * left * part)
         if stage == "bootstrap":
-            return FIT + SEARCH + (AFTER["symptoms"] - FIT - SEARCH) * fraction
-        return AFTER.get(stage, FIT if stage == "search" else 0.0)
+            searched = FIT_PERCENT + SEARCH_PERCENT
+            return searched + (STAGE_PERCENT["symptoms"] - searched) * fraction
+        return STAGE_PERCENT.get(stage, FIT_PERCENT if stage == "search" else 0.0)

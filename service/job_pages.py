@@ -24,7 +24,7 @@ from service.stages import roles
 from service.store import Store
 from service.strict_json import finite
 
-POINTS = 3000  # of a curve in a report as a file
+FILE_POINTS = 3000  # of a curve in a report as a file
 From = Annotated[float, Query(alias="from", allow_inf_nan=False, description="time in seconds")]
 To = Annotated[float, Query(alias="to", allow_inf_nan=False, description="a later time in seconds")]
 # A report has no script, loads nothing, and brings its own style.
@@ -66,7 +66,7 @@ def router(store: Store, keys: Keys) -> APIRouter:
         row = find(job_id, caller)
         document = json.loads(find_result(store, row))
         if prefers_html(http.headers.get("Accept", "")):
-            return _file(row, thin_results(document, POINTS))
+            return _file(row, thin_results(document, FILE_POINTS))
         made, draw = _on_page(document)
         sections = [ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections]
         parts = ReportOut(

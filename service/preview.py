@@ -19,9 +19,9 @@ from service.settings import Settings
 from service.strict_json import finite
 from service.uploads import check_size
 
-POINTS = 2000  # about so many values of each column
-GAPS = 200  # the longest gaps of each column
-COLUMNS = 200
+COLUMN_POINTS = 2000  # about so many values of each column
+COLUMN_GAPS = 200  # the longest gaps of each column
+COLUMNS_SHOWN = 200
 
 
 def preview(data: bytes, filename: str, time: str | None, settings: Settings) -> PreviewOut:
@@ -45,8 +45,8 @@ def preview(data: bytes, filename: str, time: str | None, settings: Settings) ->
         rows=longest,
         dt=table.dt,
         time=clock,
-        columns=[_column(table, name) for name in list(table.columns)[:COLUMNS]],
-        ignored=[*table.ignored, *(f"'{name}'" for name in list(table.columns)[COLUMNS:])],
+        columns=[_column(table, name) for name in list(table.columns)[:COLUMNS_SHOWN]],
+        ignored=[*table.ignored, *(f"'{name}'" for name in list(table.columns)[COLUMNS_SHOWN:])],
     )
 
 
@@ -95,7 +95,7 @@ def _column(table: Table, name: str) -> ColumnOut:
     missing = np.isnan(values)
     there = values[~missing]
     gaps = _gaps(missing)
-    rows = keep(values[:, None], POINTS)
+    rows = keep(values[:, None], COLUMN_POINTS)
     # The first row of a gap is kept, so that a line drawn through the values breaks there.
     rows = np.union1d(rows, np.array([first for first, _ in gaps], dtype=np.intp))
     return ColumnOut(
@@ -116,4 +116,4 @@ def _gaps(missing: np.ndarray[Any, np.dtype[np.bool_]]) -> list[tuple[int, int]]
     """First and last row of the longest gaps, in order."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], missing, [False]))))
     found = list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
-    return sorted(sorted(found, key=lambda gap: gap[0] - gap[1])[:GAPS])
+    return sorted(sorted(found, key=lambda gap: gap[0] - gap[1])[:COLUMN_GAPS])

@@ -26,8 +26,8 @@ from service.problems import Problem
 from service.schemas import DiagnoseRequest, EstimateRequest, SimulateRequest, SmoothRequest
 from service.validation import Prepared, Request
 
-SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
-START, BOOTSTRAP = 1 << 40, 1 << 41  # spawn keys far from those of iterations
+START_SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
+START_KEY, BOOTSTRAP_KEY = 1 << 40, 1 << 41  # spawn keys far from those of iterations
 
 
 # What the tasks of each stage do, by the number of stages.
@@ -58,7 +58,7 @@ def steps(job: Prepared) -> int:
     if isinstance(job.request, EstimateRequest):
         options = job.request.options
         return options.iterations * (options.starts + options.bootstrap)
-    return diagnoses.STEPS if isinstance(job.request, DiagnoseRequest) else len(job.series)
+    return diagnoses.PROGRESS_STEPS if isinstance(job.request, DiagnoseRequest) else len(job.series)
 
 
 def run(
@@ -101,7 +101,7 @@ def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) ->
     except ModelError as error:
         return start | {"success": False, "outcome": "failed", "message": str(error)}
     if found["success"]:
-        rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(START,)))
+        rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(START_KEY,)))
         theta = job.model.theta(found["theta"])
         found["reached"] = computations.log_likelihood(
             job, theta, options.particles, rng, options.method
@@ -114,12 +114,12 @@ def _start(job: Prepared, request: EstimateRequest, i: int) -> Theta:
     if i == 0:
         return job.theta
     rng = np.random.default_rng(
-        np.random.SeedSequence(request.options.seed, spawn_key=(START + i,))
+        np.random.SeedSequence(request.options.seed, spawn_key=(START_KEY + i,))
     )
     theta = np.array(job.theta)
     for k in job.model.free_indices(job.free):
         size = abs(theta[k]) or parameter_scale(job.model, theta, int(k))
-        around = (theta[k] - SPREAD * size, theta[k] + SPREAD * size)
+        around = (theta[k] - START_SPREAD * size, theta[k] + START_SPREAD * size)
         low, high = request.parameters.ranges.get(job.model.parameter_names[k], around)
         theta[k] = rng.uniform(max(low, job.model.lower[k]), min(high, job.model.upper[k]))
     return job.model.theta(theta)
@@ -165,7 +165,9 @@ def _resample(
     options, model = request.options, job.model
     values = {k: v["value"] for k, v in progress.left(estimated)["estimate"].items()}
     theta = model.theta(values)
-    rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(BOOTSTRAP + i,)))
+    rng = np.random.default_rng(
+        np.random.SeedSequence(options.seed, spawn_key=(BOOTSTRAP_KEY + i,))
+    )
     drawn = []
     for series in job.series:
         u = series.u if model.nu else None

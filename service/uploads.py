@@ -24,7 +24,7 @@ from service.problems import Problem, invalid
 from service.schemas import ModelReference
 from service.validation import ADAPTER, Request, find_model
 
-SMALL = 1 << 22  # bytes that any file may hold
+SMALL_BYTES = 1 << 22  # bytes that any file may hold
 
 
 class _FileSeries(BaseModel):
@@ -180,7 +180,7 @@ def check_size(data: bytes, filename: str, where: str, max_values: int) -> None:
         if cells > max_values:
             raise invalid(where, f"'{filename}' has more than the {max_values} cells allowed here")
         return
-    most = max(SMALL, 8 * max_values)
+    most = max(SMALL_BYTES, 8 * max_values)
     size = len(data)
     if data[:2] == b"PK":
         try:

@@ -20,9 +20,9 @@ from engine.errors import SeriesError
 
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
-LARGEST = 4 << 30  # bytes an .npz may unpack to
-LONGEST = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
-_TOO_LONG = f"a cell has more than {LONGEST} characters; is a quotation mark left open?"
+LARGEST_BYTES = 4 << 30  # bytes an .npz may unpack to
+LONGEST_CELL = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
+_TOO_LONG = f"a cell has more than {LONGEST_CELL} characters; is a quotation mark left open?"
 
 
 @dataclass
@@ -119,7 +119,7 @@ def read_csv(data: bytes, file: str) -> Table:
 
 def _short_cells(rows: Iterable[list[str]]) -> Iterator[list[str]]:
     for row in rows:
-        if any(len(cell) > LONGEST for cell in row):
+        if any(len(cell) > LONGEST_CELL for cell in row):
             raise csv.Error(_TOO_LONG)
         yield row
 
@@ -129,8 +129,10 @@ def read_npz(data: bytes, file: str) -> Table:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(info.file_size for info in archive.infolist())
-            if size > LARGEST:
-                raise SeriesError(f"{file} unpacks to {size} bytes; at most {LARGEST} are read")
+            if size > LARGEST_BYTES:
+                raise SeriesError(
+                    f"{file} unpacks to {size} bytes; at most {LARGEST_BYTES} are read"
+                )
             for info in archive.infolist():
                 _check_array(archive, info)
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:

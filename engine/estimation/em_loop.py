@@ -23,7 +23,7 @@ from engine.estimation.expectation import parameter_scale
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.maximization import Objective, maximize
 from engine.estimation.outcome import Outcome
-from engine.estimation.start import FAR
+from engine.estimation.start import FAR_NATS
 from engine.statespace.base import BaseModel, Theta, ThetaLike
 
 Callback: TypeAlias = Callable[[Iteration], Any]
@@ -168,7 +168,7 @@ def _more_likely(
     if other is not None:
         there = expect(other, rng)
         gain = there.log_likelihood - step.log_likelihood
-        if np.isfinite(there.log_likelihood) and not gain < FAR:
+        if np.isfinite(there.log_likelihood) and not gain < FAR_NATS:
             return other, there
     return theta, step
 

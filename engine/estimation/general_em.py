@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.estimation.expectation import STEP, either_side
+from engine.estimation.expectation import STEP_SHARE, either_side
 from engine.statespace.base import Array, Theta
 from engine.statespace.general import NonlinearModel
 
@@ -37,7 +37,7 @@ class TrajectoryQ:
         gradient, H = np.zeros(len(free)), np.zeros((len(free), len(free)))
         slopes = []
         for k in free:
-            below, above = either_side(self.model, theta, int(k), STEP)
+            below, above = either_side(self.model, theta, int(k), STEP_SHARE)
             pair = (self._log_densities(self.model.record(end)) for end in (below, above))
             slopes.append([(b - a) / (above[k] - below[k]) for a, b in zip(*pair, strict=True)])
         for part in zip(*slopes, strict=True):

@@ -20,7 +20,7 @@ from engine.errors import ModelError
 from engine.estimation.quasi_ml import derivatives, quasi_ml
 from engine.statespace.model import Array, MixedModel, Theta
 
-STEPS = 10  # at most; near the maximum it is one, or none
+LIKELIHOOD_STEPS = 10  # at most; near the maximum it is one, or none
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,9 @@ class LikelihoodStep:
         """
         names = [self.model.parameter_names[k] for k in indices]
         try:
-            found = quasi_ml(self.model, self.all_series, theta, names, STEPS, self.worth)
+            found = quasi_ml(
+                self.model, self.all_series, theta, names, LIKELIHOOD_STEPS, self.worth
+            )
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)

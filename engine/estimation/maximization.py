@@ -13,10 +13,11 @@ from engine.estimation.expectation import parameter_scale
 from engine.statespace.base import Array, BaseModel
 from engine.statespace.refutation import repeated_if_refuted
 
-STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
-GAIN = 1e-7  # an expected gain in Q (nats) below this is not worth a step
-LAST = 1e-2  # after a full step with an expected gain below this, what is left is not worth another
-RIDGE = 1e-10  # of the scaled scoring matrix, for parameters the data say nothing about
+SCORING_STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
+GAIN_NATS = 1e-7  # an expected gain in Q (nats) below this is not worth a step
+# After a full step with an expected gain below this, what is left is not worth another.
+LAST_NATS = 1e-2
+SCALED_RIDGE = 1e-10  # of the scaled scoring matrix, for parameters the data say nothing about
 
 
 class Objective(Protocol):
@@ -52,14 +53,14 @@ def maximize(q: Objective, theta: Array, free: NDArray[np.intp], method: str = "
 
 def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
     lower, upper = q.model.lower[free], q.model.upper[free]
-    for _ in range(STEPS):
+    for _ in range(SCORING_STEPS):
         value, g, H = q.derivatives(theta, free)
         if not (np.isfinite(value) and np.isfinite(g).all() and np.isfinite(H).all()):
             return theta
         x = theta[free]
-        direction = scoring_step(x, g, H, lower, upper, RIDGE)
+        direction = scoring_step(x, g, H, lower, upper, SCALED_RIDGE)
         expected = float(g @ direction)
-        if not expected > GAIN:
+        if not expected > GAIN_NATS:
             return theta
         step = 1.0
         while step > 1e-4:
@@ -71,7 +72,7 @@ def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
         else:
             return theta
         theta = trial
-        if step == 1.0 and expected < LAST:
+        if step == 1.0 and expected < LAST_NATS:
             return theta
     return theta
 

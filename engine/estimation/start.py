@@ -19,12 +19,12 @@ from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta
 
-ROWS = 2000  # of each series, at most, are searched
+SEARCHED_ROWS = 2000  # of each series, at most, are searched
 CANDIDATES = 96  # points around the start values ...
-REACH = 2.0  # ... this many sizes of each parameter away at most, within its bounds
-FAR = 20.0  # EM leaves from theta0 unless it is less likely than the maximum by this much
-BEST = 4  # of the candidates are improved, besides the start values themselves,
-SHORT = 6  # iterations each; the best of them is then followed to its maximum
+REACH_SIZES = 2.0  # ... this many sizes of each parameter away at most, within its bounds
+FAR_NATS = 20.0  # EM leaves from theta0 unless it is less likely than the maximum by this much
+IMPROVED_CANDIDATES = 4  # of the candidates are improved, besides the start values themselves,
+SHORT_ITERATIONS = 6  # iterations each; the best of them is then followed to its maximum
 
 
 class WarmStart:
@@ -54,16 +54,18 @@ def moment_maximum(
 
     Deterministic: the candidates are always the same for the same start.
     """
-    all_series = [one if len(one) <= ROWS else one.part(0, ROWS) for one in all_series]
+    all_series = [
+        one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
+    ]
     names = [model.parameter_names[k] for k in indices]
     candidates = free_thetas(theta, indices, _around(model, theta, indices))
     values = log_likelihoods(model, all_series, candidates)
     order = np.argsort(values)[::-1]
     found = []
     lost: Exception | None = None
-    for start in (np.asarray(theta), *candidates[order[:BEST]]):
+    for start in (np.asarray(theta), *candidates[order[:IMPROVED_CANDIDATES]]):
         try:
-            found.append(quasi_ml(model, all_series, start, names, SHORT))
+            found.append(quasi_ml(model, all_series, start, names, SHORT_ITERATIONS))
         except (ModelError, np.linalg.LinAlgError) as error:
             lost = lost or error
     if not found and lost is not None:
@@ -75,7 +77,7 @@ def moment_maximum(
 def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array:
     """Points (CANDIDATES, n) spread evenly over a box around theta."""
     x = np.asarray(theta)[indices]
-    reach = REACH * np.array([parameter_scale(model, theta, k) for k in indices])
+    reach = REACH_SIZES * np.array([parameter_scale(model, theta, k) for k in indices])
     low: Array = np.maximum(x - reach, model.lower[indices])
     high: Array = np.minimum(x + reach, model.upper[indices])
     share: Array = np.random.default_rng(0).random((CANDIDATES, len(indices)))

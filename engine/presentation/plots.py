@@ -39,9 +39,10 @@ from engine.presentation.report.style import LIGHT
 from engine.presentation.report.svg import y_axis
 
 FORMATS = ("svg", "png")
-MANY = 5000  # points from which a curve becomes pixels within an SVG, so that it opens at once
+# Points from which a curve becomes pixels within an SVG, so that it opens at once.
+MANY_POINTS = 5000
 TWO_SIDED = 1.96  # standard deviations of a 95 % band
-QUIET = "#888888"
+QUIET_COLOUR = "#888888"
 COLOURS = dict(re.findall(r"--chart-(\w+): (#\w+)", LIGHT))  # by role, as in reports
 
 
@@ -169,13 +170,13 @@ def _draw(panel: Any, chart: Chart | Ranking) -> None:
         panel.set_yticks(range(len(names)), names, fontsize=7)
         panel.invert_yaxis()
         if chart.line is not None:
-            panel.axvline(chart.line, color=QUIET)
+            panel.axvline(chart.line, color=QUIET_COLOUR)
         return
     panel.set_ylabel(chart.y_label, fontsize=8)
     panel.set(**{f"{axis}scale": "log" for axis in chart.log})
-    x, heavy = _numbers(chart.x), len(chart.x) > MANY
+    x, heavy = _numbers(chart.x), len(chart.x) > MANY_POINTS
     for level in chart.level:
-        panel.axhline(level, color=QUIET, linewidth=0.6)
+        panel.axhline(level, color=QUIET_COLOUR, linewidth=0.6)
     for t in chart.traces:
         y, style = _numbers(t.y), {"color": COLOURS[t.role], "label": t.label}
         if t.band is not None:

@@ -28,7 +28,7 @@ from engine.data.series import Series
 from engine.errors import EngineError, ModelError
 from engine.kernels.gaussian import psd_cholesky_many
 from engine.statespace.base import BaseModel
-from engine.statespace.checks import TIMES
+from engine.statespace.checks import TRIED_ROWS
 from engine.statespace.declared import check_declared
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.model import (
@@ -46,7 +46,7 @@ from engine.statespace.shapes import through
 
 Noise: TypeAlias = Callable[[Any], Density]
 
-DRAWS = 3  # of each density, to look at
+DENSITY_DRAWS = 3  # of each density, to look at
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,9 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
     ):
         try:
             density = getattr(model, name)(record)
-            values = np.asarray(density.sample(np.random.default_rng(0), DRAWS), dtype=float)
+            values = np.asarray(
+                density.sample(np.random.default_rng(0), DENSITY_DRAWS), dtype=float
+            )
             log_p = np.asarray(density.log_density(values), dtype=float)
             alone = [float(np.squeeze(density.log_density(v[None]))) for v in values]
         except EngineError:
@@ -161,7 +163,8 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
             raise ModelError(
                 f"model '{model.name}': {name} raised {type(error).__name__}: {error}"
             ) from error
-        for what, got, shape in (("draws", values, (DRAWS, n)), ("log density", log_p, (DRAWS,))):
+        shapes = (DENSITY_DRAWS, n), (DENSITY_DRAWS,)
+        for what, got, shape in (("draws", values, shapes[0]), ("log density", log_p, shapes[1])):
             if got.shape != shape or not np.isfinite(got).all():
                 raise ModelError(
                     f"model '{model.name}', {name}: {what} {got.tolist()} of shape {got.shape}; finite "
@@ -174,7 +177,7 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
             )
         if name == "initial":
             x = values
-    for i in np.unique(np.linspace(0, len(series) - 2, TIMES).astype(int)):
+    for i in np.unique(np.linspace(0, len(series) - 2, TRIED_ROWS).astype(int)):
         u, t = series.u[i], float(series.t[i])
         f, g = model.transition(x, u, t, float(series.steps[i]), record)
         h, s = model.output(x, u, t, record)

@@ -151,7 +151,7 @@ def _prepare(asked: Asked, shown: Meter) -> Job:
 
 def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str, Any]]:
     """The diagnosis and its document; when it is interrupted, what is done is saved."""
-    kept.shown.begin(diagnoses.STEPS, kept.percent)
+    kept.shown.begin(diagnoses.PROGRESS_STEPS, kept.percent)
     try:
         with kept.interrupt.held():
             found = engine.diagnose(

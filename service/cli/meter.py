@@ -7,8 +7,8 @@ import sys
 import time
 from typing import Self
 
-STEPS = 10  # lines of a whole run, about ...
-PAUSE = 30.0  # ... and one after so many seconds without
+PROGRESS_LINES = 10  # lines of a whole run, about ...
+PAUSE_SECONDS = 30.0  # ... and one after so many seconds without
 
 
 class Meter:
@@ -53,12 +53,12 @@ class Lines(Meter):
     def at(self, done: int, text: str = "") -> None:
         """Write a line where a tenth is done, or nothing was said for long."""
         now = time.monotonic()
-        tenth = done * STEPS // self.total > self.shown * STEPS // self.total
-        if not tenth and now - self.said < PAUSE:
+        tenth = done * PROGRESS_LINES // self.total > self.shown * PROGRESS_LINES // self.total
+        if not tenth and now - self.said < PAUSE_SECONDS:
             return
         self.shown, self.said = done, now
         left, mine = "", done - self.first
-        if done < self.total and mine * STEPS >= self.total:  # sooner it would be a guess
+        if done < self.total and mine * PROGRESS_LINES >= self.total:  # sooner it would be a guess
             left = f", {duration((now - self.since) / mine * (self.total - done))} left"
         self.say(f"{done} of {self.total}{', ' if text else ''}{text}{left}")
 

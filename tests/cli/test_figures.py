@@ -100,7 +100,7 @@ def test_save_writes_both_formats(estimate, tmp_path):
 
 
 def test_long_curves_are_pixels_within_an_svg(tmp_path):
-    n = 4 * plots.MANY
+    n = 4 * plots.MANY_POINTS
     t, x = np.arange(n) * 1.0, np.random.default_rng(0).standard_normal((n, 1))
     figures = plots.Figures(states=plots.states(t, {"x": ""}, x, np.ones((n, 1))))
     (path,) = figures.save(tmp_path, ["svg"])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from engine.data.series import Series
-from engine.diagnose.gain.adoption import LEVEL, Decision, decide, runs_changed
+from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
 from engine.diagnose.gain.simulation_gain import (
     OutputGain,
     free_run_from,
@@ -32,7 +32,7 @@ from engine.words import enumerated
 
 BLOCKS, EVERY = 25, 5  # of interleaved blocks
 FOLDS_BELOW = 500  # rows: where fewer, each block is left out in turn
-TIMES = 200  # rows at most that a time is sought at
+SOUGHT_TIMES = 200  # rows at most that a time is sought at
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,7 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     gone = any(after and not before for before, after in (lost, away))
     decision = decide(p_gain, p_loss, total, outputs, gone)
     worse = [o.output for o in runs_changed(outputs)[1]]
-    if worse and p_gain > LEVEL:
+    if worse and p_gain > TEST_LEVEL:
         notes.append(
             f"The extended model simulates {enumerated(worse)} worse, and does not clearly predict better: it "
             "explains the data as noise and not by a cause."
@@ -266,7 +266,9 @@ def _times_again(extended: QuasiFit, masked: Series, times: Sequence[str]) -> Ar
     for name in times:
         k = model.index(name)
         rows = np.flatnonzero(masked.observed.any(axis=1))
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(TIMES, len(rows))).astype(int))]
+        rows = rows[
+            np.unique(np.linspace(0, len(rows) - 1, min(SOUGHT_TIMES, len(rows))).astype(int))
+        ]
         tried = np.append(masked.t[rows], theta[k])
         thetas = np.repeat(theta[None], len(tried), axis=0)
         thetas[:, k] = np.clip(tried, model.lower[k], model.upper[k])

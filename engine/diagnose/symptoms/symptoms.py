@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.symptoms.compare import (
-    AWAY,
+    AWAY_RANGES,
     Comparison,
     Fit,
     against_predictions,
@@ -29,10 +29,13 @@ from engine.words import number
 
 __all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
 
-DRAWS = 200
-ROOM, FEWEST_DRAWS = 4_000_000, 40  # simulated samples in all: longer series get fewer draws
-FEWEST_FINE = 20  # simulations that do not run away, without which nothing is judged by them
-SHOWN = 4  # sentences on regions, of the free run and of the predictions
+SIMULATIONS = 200
+SIMULATED_SAMPLES, FEWEST_SIMULATIONS = (
+    4_000_000,
+    40,
+)  # simulated samples in all: longer series get fewer draws
+FEWEST_FINITE_RUNS = 20  # simulations that do not run away, without which nothing is judged by them
+REGION_SENTENCES = 4  # sentences on regions, of the free run and of the predictions
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +79,7 @@ class Symptoms:
     def _comparison(self, comparison: Comparison | None, notable: float) -> dict[str, Any] | None:
         if comparison is None:
             return None
-        regions = most_telling(list(comparison.regions), 4 * SHOWN, notable)
+        regions = most_telling(list(comparison.regions), 4 * REGION_SENTENCES, notable)
         series, c = self.series, comparison
         names = list(self.model.outputs)
         return {
@@ -113,10 +116,10 @@ def find_symptoms(
         y, states = noise_free(model, vector, series, mean)
         row = lost_at(y, series)
         if row is None:
-            n = int(np.clip(ROOM // len(series), FEWEST_DRAWS, DRAWS))
+            n = int(np.clip(SIMULATED_SAMPLES // len(series), FEWEST_SIMULATIONS, SIMULATIONS))
             drawn = draws(model, vector, series, mean, P, covariance, n, rng)
             fine = drawn[np.isfinite(drawn).all(axis=(1, 2))]
-            if len(fine) < FEWEST_FINE:
+            if len(fine) < FEWEST_FINITE_RUNS:
                 fine = fine[:0]
                 sentences.append(
                     "Most of the model's own simulations run away: what it leads to expect of the free run is "
@@ -126,7 +129,7 @@ def find_symptoms(
         else:
             sentences.append(
                 f"The free run runs away: from t = {number(float(series.t[row]), 6)} s on it is further off "
-                f"than {AWAY:g} times the range of the readings."
+                f"than {AWAY_RANGES:g} times the range of the readings."
             )
     white = whiteness(z, tuple(model.outputs))
     for comparison, what in ((free, "simulation"), (one_step, "prediction")):
@@ -134,7 +137,7 @@ def find_symptoms(
             continue
         sentences += [overall(f, what) for f in comparison.fits]
         notable = NOTABLE_RUN if what == "simulation" else NOTABLE
-        telling = most_telling(list(comparison.regions), SHOWN, notable)
+        telling = most_telling(list(comparison.regions), REGION_SENTENCES, notable)
         sentences += [sentence(r, what, model.outputs[r.output]) for r in telling]
     sentences += [
         correlated(w.output, w.statistic, w.lags, w.p_value) for w in white if w.p_value < 0.001

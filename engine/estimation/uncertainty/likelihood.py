@@ -43,17 +43,18 @@ from engine.estimation.uncertainty.score import Score
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.views import html, tables
 
-STEP = 0.7  # between the values of theta_k, in standard errors ...
+STEP_ERRORS = 0.7  # between the values of theta_k, in standard errors ...
 GROWTH = 1.25  # ... and by how much it grows from one to the next
-POINTS = 20  # on one side at most; the last is some 240 standard errors away
-OVERSHOOT = 1.5  # nats beyond the end: the step is halved, so that the spline has a point nearby
+SIDE_POINTS = 20  # on one side at most; the last is some 240 standard errors away
+# Nats beyond the end: the step is halved, so that the spline has a point nearby.
+OVERSHOOT_NATS = 1.5
 HALVINGS = 3
-BEYOND = 0.3  # nats that the last point is beyond the end
-NEAR = 0.01  # standard errors from a bound count as being there
-LAG = 0.01  # nats by which the other parameters may be away from their maximum ...
+BEYOND_NATS = 0.3  # nats that the last point is beyond the end
+NEAR_ERRORS = 0.01  # standard errors from a bound count as being there
+LAG_NATS = 0.01  # nats by which the other parameters may be away from their maximum ...
 CORRECTIONS = 3  # ... after this many steps towards it at most
-AWAY = 1.0  # standard errors between the estimate and the maximum are worth a warning
-FINE = 64  # parts of each step on which the curve is searched
+AWAY_ERRORS = 1.0  # standard errors between the estimate and the maximum are worth a warning
+STEP_PARTS = 64  # parts of each step on which the curve is searched
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +175,8 @@ def likelihood_intervals(
 
 
 def _warning(errors: StandardErrors, maximum: Array) -> str:
-    """What to say where a profile is highest more than AWAY standard errors from the estimate."""
-    away = np.abs(maximum - np.asarray(errors.theta)) > AWAY * np.nan_to_num(errors.values)
+    """What to say where a profile is highest more than AWAY_ERRORS standard errors from the estimate."""
+    away = np.abs(maximum - np.asarray(errors.theta)) > AWAY_ERRORS * np.nan_to_num(errors.values)
     far = [
         f"{p.name} = {value:.5g}"
         for p, value, yes in zip(errors.model.parameters, maximum.tolist(), away, strict=True)
@@ -226,21 +227,21 @@ class _March:
         lower, upper = self.score.bounds
         bound = lower[k] if sign < 0.0 else upper[k]
         v = self.covariance[:, k] / self.covariance[k, k]
-        step, halvings = STEP * sd, 0
+        step, halvings = STEP_ERRORS * sd, 0
         at, slopes = [x[k]], [float(slope.mean())]
         out: list[tuple[float, Array]] = []
-        while len(out) < POINTS:
+        while len(out) < SIDE_POINTS:
             room = abs(bound - x[k])
-            if room < NEAR * sd:
+            if room < NEAR_ERRORS * sd:
                 break
             length = min(step, 0.9 * room)  # at a bound a variance may be zero
             there, slope_there, direction = self._at(k, x + sign * length * v)
             fallen = _fallen([*at, there[k]], [*slopes, float(slope_there.mean())])
-            if fallen > fall + OVERSHOOT and halvings < HALVINGS:
+            if fallen > fall + OVERSHOOT_NATS and halvings < HALVINGS:
                 step, halvings = 0.5 * length, halvings + 1
                 continue
             out.append((float(there[k]), slope_there))
-            if fallen > fall + BEYOND:
+            if fallen > fall + BEYOND_NATS:
                 return out, float(there[k])
             x, v = there, direction
             at.append(x[k])
@@ -255,7 +256,7 @@ class _March:
         v, other = self._directions(k, x, scores)
         s = scores.mean(axis=0)
         for _ in range(CORRECTIONS):
-            if 0.5 * float(s @ other @ s) <= LAG:
+            if 0.5 * float(s @ other @ s) <= LAG_NATS:
                 break
             x = self._clipped(x + other @ s, k)
             scores = self._scores(x)
@@ -317,7 +318,7 @@ def ends(
     may reach at most, ``outermost``.
     """
     height = CubicSpline(at, slope).antiderivative()
-    parts = [np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(at)]
+    parts = [np.linspace(a, b, STEP_PARTS, endpoint=False) for a, b in pairwise(at)]
     x = np.append(np.concatenate(parts), at[-1])
     y: NDArray[np.float64] = height(x)
     top = int(np.argmin(np.abs(x - start)))

@@ -25,10 +25,10 @@ from engine.views import html, tables
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates
 GUESS = 0.1  # share of the complete-data information that the data usually hold, to start with
-REACH = 0.5  # length of the differences in standard errors: further out the curvature differs
-SETTLED = (
-    0.5  # standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases
-)
+# Length of the differences in standard errors: further out the curvature differs.
+REACH_ERRORS = 0.5
+# Standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases.
+SETTLED_ERRORS = 0.5
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
 
@@ -184,7 +184,7 @@ def standard_errors(
         spread, L_last, L = G, L, refined
     covariance = L @ L.T
     decrement, noise = _decrement(covariance, scores)
-    settled = decrement <= SETTLED**2 + noise and not drawn
+    settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=2)
@@ -218,7 +218,7 @@ def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:
     lower, upper = score.bounds
     mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(len(scores))
     inward = np.where(score.x <= lower, mean, np.where(score.x >= upper, -mean, 0.0))
-    far = inward - 2.0 * noise > SETTLED * np.sqrt(np.maximum(information, 0.0))
+    far = inward - 2.0 * noise > SETTLED_ERRORS * np.sqrt(np.maximum(information, 0.0))
     return [name for name, yes in zip(score.names, far, strict=True) if yes and len(scores)]
 
 
@@ -251,12 +251,12 @@ def _whitened_information(score: Score, L: Array, which: np.random.SeedSequence)
 
 
 def _within(x: Array, step: Array, lower: Array, upper: Array) -> float:
-    """The largest share (at most REACH) of a step that stays well within the bounds."""
+    """The largest share (at most REACH_ERRORS) of a step that stays well within the bounds."""
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(
             step > 0.0, (upper - x) / step, np.where(step < 0.0, (lower - x) / step, np.inf)
         )
-    return float(min(REACH, 0.9 * room.min()))
+    return float(min(REACH_ERRORS, 0.9 * room.min()))
 
 
 def _root(S: Array) -> Array:

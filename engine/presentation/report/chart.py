@@ -12,8 +12,8 @@ from engine.arrays import Array
 from engine.presentation.report.downsample import keep
 
 Numbers = Sequence[float | None] | Array
-POINTS = 4000  # of a chart, at most about
-TIMES = "t"  # ``sync`` of charts over time
+CHART_POINTS = 4000  # of a chart, at most about
+TIME_AXIS = "t"  # ``sync`` of charts over time
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class Chart:
     wide: bool = False
     small: bool = False
     live: bool = True
-    sync: str = TIMES
+    sync: str = TIME_AXIS
 
-    def thinned(self, points: int = POINTS) -> Chart:
+    def thinned(self, points: int = CHART_POINTS) -> Chart:
         """The same with about so many points at most, extremes kept."""
         if len(self.x) <= points:
             return self

@@ -24,7 +24,7 @@ from engine.presentation.report.parts import (
 from engine.presentation.report.priority import asked_first
 from engine.words import number
 
-SHOWN = 12  # candidates in a picture
+RANKED_CANDIDATES = 12  # candidates in a picture
 
 
 def cause_section(d: Document, draw: Drawer) -> list[object]:
@@ -112,7 +112,7 @@ def _ranked(found: dict[str, Any], name: str) -> Ranking:
     if found["refitted"]:
         bars = [
             (r["title"], r["score"], "after" if r["equivalent"] else "data")
-            for r in found["refitted"][:SHOWN]
+            for r in found["refitted"][:RANKED_CANDIDATES]
         ]
         if found["unnamed"]:
             bars.append(("unnamed force", found["unnamed"]["score"], "before"))
@@ -122,7 +122,9 @@ def _ranked(found: dict[str, Any], name: str) -> Ranking:
     bars = [(x["title"], _evidence(x["p_value"]), "data") for x in found["screened"]]
     needed = math.erfc(math.sqrt(0.5 * found["threshold"]))  # chi2 with one degree of freedom
     label = "-log10 of each one's p-value"
-    return Ranking(f"{name}screened effects", label, _finite(bars[:SHOWN]), _evidence(needed))
+    return Ranking(
+        f"{name}screened effects", label, _finite(bars[:RANKED_CANDIDATES]), _evidence(needed)
+    )
 
 
 def _evidence(p: float) -> float:

@@ -33,7 +33,7 @@ from engine.presentation.report.parts import (
 from engine.words import number
 
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
-FEW = 7  # starts beside the one taken whose curves are drawn each
+FEW_STARTS = 7  # starts beside the one taken whose curves are drawn each
 
 
 def estimate_report(document: Document, draw: Drawer) -> Report:
@@ -208,7 +208,7 @@ def _other_starts(document: Document, name: str) -> list[tuple[int, Numbers, Num
 def _beside(axis: list[int], others: list[tuple[int, Numbers, Numbers]]) -> list[Trace]:
     """A few starts each by itself, many by their middle and range."""
     curves = [(i, _on(axis, ks, values)) for i, ks, values in others]
-    if len(curves) <= FEW:
+    if len(curves) <= FEW_STARTS:
         return [
             Trace(f"start {i}", curve, "line", f"c{2 + k % 5}", dash=True)
             for k, (i, curve) in enumerate(curves)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from engine.presentation.report.chart import POINTS, TIMES, Chart, Ranking
+from engine.presentation.report.chart import CHART_POINTS, TIME_AXIS, Chart, Ranking
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.svg import svg_element
 from engine.words import estimate, number, probability, tidy
@@ -38,7 +38,7 @@ class OnPage:
         """A place with its number, or SVG where there is nothing to zoom into."""
         if isinstance(chart, Ranking) or not chart.live:
             return svg_element(chart)
-        if self.zoom is not None and chart.sync == TIMES and len(chart.x) > POINTS:
+        if self.zoom is not None and chart.sync == TIME_AXIS and len(chart.x) > CHART_POINTS:
             self.finer[len(self.charts)] = chart.within(*self.zoom).thinned().spec()
         self.charts.append(chart.thinned().spec() | {"points": len(chart.x)})
         size = "figure live wide" if chart.wide else "figure live"
