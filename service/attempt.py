@@ -52,9 +52,8 @@ def main(url: str, attempt: Attempt, memory: int = 0) -> None:
     _die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the service's to handle
     os.nice(5)  # requests are answered while all cores compute
-    with contextlib.suppress(
-        OSError
-    ):  # short of memory, the system ends this process, not the service
+    # short of memory, the system ends this process, not the service
+    with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("500")
     if memory:
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))

@@ -14,10 +14,8 @@ from service.schemas import DiagnoseRequest
 from service.validation import Prepared
 
 PROGRESS_STEPS = 100  # of progress
-FIT_PERCENT, SEARCH_PERCENT = (
-    5.0,
-    85.0,
-)  # per cent for the base model's fit, and for all rounds of search
+# per cent for the base model's fit, and for all rounds of search
+FIT_PERCENT, SEARCH_PERCENT = 5.0, 85.0
 STAGE_PERCENT = {"symptoms": 92.0, "gain": 95.0}
 STAGE_MESSAGES = {
     "fit": "estimating the model as it is",

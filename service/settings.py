@@ -51,9 +51,8 @@ class Settings:
     max_tasks: int = 1000  # starts, or bootstrap runs, of a job
     max_queue: int = 1000  # jobs that wait or run
     max_queue_per_key: int = 0  # of these, of one key; 0: a quarter
-    max_cost: float = (
-        2e10  # samples x iterations x particles of all starts and bootstrap runs of a job
-    )
+    # samples x iterations x particles of all starts and bootstrap runs of a job
+    max_cost: float = 2e10
     body_seconds: float = 30.0  # longest pause within a body; the whole may take 20 times that
     header_seconds: float = 20.0  # a connection has so long to send a request's headers
     max_connections: int = 1000

@@ -34,9 +34,8 @@ from service.strict_json import dumps
 from service.transitions import KEPT, add, add_tasks, end, forget, locked, put, resume
 
 ENDED = ("successful", "failed", "dismissed")
-Most = Sequence[
-    tuple[str | None, int]
-]  # how many jobs of an owner, or of all (None), may wait or run
+# how many jobs of an owner, or of all (None), may wait or run
+Most = Sequence[tuple[str | None, int]]
 
 
 class KeyReused(Exception):  # noqa: N818 - it is the client that erred

@@ -160,9 +160,8 @@ def _check_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:
             (1, 0): np.lib.format.read_array_header_1_0,
             (2, 0): np.lib.format.read_array_header_2_0,
         }
-        if (
-            version not in readers
-        ):  # (3, 0) is for tables with named fields, which are not used here
+        # (3, 0) is for tables with named fields, which are not used here
+        if version not in readers:
             return
         shape, _, dtype = readers[version](stream)
         there = info.file_size - stream.tell()

@@ -283,6 +283,5 @@ def _particle_word(base: QuasiFit, found: Search, series: Series, seed: int) -> 
     moment = final.log_likelihood - base.log_likelihood
     before, after = (base.model, base.theta), (final.model, final.theta)
     text, contradicts = particle_word(before, after, moment, series, seed)
-    return text, contradicts and not has_tails(
-        found
-    )  # outliers were judged by a filter of their own
+    # outliers were judged by a filter of their own
+    return text, contradicts and not has_tails(found)

@@ -165,9 +165,8 @@ def with_scales(
 def _informed_scale(model: MixedModel, all_series: Sequence[Series], theta: Array, k: int) -> float:
     """1 / sqrt(information of one reading) on parameter k; 0 where there is none."""
     scale, n = 1.0, sum(int(one.observed.sum()) for one in all_series)
-    for _ in range(
-        TRIALS
-    ):  # differences over steps of a wrong size are lost in rounding, or too long
+    # differences over steps of a wrong size are lost in rounding, or too long
+    for _ in range(TRIALS):
         parameters = list(model.parameters)
         parameters[k] = replace(parameters[k], scale=scale)
         tried = model.with_parameters(parameters)
@@ -245,9 +244,8 @@ def derivatives(
         value += float(total[0])
         if not np.isfinite(value):
             return -np.inf, g, H
-        with np.errstate(
-            invalid="ignore", over="ignore"
-        ):  # a lost neighbour: the value is -inf below
+        # a lost neighbour: the value is -inf below
+        with np.errstate(invalid="ignore", over="ignore"):
             g += (total[2::2] - total[1::2]) / distances
             d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
             d_S = f.S[:, 2::2] - f.S[:, 1::2]

@@ -165,9 +165,8 @@ def _slopes_without_variance(run: FilterSteps, kept: dict[str, Array]) -> None:
     predicted, P = kept["predicted"], kept["P_predicted"]
     variance = np.diagonal(P, axis1=1, axis2=2)
     sizes = np.maximum(np.abs(predicted), np.sqrt(np.maximum(variance, 0.0))).max(axis=0)
-    least = np.diag(
-        (NEAR_SHARE * np.where(sizes > 0.0, sizes, 1.0)) ** 2
-    )  # 1: it never leaves zero
+    # 1: it never leaves zero
+    least = np.diag((NEAR_SHARE * np.where(sizes > 0.0, sizes, 1.0)) ** 2)
     for name, function, means, covs in (
         ("H", run.observation, predicted, P),
         ("F", run.transition, kept["filtered"][:-1], kept["P_filtered"][:-1]),

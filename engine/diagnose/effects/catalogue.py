@@ -104,9 +104,8 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
 def extend(model: MixedModel, effects: Sequence[str], setting: Setting | None = None) -> MixedModel:
     """The model with effects applied one after the other, by name."""
     known = setting or Setting(model)
-    known = replace(
-        known, zeros=known.known_zeros
-    )  # what an effect adds moves no zero of the model's
+    # what an effect adds moves no zero of the model's
+    known = replace(known, zeros=known.known_zeros)
     for name in effects:
         model = make_effect(name, replace(known, model=model)).apply(model)
     return model

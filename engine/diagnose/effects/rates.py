@@ -14,9 +14,8 @@ from engine.filters.sigma_point import first_moments
 from engine.statespace.model import Array, MixedModel
 
 PROBE_POINTS = 12  # at which a rate is looked for
-TIME_STEPS = 10.0 ** -np.arange(
-    0.0, 11.0, 2.0
-)  # time steps in seconds: one of them is short for any model
+# time steps in seconds: one of them is short for any model
+TIME_STEPS = 10.0 ** -np.arange(0.0, 11.0, 2.0)
 # What is only there as the step is finite falls at least so much where it is quartered.
 FADING = 0.5
 SMALL_SHARE = 1e-2  # share of the dependence on the rate itself

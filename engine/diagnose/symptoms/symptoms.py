@@ -30,10 +30,8 @@ from engine.words import number
 __all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
 
 SIMULATIONS = 200
-SIMULATED_SAMPLES, FEWEST_SIMULATIONS = (
-    4_000_000,
-    40,
-)  # simulated samples in all: longer series get fewer draws
+# simulated samples in all: longer series get fewer draws
+SIMULATED_SAMPLES, FEWEST_SIMULATIONS = 4_000_000, 40
 FEWEST_FINITE_RUNS = 20  # simulations that do not run away, without which nothing is judged by them
 REGION_SENTENCES = 4  # sentences on regions, of the free run and of the predictions
 
