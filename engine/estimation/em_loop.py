@@ -201,15 +201,8 @@ class _Log:
                 "resume",
             )
         self.trace = [model.theta(row) for row in resume.trace]
-        self.rows = list(
-            zip(
-                resume.log_likelihood.tolist(),
-                resume.ess.tolist(),
-                resume.seconds.tolist(),
-                resume.collapsed.tolist(),
-                strict=True,
-            )
-        )
+        columns = (resume.log_likelihood, resume.ess, resume.seconds, resume.collapsed)
+        self.rows = list(zip(*(column.tolist() for column in columns), strict=True))
 
     @property
     def k(self) -> int:
@@ -237,11 +230,11 @@ class _Log:
 
     def result(self, names: tuple[str, ...], outcome: Outcome, last: _Maximized | None) -> EmResult:
         trace = np.array([np.asarray(row) for row in self.trace])
-        columns = np.array(self.rows).reshape(-1, 4).T
+        log_likelihood, ess, seconds, collapsed = np.array(self.rows).reshape(-1, 4).T
         theta = trace[-1]
         if outcome is Outcome.CONVERGED:
             theta = trace[-WINDOW:].mean(axis=0)
-        lost = columns[3][-WINDOW:].mean() if self.k else 0.0
+        lost = collapsed[-WINDOW:].mean() if self.k else 0.0
         if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
             outcome = Outcome.COLLAPSED
         message = outcome.value
@@ -261,15 +254,16 @@ class _Log:
                 f" Not estimated, as the likelihood does not depend on them here or cannot be had: "
                 f"{', '.join(stuck)}. Hold them fixed (free=), or start elsewhere."
             )
+        estimate = Theta(theta, self.model.parameter_names)
         return EmResult(
             self.model,
             names,
-            Theta(theta, self.model.parameter_names),
+            estimate,
             trace,
-            columns[0],
-            columns[1],
-            columns[2],
-            columns[3],
+            log_likelihood,
+            ess,
+            seconds,
+            collapsed,
             outcome,
             message,
             stuck,

@@ -131,16 +131,8 @@ def quasi_ml(
         if gained < 0.1 * tolerance:
             converged = True
             break
-    return QuasiFit(
-        given,
-        Theta(theta, model.parameter_names),
-        float(value),
-        names,
-        H,
-        iterations,
-        converged,
-        given_up,
-    )
+    best = Theta(theta, model.parameter_names)
+    return QuasiFit(given, best, float(value), names, H, iterations, converged, given_up)
 
 
 def with_scales(
