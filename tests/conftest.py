@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+# Set for the processes that the service and the studies start, and read by nobody else.
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[2] / "shared" / "data")
 
 
@@ -33,9 +35,11 @@ def measured_data() -> Callable[[str], Path]:
 
 def of_the_process() -> dict[str, Any]:
     """What holds for the whole process, and so for all tests that come later."""
-    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # which the service sets for its workers
-    passing = ("PYTEST_CURRENT_TEST",)
-    env = {key: value for key, value in os.environ.items() if key not in (*threads, *passing)}
+    changing = (*THREADS, "PYTEST_CURRENT_TEST")
+    env = {key: value for key, value in os.environ.items() if key not in changing}
+    env = {
+        key: value for key, value in env.items() if not key.startswith("KMP_")
+    }  # by scikit-learn
     return {
         "environment": env,
         "folder": os.getcwd(),

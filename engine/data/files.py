@@ -7,7 +7,9 @@ Which columns are which channels:
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
 - ``t`` names the column of time stamps in seconds; left out, a column named ``t``, ``time``,
   ``t_s``, ``time_s`` or ``t [s]`` is used unless ``dt`` is given;
-- in .mat and .npz a scalar named ``dt`` or ``Ts`` is the time step in seconds.
+- in .mat and .npz a scalar named ``dt`` or ``Ts`` is the time step in seconds;
+- ``hold`` says what inputs do between samples (see :class:`engine.Series`); left out, what the file says: a
+  text ``hold`` in .mat and .npz, a line ``# hold: foh`` at the head of a CSV; else they are held.
 
 Empty cells and NaN, null, NA, none are missing measurements. Nothing is ever unpickled.
 """
@@ -26,7 +28,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.series import Series
 from engine.data.tables import Table, read_csv, read_mat, read_npz
-from engine.errors import SeriesError
+from engine.errors import OptionError, SeriesError
 
 Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
 
@@ -40,6 +42,7 @@ def read_series(
     u: Channels = None,
     t: str | None = None,
     dt: float | None = None,
+    hold: str | None = None,
 ) -> Series:
     """Read a file; see the module's docstring for which columns are read.
 
@@ -50,7 +53,7 @@ def read_series(
         data = path.read_bytes()
     except OSError as error:
         raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
-    return read_series_bytes(data, path.name, y=y, u=u, t=t, dt=dt)
+    return read_series_bytes(data, path.name, y=y, u=u, t=t, dt=dt, hold=hold)
 
 
 def read_series_bytes(
@@ -60,9 +63,10 @@ def read_series_bytes(
     u: Channels = None,
     t: str | None = None,
     dt: float | None = None,
+    hold: str | None = None,
 ) -> Series:
     """The same from the bytes of an uploaded file; the name's ending tells the format."""
-    return series_from(read_table(data, filename), y, u, t, dt)
+    return series_from(read_table(data, filename), y, u, t, dt, hold)
 
 
 def read_table(data: bytes, filename: str) -> Table:
@@ -79,6 +83,7 @@ def series_from(
     u: Channels = None,
     t: str | None = None,
     dt: float | None = None,
+    hold: str | None = None,
 ) -> Series:
     """The series that columns of a table make, see :func:`read_series`."""
     y_names, y_columns = _channels(table, y, "y")
@@ -95,8 +100,9 @@ def series_from(
             t=times,
             y_names=y_names,
             u_names=u_names,
+            hold=hold or table.hold or "zoh",
         )
-    except SeriesError as error:
+    except (SeriesError, OptionError) as error:
         raise SeriesError(f"{table.file}: {error}") from error
 
 
@@ -115,11 +121,13 @@ def write_series(series: Series, path: str | Path) -> None:
             t=series.t,
             y_names=np.array(series.y_names, dtype=np.str_),
             u_names=np.array(series.u_names, dtype=np.str_),
+            hold=series.hold,
         )
     elif suffix == ".mat":
         from scipy.io import savemat
 
         arrays: dict[str, object] = {"t": series.t[:, None], "y": series.y}
+        arrays["hold"] = series.hold
         arrays["y_names"] = np.array(series.y_names, dtype=object)
         if series.u.shape[1]:
             arrays["u"] = series.u
@@ -138,6 +146,8 @@ def csv_text(series: Series) -> str:
         header += [name if is_channel(name, prefix) else f"{prefix}_{name}" for name in names]
     table = np.column_stack((series.t, series.y, series.u))
     out = io.StringIO()
+    if series.hold != "zoh":
+        out.write(f"# hold: {series.hold}\n")
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header)
     for row in table.tolist():

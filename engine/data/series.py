@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
-from engine.errors import SeriesError
+from engine.errors import OptionError, SeriesError
 from engine.views import html, tables
 
 if TYPE_CHECKING:
     from engine.statespace.base import BaseModel
+
+
+HOLDS = ("zoh", "foh", "past")  # what an input does between its samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +30,12 @@ class Series:
     per row. NaN in y is a missing value: a whole row or a single channel. A one-dimensional y
     or u is one channel. ``extra`` (T, n) are channels that were recorded but that the model does not
     use; a diagnosis asks whether they matter. ``substeps`` counts the rows from one sample to the next,
-    the first row being a sample, where the series was refined (see :meth:`refined`). Raises SeriesError
-    naming the row and the channel.
+    the first row being a sample, where the series was refined (see :meth:`refined`).
+
+    ``hold`` says what inputs did between their samples: held until the next one (``"zoh"``, as a converter
+    holds what a computer sends), on a straight line to it (``"foh"``, as of a signal that was measured like
+    the outputs), or at a row's value since the row before (``"past"``, as loggers write mean currents).
+    Raises SeriesError naming the row and the channel, OptionError for another ``hold``.
     """
 
     y: Array
@@ -39,6 +46,7 @@ class Series:
     extra: Array
     extra_names: tuple[str, ...]
     substeps: int
+    hold: str
 
     def __init__(
         self,
@@ -51,11 +59,14 @@ class Series:
         extra: ArrayLike | None = None,
         extra_names: Sequence[str] | None = None,
         substeps: int = 1,
+        hold: str = "zoh",
     ) -> None:
         y_ = _columns(y, "y")
         T = y_.shape[0]
         u_ = np.zeros((T, 0)) if u is None else _columns(u, "u")
         extra_ = np.zeros((T, 0)) if extra is None else _columns(extra, "extra")
+        if hold not in HOLDS:
+            raise OptionError(f"hold = {hold!r}; one of {', '.join(HOLDS)} is needed", "hold")
         if T < 2:
             raise SeriesError(f"y has {T} samples; at least 2 are needed")
         for name, values in (("u", u_), ("extra", extra_)):
@@ -86,6 +97,7 @@ class Series:
         set_(self, "extra", extra_)
         set_(self, "t", _times(t, dt, T))
         set_(self, "substeps", int(substeps))
+        set_(self, "hold", hold)
         for array in (self.y, self.u, self.extra, self.t):
             array.setflags(write=False)
 
@@ -114,6 +126,19 @@ class Series:
         return int(self.observed.any(axis=1).sum())
 
     @cached_property
+    def u_step(self) -> Array:
+        """The inputs (T, nu) over the step that begins at each row, as ``hold`` says: what moves the states.
+
+        The mean of a straight line, which a step of second order asks for. The last row begins no step.
+        """
+        if self.hold == "zoh" or not self.u.shape[1]:
+            return self.u
+        following = np.concatenate([self.u[1:], self.u[-1:]])
+        over = following if self.hold == "past" else 0.5 * (self.u + following)
+        over.setflags(write=False)
+        return over
+
+    @cached_property
     def samples(self) -> np.ndarray[Any, np.dtype[np.intp]]:
         """The rows (n,) that are samples: every row, or every ``substeps``-th one."""
         return np.arange(0, len(self), self.substeps)
@@ -121,8 +146,8 @@ class Series:
     def refined(self, k: int) -> Series:
         """The same experiment with ``k`` steps from each sample to the next, (T-1) k + 1 rows.
 
-        Inputs and extra channels are held over a sample, nothing is measured in between, times are
-        subdivided evenly. ``values[series.samples]`` maps what was computed on it back to the samples.
+        Inputs and extra channels do between samples what ``hold`` says, nothing is measured in between, times
+        are subdivided evenly. ``values[series.samples]`` maps what was computed on it back to the samples.
         Raises SeriesError for k < 1 and for a series that is refined already.
         """
         if k < 1:
@@ -138,14 +163,24 @@ class Series:
         steps = np.append(self.steps, 0.0)
         return self.replace(
             y=y,
-            u=self.u[rows],
+            u=self._between(self.u, rows, share),
             t=self.t[rows] + share * steps[rows],
-            extra=self.extra[rows],
+            extra=self._between(self.extra, rows, share),
             substeps=k,
         )
 
+    def _between(self, values: Array, rows: NDArray[np.intp], share: Array) -> Array:
+        """Inputs at a share (n,) of the way from each of the rows (n,) to the next."""
+        here = np.asarray(values[rows])
+        following = np.asarray(values[np.minimum(rows + 1, len(values) - 1)])
+        if self.hold == "zoh":
+            return here
+        if self.hold == "past":
+            return np.where(share[:, None] > 0.0, following, here)
+        return here + share[:, None] * (following - here)
+
     def replace(self, **changes: Any) -> Series:
-        """The same series with some of its arrays, names or ``substeps`` changed."""
+        """The same series with some of its arrays, names, ``substeps`` or ``hold`` changed."""
         kept = {
             "y": self.y,
             "u": self.u,
@@ -155,6 +190,7 @@ class Series:
             "extra": self.extra,
             "extra_names": self.extra_names,
             "substeps": self.substeps,
+            "hold": self.hold,
         }
         return Series(**{**kept, **changes})
 
@@ -222,11 +258,12 @@ class Series:
         u: Sequence[str] | Mapping[str, str] | None = None,
         t: str | None = None,
         dt: float | None = None,
+        hold: str | None = None,
     ) -> Series:
         """Read a .csv, .mat or .npz file; see :func:`engine.data.files.read_series`."""
         from engine.data.files import read_series
 
-        return read_series(path, y=y, u=u, t=t, dt=dt)
+        return read_series(path, y=y, u=u, t=t, dt=dt, hold=hold)
 
 
 def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:

@@ -8,9 +8,13 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
+import subprocess
+import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +22,11 @@ import numpy as np
 from engine.arrays import Array
 from engine.errors import SeriesError
 
+HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)  # a comment at the head of a CSV
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
-LARGEST_BYTES = 4 << 30  # bytes an .npz may unpack to
+LARGEST_BYTES = 4 << 30  # an .npz may unpack to, and memory for reading a .mat
+MAT_TO_NPZ = Path(__file__).with_name("mat_to_npz.py")  # a program of its own
 LONGEST_CELL = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
 _TOO_LONG = f"a cell has more than {LONGEST_CELL} characters; is a quotation mark left open?"
 
@@ -30,7 +36,7 @@ class Table:
     """Columns of one file.
 
     ``groups`` maps a name a user may ask for to the columns it stands for: itself in a CSV, all
-    channels of a two-dimensional array in .mat and .npz. ``dt`` is a scalar stored in the file.
+    channels of a two-dimensional array in .mat and .npz. ``dt`` and ``hold`` as stored in the file.
     """
 
     file: str
@@ -38,6 +44,7 @@ class Table:
     groups: dict[str, list[str]]
     lines: Sequence[int] = ()  # line of each CSV row, counted from 1
     dt: float | None = None
+    hold: str | None = None  # of the inputs, where the file says it
     ignored: list[str] = field(default_factory=list)
 
     def column(self, name: str) -> Array:
@@ -87,6 +94,7 @@ def read_csv(data: bytes, file: str) -> Table:
         first += 1
     if first == len(lines):
         raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
+    said = [found[1] for line in lines[:first] if (found := HOLD.fullmatch(line.strip()))]
     delimiter = max(DELIMITERS, key=lines[first].count)
     last = len(lines)
     while not lines[last - 1].strip():  # the file's end, however many lines it has
@@ -114,7 +122,9 @@ def read_csv(data: bytes, file: str) -> Table:
     columns = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
-    return Table(file, dict(columns), {name: [name] for name in names}, numbers)
+    table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
+    table.hold = said[-1] if said else None
+    return table
 
 
 def _short_cells(rows: Iterable[list[str]]) -> Iterator[list[str]]:
@@ -172,15 +182,15 @@ def _check_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:
 
 def read_mat(data: bytes, file: str) -> Table:
     """Arrays y, u, t, dt (or others by name) of a MATLAB file, version 4 to 7."""
-    from scipy.io import loadmat
-
     if data[:4] == b"\x89HDF" or data[512:516] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
         raise SeriesError(f"{file} is a MATLAB 7.3 file; save it with -v7: save('{file}', '-v7')")
-    try:
-        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]  # stubs know paths only
-    except Exception as error:
-        raise SeriesError(f"{file} is not a readable MATLAB file: {error}") from error
-    return _from_arrays({k: v for k, v in found.items() if not k.startswith("__")}, file)
+    program = [sys.executable, "-P", str(MAT_TO_NPZ), str(LARGEST_BYTES >> 20)]
+    read = subprocess.run(program, input=data, capture_output=True, check=False)
+    if read.returncode:
+        complaint = read.stderr.decode(errors="replace").strip().splitlines()
+        reason = complaint[-1] if complaint and read.returncode > 0 else "its reader crashed on it"
+        raise SeriesError(f"{file} is not a readable MATLAB file: {reason}")
+    return _from_arrays(dict(np.load(io.BytesIO(read.stdout), allow_pickle=False)), file)
 
 
 def _from_arrays(found: dict[str, object], file: str) -> Table:
@@ -188,6 +198,9 @@ def _from_arrays(found: dict[str, object], file: str) -> Table:
     table = Table(file, {}, {})
     for name, value in found.items():
         if name.endswith("_names"):
+            continue
+        if name.lower() == "hold" and isinstance(value, np.ndarray) and value.dtype.kind == "U":
+            table.hold = str(value.ravel()[0]) if value.size else ""
             continue
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim > 2:
             table.ignored.append(f"'{name}' is not a table of real numbers")

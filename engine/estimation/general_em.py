@@ -63,7 +63,7 @@ class TrajectoryQ:
 def log_transitions(model: NonlinearModel, series: Series, x: Array, record: Any) -> Array:
     """log p(x_{t+1} | x_t) (T-1, N) along trajectories x (T, N, nx)."""
     T, N, nx = x.shape
-    u, times = np.repeat(series.u[:-1].T, N, axis=1), np.repeat(series.t[:-1], N)
+    u, times = np.repeat(series.u_step[:-1].T, N, axis=1), np.repeat(series.t[:-1], N)
     dt: Any = series.dt if series.dt is not None else np.repeat(series.steps, N)
     f, g = model.transition(x[:-1].reshape(-1, nx), u, times, dt, record)
     return model.log_transition(x[1:].reshape(-1, nx), f, g, record).reshape(T - 1, N)

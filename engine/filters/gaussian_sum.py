@@ -46,7 +46,7 @@ def outlier_log_terms(
             a = m[K:, : model.na]
             m, P, _ = run.predict_x(t, m, P)
             if not at_output:
-                Q = model.transition(a, u, time, float(series.steps[t]), record)[2]
+                Q = model.transition(a, series.u_step[t], time, float(series.steps[t]), record)[2]
                 P[K:] += wider * Q
     return terms
 

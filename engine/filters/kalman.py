@@ -218,7 +218,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
         if t < T - 1:
             points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
             dt = float(series.steps[t])
-            f, F[t], Q = transition_matrices(model, record, u, time, dt, points)
+            f, F[t], Q = transition_matrices(model, record, series.u_step[t], time, dt, points)
             x = f + F[t] @ x
             P = F[t] @ P @ F[t].T + Q
     x_s, P_s, M = x_f.copy(), P_f.copy(), np.empty((T - 1, nx, nx))

@@ -202,7 +202,7 @@ def rbpf(
             log_w = even
         else:
             ancestors = own
-        f, A, Q = model.transition(a, u[t], times[t], steps[t], record)
+        f, A, Q = model.transition(a, series.u_step[t], times[t], steps[t], record)
         predicted.append(Predicted(*predict(f, stacked(A), stacked(Q), z, P)))
         mu, L, _ = predicted[-1]
     return Filtered(model, theta, series, **over_time(updated), **over_time(predicted))

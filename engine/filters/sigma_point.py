@@ -202,7 +202,9 @@ class FilterSteps:
     def transition(self, t: int, a: Array) -> tuple[Array, Array, Array]:
         """f (K S, nx), A and Q (1 or K S, ., .) at the points a (K S, na)."""
         record = self.thetas.record(len(a) // self.thetas.K)
-        f, A, Q = self.model.transition(a, self.series.u[t], self.times[t], self.steps[t], record)
+        f, A, Q = self.model.transition(
+            a, self.series.u_step[t], self.times[t], self.steps[t], record
+        )
         return f, stacked(A), stacked(Q)
 
     def predict_y(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:

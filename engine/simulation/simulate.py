@@ -49,6 +49,7 @@ def simulate(
     u: ArrayLike | None = None,
     dt: float = 1.0,
     t: ArrayLike | None = None,
+    hold: str = "zoh",
 ) -> Simulation:
     """Draw samples of paper, eq. (1): x_1 from the initial density, w and e with noise.
 
@@ -70,6 +71,8 @@ def simulate(
         Time step, s, where ``t`` is not given.
     t : array (T,), optional
         Times, s.
+    hold : str
+        What inputs do between samples, see :class:`engine.Series`.
 
     Returns
     -------
@@ -92,7 +95,7 @@ def simulate(
             "u",
         )
     blank = np.zeros((n_samples, model.ny))
-    frame = Series(blank, u, dt=dt, t=t).check(model)
+    frame = Series(blank, u, dt=dt, t=t, hold=hold).check(model)
     values = model.theta(theta)
     check_start(model, values, frame)
     record = model.record(values)
@@ -102,9 +105,7 @@ def simulate(
     y, a, z = propagate(model, record, frame, a1, z1, rng)
     check_finite(model, frame, y, a, z)
     y, a, z = y[:, 0], a[:, 0], z[:, 0]
-    series = Series(
-        y, frame.u, t=frame.t, y_names=tuple(model.outputs), u_names=tuple(model.inputs)
-    )
+    series = frame.replace(y=y, y_names=tuple(model.outputs), u_names=tuple(model.inputs))
     return Simulation(y, a, z, series, model)
 
 
@@ -128,7 +129,7 @@ def propagate(
     T, K = len(series), a.shape[0]
     a_all, z_all = np.empty((T, K, model.na)), np.empty((T, K, model.nz))
     steps = step_lengths(series).tolist()
-    times, inputs = series.t.tolist(), series.u
+    times, inputs = series.t.tolist(), series.u_step
     na = model.na
     model.transitions.look_again()
     model.observations.look_again()

@@ -115,7 +115,7 @@ def filter_general(
             if ess[t] <= ess_threshold * M:
                 ancestors[t + 1] = scheme(weights[t], rng.random(M))
                 x, log_w = x[ancestors[t + 1]], even
-            x = model.draw_next(x, u, time, float(series.steps[t]), record, rng)
+            x = model.draw_next(x, series.u_step[t], time, float(series.steps[t]), record, rng)
     return GeneralFiltered(
         model, theta, series, points, weights, log_weights, log_likelihood, ess, ancestors
     )
@@ -146,7 +146,7 @@ def smooth_general(
     i = schemes.stratified(filtered.weights[-1], rng.random(N))
     draws[-1] = x[-1][i]
     for t in range(T - 2, -1, -1):
-        u, time, dt = series.u[t], float(series.t[t]), float(series.steps[t])
+        u, time, dt = series.u_step[t], float(series.t[t]), float(series.steps[t])
         f, g = model.transition(x[t], u, time, dt, record)
         log_p = model.log_transition(draws[t + 1][:, None], f, g, record)
         log_w = filtered.log_weights[t] + log_p

@@ -157,8 +157,8 @@ def rbpf_special(
     predicted: list[Predicted] = []
     log_w, mu, L = even, none, np.empty((1, 0, 0))
     for t in range(T):
-        u, time = series.u[t], float(series.t[t])
-        h, C, R = model.observation(a, u, time, record)
+        time = float(series.t[t])
+        h, C, R = model.observation(a, series.u[t], time, record)
         if t == 0:
             z, P = start.linear(a)
             z, P, log_w, w, log_sum, ess = weigh(
@@ -171,7 +171,7 @@ def rbpf_special(
         updated.append(Updated(a, z, P, w, log_w, log_sum, ess, ancestors))
         if t == T - 1:
             break
-        ancestors, dt = own, float(series.steps[t])
+        ancestors, u, dt = own, series.u_step[t], float(series.steps[t])
         if ess <= ess_threshold * M:
             ancestors, log_w = scheme(w, rng.random(M)), even
         predicted.append(Predicted(*predict(*case.linear(a, u, time, dt, record), z, P)))
@@ -231,7 +231,7 @@ def rb_ffbsi_special(
         log_a = case.log_density(
             np.repeat(a[t + 1], M, axis=0),
             np.tile(filtered.a[t], (N, 1)),
-            series.u[t],
+            series.u_step[t],
             float(series.t[t]),
             dt,
             record,

@@ -28,7 +28,7 @@ def check_start(model: MixedModel, theta: Array, series: Series) -> None:
     if series in model.checked:
         return
     rows = np.unique(np.linspace(0, len(series) - 2, TRIED_ROWS).astype(int))
-    at = ((series.u[i], float(series.t[i]), float(series.steps[i])) for i in rows)
+    at = ((series.u_step[i], float(series.t[i]), float(series.steps[i])) for i in rows)
     _check_functions(model, theta, at, "the start values")
     model.checked.add(series)
 

@@ -179,7 +179,7 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
             x = values
     for i in np.unique(np.linspace(0, len(series) - 2, TRIED_ROWS).astype(int)):
         u, t = series.u[i], float(series.t[i])
-        f, g = model.transition(x, u, t, float(series.steps[i]), record)
+        f, g = model.transition(x, series.u_step[i], t, float(series.steps[i]), record)
         h, s = model.output(x, u, t, record)
         for name, value in (("f", f), ("g", g), ("h", h), ("s", s)):
             if (

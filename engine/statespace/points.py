@@ -50,7 +50,7 @@ class Points:
             dt = series.dt if series.dt is not None else np.repeat(series.steps[rows], N)
         return (
             self.a[rows].reshape(len(rows) * N, self.model.na),
-            np.repeat(series.u[rows].T, N, axis=1),
+            np.repeat((series.u_step if transition else series.u)[rows].T, N, axis=1),
             np.repeat(series.t[rows], N),
             dt,
         )

@@ -105,6 +105,15 @@ def test_a_process_that_ends_meanwhile_says_nothing():
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
+@pytest.fixture
+def of_a_terminal():
+    """Programs heed SIGINT; those of a shell's background, as these tests may be, are made to ignore it."""
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, usual)
+
+
+@pytest.mark.usefixtures("of_a_terminal")
 @pytest.mark.parametrize("times", [1, 2])
 def test_ctrl_c_while_the_engine_loads(spawn, children_of, dead, eventually, times):
     """From a terminal it reaches all processes of the service, whatever they are at."""

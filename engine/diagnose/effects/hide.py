@@ -29,14 +29,15 @@ def hide(
     theta: ThetaLike = None,
     u: ArrayLike | None = None,
     dt: float = 1.0,
+    hold: str = "zoh",
 ) -> Simulation:
     """A simulation of ``model`` at ``theta`` with effects such as ``"coulomb:velocity"`` in it.
 
     ``values`` gives the effects' own parameters by name, sizes among them; what is left out keeps its
-    default. A continuous model makes FINE_STEPS steps a sample, so that effects act within
-    it. Effects that change readings once they are taken (rounding) do just that, instead of
-    adding the noise that stands for it in the extended model. Raises OptionError for an unknown
-    name, ModelError where the simulation runs away.
+    default; ``u``, ``dt`` and ``hold`` as in :func:`engine.simulate`. A continuous model makes
+    FINE_STEPS steps a sample, so that effects act within it. Effects that change readings once they are taken
+    (rounding) do just that, instead of adding the noise that stands for it in the extended model. Raises
+    OptionError for an unknown name, ModelError where the simulation runs away.
     """
     fine = FINE_STEPS if model.continuous else 1
     setting = Setting(model, span=(0.0, dt * (n_samples - 1)), dt=dt, substeps=fine)
@@ -53,7 +54,9 @@ def hide(
     if unknown:
         raise OptionError(f"'{unknown.pop()}' is no parameter of {', '.join(effects)}", "values")
     start: dict[str, Any] = {**model.theta(theta).asdict(), **own}
-    run = _sampled(extended, start, n_samples, rng, u, dt, fine)
+    blank = np.zeros((n_samples, extended.ny))
+    frame = Series(blank, u, dt=dt, hold=hold).check(extended)
+    run = _sampled(extended, start, frame, rng, fine)
     if not changes:
         return run
     y = run.y.copy()
@@ -65,23 +68,14 @@ def hide(
 def _sampled(
     model: MixedModel,
     theta: ThetaLike,
-    n_samples: int,
+    frame: Series,
     rng: np.random.Generator,
-    u: ArrayLike | None,
-    dt: float,
     k: int,
 ) -> Simulation:
-    """A simulation of k steps a sample, seen at the samples."""
-    if k == 1:
-        return simulate(model, theta, n_samples, rng, u=u, dt=dt)
-    frame = Series(np.zeros((n_samples, model.ny)), u, dt=dt).check(model).refined(k)
-    run = simulate(model, theta, len(frame), rng, u=frame.u, t=frame.t)
-    rows = frame.samples
-    series = Series(
-        run.y[rows],
-        frame.u[rows],
-        dt=dt,
-        y_names=tuple(model.outputs),
-        u_names=tuple(model.inputs),
-    )
+    """A simulation of k steps a sample over a frame's inputs and times, seen at the samples."""
+    fine = frame.refined(k)
+    run = simulate(model, theta, len(fine), rng, u=fine.u, t=fine.t, hold=fine.hold)
+    rows = fine.samples
+    names = {"y_names": tuple(model.outputs), "u_names": tuple(model.inputs)}
+    series = frame.replace(y=run.y[rows], **names)
     return Simulation(run.y[rows], run.a[rows], run.z[rows], series, model)

@@ -162,7 +162,7 @@ def _identity(model: MixedModel, series: Series) -> list[Any]:
 
 
 def _data(series: Series) -> list[Any]:
-    names = [series.y_names, series.u_names, series.extra_names]
+    names = [series.y_names, series.u_names, series.extra_names, series.hold]
     return [names, [_of_array(np.asarray(a)) for a in (series.t, series.y, series.u)]]
 
 

@@ -83,7 +83,7 @@ def draws(
     thetas = theta + rng.standard_normal((n, len(theta))) @ psd_cholesky(covariance).T
     thetas = np.clip(thetas, model.lower, model.upper)
     record = model.records(thetas)
-    u, t, dt = series.u[0], float(series.t[0]), float(series.steps[0])
+    u, t, dt = series.u_step[0], float(series.t[0]), float(series.steps[0])
     if model.transitions.takes(x[:, :na], u, t, dt, record):
         y, _, _ = propagate(model, record, series, x[:, :na], x[:, na:], rng)
         return np.ascontiguousarray(np.swapaxes(y, 0, 1))
