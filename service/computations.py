@@ -256,7 +256,7 @@ def _simulate(
     if request.options.mode == "free-run":
         return engine.free_run(model, theta, series)
     u = series.u if model.nu else None
-    return engine.simulate(model, theta, len(series), rng, u=u, t=series.t)
+    return engine.simulate(model, theta, len(series), rng, u=u, t=series.t, hold=series.hold)
 
 
 def _state_names(model: MixedModel) -> tuple[str, ...]:

@@ -171,7 +171,7 @@ def _resample(
     drawn = []
     for series in job.series:
         u = series.u if model.nu else None
-        y = engine.simulate(model, theta, len(series), rng, u=u, t=series.t).y
+        y = engine.simulate(model, theta, len(series), rng, u=u, t=series.t, hold=series.hold).y
         y[~series.observed] = np.nan
         drawn.append(series.replace(y=y))
     again = Prepared(request, model, drawn, theta, job.free)
