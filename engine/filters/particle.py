@@ -23,9 +23,15 @@ from engine.statespace.promotion import as_nonlinear
 class ParticleFiltered:
     """What a particle filter leaves behind.
 
-    ``x`` (T, M, nx) particles of x = (a, z) with ``weights`` (T, M) before resampling;
-    ``log_likelihood``; ``ess`` (T,) effective sample size before resampling. ``model`` is the model it
-    was asked for, ``filtered`` the pass of Algorithm 2 on the same model with empty z.
+    ``x`` (T, M, nx) are the particles of x = (a, z), ``weights`` (T, M) theirs before resampling;
+    ``log_likelihood`` and ``ess`` (T,) as of :class:`engine.Filtered`.
+
+    Attributes
+    ----------
+    model : MixedModel or NonlinearModel
+        The model it was asked for.
+    filtered : Filtered
+        The pass of Algorithm 2 on the same model with empty z.
     """
 
     model: MixedModel

@@ -33,13 +33,36 @@ COLLAPSED = 1.5  # an effective sample size below this means that one particle i
 class Filtered:
     """What a RBPF pass leaves behind, for reading and for the backward pass.
 
-    For people: ``a`` (T, M, na), ``z`` (T, M, nz) and ``P`` (T, M, nz, nz) are z_{t|t} and P_{t|t} per
-    particle; ``weights`` (T, M) before resampling; ``log_likelihood``; ``ess`` (T,) the effective
-    sample size before resampling; ``collapsed`` the rows at which only one particle was left.
+    B is 1 where a matrix is common to all particles, and M otherwise.
 
-    For the backward pass, of the prediction from t to t+1, report, eq. (22): ``mu`` (T-1, M, nx),
-    ``L`` (T-1, B, nx, nx) with L L' = Sigma, ``AP`` (T-1, B, nx, nz) = A P_{t|t}; ``cov`` (T, B, nz, nz) holds
-    P with B = 1 where it is common to all particles; ``ancestors`` (T, M).
+    Attributes
+    ----------
+    model : MixedModel
+        The model.
+    theta : Theta
+        Its parameters.
+    series : Series
+        The data.
+    a : array (T, M, na)
+        Particles of the nonlinear states.
+    z : array (T, M, nz)
+        Means z_{t|t} of the linear states given each particle.
+    cov : array (T, B, nz, nz)
+        Their covariances P_{t|t}; ``P`` (T, M, nz, nz) is the full view.
+    weights, log_weights : array (T, M)
+        Normalised weights before resampling, and their logarithms.
+    log_likelihood_terms : array (T,)
+        Estimates of log p(y_t | y_{1:t-1}); ``log_likelihood`` is their sum.
+    ess : array (T,)
+        Effective sample size before resampling; ``collapsed`` are the rows at which one particle was left.
+    ancestors : array (T, M)
+        From which particle of t - 1 each was drawn.
+    mu : array (T-1, M, nx)
+        Means of the prediction from t to t + 1, report, eq. (22).
+    L : array (T-1, B, nx, nx)
+        Roots of its covariances, L L' = Sigma.
+    AP : array (T-1, B, nx, nz)
+        A P_{t|t}.
     """
 
     model: MixedModel

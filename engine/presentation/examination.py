@@ -31,7 +31,13 @@ AFTER_START = ("log_likelihood", "ess", "seconds")  # of a trace
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """What :func:`examine` found, as the ``document`` that pages and reports show."""
+    """What :func:`examine` found.
+
+    Attributes
+    ----------
+    document : dict
+        What pages and reports show.
+    """
 
     document: dict[str, Any]
 

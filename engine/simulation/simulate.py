@@ -20,7 +20,21 @@ from engine.views import Figures, figures, plots
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """y (T, ny), the states a (T, na), z (T, nz) behind it, and y with its inputs as a Series."""
+    """A run of a model.
+
+    Attributes
+    ----------
+    y : array (T, ny)
+        Outputs.
+    a : array (T, na)
+        Nonlinear states.
+    z : array (T, nz)
+        Linear states.
+    series : Series
+        The outputs with the inputs and times they were made with.
+    model : MixedModel
+        The model.
+    """
 
     y: Array
     a: Array

@@ -18,9 +18,16 @@ from engine.statespace.model import Array
 
 @dataclass(frozen=True, eq=False)
 class ParticleSmoothed:
-    """N equally weighted draws ``trajectories`` (T, N, nx) of x_{1:T} given y_{1:T}.
+    """N equally weighted draws of x_{1:T} given y_{1:T}; ``a`` (T, N, na) and ``z`` (T, N, nz) are their parts.
 
-    ``a`` (T, N, na) and ``z`` (T, N, nz) are its parts; ``index`` (T, N) the filter particle of each point.
+    Attributes
+    ----------
+    filtered : ParticleFiltered
+        The pass forward.
+    trajectories : array (T, N, nx)
+        The draws.
+    index : array (T, N)
+        The filter particle of each point.
     """
 
     filtered: ParticleFiltered

@@ -20,10 +20,25 @@ from engine.views import Figures, figures, html, plots, tables
 class Smoothed:
     """N backward trajectories, each of weight 1/N.
 
-    ``a`` (T, N, na) nonlinear states; ``z`` (T, N, nz) = z_{t|T}, ``cov`` = P_{t|T} and ``cross`` = M_{t|T},
-    the moments of z given the trajectory, with an axis of length 1 where common to all (``P``
-    (T, N, nz, nz) and ``M`` (T-1, N, nz, nz) are the full views); ``index`` (T, N) the filter particle
-    of each point; ``trajectories`` (T, N, nx) whole joint draws of x = (a, z), or None.
+    ``cov`` and ``cross`` are moments of z given the trajectory, with an axis of length 1 in place of N where
+    common to all; ``P`` (T, N, nz, nz) and ``M`` (T-1, N, nz, nz) are the full views.
+
+    Attributes
+    ----------
+    filtered : Filtered
+        The pass forward.
+    a : array (T, N, na)
+        Nonlinear states.
+    z : array (T, N, nz)
+        Means z_{t|T} of the linear states.
+    cov : array (T, N or 1, nz, nz)
+        Their covariances P_{t|T}.
+    cross : array (T-1, N or 1, nz, nz)
+        Their covariances M_{t|T} with the states of the next row.
+    index : array (T, N)
+        The filter particle of each point.
+    trajectories : array (T, N, nx) or None
+        Whole joint draws of x = (a, z).
     """
 
     filtered: Filtered

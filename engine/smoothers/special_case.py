@@ -33,10 +33,17 @@ from engine.statespace.shapes import through
 
 @dataclass(frozen=True, eq=False)
 class SpecialCase:
-    """A model of eq. (63): the rows of z and y are those of ``model``, whose rows of a are not used.
+    """A model of eq. (63).
 
-    ``sample(a, u, t, dt, theta, rng)`` draws a_{t+1} (M, na) for each row of a (M, na), and
-    ``log_density(a_next, a, u, t, dt, theta)`` evaluates log p(a_next | a) row by row, (K, na) -> (K,).
+    Parameters
+    ----------
+    model : MixedModel
+        Its rows of z and y; the rows of a are not used.
+    sample : callable
+        ``sample(a, u, t, dt, theta, rng)`` draws a_{t+1} (M, na) for each row of a (M, na).
+    log_density : callable
+        ``log_density(a_next, a, u, t, dt, theta)`` evaluates log p(a_next | a) row by row,
+        (K, na) -> (K,).
     """
 
     model: MixedModel

@@ -51,7 +51,30 @@ DENSITY_DRAWS = 3  # of each density, to look at
 
 @dataclass(frozen=True)
 class NonlinearModel(BaseModel):
-    """A general state-space model; see the module's docstring."""
+    """A general state-space model, poster, eq. (1); see the module's docstring.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    dynamics, measurement, initial, process_noise, measurement_noise : callable
+        The functions of the module's docstring.
+    states, outputs : mapping
+        {name: unit} of the states x and of the outputs y.
+    parameters : sequence of Parameter
+        The components of theta.
+    inputs : mapping
+        {name: unit} of the inputs u.
+    description : str
+        What is modelled, in a sentence.
+    equations : sequence of str
+        Lines of text for people.
+
+    Raises
+    ------
+    ModelError
+        Names, bounds or defaults cannot be used.
+    """
 
     name: str
     dynamics: Callable[[Array, Any, Any, Any, Any], tuple[Any, Any]]

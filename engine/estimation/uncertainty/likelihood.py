@@ -61,11 +61,23 @@ STEP_PARTS = 64  # parts of each step on which the curve is searched
 class LikelihoodIntervals:
     """Intervals of the free parameters by the likelihood ratio.
 
-    ``values`` (n_theta, 2), NaN for parameters that are held fixed or at a bound; an end that is the
-    parameter's bound, which may be infinite, says that the likelihood does not fall enough before it.
-    ``errors`` (n_theta, 2): Monte Carlo standard errors of the ends, NaN where there is no end but a
-    bound. ``maximum`` (n_theta,): where each profile is highest, the estimate if EM has arrived; where
-    that is more than a standard error away, ``warning`` says so.
+    Attributes
+    ----------
+    model : MixedModel
+        The model.
+    theta : Theta
+        The estimate.
+    level : float
+        Confidence of each interval, such as 0.95.
+    values : array (n_theta, 2)
+        The intervals; NaN for parameters that are held fixed or at a bound. An end that is the parameter's
+        bound, which may be infinite, says that the likelihood does not fall enough before it.
+    errors : array (n_theta, 2)
+        Monte Carlo standard errors of the ends, NaN where there is no end but a bound.
+    maximum : array (n_theta,)
+        Where each profile is highest: the estimate if EM has arrived.
+    warning : str
+        Says so where a maximum is more than a standard error away from the estimate.
     """
 
     model: MixedModel

@@ -46,15 +46,30 @@ class Estimate(Protocol):
 class StandardErrors:
     """Asymptotic uncertainty of the free parameters at theta.
 
-    ``covariance`` (n, n) of the free parameters ``names`` that are not at a bound; ``score`` (n,) at
-    theta, which is zero at the maximum up to ``score_error`` (n,), its Monte Carlo standard error;
-    ``relative_error`` (n,) of the standard errors themselves, as Monte Carlo noise leaves it.
-
-    ``decrement`` s' C s is the squared distance, in standard errors, between theta and the maximum that
-    score s and covariance C point to (Newton's decrement; twice what the log-likelihood can still gain).
-    ``settled`` is False where it is more than a quarter and its Monte Carlo noise, or a parameter is held
-    at a bound from which the likelihood draws it away: then these are no errors of an estimate, and
-    ``warning`` says so.
+    Attributes
+    ----------
+    model : MixedModel
+        The model.
+    theta : Theta
+        Where the errors were computed.
+    names : tuple of str
+        The n free parameters that are not at a bound.
+    covariance : array (n, n)
+        Their covariance C.
+    score : array (n,)
+        Derivatives s of the log-likelihood, which are zero at the maximum up to ``score_error``.
+    score_error : array (n,)
+        Monte Carlo standard errors of the score.
+    relative_error : array (n,)
+        Those of the standard errors themselves, relative to them.
+    decrement : float
+        s' C s: the squared distance, in standard errors, between theta and the maximum that s and C point to
+        (Newton's decrement; twice what the log-likelihood can still gain).
+    settled : bool
+        False where that is more than a quarter and its Monte Carlo noise, or a parameter is held at a bound
+        from which the likelihood draws it away: then these are no errors of an estimate.
+    warning : str
+        Says so.
     """
 
     model: MixedModel
