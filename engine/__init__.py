@@ -33,6 +33,7 @@ from engine.smoothers.general import filter_general, smooth_general
 from engine.smoothers.linear_cost import rb_ffbsi_linear
 from engine.smoothers.rb_ffbsi import Smoothed, rb_ffbsi
 from engine.smoothers.special_case import SpecialCase, gaussian_case, rb_ffbsi_special, rbpf_special
+from engine.statespace.continuous import continuous
 from engine.statespace.densities import GaussianMixture, StudentT
 from engine.statespace.discretization import discretize
 from engine.statespace.general import NonlinearModel, as_general
@@ -68,6 +69,7 @@ __all__ = [
     "Theta",
     "as_general",
     "condition_on_trajectories",
+    "continuous",
     "diagnose",
     "discretize",
     "examine",

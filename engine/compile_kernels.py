@@ -35,6 +35,7 @@ from engine.models.registry import get_model
 from engine.simulation.fit import fit_simulation
 from engine.simulation.simulate import simulate
 from engine.smoothers.linear_cost import rb_ffbsi_linear
+from engine.statespace.discretization import discretize
 
 
 def compiled_kernels() -> dict[str, set[Any]]:
@@ -63,6 +64,7 @@ def warm() -> dict[str, set[Any]]:
     tanks = get_model("tanks")
     measured = simulate(tanks, None, 12, rng, u=np.ones(12), dt=4.0).series
     fit_simulation(tanks, measured, free=[tanks.parameter_names[0]])
+    discretize(np.eye(1), dt=1.0)
     return compiled_kernels()
 
 

@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from engine.errors import OptionError
+from engine.kernels.van_loan import van_loan
 from engine.statespace.model import Array
-
-TERMS = 18  # of each series: |h L| <= 1, and 1 / 18! is below rounding
 
 
 def discretize(
@@ -73,28 +72,16 @@ def discretize(
         raise OptionError(f"dt = {dt} s; positive time steps are needed", "dt")
     batch = np.broadcast_shapes(F.shape[:-2], G.shape[:-2], Qc.shape[:-2], step.shape)
 
-    stiffness = float((np.abs(F).sum(axis=-1).max(axis=-1, initial=0.0) * step).max(initial=0.0))
-    halvings = max(0, 1 + int(np.ceil(np.log2(stiffness)))) if stiffness > 0.0 else 0
-    noisy = bool(Qc.any())
-    h = (step / 2.0**halvings)[..., None, None]
-    Fh, Ft = F * h, np.swapaxes(F, -1, -2)
-    A = power = np.broadcast_to(np.eye(n), (*batch, n, n))
-    Gamma = np.eye(n) * h
-    Q = term = np.broadcast_to(Qc * h, (*batch, n, n))
-    for k in range(1, TERMS):
-        power = power @ Fh / k
-        A = A + power
-        Gamma = Gamma + power * h / (k + 1)
-        if noisy:
-            term = (F @ term + term @ Ft) * (h / (k + 1))
-            Q = Q + term
-    B = Gamma @ np.broadcast_to(G, (*batch, *G.shape[-2:]))
-    for _ in range(halvings):
-        B = B + A @ B
-        Q = Q + A @ Q @ np.swapaxes(A, -1, -2) if noisy else Q
-        A = A @ A
-    Q = 0.5 * (Q + np.swapaxes(Q, -1, -2))
-    return np.ascontiguousarray(A), np.ascontiguousarray(B), np.ascontiguousarray(Q)
+    steps = np.array(np.broadcast_to(step, batch)).ravel()
+
+    def rows(matrix: Array) -> Array:
+        shape = matrix.shape[-2:]
+        return np.array(np.broadcast_to(matrix, (*batch, *shape))).reshape(len(steps), *shape)
+
+    symmetric = 0.5 * (Qc + np.swapaxes(Qc, -1, -2))
+    found = van_loan(rows(F), rows(G), rows(symmetric), steps)
+    A, B, Q = (matrix.reshape(*batch, *matrix.shape[-2:]) for matrix in found)
+    return A, B, Q
 
 
 def _matrix(value: Any, name: str) -> Array:

@@ -1,0 +1,206 @@
+"""Models written as differential equations, against integrators that are not ours."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import engine
+from engine import Gaussian, ModelError, Parameter, Series
+from engine.diagnose.search.substeps import prepare
+
+W2, DAMPING = 40.0, 0.2
+PARAMETERS = (Parameter("w2", W2, "1/s^2", (1.0, 1e3), "gravity over length"),)
+
+
+def pendulum(unit=1.0, second=1.0, **changes):
+    """An angle in 1 / ``unit`` rad, time in 1 / ``second`` s; torque in rad/s^2."""
+
+    def drift(a, u, t, theta):
+        turn = unit * second**-2 * (u[0] - theta.w2 * np.sin(a[:, 0] / unit))
+        return [0.0, turn], [[1.0], [-DAMPING / second]]
+
+    fields = {
+        "name": "pendulum",
+        "nonlinear": {"angle": "rad"},
+        "linear": {"rate": "rad/s"},
+        "inputs": {"torque": "1/s^2"},
+        "outputs": {"y": "rad"},
+        "parameters": PARAMETERS,
+        "drift": drift,
+        "diffusion": lambda a, u, t, theta: np.diag([0.0, 1e-3 * unit**2 / second**3]),
+        "measurement": lambda a, u, t, theta: ([a[:, 0]], [[0.0]], [[1e-4 * unit**2]]),
+        "initial": lambda theta: (
+            Gaussian([0.5 * unit], [[0.01 * unit**2]]),
+            [0.0],
+            [[0.1 * unit**2 / second**2]],
+        ),
+    }
+    return engine.continuous(**{**fields, **changes})
+
+
+def torque(T):
+    return 5.0 * np.random.default_rng(0).standard_normal(T)
+
+
+def integrated(u, dt):
+    """The angle without noise, by SciPy."""
+    x, out = np.array([0.5, 0.0]), [0.5]
+    for held in u[:-1]:
+        x = solve_ivp(
+            lambda t, x, u=held: [x[1], u - W2 * math.sin(x[0]) - DAMPING * x[1]],
+            (0.0, dt), x, rtol=1e-10, atol=1e-12,
+        ).y[:, -1]  # fmt: skip
+        out.append(x[0])
+    return np.array(out)
+
+
+def test_a_linear_model_is_exact_for_any_step():
+    F = np.array([[-1.0, 2.0, 0.0], [0.0, -3.0, 1.0], [0.5, 0.0, -50.0]])
+    G, Qc = np.array([[1.0], [0.0], [2.0]]), np.array([[1, 0.2, 0], [0.2, 1, 0], [0, 0, 0.3]])
+    model = engine.continuous(
+        name="linear", nonlinear={"a": "1"}, linear={"z1": "1", "z2": "1"}, inputs={"u": "1"},
+        outputs={"y": "1"}, parameters=[],
+        drift=lambda a, u, t, theta: (a @ F[:, :1].T + G[:, 0] * u[0], F[:, 1:]),
+        diffusion=lambda a, u, t, theta: Qc,
+        measurement=lambda a, u, t, theta: ([a[:, 0]], [[0.0, 0.0]], [[1.0]]),
+        initial=lambda theta: (Gaussian([0.0], [[1.0]]), [0.0, 0.0], np.eye(2)),
+    )  # fmt: skip
+    a = np.array([[0.3], [-2.0], [0.0]])
+    for dt in (1e-3, 0.4, 10.0):
+        A, B, Q = engine.discretize(F, G, Qc, dt=dt)
+        f, A_z, noise = model.transition(a, np.array([0.7]), 0.0, dt, model.record(model.theta()))
+        np.testing.assert_allclose(f, a @ A[:, :1].T + 0.7 * B[:, 0], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(np.broadcast_to(A_z, (3, 3, 2))[2], A[:, 1:], atol=1e-9)
+        np.testing.assert_allclose(np.broadcast_to(noise, (3, 3, 3))[1], Q, atol=1e-9)
+
+
+@pytest.mark.parametrize("jacobian", [False, True])
+def test_a_run_is_of_second_order(jacobian):
+    given = {}
+    if jacobian:
+        given["jacobian"] = lambda a, u, t, theta: [[0.0], [-theta.w2 * np.cos(a[:, 0])]]
+    model, u, dt = pendulum(**given), torque(80), 0.05
+    exact, off = integrated(u, dt), []
+    for k in (1, 2, 4, 8):
+        series = Series(np.zeros(80), u, dt=dt).refined(k)
+        y = engine.free_run(model, None, series, a1=[0.5], z1=[0.0]).y[series.samples, 0]
+        off.append(np.abs(y - exact).max())
+    assert off[0] < 0.01 * np.ptp(exact)
+    assert all(b < 0.3 * a for a, b in pairwise(off))
+
+
+def test_a_stiff_equation_does_not_run_away():
+    """x' = -1e4 x^3: an Euler step of the same length would end far below zero."""
+    model = engine.continuous(
+        name="stiff", nonlinear={"x": "1"}, outputs={"y": "1"}, parameters=[],
+        drift=lambda a, u, t, theta: ([-1e4 * a[:, 0] ** 3], np.zeros((1, 0))),
+        diffusion=lambda a, u, t, theta: [[0.0]],
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[1.0]]),
+        initial=lambda theta: (Gaussian([1.0], [[0.0]]), [], np.zeros((0, 0))),
+    )  # fmt: skip
+    y = engine.free_run(model, None, Series(np.zeros(50), dt=0.1)).y[:, 0]
+    assert (np.diff(y) < 0.0).all()
+    assert (y > 0.0).all()
+
+
+def test_noise_of_the_rate_reaches_the_angle_within_the_step():
+    model, dt = pendulum(), 0.2
+    a = np.array([[0.4]])
+    _, _, Q = model.transition(a, np.zeros(1), 0.0, dt, model.record(model.theta()))
+    F = np.array([[0.0, 1.0], [-W2 * math.cos(0.4), -DAMPING]])
+    _, _, exact = engine.discretize(F, None, np.diag([0.0, 1e-3]), dt=dt)
+    np.testing.assert_allclose(np.broadcast_to(Q, (1, 2, 2))[0], exact, rtol=1e-5)
+    assert exact[0, 0] > 0.0
+
+
+def test_rows_times_and_parameters_at_once_are_those_one_by_one():
+    model = pendulum()
+    rng = np.random.default_rng(1)
+    a, u, t, dt = (
+        rng.normal(size=(9, 1)),
+        rng.normal(size=(1, 9)),
+        rng.normal(size=9),
+        rng.random(9),
+    )
+    thetas = np.linspace(10.0, 90.0, 9)[:, None]
+    f, A, Q = model.transition(a, u, t, dt, model.records(thetas))
+    for i in range(9):
+        one = model.transition(a[i : i + 1], u[:, i], t[i], dt[i], model.record(thetas[i]))
+        for many, alone in zip((f, A, Q), one, strict=True):
+            alone = alone if alone.ndim == many.ndim else alone[None]
+            np.testing.assert_allclose(many[i], alone[0], rtol=1e-9, atol=1e-12)
+
+
+def test_functions_that_take_numbers_only():
+    def drift(a, u, t, theta):
+        return [0.0, u[0] - math.pow(theta.w2, 1.0) * np.sin(a[:, 0])], [[1.0], [-DAMPING]]
+
+    u = torque(60)
+    series = Series(np.zeros(60), u, dt=0.05)
+    runs = [engine.free_run(m, None, series).y for m in (pendulum(), pendulum(drift=drift))]
+    np.testing.assert_allclose(*runs, rtol=1e-12, atol=1e-12)
+    thetas = np.array([[30.0], [50.0]])
+    a, u = np.array([[0.3], [0.4]]), np.zeros(1)
+    both = [
+        m.transition(a, u, 0.0, 0.05, m.records(thetas))[0]
+        for m in (pendulum(), pendulum(drift=drift))
+    ]
+    np.testing.assert_allclose(*both, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "second"), [(1e9, 1.0), (180.0 / math.pi, 1e3), (1e-6, 1.0 / 3600.0)]
+)
+def test_units_of_states_and_time_say_the_same(unit, second):
+    u = torque(60)
+    y = engine.simulate(pendulum(), None, 60, np.random.default_rng(2), u=u, dt=0.05).y
+    plain = engine.rbpf(pendulum(), None, Series(y, u, dt=0.05), 30, np.random.default_rng(3))
+    other = Series(unit * y, u, dt=0.05 * second)
+    scaled = engine.rbpf(pendulum(unit, second), None, other, 30, np.random.default_rng(3))
+    shift = 60 * math.log(unit)
+    assert scaled.log_likelihood + shift == pytest.approx(plain.log_likelihood, abs=1e-3)
+
+
+def test_em_estimates_what_another_program_simulated():
+    dt, T = 0.05, 200
+    u = torque(T)
+    y = integrated(u, dt) + 0.01 * np.random.default_rng(5).standard_normal(T)
+    found = engine.rbps_em(
+        pendulum(), Series(y, u, dt=dt), {"w2": 30.0}, n_iterations=8, n_particles=20
+    )
+    assert found.theta["w2"] == pytest.approx(W2, rel=0.02)
+
+
+def test_a_diagnosis_may_make_more_steps_a_sample():
+    u = torque(100)
+    y = engine.simulate(pendulum(), None, 100, np.random.default_rng(2), u=u, dt=0.1).y
+    model = pendulum()
+    fine = prepare(model, Series(y, u, dt=0.1), lambda: np.asarray(model.theta()))
+    assert fine.k > 1
+    assert "steps a sample" in fine.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"drift": lambda a, u, t, theta: ([0.0], [[1.0], [0.0]])}, r"drift: f has shape \(1,\)"),
+        ({"drift": lambda a, u, t, theta: ([0.0, 0.0], [[1.0]])}, "drift: A is not a list of 2 rows"),
+        ({"diffusion": lambda a, u, t, theta: np.eye(3)}, r"diffusion: Qc has shape \(3, 3\)"),
+        ({"jacobian": lambda a, u, t, theta: np.eye(2)}, r"jacobian: J has shape \(2, 2\)"),
+        ({"diffusion": lambda a, u, t, theta: -np.eye(2)}, "dynamics: Q has the negative eigenvalue"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(changes, words):
+    with pytest.raises(ModelError, match=words):
+        engine.rbpf(
+            pendulum(**changes),
+            None,
+            Series(np.zeros(10), np.zeros(10)),
+            5,
+            np.random.default_rng(0),
+        )
