@@ -3,7 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo serve test lint tables bench warm load large-bodies chaos bench-dask
+.PHONY: setup demo serve test lint tables bench warm load large-bodies chaos bench-dask bench-free-run
 
 setup: .venv/ready
 
@@ -36,6 +36,10 @@ tables: setup
 
 bench: setup
 	$(BIN)/python -m tests.benchmarks.bench_em
+
+# Free runs found as a whole beside the loop over time.
+bench-free-run: setup
+	$(BIN)/python -m tests.benchmarks.bench_free_run
 
 warm: setup
 	$(BIN)/python -m engine.compile_kernels

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 import engine.kernels
+from engine.data.series import Series
 from engine.diagnose.screening.tails import prediction_pit
 from engine.estimation.em import rbps_em, rts_em
 from engine.estimation.quasi_ml import quasi_ml
@@ -33,7 +34,10 @@ from engine.filters.sigma_point import moment_path
 from engine.kernels.sensitivities import footprints
 from engine.models.registry import get_model
 from engine.simulation.fit import fit_simulation
+from engine.simulation.free_run import free_run
+from engine.simulation.sensitivities import sensitivities
 from engine.simulation.simulate import simulate
+from engine.simulation.whole_record import SHORTEST
 from engine.smoothers.linear_cost import rb_ffbsi_linear
 from engine.statespace.discretization import discretize
 
@@ -62,9 +66,12 @@ def warm() -> dict[str, set[Any]]:
     prediction_pit(rbpf(walk, None, short, 4, rng), rng)
     rb_ffbsi_linear(rbpf(walk, None, short, 4, rng), 4, rng)
     tanks = get_model("tanks")
-    measured = simulate(tanks, None, 12, rng, u=np.ones(12), dt=4.0).series
+    measured = simulate(tanks, None, SHORTEST, rng, u=np.ones(SHORTEST), dt=4.0).series
     fit_simulation(tanks, measured, free=[tanks.parameter_names[0]])
     discretize(np.eye(1), dt=1.0)
+    run = free_run(walk, None, Series(np.zeros(SHORTEST)))
+    first, x = np.arange(1), np.hstack((run.a, run.z))
+    sensitivities(walk, np.asarray(run.theta), run.series, x, first, first, np.full(1, 1e-5))
     return compiled_kernels()
 
 

@@ -199,6 +199,13 @@ class Series:
             return np.where(share[:, None] > 0.0, following, here)
         return here + share[:, None] * (following - here)
 
+    def held(self, hold: str) -> Series:
+        """The samples, with inputs that do something else between them, as a series that is not refined."""
+        at = self.samples
+        return self.replace(
+            y=self.y[at], u=self.u[at], t=self.t[at], extra=self.extra[at], substeps=1, hold=hold
+        )
+
     def replace(self, **changes: Any) -> Series:
         """The same series with some of its arrays, names, ``substeps`` or ``hold`` changed."""
         kept = {

@@ -1,8 +1,10 @@
 """Simulation-error fit: parameters that make the noise-free run follow the data (Q = 0).
 
 Least squares over the free parameters and each series' first state, by a trust-region method
-within the bounds (scipy.optimize.least_squares). All perturbed runs of a derivative are one pass
-over time where the model's functions take arrays of parameters, which plain NumPy ones do.
+within the bounds (scipy.optimize.least_squares). A run and all its derivatives are found at once where that
+converges, see :mod:`engine.simulation.whole_record` and :mod:`engine.simulation.sensitivities`; else by
+differences of perturbed runs, which are one pass over time where the model's functions take arrays of
+parameters, as plain NumPy ones do.
 """
 
 from __future__ import annotations
@@ -18,6 +20,9 @@ from scipy.optimize import OptimizeResult, least_squares
 from engine.data.series import Series, as_series_list
 from engine.errors import ModelError
 from engine.simulation.free_run import FreeRun, first_state, free_run, output_scale, run_rows
+from engine.simulation.sensitivities import sensitivities
+from engine.simulation.steps import observations, tested
+from engine.simulation.whole_record import whole_record
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
@@ -30,6 +35,8 @@ SHORT = 12  # evaluations that each start gets before the best one is followed t
 TRIALS = 8  # sizes tried for a parameter of unknown scale
 PRECISE = 1e-7  # relative change of the cost or of p at which the search ends
 SILENT = 1e-9  # a derivative below this share of the largest one is no influence
+ALIKE = 0.01  # share by which a column of derivatives may differ from differences of runs ...
+WEAK = 1e-6  # ... of the largest column: what differences of runs resolve
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +195,11 @@ class _Problem:
         self.x1, self.spread = first_state(model, theta)
         self.uncertain = np.flatnonzero(self.spread > 0.0)
         self.evaluations = 0
+        self.at_once = True  # runs and derivatives as a whole, where they converge
         self._last: tuple[bytes, Array, Array] | None = None
+        self._runs: list[Array | None] = [None] * len(
+            series
+        )  # the last one of each series, to begin with
 
     def names(self, indices: NDArray[np.intp]) -> tuple[str, ...]:
         return tuple(self.model.parameter_names[i] for i in indices)
@@ -216,6 +227,7 @@ class _Problem:
     def look_for_silent(self) -> None:
         """Take parameters out that do not change the run around the start."""
         self._look_for_sizes()
+        self.at_once = self._agree()
         _, jacobian = self.evaluate(self.start())
         size = np.abs(jacobian[:, : self.active.size]).max(axis=0, initial=0.0) * self.steps()
         quiet = ~(size > SILENT * float(size.max(initial=0.0)))
@@ -305,47 +317,83 @@ class _Problem:
         return self.evaluate(p)[1]
 
     def evaluate(self, p: Array) -> tuple[Array, Array]:
-        """Residuals (n,) and their derivatives (n, n_p), from one pass over each series.
-
-        Central differences, one-sided at a bound and where the other side is not finite.
-        """
+        """Residuals (n,) and their derivatives (n, n_p); 0 where these are not finite."""
         key = p.tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1], self._last[2]
         self.evaluations += 1
         theta, x1 = self.split(p)
         k, m, S = self.active.size, self.uncertain.size, len(self.series)
+        blocks, derivatives = [], []
+        for s, one in enumerate(self.series):
+            y, dy = self._at_once(theta, x1[s], s) or self._by_differences(theta, x1[s], s)
+            slope = (-dy / self.scale[:, None])[one.observed]
+            block = np.zeros((len(slope), k + S * m))
+            block[:, :k] = slope[:, :k]
+            block[:, k + s * m : k + (s + 1) * m] = slope[:, k:]
+            blocks.append(((one.y - y) / self.scale)[one.observed])
+            derivatives.append(np.where(np.isfinite(block), block, 0.0))
+        out = np.concatenate(blocks), np.concatenate(derivatives)
+        self._last = (key, *out)
+        return out
+
+    def _at_once(self, theta: Theta, x1: Array, s: int) -> tuple[Array, Array] | None:
+        """y (T, ny) of a series and its derivatives (T, ny, k + m), None where that does not converge."""
+        if not self.at_once:
+            return None
+        model, one, record = self.model, self.series[s], self.model.record(theta)
+        model.observations.look_again()
+        x = whole_record(model, record, one, x1, self._runs[s])
+        if len(x) < len(one):
+            return None
+        self._runs[s] = x
+        with np.errstate(all="ignore"):
+            seen = tested(model, observations(model, record, one), x)
+        if seen is None:
+            return None
+        steps, values = self.steps(), np.asarray(theta)
+        dy, _ = sensitivities(model, values, one, x, self.active, self.uncertain, steps)
+        return seen.value, dy
+
+    def _by_differences(self, theta: Theta, x1: Array, s: int) -> tuple[Array, Array]:
+        """The same by central differences of runs; one-sided at a bound, NaN where one is not finite."""
+        k, m = self.active.size, self.uncertain.size
         h = np.concatenate((self.steps(), STEP * self.spread[self.uncertain]))
         thetas = np.tile(np.asarray(theta), (2 * (k + m) + 1, 1))
         for i, column in enumerate(self.active):
             thetas[1 + 2 * i, column] = min(theta[column] + h[i], self.model.upper[column])
             thetas[2 + 2 * i, column] = max(theta[column] - h[i], self.model.lower[column])
-        blocks, derivatives = [], []
+        x = np.tile(x1, (len(thetas), 1))
+        for i, column in enumerate(self.uncertain):
+            x[1 + 2 * (k + i), column] += h[k + i]
+            x[2 + 2 * (k + i), column] -= h[k + i]
+        y, _ = run_rows(self.model, thetas, self.series[s], x)
+        up, down = thetas[1 : 1 + 2 * k : 2], thetas[2 : 2 + 2 * k : 2]
+        reach = np.concatenate(((up - down)[np.arange(k), self.active], 2.0 * h[k:]))
+        with np.errstate(all="ignore"):
+            dy = np.swapaxes(y[:, 1::2] - y[:, 2::2], 1, 2) / reach
+        return y[:, 0], dy
+
+    def _agree(self) -> bool:
+        """Whether derivatives found at once are, at the start, those of differences of runs.
+
+        They are not where the model jumps, and where friction sticks and slips too often.
+        """
+        theta, x1 = self.split(self.start())
+        h = np.concatenate((self.steps(), STEP * self.spread[self.uncertain]))
         for s, one in enumerate(self.series):
-            x = np.tile(x1[s], (len(thetas), 1))
-            for i, column in enumerate(self.uncertain):
-                x[1 + 2 * (k + i), column] += h[k + i]
-                x[2 + 2 * (k + i), column] -= h[k + i]
-            y, _ = run_rows(self.model, thetas, one, x)
-            e = ((one.y[:, None] - y) / self.scale).transpose(0, 2, 1)[one.observed]
-            reach = np.concatenate(
-                (
-                    (thetas[1 : 1 + 2 * k : 2] - thetas[2 : 2 + 2 * k : 2])[
-                        np.arange(k), self.active
-                    ],
-                    2.0 * h[k:],
-                )
-            )
-            with np.errstate(all="ignore"):
-                slope = (e[:, 1::2] - e[:, 2::2]) / reach
-            block = np.zeros((e.shape[0], k + S * m))
-            block[:, :k] = slope[:, :k]
-            block[:, k + s * m : k + (s + 1) * m] = slope[:, k:]
-            blocks.append(e[:, 0])
-            derivatives.append(np.where(np.isfinite(block), block, 0.0))
-        out = np.concatenate(blocks), np.concatenate(derivatives)
-        self._last = (key, *out)
-        return out
+            found = self._at_once(theta, x1[s], s)
+            if found is None:
+                continue
+            pair = found[1], self._by_differences(theta, x1[s], s)[1]
+            own, other = ((dy * h / self.scale[:, None])[one.observed] for dy in pair)
+            size = np.linalg.norm(other, axis=0)
+            off = np.linalg.norm(own - other, axis=0)
+            known = np.isfinite(size)
+            allowed = ALIKE * size + WEAK * size[known].max(initial=0.0)
+            if not (off <= allowed)[known].all():
+                return False
+        return True
 
     def covariance(self, best: OptimizeResult) -> tuple[Array, tuple[str, ...]]:
         """Covariance (n_theta, n_theta), and the parameters only determined together."""

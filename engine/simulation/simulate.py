@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from engine.data.series import Series
 from engine.errors import ModelError, OptionError
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
+from engine.simulation.steps import observations
+from engine.simulation.whole_record import whole_record
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
@@ -138,25 +140,42 @@ def propagate(
 
     ``a`` (K, na), ``z`` (K, nz) are the first states. Without ``rng`` the run is noise-free; with
     it, process and measurement noise are drawn where asked for. The record's fields are numbers,
-    or arrays (K,), see ``model.records``. What overflows is left as inf or NaN.
+    or arrays (K,), see ``model.records``. What overflows is left as inf or NaN. A single long run without
+    process noise is found as a whole where that is faster, see :mod:`engine.simulation.whole_record`.
     """
     T, K = len(series), a.shape[0]
+    noisy = rng is not None and process
     a_all, z_all = np.empty((T, K, model.na)), np.empty((T, K, model.nz))
-    steps = step_lengths(series).tolist()
-    times, inputs = series.t.tolist(), series.u_step
     na = model.na
-    model.transitions.look_again()
-    model.observations.look_again()
+    single = K == 1 and all(value.__class__ is float for value in record)
+    if not single or rng is not None:  # of others some rows are calculated alone
+        model.transitions.look_again()
+        model.observations.look_again()
     with np.errstate(all="ignore"):
-        for t in range(T - 1):
+        begin = 0
+        if single and not noisy:
+            known = whole_record(model, record, series, np.concatenate((a[0], z[0])))
+            begin = len(known) - 1
+            a_all[:begin, 0], z_all[:begin, 0] = known[:begin, :na], known[:begin, na:]
+            a, z = known[begin:, :na], known[begin:, na:]
+        steps, times, inputs = step_lengths(series), series.t, series.u_step
+        if begin < T - 1:
+            steps, times = steps.tolist(), times.tolist()
+        for t in range(begin, T - 1):
             a_all[t], z_all[t] = a, z
             f, A, Q = model.transition(a, inputs[t], times[t], steps[t], record)
             x = f + through(A, z)
-            if rng is not None and process:
+            if rng is not None and noisy:
                 x += noise(Q, x.shape, rng)
             a, z = x[:, :na], x[:, na:]
         a_all[T - 1], z_all[T - 1] = a, z
-        y = _outputs(model, record, series, a_all, z_all, rng if measurement else None)
+        noisy_y = rng if measurement else None
+        y = _outputs(model, record, series, a_all, z_all, noisy_y)
+        if single and noisy_y is None:
+            x = np.concatenate((a_all[:, 0], z_all[:, 0]), axis=1)
+            if not observations(model, record, series).as_alone(x, y[:, 0]):
+                model.observations.look_again()
+                y = _outputs(model, record, series, a_all, z_all, None)
     return y, a_all, z_all
 
 

@@ -31,7 +31,7 @@ import numpy as np
 from engine.errors import EngineError, ModelError
 from engine.statespace.compare import Result, copies, joined
 from engine.statespace.plan import Plan, plan_of
-from engine.statespace.refutation import count_refutation
+from engine.statespace.refutation import count_refutation, count_split
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, is_numeric
 
@@ -261,6 +261,7 @@ class ModelFunction:
 
         A theta at which the function cannot be calculated has NaN, unless all are such.
         """
+        count_split()
         split = kind
         if kind.fields and kind.times:  # one of them may be taken together
             times = Kind(kind.u, kind.t, kind.dt, ())

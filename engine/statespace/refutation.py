@@ -50,3 +50,13 @@ def _refutations() -> int:
 def count_refutation() -> None:
     """A function was found not to take rows that it had been given before."""
     _here.count = _refutations() + 1
+
+
+def calls_split() -> int:
+    """How often, in this thread, rows were not evaluated in one call, by whatever model inside another."""
+    return int(getattr(_here, "split", 0))
+
+
+def count_split() -> None:
+    """Rows were evaluated in several calls."""
+    _here.split = calls_split() + 1

@@ -6,6 +6,8 @@ import numpy as np
 
 from engine import Series, get_model, rbps_em, simulate
 from engine.compile_kernels import compiled_kernels, warm
+from engine.simulation.free_run import free_run
+from engine.simulation.whole_record import SHORTEST
 from tests.engine.models_for_tests import (
     awkward_series,
     draw,
@@ -16,7 +18,7 @@ from tests.engine.models_for_tests import (
 )
 
 # called by estimations from Python; the other kernels are compiled into these, or by studies
-USED = ("backward.", "conditional.", "filtering.", "gaussian.", "resampling.")
+USED = ("backward.", "conditional.", "filtering.", "gaussian.", "resampling.", "trajectory.")
 
 
 def used():
@@ -48,5 +50,7 @@ def test_no_model_needs_a_kernel_in_another_form():
                     proposal=proposal,
                     resampling=resampling,
                 )
+        long = Series(np.zeros((SHORTEST, model.ny)), np.ones((SHORTEST, model.nu)), dt=0.01)
+        free_run(model, None, long)
     after = used()
     assert {name: after[name] - before[name] for name in after if after[name] != before[name]} == {}

@@ -80,13 +80,16 @@ def _input_saturation(setting: Setting, channel: str, name: str) -> Effect:
     )
 
 
-def _hold(setting: Setting, channel: str, name: str) -> Effect:
+def _hold(setting: Setting, channel: str, name: str) -> Effect | None:
     """The input goes on between its samples: the step is driven by u_t + size (u_(t+1) - u_t) / 2.
 
     With g the gain of an input held over the step, x_(t+1) = F(x_t, u_t) + size g (u_(t+1) - u_t) / 2. The
     states of the extended model are x_t - size g (u_t - u_1) / 2, which needs no input of the next sample
-    and is x_1 at first. The input must add to the state equation; g may depend on a slowly.
+    and is x_1 at first. The input must add to the state equation; g may depend on a slowly. Nothing is asked
+    of a series that says already what its inputs did.
     """
+    if setting.hold != "zoh":
+        return None
     scale, first = setting.size(channel), setting.first(channel)
 
     def extend(model: MixedModel) -> MixedModel:
@@ -131,6 +134,7 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect:
         look_alikes={"delay": "looks back, not ahead"},
         held=(f"{name}_step", f"{name}_first"),
         one_sided=True,
+        traits=Traits(says_hold="foh"),
     )
 
 

@@ -47,7 +47,8 @@ class Setting:
     those inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
     step its readings come in, where they show one. ``record`` is what the series showed, None without
     data. ``zeros`` are the known zeros of channels (default: as the model declares and tells);
-    ``substeps`` the steps that the model makes from one sample to the next.
+    ``substeps`` the steps that the model makes from one sample to the next; ``hold`` what the series says of
+    its inputs between samples.
     """
 
     model: MixedModel
@@ -59,6 +60,7 @@ class Setting:
     record: Record | None = None
     zeros: Mapping[str, float] | None = None
     substeps: int = 1
+    hold: str = "zoh"
 
     # ---- sizes --------------------------------------------------------------------------------
 
@@ -258,27 +260,29 @@ def each_pair(setting: Setting) -> Iterator[str]:
 
 
 def at_outputs(
-    kind: str, make: Callable[[Setting, str, str], Effect], channels: Channels = each_output
+    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_output
 ) -> Kind:
     """A kind that enters at outputs; ``make(setting, channel, name of the size)``."""
     return _kind(kind, make, channels, lambda setting: setting.model.outputs)
 
 
 def at_inputs(
-    kind: str, make: Callable[[Setting, str, str], Effect], channels: Channels = each_input
+    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_input
 ) -> Kind:
     """The same for inputs."""
     return _kind(kind, make, channels, lambda setting: setting.model.inputs)
 
 
 def at_states(
-    kind: str, make: Callable[[Setting, str, str], Effect], channels: Channels = each_state
+    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_state
 ) -> Kind:
     """The same for states."""
     return _kind(kind, make, channels, lambda setting: setting.states)
 
 
-def at_signals(kind: str, make: Callable[[Setting, str, str], Effect], channels: Channels) -> Kind:
+def at_signals(
+    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels
+) -> Kind:
     """The same for outputs and states."""
     return _kind(kind, make, channels, lambda s: {**s.model.outputs, **s.states})
 
@@ -303,7 +307,7 @@ def at_pairs(
 
 def _kind(
     kind: str,
-    make: Callable[[Setting, str, str], Effect],
+    make: Callable[[Setting, str, str], Effect | None],
     channels: Channels,
     there: Callable[[Setting], Mapping[str, str]],
 ) -> Kind:
@@ -345,6 +349,7 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         resolution,
         Record(values, t, np.append(steps, steps[-1]), np.asarray(theta, dtype=float)),
         substeps=series.substeps,
+        hold=series.hold,
     )
 
 

@@ -30,7 +30,8 @@ class Traits:
     ``unnamed``: it stands for whatever has no name. ``outliers``: judged by a filter that knows outliers.
     ``noise_level``: it changes the size of a channel's noise. ``plainness``: of effects that say the same,
     the one with the least is said. ``suits``: "rate" (friction) or "position" (stiffness), where the kind is
-    natural. ``contains``: plainer kinds that it becomes at the end of the range of its own parameters.
+    natural. ``says_hold``: what a series would say instead, see :class:`engine.Series`. ``contains``: plainer
+    kinds that it becomes at the end of the range of its own parameters.
     """
 
     course: Course | None = None
@@ -41,6 +42,7 @@ class Traits:
     noise_level: bool = False
     plainness: int = ANY
     suits: str = ""
+    says_hold: str = ""
     contains: tuple[str, ...] = ()
 
 

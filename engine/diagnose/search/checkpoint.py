@@ -42,20 +42,26 @@ def _nobody(_seconds: float) -> None:
 class Kept:
     """Parts by name, of which those of a round begin with ``where``; without ``parts`` nothing is kept.
 
+    ``of`` begins the names of one search, where there are several.
     ``spent`` is told the seconds that were once spent on a part which need not be computed again.
     """
 
     parts: Parts | None = None
     spent: Callable[[float], Any] = _nobody
     where: str = ""
+    of: str = ""
+
+    def apart(self, what: str) -> Kept:
+        """The same parts, for a search beside the first, whose names may be the same."""
+        return Kept(self.parts, self.spent, f"{what}: ", f"{what}: ")
 
     def within(self, where: str) -> Kept:
         """The same parts, named by where in the diagnosis they belong."""
-        return Kept(self.parts, self.spent, f"{where}: ")
+        return Kept(self.parts, self.spent, f"{self.of}{where}: ", self.of)
 
     def further(self, what: str) -> Kept:
         """The same parts, for what is done with a part that was kept before."""
-        return Kept(self.parts, self.spent, f"{self.where}{what}: ")
+        return Kept(self.parts, self.spent, f"{self.where}{what}: ", self.of)
 
     def fit(self, model: MixedModel, compute: Callable[[], QuasiFit]) -> QuasiFit:
         """A fit of ``model``."""

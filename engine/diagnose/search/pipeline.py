@@ -12,6 +12,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.search.between_samples import read_otherwise
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import undetermined
 from engine.diagnose.search.findings import Verdict
@@ -67,18 +68,26 @@ def find_causes(
         )
     setting = setting_for(model, series, base.theta)
     clock.start("search")
-    found = search(
-        model,
+    options: Any = {
+        "alpha": alpha,
+        "max_effects": max_effects,
+        "kinds": effects,
+        "seed": seed,
+        "progress": clock.progress,
+    }
+    found = search(model, series, base, setting, kept=kept, **options)
+    apart = kept.apart("read otherwise")
+    other = read_otherwise(
+        found,
         series,
-        base,
-        setting,
-        alpha=alpha,
-        max_effects=max_effects,
-        kinds=effects,
-        seed=seed,
-        progress=clock.progress,
-        kept=kept,
+        lambda fit, read: search(
+            model, read, fit, setting_for(model, read, fit.theta), kept=apart, **options
+        ),
     )
+    settled = other is not None and other.search is not found  # the record says it all
+    if other is not None:
+        found = other.search
+        notes.append(other.note)
     verdict = verdict_of(found, alpha)
     if patchwork(found, alpha):
         notes.append(
@@ -90,7 +99,8 @@ def find_causes(
     if against:
         notes.extend(against)
         verdict = Verdict.UNKNOWN
-    shape = _shape_left(found, series, setting, seed) if verdict in NAMES else None
+    asked = verdict in NAMES and not settled
+    shape = _shape_left(found, series, setting, seed) if asked else None
     if shape is not None:
         notes.append(shape)
         verdict = Verdict.UNKNOWN

@@ -15,7 +15,8 @@ from engine.models.local_level import MODEL as LEVEL
 from engine.models.mixed_4 import MODEL as MIXED
 from engine.models.servo import MODEL as SERVO
 from engine.models.tanks import MODEL as TANKS
-from engine.simulation.fit import fit_simulation
+from engine.simulation import whole_record
+from engine.simulation.fit import _Problem, fit_simulation
 from engine.simulation.free_run import free_run
 from engine.simulation.simulate import simulate
 from engine.statespace.model import Parameter
@@ -149,6 +150,33 @@ def test_errors():
     )
     with pytest.raises(ModelError, match="the simulation runs away; at t = "):
         fit_simulation(unstable, Series(np.zeros(50)))
+
+
+def test_runs_at_once_and_loops_over_time_give_the_same_fit(monkeypatch):
+    series = [tanks(1).series, tanks(2, 350).series.masked(np.arange(50, 90)), tanks(3, 40).series]
+    fit = fit_simulation(TANKS, series, n_starts=2)
+    monkeypatch.setattr(whole_record, "SHORTEST", np.inf)
+    other = fit_simulation(TANKS, series, n_starts=2)
+    np.testing.assert_allclose(fit.theta, other.theta, rtol=1e-6)
+    np.testing.assert_allclose(fit.a1, other.a1, rtol=1e-5)
+    np.testing.assert_allclose(fit.covariance, other.covariance, rtol=1e-4, atol=1e-12)
+    assert fit.silent == other.silent
+
+
+def test_derivatives_that_differences_of_runs_contradict_are_not_used():
+    """Rounded readings: flat between jumps, which only differences of runs see."""
+
+    def measurement(a, u, t, theta):
+        return [np.round(a[:, 1], 4)], np.zeros((1, 1)), [[theta.sigma_y**2]]
+
+    stepped = replace(TANKS, measurement=measurement)
+    series = tanks(5).series
+    problem = _Problem(stepped, [series], TANKS.theta(), np.array([0, 1, 2]))
+    problem.look_for_silent()
+    assert not problem.at_once
+    smooth = _Problem(TANKS, [series], TANKS.theta(), np.array([0, 1, 2]))
+    smooth.look_for_silent()
+    assert smooth.at_once
 
 
 def test_cascaded_tanks(measured_data):

@@ -1,0 +1,112 @@
+"""Derivatives of a free run by parameters and first states, all columns in one recursion over time.
+
+Along the run x_{t+1} = F(x_t, u_t, theta), y_t = G(x_t, u_t, theta), a column of d x_t / d(theta, x_1) obeys
+
+    xi_{t+1} = J_t xi_t + b_t,      dy_t = H_t xi_t + d_t
+
+with J = dF/dx, H = dG/dx and, for a parameter, b = dF/dtheta, d = dG/dtheta, xi_1 = 0; for a component of the
+first state b = d = 0 and xi_1 is its unit vector. Columns cost hardly more than one run does, where
+differences of runs cost two each. Where F has a kink the derivative is that of the side, or the mean of
+both, on which the run is; where F jumps it says nothing of the jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.kernels.trajectory import carry
+from engine.simulation.steps import (
+    Steps,
+    Values,
+    deviations,
+    observations,
+    sizes,
+    tested,
+    transitions,
+)
+from engine.statespace.model import Array, MixedModel
+
+
+def sensitivities(
+    model: MixedModel,
+    theta: Array,
+    series: Series,
+    x: Array,
+    parameters: NDArray[np.intp],
+    states: NDArray[np.intp],
+    steps: Array,
+) -> tuple[Array, Array]:
+    """Derivatives of a noise-free run's outputs and states.
+
+    Parameters
+    ----------
+    model, theta : MixedModel, (n_theta,)
+        The model and its parameters.
+    series : Series
+        Inputs and times.
+    x : (T, nx)
+        The run itself, x = (a, z), finite.
+    parameters, states : (k,), (m,)
+        Indices into theta and into x_1.
+    steps : (k,)
+        Half the distance over which a parameter's differences are taken, in its unit; shorter at a bound.
+
+    Returns
+    -------
+    dy : (T, ny, k + m)
+        In an output's unit per unit of the parameter or the state.
+    dx : (T, nx, k + m)
+        Likewise for the states.
+
+    Raises
+    ------
+    ModelError
+        Where a function of the model fails beside the run.
+
+    """
+    record, k = model.record(theta), len(parameters)
+    ends = [_ends(model, theta, i, h) for i, h in zip(parameters, steps, strict=True)]
+    first = np.zeros((model.nx, k + len(states)))
+    first[states, k + np.arange(len(states))] = 1.0
+    with np.errstate(all="ignore"):
+        F = _in_rows(model, transitions(model, record, series), x[:-1])
+        G = _in_rows(model, observations(model, record, series), x)
+        at = F(x[:-1])
+        size = sizes(np.abs(x - x[0]).max(axis=0), np.abs(x[0]), deviations(at.Q))
+        size = np.tile(size, (len(x), 1))
+        J, b = _slopes(F, x[:-1], at, size[:-1], ends)
+        H, d = _slopes(G, x, G(x), size, ends)
+        still = np.zeros((*b.shape[:2], len(states)))
+        xi = carry(J, np.concatenate((b, still), axis=2), first)
+        dy = H @ xi
+        dy[:, :, :k] += d
+    return dy, xi
+
+
+def _in_rows(model: MixedModel, steps: Steps, x: Array) -> Steps:
+    return replace(steps, split=tested(model, steps, x) is None)
+
+
+def _ends(
+    model: MixedModel, theta: Array, i: int, step: float
+) -> tuple[tuple[Any, Any], float, float]:
+    """The records on both sides of theta in parameter i, and how far they are."""
+    low, high = np.array(theta), np.array(theta)
+    low[i] = max(theta[i] - step, model.lower[i])
+    high[i] = min(theta[i] + step, model.upper[i])
+    records = model.record(low), model.record(high)
+    return records, float(low[i] - theta[i]), float(high[i] - theta[i])
+
+
+def _slopes(F: Steps, x: Array, at: Values, size: Array, ends: list[Any]) -> tuple[Array, Array]:
+    """dF/dx (n, m, nx) and dF/dtheta (n, m, k) at x (n, nx)."""
+    J = F.slopes(x, at, size, central=True)
+    b = np.empty((*at.value.shape, len(ends)))
+    for i, end in enumerate(ends):
+        b[:, :, i] = F.slope_between(x, at, *end)
+    return J, b
