@@ -2,8 +2,10 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+# Two processes, each of which runs whole files with one thread.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: setup demo serve test lint tables bench warm load large-bodies chaos bench-dask bench-free-run
+.PHONY: setup demo serve test test-all lint tables bench warm load large-bodies chaos bench-dask bench-free-run
 
 setup: .venv/ready
 
@@ -21,7 +23,10 @@ serve: setup
 
 # python -m puts this folder on the path, so that worker processes can import the test modules.
 test: setup
-	$(BIN)/python -m pytest -m "not slow"
+	$(PYTEST) -m "not slow"
+
+test-all: setup
+	$(PYTEST)
 
 lint: setup
 	$(BIN)/ruff check .

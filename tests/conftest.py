@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import locale
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,9 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-# Set for the processes that the service and the studies start, and read by nobody else.
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+# A shell has its background jobs ignore Ctrl-C, and the services that tests start would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
@@ -33,13 +36,22 @@ def measured_data() -> Callable[[str], Path]:
     return find
 
 
+@pytest.fixture(scope="session")
+def nile_diagnosis() -> Any:
+    """A diagnosis of the Nile's flows, which several tests look at and none changes."""
+    import engine
+    from engine.data import nile
+
+    effects = ["step", "pulse", "ramp", "latent"]
+    return engine.diagnose(engine.get_model("local-level"), nile(), effects=effects, seed=1)
+
+
 def of_the_process() -> dict[str, Any]:
     """What holds for the whole process, and so for all tests that come later."""
-    changing = (*THREADS, "PYTEST_CURRENT_TEST")
-    env = {key: value for key, value in os.environ.items() if key not in changing}
-    env = {
-        key: value for key, value in env.items() if not key.startswith("KMP_")
-    }  # by scikit-learn
+    # which the service and the studies set for their workers
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    others = ("PYTEST_CURRENT_TEST", "KMP_DUPLICATE_LIB_OK", "KMP_INIT_AT_FORK")  # scikit-learn's
+    env = {key: value for key, value in os.environ.items() if key not in (*threads, *others)}
     return {
         "environment": env,
         "folder": os.getcwd(),

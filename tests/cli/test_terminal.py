@@ -83,6 +83,7 @@ def test_ctrl_c_and_going_on_give_the_same_numbers(folder, terminal, uninterrupt
     assert same_numbers(json.loads((folder / "result.json").read_text()), uninterrupted)
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_later_start(folder, terminal):
     several = (*FIT, "--starts", "2", "--out", "result.json")
     whole = terminal("fit", *several)
@@ -149,6 +150,7 @@ def without_times(page):
     return [line for line in page.splitlines() if " s in all: " not in line]
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, terminal):
     whole = terminal(*DIAGNOSE)
     code, expected = whole.end()

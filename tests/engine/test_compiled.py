@@ -9,6 +9,7 @@ from engine import condition_on_trajectories, get_model, rb_ffbsi, rbpf, simulat
 from tests.benchmarks import compiled_mixed4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("proposal", ["adapted", "bootstrap"])
 def test_engine_and_compiled_version_agree_from_the_same_random_numbers(proposal):
     model = get_model("mixed-4")

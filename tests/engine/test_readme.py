@@ -48,6 +48,7 @@ def test_the_glider(capsys):
     assert printed.rstrip().endswith("nothing")
 
 
+@pytest.mark.slow
 def test_the_drive(capsys):
     """Named, with the size that was hidden inside its interval, and the frictions restored."""
     names, printed = run('engine.get_model("servo")', capsys)
@@ -61,6 +62,7 @@ def test_the_drive(capsys):
     assert f"Quadratic drag of velocity [drag:velocity]: {size} +- {error}" in promised
 
 
+@pytest.mark.slow
 def test_the_nile(capsys):
     names, printed = run("from engine.data import nile", capsys)
     assert "named step:flow" in printed

@@ -113,11 +113,6 @@ def long(estimation: Callable[..., dict[str, Any]]) -> dict[str, Any]:
     return request
 
 
-@pytest.fixture
-def patience() -> float:
-    return slowness()
-
-
 class Served(httpx.Client):
     """The application on a loopback port, in a thread of this process; a client of it."""
 
@@ -227,6 +222,14 @@ def spawn(tmp_path: Path) -> Iterator[Callable[..., Spawned]]:
         one.log.close()
 
 
+@pytest.fixture(scope="session")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Spawned]:
+    """A service with the usual settings, for all tests that leave it without a job to compute."""
+    made = Spawned(tmp_path_factory.mktemp("running"))
+    yield made
+    made.stop()
+
+
 def parent(pid: int) -> int:
     """Of a process; 0 if it has gone."""
     try:
@@ -328,18 +331,28 @@ def postgres() -> Iterator[str]:
         shutil.rmtree(folder)
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
-def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """URL of an empty database."""
-    if request.param == "sqlite":
-        return Settings(state_dir=tmp_path).store_url
-    url: str = request.getfixturevalue("postgres")
-    from sqlalchemy import create_engine
+@pytest.fixture
+def empty_database(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], str]:
+    """URL of an empty database of a kind."""
 
-    engine_ = create_engine(url)
-    metadata.drop_all(engine_)
-    engine_.dispose()
-    return url
+    def make(kind: str) -> str:
+        if kind == "sqlite":
+            return Settings(state_dir=tmp_path).store_url
+        url: str = request.getfixturevalue("postgres")
+        from sqlalchemy import create_engine
+
+        engine_ = create_engine(url)
+        metadata.drop_all(engine_)
+        engine_.dispose()
+        return url
+
+    return make
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request: pytest.FixtureRequest, empty_database: Callable[[str], str]) -> str:
+    """URL of an empty database."""
+    return empty_database(request.param)
 
 
 @pytest.fixture

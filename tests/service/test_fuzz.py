@@ -46,12 +46,16 @@ def test_nothing_is_left_out(operations):
     assert set(operations) == set(CALLS)
 
 
+THOROUGH = pytest.mark.parametrize("examples", [6, pytest.param(40, marks=pytest.mark.slow)])
+
+
+@THOROUGH
 @pytest.mark.parametrize(
     ("call", "mode"),
     [(c, mode) for c in CALLS for mode in GenerationMode if mode.is_positive or c not in PLAIN],
     ids=str,
 )
-def test_call(operations, call, mode):
+def test_call(operations, call, mode, examples):
     operation = operations[call]
     # What is valid by the schema may name a model or a parameter that does not exist: 422.
     excluded = [schemathesis.checks.positive_data_acceptance]
@@ -59,7 +63,7 @@ def test_call(operations, call, mode):
         excluded.append(schemathesis.checks.negative_data_rejection)
 
     @settings(
-        max_examples=20,
+        max_examples=examples,
         deadline=None,
         derandomize=True,
         database=None,
@@ -136,9 +140,10 @@ KINDS = {
 }
 
 
+@THOROUGH
 @pytest.mark.parametrize("mode", list(GenerationMode), ids=str)
 @pytest.mark.parametrize("kind", KINDS)
-def test_bodies_of_every_kind(operations, kind, mode):
+def test_bodies_of_every_kind(operations, kind, mode, examples):
     """The same with POST /jobs narrowed to one kind, so that none is left out by chance."""
     whole = operations["POST /jobs"].schema
     raw = copy.deepcopy(whole.raw_schema)
@@ -154,7 +159,7 @@ def test_bodies_of_every_kind(operations, kind, mode):
     seen = []
 
     @settings(
-        max_examples=20,
+        max_examples=examples,
         deadline=None,
         derandomize=True,
         database=None,

@@ -199,16 +199,24 @@ def test_a_failed_job_says_what_to_do(client, estimation, ended):
         assert "allow more time" in answer.json()["advice"]
 
 
-def test_simulations_and_states_have_reports(client, ended):
-    for kind, options in (("simulate", {"samples": 30}), ("smooth", {"particles": 10})):
-        request = {"kind": kind, "model": "linear-2", "options": options}
-        if kind == "smooth":
-            request["series"] = [{"y": [[float(k % 3)] for k in range(20)]}]
-        url = client.post("/jobs", json=request).headers["location"]
-        ended(client, url)
-        parts = client.get(f"{url}/report").json()
-        assert parts["sections"]
-        assert len(parts["charts"]) >= 2
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"kind": "simulate", "options": {"samples": 30}},
+        {
+            "kind": "smooth",
+            "options": {"particles": 10},
+            "series": [{"y": [[float(k % 3)] for k in range(20)]}],
+        },
+    ],
+    ids=lambda request: request["kind"],
+)
+def test_simulations_and_states_have_reports(client, ended, request_):
+    url = client.post("/jobs", json={"model": "linear-2"} | request_).headers["location"]
+    assert ended(client, url)["status"] == "successful"
+    parts = client.get(f"{url}/report").json()
+    assert parts["sections"]
+    assert len(parts["charts"]) >= 2
 
 
 def test_others_see_neither_report_nor_tasks(make_client, tmp_path, estimation, ended):

@@ -1,9 +1,8 @@
 """Every documented call, on the real application with real worker processes."""
 
-import subprocess
-import sys
-import time
+import os
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -107,7 +106,7 @@ def test_simulate_draws_and_free_run(client, ended):
     assert free["rmse"] == pytest.approx(((1.0 + 1.8**2) / 2) ** 0.5)
 
 
-def test_results_before_the_end_cancel_and_list(client, long, wait, eventually, patience):
+def test_results_before_the_end_cancel_and_list(client, long, wait, eventually):
     url = client.post("/jobs", json=long).headers["location"]
     early = client.get(f"{url}/results")
     assert early.status_code == 404
@@ -118,11 +117,9 @@ def test_results_before_the_end_cancel_and_list(client, long, wait, eventually, 
     assert running["estimate"]["theta"] is not None
     assert running["estimated_end"] > running["updated"]
 
-    begin = time.monotonic()
     answer = client.delete(url)
     assert (answer.status_code, answer.json()["status"]) == (200, "dismissed")
     eventually(lambda: not client.app.state.supervisor.running())
-    assert time.monotonic() - begin < 2.0 * patience
     assert client.get(f"{url}/results").json()["outcome"] == "stopped"
     assert client.delete(url).json()["status"] == "dismissed"
     assert client.get(f"{url}/results").status_code == 404
@@ -210,13 +207,11 @@ def test_service_document_and_livez(client):
     assert client.get("/livez").json() == {"status": "alive"}
 
 
-def test_a_fresh_service_starts_warm(spawn, estimation, wait):
-    """Its first iteration is there after little more than what it takes to load the engine."""
-    service = spawn()
-    begin = time.monotonic()
-    url = service.client.post("/jobs", json=estimation(iterations=200)).headers["location"]
-    wait(service.client, url, lambda job: job["iteration"] >= 1)
-    first = time.monotonic() - begin
-    begin = time.monotonic()
-    subprocess.run([sys.executable, "-c", "import service.preload"], check=True)
-    assert first < 3.0 * (time.monotonic() - begin)  # compiling would take ten times as long
+def test_a_fresh_service_starts_warm(spawn, catch, long):
+    """Its first worker has the engine loaded and compiled: it computes for little more than itself."""
+    long["series"][0]["y"] = long["series"][0]["y"][:200]
+    url, worker = catch(spawn(), long, iterations=1)
+    assert url
+    fields = Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()
+    used = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")  # s of the processor, so far
+    assert used < 2.0  # to load takes as long, to compile ten times

@@ -3,7 +3,6 @@
 import os
 import resource
 import sys
-import time
 
 import pytest
 
@@ -61,9 +60,7 @@ def service(spawn, tmp_path):
     return spawn({"PYTHONPATH": path}, worker_memory=3 << 30, run_seconds=6.0)
 
 
-def test_good_and_broken_and_misbehaving_models(
-    service, workers, dead, ended, eventually, wait, patience
-):
+def test_good_and_broken_and_misbehaving_models(service, workers, dead, ended, eventually, wait):
     client = service.client
     models = client.get("/models").json()
     assert "valve" in {model["name"] for model in models["models"]}
@@ -95,10 +92,8 @@ def test_good_and_broken_and_misbehaving_models(
     url = client.post("/jobs", json=request).headers["location"]
     wait(client, url, lambda job: job["status"] == "running")
     (worker,) = eventually(lambda: workers(service.process.pid))
-    begin = time.monotonic()
     assert client.delete(url).json()["status"] == "dismissed"
     eventually(lambda: dead(worker))
-    assert time.monotonic() - begin < 2.0 * patience
 
     causes = client.get("/metrics").text
     assert 'rbps_failures_total{cause="computation-failed"}' in causes
@@ -132,9 +127,10 @@ def test_a_full_disk(spawn, catch, dead, estimation, ended, eventually):
 
 
 def test_a_disk_that_stays_full_for_the_worker(spawn, catch, long, ended):
-    service = spawn(losses_allowed=0)
+    """Its log, with what Python keeps of it until the end, is on the same disk."""
+    service = spawn({"PYTHONUNBUFFERED": ""}, losses_allowed=0)
     url, worker = catch(service, long, iterations=1)
-    limit([worker], 4096)
+    limit([worker], 1)
     job = ended(service.client, url)
     assert job["status"] == "failed"
     assert "the store could not be written (its disk may be full)" in job["message"]

@@ -25,7 +25,7 @@ def test_best_of_several_starts(client, estimation, ended):
 def test_bootstrap_agrees_with_the_observed_information(client, estimation, ended):
     request = estimation(method="rts-em", iterations=20, standard_errors=True)
     plain = client.post("/jobs", json=request).headers["location"]
-    request["options"]["bootstrap"] = 24
+    request["options"]["bootstrap"] = 12
     url = client.post("/jobs", json=request).headers["location"]
     found = []
     for one in (plain, url):
@@ -34,8 +34,8 @@ def test_bootstrap_agrees_with_the_observed_information(client, estimation, ende
         found.append(client.get(f"{one}/results").json())
     errors = [one["estimate"]["theta"]["standard_error"] for one in found]
     assert found[0]["estimate"]["theta"]["value"] == found[1]["estimate"]["theta"]["value"]
-    # 24 draws: the ratio's own standard error is 15 %, and the likelihood is not quite quadratic
+    # 12 draws: the ratio's own standard error is 20 %, and the likelihood is not quite quadratic
     assert errors[1] == pytest.approx(errors[0], rel=0.5)
-    assert (found[1]["bootstrap"]["runs"], found[1]["bootstrap"]["failed"]) == (24, 0)
+    assert (found[1]["bootstrap"]["runs"], found[1]["bootstrap"]["failed"]) == (12, 0)
     low, _, high = found[1]["bootstrap"]["quantiles"]["theta"].values()
     assert low < found[1]["estimate"]["theta"]["value"] < high

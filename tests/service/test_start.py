@@ -33,7 +33,13 @@ def a_folder(folder):
     return "the store sqlite:///.*rbps.sqlite cannot be used: unable to open database file"
 
 
-@pytest.mark.parametrize("spoil", [corrupt, locked_away, a_folder])
+SLOW = pytest.mark.slow  # each starts a process
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [pytest.param(corrupt, marks=SLOW), locked_away, pytest.param(a_folder, marks=SLOW)],
+)
 def test_a_store_that_cannot_be_used(tmp_path, spoil, match):
     match(spoil(tmp_path), started(tmp_path))
 
@@ -42,10 +48,10 @@ def test_a_store_that_cannot_be_used(tmp_path, spoil, match):
     ("name", "value", "words"),
     [
         ("PORT", "99999", "setting port = 99999; it must be 0 to 65535"),
-        ("PORT", "x", "RBPS_PORT='x' is not of type int"),
-        ("STATE_DIR", "/dev/null", "/dev/null"),
-        ("KEYS_FILE", "/none", "No such file or directory: '/none'"),
-        ("DATABASE_URL", "nonsense", "Could not parse SQLAlchemy URL"),
+        pytest.param("PORT", "x", "RBPS_PORT='x' is not of type int", marks=SLOW),
+        pytest.param("STATE_DIR", "/dev/null", "/dev/null", marks=SLOW),
+        pytest.param("KEYS_FILE", "/none", "No such file or directory: '/none'", marks=SLOW),
+        pytest.param("DATABASE_URL", "nonsense", "Could not parse SQLAlchemy URL", marks=SLOW),
         (
             "DATABASE_URL",
             "postgresql+psycopg://u:secret@127.0.0.1:1/x",

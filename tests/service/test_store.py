@@ -333,29 +333,50 @@ def test_no_loss_is_allowed_where_none_is(store):
     assert store.job(attempt.job_id).status == "failed"
 
 
-@pytest.mark.parametrize("how", ["fails", "is lost", "is stopped", "is stopped in the queue"])
-def test_what_ended_before_its_result_goes_on(store, how):
+def begun(store):
+    attempt = store.claim("a")
+    assert store.record(attempt, 1, {0: np.zeros(5), 1: np.ones(5)}, {"theta": 0.5}, 1.0)
+    return attempt
+
+
+def fails(store, made):
+    attempt = begun(store)
+    assert store.fail(attempt, {"detail": "no"})
+    assert not store.record(attempt, 2, {2: np.ones(5)})
+    return [0, 1]
+
+
+def is_lost(store, made):
+    for _ in range(3):
+        lose(store)
+    return []
+
+
+def is_stopped(store, made):
+    attempt = begun(store)
+    assert store.dismiss(made)
+    assert not store.record(attempt, 2, {2: np.ones(5)})
+    return [0, 1]
+
+
+def is_stopped_in_the_queue(store, made):
+    assert store.dismiss(made)
+    return []
+
+
+@pytest.mark.parametrize("ends", [fails, is_lost, is_stopped, is_stopped_in_the_queue])
+def test_what_ended_before_its_result_goes_on(store, ends):
     made = store.create("estimate", "linear-2", {"n": 1}, 100, stages=[2, 1])
     done = store.claim("a")
     assert store.finish(done, {"task": 0})
-    if how == "is lost":
-        for _ in range(3):
-            lose(store)
-    elif how != "is stopped in the queue":
-        attempt = store.claim("a")
-        assert store.record(attempt, 1, {0: np.zeros(5), 1: np.ones(5)}, {"theta": 0.5}, 1.0)
-        assert store.fail(attempt, {"detail": "no"}) if how == "fails" else store.dismiss(made)
-        assert not store.record(attempt, 2, {2: np.ones(5)})
-    if how == "is stopped in the queue":
-        store.dismiss(made)
+    kept = ends(store, made)  # iterations
     assert store.claim("a") is None
     resumed = store.resume(made)
     assert (resumed.status, resumed.problem, resumed.finished) == ("accepted", None, None)
     assert store.resume(made).status == "accepted"  # and once more: no difference
     again = store.claim("a")
     assert (again.task, store.job(made).status) == (1, "running")
-    if how in ("fails", "is stopped"):
-        assert store.rows(again.job, 1)[0] == [0, 1]
+    assert store.rows(again.job, 1)[0] == kept
     assert "(restart 1 of 2)" in lose_again(store, again).message  # losses are counted anew
     assert store.finish(store.claim("a"), {"task": 1})
     assert store.finish(store.claim("a"), {"result": 1})

@@ -74,7 +74,13 @@ def numbers(found):
 
 
 @pytest.mark.parametrize(
-    ("case", "steps"), [("two effects", 1), ("outliers", 4), ("swallowed, bootstrap", 5)]
+    ("case", "steps"),
+    [
+        pytest.param("two effects", 1, marks=pytest.mark.slow),
+        ("two effects", 9),
+        ("outliers", 4),
+        ("swallowed, bootstrap", 5),
+    ],
 )
 def test_stopped_after_every_few_parts(case, steps):
     model, series, options = CASES[case]()

@@ -65,9 +65,22 @@ CASES = [
     ),
     ("variance:reading->speed", {"variance_reading_speed": 2.0}, "noise"),
 ]
+QUICK = ("cubic:speed", "step:reading")  # the others' look-alikes alone are in test_catalogue
 
 
-@pytest.mark.parametrize(("name", "sizes", "family"), CASES, ids=[c[0] for c in CASES])
+def open_to(*few):
+    """With the whole catalogue (None), or with a few kinds."""
+    whole = pytest.param(None, marks=pytest.mark.slow, id="all")
+    return pytest.mark.parametrize("effects", [whole, pytest.param([*few], id="few")])
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "family"),
+    [
+        pytest.param(*one, id=one[0], marks=[pytest.mark.slow] * (one[0] not in QUICK))
+        for one in CASES
+    ],
+)
 def test_a_hidden_effect_is_found(name, sizes, family):
     found = diagnose(DRIVE, hidden([name], sizes, seed=5), seed=1)
     assert found.verdict in (Verdict.NAMED, Verdict.SET)
@@ -81,22 +94,25 @@ def test_a_hidden_effect_is_found(name, sizes, family):
         assert found.extended.parameter_names[: len(DRIVE.parameters)] == DRIVE.parameter_names
 
 
-def test_two_effects_are_found_in_turn():
+@open_to("coulomb", "drag", "bias")
+def test_two_effects_are_found_in_turn(effects):
     names = ["coulomb:speed", "bias:reading"]
     series = hidden(names, {"coulomb_speed": 0.6, "bias_reading": 0.6}, seed=7)
-    found = diagnose(DRIVE, series, seed=1)
+    found = diagnose(DRIVE, series, seed=1, effects=effects)
     seen = [name for cause in found.causes for name in cause.equivalent]
     assert set(names) <= set(seen)
     assert len(found.causes) == 2
 
 
+@pytest.mark.slow
 def test_nothing_hidden_nothing_found():
     """Four clean series at a family-wise 5 %: two or more alarms have probability 1.4 %."""
     verdicts = [diagnose(DRIVE, hidden([], {}, seed), seed=1).verdict for seed in range(4)]
     assert verdicts.count(Verdict.NOTHING) >= 3
 
 
-def test_a_stranger_is_not_named_with_confidence():
+@open_to("coulomb", "bias", "step", "harmonic", "latent")
+def test_a_stranger_is_not_named_with_confidence(effects):
     """A chirp, a force of rising frequency, is in no catalogue."""
     rng = np.random.default_rng(3)
     u, t = force(rng), DT * np.arange(T)
@@ -104,10 +120,11 @@ def test_a_stranger_is_not_named_with_confidence():
         DRIVE, None, T, rng, u=u + 1.5 * np.sin(2 * np.pi * (0.1 + 0.02 * t) * t), dt=DT
     )
     series = engine.Series(driven.y, u, dt=DT)
-    found = diagnose(DRIVE, series, seed=1)
+    found = diagnose(DRIVE, series, seed=1, effects=effects)
     assert found.verdict in (Verdict.UNKNOWN, Verdict.SET)
 
 
+@pytest.mark.slow
 def test_the_step_of_the_nile_in_1899():
     from engine.data import nile
 

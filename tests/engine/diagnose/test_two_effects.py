@@ -57,6 +57,7 @@ def found_in_turn(pair, seed):
     return any(i != j for i in first for j in second), found
 
 
+@pytest.mark.slow
 def test_friction_and_drag_are_told_apart_once_both_are_known():
     """Before drag is known Coulomb friction passes for Stribeck's; after it, it does not."""
     both, found = found_in_turn(friction, 0)
@@ -72,7 +73,12 @@ def test_friction_and_drag_are_told_apart_once_both_are_known():
 @pytest.mark.parametrize("pair", [friction, spring, sensor])
 def test_two_effects_are_found_in_turn(pair):
     """In at least four of five series."""
-    assert sum(found_in_turn(pair, seed)[0] for seed in range(5)) >= 4
+    missed = 0
+    for seed in range(5):
+        missed += not found_in_turn(pair, seed)[0]
+        if missed > 1 or seed - missed == 3:
+            break
+    assert missed <= 1
 
 
 @pytest.mark.parametrize("kinds", [["stribeck:velocity", "drag"], ["stribeck", "coulomb", "drag"]])

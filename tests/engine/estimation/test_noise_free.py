@@ -52,7 +52,9 @@ def level(nonlinear: bool) -> MixedModel:
     )
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["z", "a"])
+@pytest.fixture(
+    scope="module", params=[False, pytest.param(True, marks=pytest.mark.slow)], ids=["z", "a"]
+)
 def case(request):
     model = level(request.param)
     series = engine.simulate(model, TRUTH, 80, np.random.default_rng(1)).series

@@ -360,8 +360,8 @@ def test_nothing_is_said_plainly():
     assert set(clean.figures()) >= {"wrong", "where", "residuals", "candidates"}
 
 
-def test_step_of_the_nile_is_named_on_the_page():
-    found = diagnose(LEVEL, nile(), effects=["step", "pulse", "ramp", "latent"], seed=1)
+def test_step_of_the_nile_is_named_on_the_page(nile_diagnosis):
+    found = nile_diagnosis
     page = str(found)
     assert found.causes
     assert "step:" in found.causes[0].effect

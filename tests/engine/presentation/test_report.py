@@ -74,8 +74,8 @@ def check_alone(text):
 
 
 @pytest.fixture(scope="module")
-def diagnosis():
-    return diagnose(LEVEL, nile(), effects=["step", "pulse", "ramp", "latent"], seed=1).to_dict()
+def diagnosis(nile_diagnosis):
+    return nile_diagnosis.to_dict()
 
 
 @pytest.fixture(scope="module")
@@ -157,8 +157,9 @@ def test_an_unknown_cause_is_no_name(diagnosis):
 def test_nothing_found_is_said_plainly():
     series = simulate(LINEAR, None, 200, np.random.default_rng(8)).series
     found = diagnose(LINEAR, series, effects=["bias", "force"], seed=1)
+    assert (found.verdict.value, found.causes) == ("nothing", ())
     text = check_alone(report_html(found.to_dict())).text
-    assert "nothing" in text
+    assert "NOTHING" in text.partition("1. What is wrong")[0].upper()
     assert "the model stays as it is" in text
     assert "nothing is gained or lost" in text
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -306,7 +307,11 @@ def short(monkeypatch):
     return cells.Cell("spring", cells.CLEAN, "ordinary")
 
 
-def test_a_series_is_diagnosed_in_both_units(short):
+@pytest.mark.parametrize(
+    "effects", [pytest.param(None, marks=pytest.mark.slow, id="all"), ["cubic", "bias", "step"]]
+)
+def test_a_series_is_diagnosed_in_both_units(short, monkeypatch, effects):
+    monkeypatch.setattr(runs, "diagnose", partial(runs.diagnose, effects=effects))
     found = runs.row_of(short, [1, 2, 3], twin=True)
     assert found["verdict"] in ("nothing", "named", "set", "unknown"), found["note"]
     assert found["twin"], found["note"]
