@@ -44,3 +44,9 @@ class OptionError(EngineError):
     def __init__(self, message: str, field: str = "") -> None:
         super().__init__(message)
         self.field = field
+
+
+def check_count(name: str, value: float) -> None:
+    """Raise OptionError unless the argument ``name`` is a positive whole number."""
+    if int(value) != value or value < 1:
+        raise OptionError(f"{name} = {value}; a positive whole number is needed", name)

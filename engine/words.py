@@ -19,9 +19,8 @@ def tidy(unit: str) -> str:
 
     ``1/s/(1^2)`` is ``1/s``, and so is ``/s/(^2)``, where the unit of a pure number was left empty.
     """
-    text = re.sub(
-        r"\((?:1(?:\^-?\d+)?|\^-?\d+)?\)(?:\^-?\d+)?", "1", unit.strip()
-    )  # (), (1), (^2), ()^2
+    # (), (1), (^2), ()^2
+    text = re.sub(r"\((?:1(?:\^-?\d+)?|\^-?\d+)?\)(?:\^-?\d+)?", "1", unit.strip())
     text = re.sub(r"(?<![\w.)])1?\^-?\d+", "1", text)  # powers of one
     text = re.sub(r"(?<![\w.])1[ *](?=\S)|(?<=\S)[ *]1(?![\w./^])", "", text)  # factors of one
     text = re.sub(r"\^1(?![\d.])", "", text)
@@ -86,7 +85,7 @@ def probability(p: float) -> str:
     return "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"
 
 
-def listed(parts: list[str], last: str = "and") -> str:
+def enumerated(parts: list[str], last: str = "and") -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     if len(parts) < 2:
         return "".join(parts)

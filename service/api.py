@@ -12,8 +12,17 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 import engine
 from engine.diagnose.effects.setting import Setting
 from engine.errors import OptionError
-from service import documents, metrics, stages
-from service.answers import (
+from service import metrics, serializers, stages
+from service.auth import Keys
+from service.bodies import json_route
+from service.downsample import keep, thin_results
+from service.etags import with_etag
+from service.examples import EXAMPLES
+from service.lookup import find_job, find_result, parameter_names, stopped_estimate
+from service.openapi import LINKS, IdempotencyKey, JobId, Points, problem_answers
+from service.preview import preview
+from service.problems import Problem, invalid
+from service.responses import (
     JobList,
     JobStatus,
     Kind,
@@ -25,22 +34,13 @@ from service.answers import (
     Status,
     Trace,
 )
-from service.auth import Keys
-from service.bodies import json_route
-from service.etags import tagged
-from service.examples import EXAMPLES
-from service.found import find_job, find_result, parameter_names, stopped_estimate
-from service.openapi import LINKS, IdempotencyKey, JobId, Points, problem_answers
-from service.prepare import Request, check_limits, dump, find_model, prepare
-from service.preview import preview
-from service.problems import Problem, invalid
 from service.schemas import JobRequest, ModelReference
 from service.settings import Settings
 from service.store import ENDED, KeyReused, QueueFull, Store
 from service.strict_json import dumps
 from service.supervisor import Supervisor
-from service.thin import keep, thin_results
 from service.uploads import with_files
+from service.validation import Request, check_limits, dump, find_model, prepare
 
 
 def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys) -> APIRouter:
@@ -66,7 +66,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
                 job.model.name[:200],
                 dump(request),
                 stages.steps(job),
-                [n for _, n in stages.plan(request)],
+                stages.plan(request),
                 request.run_seconds,
                 caller,
                 key,
@@ -78,7 +78,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             detail = f"this Idempotency-Key came with another request, job {error}"
             raise Problem(422, "idempotency-key-reused", detail) from None
         supervisor.wake()
-        body = documents.job_status(find(job_id, caller)).model_dump()
+        body = serializers.job_status(find(job_id, caller)).model_dump()
         return JSONResponse(body, 201, {"Location": f"/jobs/{job_id}"})
 
     @api.get("/", summary="Service document")
@@ -92,14 +92,14 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
 
     @api.get("/models", summary="Registered models")
     def models(caller: Caller) -> ModelList:
-        found = [documents.model(engine.get_model(name)) for name in engine.model_names()]
+        found = [serializers.model(engine.get_model(name)) for name in engine.model_names()]
         links = [Link(href="/models", rel="self")]
         return ModelList(models=found, broken_plugins=engine.plugin_errors(), links=links)
 
     @api.get("/models/{name}", summary="One model", responses=problem_answers(404))
     def model(caller: Caller, name: Annotated[str, Path(max_length=200)]) -> ModelOut:
         try:
-            return documents.model(engine.get_model(name))
+            return serializers.model(engine.get_model(name))
         except OptionError as error:
             raise Problem(404, "no-such-model", str(error)) from None
 
@@ -109,7 +109,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         responses=problem_answers(400, 408, 413, 415),
     )
     def extended(caller: Caller, reference: ModelReference) -> ModelOut:
-        return documents.model(find_model(reference, Setting), reference)
+        return serializers.model(find_model(reference, Setting), reference)
 
     posted: dict[str, Any] = {
         "status_code": 201,
@@ -173,7 +173,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             query += [("status", s) for s in status or ()] + ([("model", model)] if model else [])
             query += [("kind", k) for k in kind or ()]
             links.append(Link(href=f"/jobs?{urlencode(query)}", rel="next"))
-        return JobList(jobs=[documents.job_status(row) for row in rows[:limit]], links=links)
+        return JobList(jobs=[serializers.job_status(row) for row in rows[:limit]], links=links)
 
     @api.get(
         "/jobs/{job_id}",
@@ -184,7 +184,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     def job(caller: Caller, http: HttpRequest, job_id: JobId) -> Response:
         row = find(job_id, caller)
         headers = {} if row.status in ENDED else {"Retry-After": "1"}
-        return tagged(http, documents.job_status(row).model_dump_json().encode(), headers)
+        return with_etag(http, serializers.job_status(row).model_dump_json().encode(), headers)
 
     @api.get(
         "/jobs/{job_id}/trace",
@@ -206,7 +206,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         if points is not None and len(ks) > points:
             kept = keep(rows[:, : len(names) + 1], points)
             ks, rows = [ks[i] for i in kept], rows[kept]
-        return tagged(http, documents.trace(names, ks, rows).model_dump_json().encode())
+        return with_etag(http, serializers.trace(names, ks, rows).model_dump_json().encode())
 
     @api.get(
         "/jobs/{job_id}/request",
@@ -218,7 +218,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         body = store.document(find(job_id, caller).seq, "request")
         if body is None:
             raise Problem(404, "dismissed", f"job '{job_id}' was dismissed; its data are gone")
-        return tagged(http, body)
+        return with_etag(http, body)
 
     @api.get(
         "/jobs/{job_id}/results",
@@ -236,7 +236,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             body = find_result(store, row)
         if points is not None:
             body = dumps(thin_results(json.loads(body), points)).encode()
-        return tagged(http, body)
+        return with_etag(http, body)
 
     @api.delete(
         "/jobs/{job_id}",
@@ -246,7 +246,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     def dismiss(caller: Caller, job_id: JobId) -> JobStatus:
         find(job_id, caller)
         row = store.dismiss(job_id)
-        return documents.job_status(row)
+        return serializers.job_status(row)
 
     @api.post(
         "/jobs/{job_id}/resume",
@@ -263,7 +263,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         except QueueFull as error:
             raise queue_full(error) from None
         supervisor.wake()
-        return documents.job_status(row)
+        return serializers.job_status(row)
 
     @api.get("/livez", summary="The process is alive")
     async def livez() -> dict[str, str]:

@@ -30,10 +30,10 @@ from engine.statespace.model import Array, Theta
 from service import stages
 from service.logs import configure
 from service.orphans import die_with_parent
-from service.prepare import load
 from service.problems import Problem
 from service.store import Store
 from service.transitions import Attempt
+from service.validation import load
 
 log = logging.getLogger("service")
 
@@ -51,9 +51,8 @@ def main(url: str, attempt: Attempt, memory: int = 0) -> None:
     _die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the service's to handle
     os.nice(5)  # requests are answered while all cores compute
-    with contextlib.suppress(
-        OSError
-    ):  # short of memory, the system ends this process, not the service
+    # short of memory, the system ends this process, not the service
+    with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("500")
     if memory:
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
@@ -75,8 +74,8 @@ def run(store: Store, attempt: Attempt) -> None:
         kept = StoredParts(store, attempt)
         result = stages.run(job, attempt.task, progress, kept)
         progress.flush()
-        told = store.finish(attempt, result, str(result.get("message", "")))
-        log.info(_ENDS[told], attempt.task, extra={"job": attempt.job_id})
+        written = store.finish(attempt, result, str(result.get("message", "")))
+        log.info(_ENDS[written], attempt.task, extra={"job": attempt.job_id})
     except SQLAlchemyError:
         raise
     except Exception as error:  # noqa: BLE001 - whatever it is, the job's owner must be told
@@ -84,7 +83,7 @@ def run(store: Store, attempt: Attempt) -> None:
 
 
 class StoredProgress:
-    """kinds.Progress on the store; a row is (theta..., log-likelihood, ess, seconds, collapsed)."""
+    """computations.Progress on the store; a row is (theta..., log-likelihood, ess, seconds, collapsed)."""
 
     def __init__(self, store: Store, attempt: Attempt) -> None:
         self.store, self.attempt = store, attempt

@@ -9,16 +9,18 @@ from collections.abc import Mapping
 from itertools import accumulate
 from typing import Any
 
-from sqlalchemy import and_, delete, func, insert, select, text, update
+from sqlalchemy import and_, delete, func, insert, select, text
 
 from engine.statespace.model import Array
+from service.db_schema import connect, documents, iterations, jobs, tasks, turns
 from service.reserve import Reserve
 from service.strict_json import dumps, finite
-from service.tables import connect, documents, iterations, jobs, tasks, turns
 from service.transitions import (
     KEPT,
     Attempt,
     add_tasks,
+    change_job,
+    change_tasks,
     end,
     fail,
     leave,
@@ -86,22 +88,13 @@ class Attempts:
             task = sql.execute(both).first()
             if task is None:
                 return None
-            sql.execute(
-                update(tasks)
-                .where(tasks.c.job == task.job, tasks.c.task == task.task)
-                .values(state="running", token=token, holder=holder, beat=tasks.c.beat + 1, asked=0)
-            )
+            this = and_(tasks.c.job == task.job, tasks.c.task == task.task)
+            held = {"token": token, "holder": holder, "beat": tasks.c.beat + 1, "asked": 0}
+            change_tasks(sql, this, state="running", **held)
             sql.execute(_SERVED, {"owner": task.owner})
             if task.status == "accepted":
-                sql.execute(
-                    update(jobs)
-                    .where(jobs.c.seq == task.job)
-                    .values(
-                        status="running",
-                        started=func.coalesce(jobs.c.started, now),
-                        updated=now,
-                    )
-                )
+                started = func.coalesce(jobs.c.started, now)
+                change_job(sql, task.job, status="running", started=started, updated=now)
         return Attempt(task.job, task.id, task.task, token, task.run_seconds, task.spent)
 
     def standing(self) -> tuple[list[Running], set[str]]:
@@ -120,7 +113,7 @@ class Attempts:
         """Let an attempt leave at its next checkpoint."""
         with self._engine.begin() as sql:
             here = and_(tasks.c.token == token, tasks.c.state == "running")
-            sql.execute(update(tasks).where(here).values(asked=1))
+            change_tasks(sql, here, asked=1)
 
     def take(self, token: str) -> None:
         """Put a task back into the queue; what its attempt computed since its checkpoint is lost."""
@@ -187,7 +180,7 @@ class Attempts:
             )
             if estimate is not None:
                 progress |= {"estimate": dumps(estimate), "log_likelihood": finite(log_likelihood)}
-            sql.execute(update(jobs).where(jobs.c.seq == attempt.job).values(progress))
+            change_job(sql, attempt.job, **progress)
             return ran is None or not leave(sql, attempt, ran)
 
     def keep(self, attempt: Attempt, n: int, text: str, ran: float | None = None) -> bool:

@@ -20,10 +20,10 @@ from service.problems import Problem
 
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
-LARGE = 1 << 20  # bytes; larger bodies are worked on one after the other, from parsing to answer
-MEMBERS = (
-    20_000  # of all objects in a body; a job has some ten, and one for each parameter and channel
-)
+# Bytes; larger bodies are worked on one after the other, from parsing to answer.
+LARGE_BYTES = 1 << 20
+# Of all objects in a body; a job has some ten, and one for each parameter and channel.
+MEMBERS = 20_000
 
 
 def json_route(max_values: int) -> type[APIRoute]:
@@ -54,7 +54,7 @@ def json_route(max_values: int) -> type[APIRoute]:
                 body = await _counted(request, max_values)
                 if not body:
                     return await answer(_Read(request, None, b""))  # says that one is needed
-                if len(body) < LARGE:
+                if len(body) < LARGE_BYTES:
                     value = await to_thread.run_sync(parse, body)
                     return await answer(_Read(request, value))
                 async with turns:

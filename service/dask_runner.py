@@ -52,7 +52,7 @@ class DaskRunner:
         made = cast(Any, distributed).Client
         return made(self._scheduler, set_as_default=False, name="rbps", timeout=5)
 
-    def places(self) -> int:
+    def capacity(self) -> int:
         """How many attempts can run at once, at the last look."""
         return self._places
 

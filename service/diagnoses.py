@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import engine
 from engine.diagnose import Diagnosis
 from engine.errors import OptionError
-from service.kinds import Progress
-from service.prepare import Prepared
+from service.computations import Progress
 from service.schemas import DiagnoseRequest
+from service.validation import Prepared
 
-STEPS = 100  # of progress
-FIT, SEARCH = 5.0, 85.0  # per cent for the base model's fit, and for all rounds of search
-AFTER = {"symptoms": 92.0, "gain": 95.0}
-SAYS = {
+PROGRESS_STEPS = 100  # of progress
+# per cent for the base model's fit, and for all rounds of search
+FIT_PERCENT, SEARCH_PERCENT = 5.0, 85.0
+STAGE_PERCENT = {"symptoms": 92.0, "gain": 95.0}
+STAGE_MESSAGES = {
     "fit": "estimating the model as it is",
     "search": "looking for effects",
     "screen": "screening effects",
@@ -49,7 +50,7 @@ def diagnose(
         effects=options.effects,
         max_effects=options.max_effects,
         free=job.free,
-        callback=Percent(progress),
+        callback=Percent(progress.step),
         kept=kept,
     )
     try:
@@ -64,18 +65,11 @@ def diagnose(
 
 def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, Any]:
     """The result document; ``name`` with ``effects`` is the model that was diagnosed."""
-    told = found.to_dict()
-    reference = told["extension"]["model"]
+    diagnosis = found.to_dict()
+    reference = diagnosis["extension"]["model"]
     reference["name"] = name
     reference["with"] = [*effects, *reference["with"]]
-    return {"diagnosis": told, "message": found.verdict.sentence}
-
-
-class Steps(Protocol):
-    """What is told of the progress."""
-
-    def step(self, k: int, message: str = "") -> None:
-        """So many of STEPS are done."""
+    return {"diagnosis": diagnosis, "message": found.verdict.sentence}
 
 
 class Percent:
@@ -85,8 +79,8 @@ class Percent:
     is left, six tenths of it for the screen.
     """
 
-    def __init__(self, progress: Steps) -> None:
-        self.progress, self.done, self.said = progress, -1, ""
+    def __init__(self, step: Callable[[int, str], None]) -> None:
+        self.step, self.done, self.said = step, -1, ""
         self.round = -1
 
     def __call__(self, stage: str, fraction: float) -> None:
@@ -96,13 +90,14 @@ class Percent:
         done = max(self.done, int(self._percent(stage, min(max(fraction, 0.0), 1.0))))
         if done > self.done or stage != self.said:
             self.done, self.said = done, stage
-            self.progress.step(done, SAYS.get(stage, stage))
+            self.step(done, STAGE_MESSAGES.get(stage, stage))
 
     def _percent(self, stage: str, fraction: float) -> float:
         if stage in ("screen", "refit"):
             left = 0.5 ** max(self.round, 0)
             part = 0.6 * fraction if stage == "screen" else 0.6 + 0.4 * fraction
-            return FIT + SEARCH * (1.0 - left + 0.5 * left * part)
+            return FIT_PERCENT + SEARCH_PERCENT * (1.0 - left + 0.5 * left * part)
         if stage == "bootstrap":
-            return FIT + SEARCH + (AFTER["symptoms"] - FIT - SEARCH) * fraction
-        return AFTER.get(stage, FIT if stage == "search" else 0.0)
+            searched = FIT_PERCENT + SEARCH_PERCENT
+            return searched + (STAGE_PERCENT["symptoms"] - searched) * fraction
+        return STAGE_PERCENT.get(stage, FIT_PERCENT if stage == "search" else 0.0)

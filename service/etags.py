@@ -7,7 +7,7 @@ import hashlib
 from fastapi import Request, Response
 
 
-def tagged(http: Request, body: bytes, headers: dict[str, str] | None = None) -> Response:
+def with_etag(http: Request, body: bytes, headers: dict[str, str] | None = None) -> Response:
     """A JSON answer with an ETag, or 304 if the client has it already.
 
     Tags are compared weakly (RFC 9110, 13.1.2): a proxy that compresses makes them weak.

@@ -12,18 +12,19 @@ from starlette.routing import BaseRoute, Route
 
 from engine.errors import OptionError
 from engine.presentation.report import RULES, OnPage, Report, make_report, report_html
-from service.answers import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
 from service.auth import Keys
-from service.etags import tagged
-from service.found import find_job, find_result, parameter_names, roles
+from service.downsample import thin_results
+from service.etags import with_etag
+from service.lookup import find_job, find_result, parameter_names
 from service.openapi import JobId, problem_answers
 from service.pages import Page, prefers_html, render
 from service.problems import Problem, invalid
+from service.responses import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
+from service.stages import roles
 from service.store import Store
 from service.strict_json import finite
-from service.thin import thin_results
 
-POINTS = 3000  # of a curve in a report as a file
+FILE_POINTS = 3000  # of a curve in a report as a file
 From = Annotated[float, Query(alias="from", allow_inf_nan=False, description="time in seconds")]
 To = Annotated[float, Query(alias="to", allow_inf_nan=False, description="a later time in seconds")]
 # A report has no script, loads nothing, and brings its own style.
@@ -65,13 +66,13 @@ def router(store: Store, keys: Keys) -> APIRouter:
         row = find(job_id, caller)
         document = json.loads(find_result(store, row))
         if prefers_html(http.headers.get("Accept", "")):
-            return _file(row, thin_results(document, POINTS))
+            return _file(row, thin_results(document, FILE_POINTS))
         made, draw = _on_page(document)
         sections = [ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections]
         parts = ReportOut(
             title=made.title, summary=made.summary, sections=sections, charts=draw.charts
         )
-        return tagged(http, parts.model_dump_json().encode())
+        return with_etag(http, parts.model_dump_json().encode())
 
     @api.get(
         "/jobs/{job_id}/charts",
@@ -84,7 +85,7 @@ def router(store: Store, keys: Keys) -> APIRouter:
             raise invalid("to", f"to = {high:g} is not after from = {low:g}")
         document = json.loads(find_result(store, find(job_id, caller)))
         _, draw = _on_page(document, (low, high))
-        return tagged(http, ChartsOut(charts=draw.finer).model_dump_json().encode())
+        return with_etag(http, ChartsOut(charts=draw.finer).model_dump_json().encode())
 
     return api
 

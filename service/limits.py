@@ -11,8 +11,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.problems import Problem
 
-WHOLE = 20  # pauses that a body may be made of
-BODIES = 4  # largest bodies that may be on their way at once
+WHOLE_PAUSES = 20  # pauses that a body may be made of
+LARGEST_BODIES = 4  # largest bodies that may be on their way at once
 LINGER_SECONDS, LINGER_BYTES = 5.0, 1 << 30  # how long what an answer did not wait for is read on
 
 
@@ -24,7 +24,7 @@ def has_body(headers: Headers) -> bool:
 class BodyLimit:
     """ASGI middleware: 413 for bodies above ``max_body`` bytes, 408 for pauses above ``seconds``.
 
-    A body that takes WHOLE times as long altogether is a 408 too, however short its pauses are; one
+    A body that takes WHOLE_PAUSES times as long altogether is a 408 too, however short its pauses are; one
     that is encoded is a 415, for nothing here unpacks it; one that finds too many others on their way
     is a 503. An answer that did not need the whole body is sent at once and the rest of the body read and
     dropped for a while: a connection closed before would be reset, and the answer lost.
@@ -39,7 +39,7 @@ class BodyLimit:
         if scope["type"] != "http" or not has_body(Headers(scope=scope)):
             return await self.app(scope, receive, send)
         seen, more, clock = 0, True, asyncio.get_running_loop().time
-        end = clock() + WHOLE * self.seconds
+        end = clock() + WHOLE_PAUSES * self.seconds
 
         async def counted() -> Message:
             nonlocal seen, more
@@ -51,14 +51,14 @@ class BodyLimit:
             except TimeoutError:
                 slow = f"the body paused for more than {self.seconds:g} s"
                 if clock() > end:
-                    slow = f"the body took longer than {WHOLE * self.seconds:g} s"
+                    slow = f"the body took longer than {WHOLE_PAUSES * self.seconds:g} s"
                 raise HTTPException(408, slow, {"Connection": "close"}) from None
             more = message.get("more_body", False)
             size = len(message.get("body", b""))
             seen, self.held = seen + size, self.held + size
             if seen > self.max_body:
                 raise HTTPException(413, self._too_large())
-            if self.held > BODIES * self.max_body:
+            if self.held > LARGEST_BODIES * self.max_body:
                 many = "too many large bodies are on their way; try again later"
                 raise HTTPException(503, many, {"Retry-After": "5"})
             return message

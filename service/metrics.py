@@ -21,7 +21,7 @@ def text(store: Store, supervisor: Supervisor) -> str:
     statuses = ((f'{{status="{s}"}}', n) for s, n in sorted(store.counts().items()))
     add("jobs", "gauge", "Jobs by status.", statuses)
     add("queue_age_seconds", "gauge", "Age of the oldest waiting job.", [("", found["waiting"])])
-    add("workers", "gauge", "Attempts that may run at once.", [("", supervisor.places())])
+    add("workers", "gauge", "Attempts that may run at once.", [("", supervisor.capacity())])
     add("workers_busy", "gauge", "Attempts that run.", [("", supervisor.running())])
     add("iterations_total", "counter", "Iterations done.", [("", found["iterations"])])
     durations = []

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from fastapi import Header, Path, Query
 
-from service.answers import ProblemOut
 from service.problems import MEDIA_TYPE
+from service.responses import ProblemOut
 
 JobId = Annotated[str, Path(max_length=64, description="the job's `jobID`")]
 Points = Annotated[

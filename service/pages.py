@@ -22,7 +22,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import engine.data
-from service.answers import Kind, Status
+from service.responses import Kind, Status
 
 HERE = Path(__file__).parent
 STATIC = HERE / "static"
@@ -114,14 +114,14 @@ class PageHeaders:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on; add headers to the answer."""
 
-        async def told(message: MutableMapping[str, Any]) -> None:
+        async def with_headers(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
                 _add_headers(MutableHeaders(raw=message["headers"]), scope["path"])
             await send(message)
 
         if scope["type"] == "http" and scope["method"] == "HEAD":
             scope = {**scope, "method": "GET"}  # the server knows, and sends no body
-        await self.app(scope, receive, told if scope["type"] == "http" else send)
+        await self.app(scope, receive, with_headers if scope["type"] == "http" else send)
 
 
 def _add_headers(headers: MutableHeaders, path: str) -> None:

@@ -11,16 +11,17 @@ from engine.data.files import READERS, TIME
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import Array
-from service.answers import ColumnOut, PreviewOut, TimeOut
 from service.columns import counts
+from service.downsample import keep
 from service.problems import invalid
+from service.responses import ColumnOut, PreviewOut, TimeOut
 from service.settings import Settings
-from service.thin import keep
+from service.strict_json import finite
 from service.uploads import check_size
 
-POINTS = 2000  # about so many values of each column
-GAPS = 200  # the longest gaps of each column
-COLUMNS = 200
+COLUMN_POINTS = 2000  # about so many values of each column
+COLUMN_GAPS = 200  # the longest gaps of each column
+COLUMNS_SHOWN = 200
 
 
 def preview(data: bytes, filename: str, time: str | None, settings: Settings) -> PreviewOut:
@@ -44,8 +45,8 @@ def preview(data: bytes, filename: str, time: str | None, settings: Settings) ->
         rows=longest,
         dt=table.dt,
         time=clock,
-        columns=[_column(table, name) for name in list(table.columns)[:COLUMNS]],
-        ignored=[*table.ignored, *(f"'{name}'" for name in list(table.columns)[COLUMNS:])],
+        columns=[_column(table, name) for name in list(table.columns)[:COLUMNS_SHOWN]],
+        ignored=[*table.ignored, *(f"'{name}'" for name in list(table.columns)[COLUMNS_SHOWN:])],
     )
 
 
@@ -94,19 +95,19 @@ def _column(table: Table, name: str) -> ColumnOut:
     missing = np.isnan(values)
     there = values[~missing]
     gaps = _gaps(missing)
-    rows = keep(values[:, None], POINTS)
+    rows = keep(values[:, None], COLUMN_POINTS)
     # The first row of a gap is kept, so that a line drawn through the values breaks there.
     rows = np.union1d(rows, np.array([first for first, _ in gaps], dtype=np.intp))
     return ColumnOut(
         name=name,
         rows=len(values),
         missing=int(missing.sum()),
-        minimum=_finite(there.min()) if there.size else None,
-        maximum=_finite(there.max()) if there.size else None,
+        minimum=finite(float(there.min())) if there.size else None,
+        maximum=finite(float(there.max())) if there.size else None,
         problem=problem,
         counts=counts(values),
         row=rows.tolist(),
-        value=[_finite(x) for x in values[rows]],
+        value=[finite(x) for x in values[rows].tolist()],
         gaps=gaps,
     )
 
@@ -115,8 +116,4 @@ def _gaps(missing: np.ndarray[Any, np.dtype[np.bool_]]) -> list[tuple[int, int]]
     """First and last row of the longest gaps, in order."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], missing, [False]))))
     found = list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
-    return sorted(sorted(found, key=lambda gap: gap[0] - gap[1])[:GAPS])
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return sorted(sorted(found, key=lambda gap: gap[0] - gap[1])[:COLUMN_GAPS])

@@ -6,7 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-SIZE = 4 << 20  # bytes
+RESERVE_BYTES = 4 << 20  # bytes
 
 
 class Reserve:
@@ -23,7 +23,7 @@ class Reserve:
         with suppress(OSError):
             descriptor = os.open(self._file, os.O_CREAT | os.O_WRONLY, 0o600)
             try:
-                os.posix_fallocate(descriptor, 0, SIZE)
+                os.posix_fallocate(descriptor, 0, RESERVE_BYTES)
             except OSError:
                 self._file.unlink()
             finally:

@@ -62,7 +62,7 @@ class Terms:
 class Runner(Protocol):
     """Runs attempts somewhere."""
 
-    def places(self) -> int:
+    def capacity(self) -> int:
         """How many attempts can run at once; 0 if nothing can be reached that runs them."""
 
     def free(self) -> int:
@@ -92,7 +92,7 @@ class LocalRunner:
         # Loading takes seconds, or on a new machine minutes: who stops does not wait for it.
         threading.Thread(target=self._warm_up, name="warm-up", daemon=True).start()
 
-    def places(self) -> int:
+    def capacity(self) -> int:
         """How many attempts can run at once."""
         return self._workers
 
@@ -162,7 +162,7 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
         if cause is not None:
             cause()
         elif store.holds(attempt):  # ended without a word to the store
-            store.lost(attempt, _epitaph(process), terms.losses_allowed)
+            store.lost(attempt, _cause_of_end(process), terms.losses_allowed)
     except SQLAlchemyError:  # nobody beats for it any more, and the task is queued again
         log.exception("the end of the attempt could not be written", extra=job)
     log.info("attempt ended, exit code %s", process.exitcode, extra=job)
@@ -192,7 +192,7 @@ def warm_up() -> None:
     with _starting:
         process.join()
     if process.exitcode:
-        log.error("no job will be computed: %s", _epitaph(process))
+        log.error("no job will be computed: %s", _cause_of_end(process))
 
 
 def spawn(url: str, attempt: Attempt, memory: int) -> BaseProcess:
@@ -261,7 +261,8 @@ def _kill(process: BaseProcess) -> None:
         process.join()
 
 
-def _epitaph(process: BaseProcess) -> str:
+def _cause_of_end(process: BaseProcess) -> str:
+    """Why a worker process ended without a word to the store."""
     code = process.exitcode
     if code is not None and code < 0:
         hint = " (the system may have run out of memory)" if code == -9 else ""

@@ -171,13 +171,18 @@ class InputIn(_Recorded):
     y: Table | None = None
 
 
-class EstimateParameters(_Strict):
-    """Where the estimation starts and what it may change."""
+class DiagnoseParameters(_Strict):
+    """Where the model's own estimation starts and what it may change."""
 
     start: Values = Field(default_factory=dict, description="start values; else the defaults")
     free: Names | None = Field(
         default=None, min_length=1, description="parameters to estimate; null means all"
     )
+
+
+class EstimateParameters(DiagnoseParameters):
+    """Where the estimation starts and what it may change."""
+
     ranges: dict[Annotated[str, Field(max_length=200)], Annotated[list[Number], _FIRST]] = Field(
         default_factory=dict, description="where further starts are drawn, name: [low, high]"
     )
@@ -191,15 +196,6 @@ class EstimateParameters(_Strict):
         return ranges
 
 
-class DiagnoseParameters(_Strict):
-    """Where the model's own estimation starts and what it may change."""
-
-    start: Values = Field(default_factory=dict, description="start values; else the defaults")
-    free: Names | None = Field(
-        default=None, min_length=1, description="parameters to estimate; null means all"
-    )
-
-
 class FixedParameters(_Strict):
     """Parameter values."""
 
@@ -211,6 +207,7 @@ RunSeconds = Annotated[
     float | None, Field(gt=0, allow_inf_nan=False, description="fail if it takes longer, s")
 ]
 Particles = Annotated[int, Field(ge=2)]
+Trajectories = Annotated[Particles | None, Field(description="null means as many as particles")]
 
 
 class EstimateOptions(_Strict):
@@ -218,9 +215,7 @@ class EstimateOptions(_Strict):
 
     method: Literal["rbps-em", "ps-em", "rts-em"] = "rbps-em"
     particles: Particles = 50
-    trajectories: Particles | None = Field(
-        default=None, description="null means as many as particles"
-    )
+    trajectories: Trajectories = None
     iterations: int = Field(default=100, ge=1)
     seed: Seed = 0
     standard_errors: bool = Field(default=True, description="takes about as long as the rest")
@@ -239,9 +234,7 @@ class SmoothOptions(_Strict):
     """How to smooth."""
 
     particles: Particles = 200
-    trajectories: Particles | None = Field(
-        default=None, description="null means as many as particles"
-    )
+    trajectories: Trajectories = None
     seed: Seed = 0
 
 

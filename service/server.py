@@ -20,7 +20,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from service.settings import Settings
 
 # The loop accepts up to so many connections before it looks at the first of them.
-BACKLOG = 32
+BACKLOG_CONNECTIONS = 32
 # Descriptors that are no connections: the store's, the workers' and those accepted but not looked at.
 OTHER_FILES = 100
 STOP_SECONDS = 10  # how long answers on their way may take when the service stops
@@ -34,7 +34,7 @@ def server_config(app: ASGIApp, settings: Settings, **more: Any) -> uvicorn.Conf
         port=settings.port,
         http=guarded(settings),
         ws="none",
-        backlog=BACKLOG,
+        backlog=BACKLOG_CONNECTIONS,
         # Longer than clients keep one for a next request (often 5 s, as uvicorn's own default), whose
         # request would else meet a connection that is just being closed.
         timeout_keep_alive=math.ceil(settings.header_seconds),

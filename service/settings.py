@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
+
+from pydantic import TypeAdapter
 
 
 def _state_dir() -> Path:
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(base) / "rbps"
-
-
-def _yes(text: str) -> bool:
-    if text.lower() not in ("yes", "no", "true", "false", "1", "0"):
-        raise ValueError
-    return text.lower() in ("yes", "true", "1")
-
-
-_CONVERT: dict[str, Callable[[str], Any]] = {
-    "str": str,
-    "int": int,
-    "float": float,
-    "bool": _yes,
-    "Path": Path,
-    "Path | None": Path,
-}
 
 
 @dataclass(frozen=True)
@@ -65,9 +51,8 @@ class Settings:
     max_tasks: int = 1000  # starts, or bootstrap runs, of a job
     max_queue: int = 1000  # jobs that wait or run
     max_queue_per_key: int = 0  # of these, of one key; 0: a quarter
-    max_cost: float = (
-        2e10  # samples x iterations x particles of all starts and bootstrap runs of a job
-    )
+    # samples x iterations x particles of all starts and bootstrap runs of a job
+    max_cost: float = 2e10
     body_seconds: float = 30.0  # longest pause within a body; the whole may take 20 times that
     header_seconds: float = 20.0  # a connection has so long to send a request's headers
     max_connections: int = 1000
@@ -100,15 +85,16 @@ class Settings:
         """Settings from ``RBPS_*``. Raises ValueError naming a variable that is unknown or wrong."""
         env = os.environ if env is None else env
         known = {f"RBPS_{f.name.upper()}": f for f in fields(cls)}
+        types = get_type_hints(cls)
         values: dict[str, Any] = {}
         for name, text in env.items():
             if not name.startswith("RBPS_"):
                 continue
             if name not in known:
                 raise ValueError(f"{name} is not a setting; there are {', '.join(sorted(known))}")
-            convert = _CONVERT[str(known[name].type)]
+            own = known[name].name
             try:
-                values[known[name].name] = convert(text)
+                values[own] = TypeAdapter(types[own]).validate_python(text)
             except ValueError:
                 raise ValueError(f"{name}={text!r} is not of type {known[name].type}") from None
         return cls(**values)

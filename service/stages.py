@@ -11,35 +11,46 @@ often it was interrupted, changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
+from collections.abc import MutableMapping, Sequence
 from typing import Any
 
 import numpy as np
 
 import engine
-from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
 from engine.statespace.model import Theta
-from service import diagnoses, kinds
-from service.kinds import Progress
-from service.prepare import Prepared, Request
+from service import computations, diagnoses
+from service.computations import Progress
 from service.problems import Problem
 from service.schemas import DiagnoseRequest, EstimateRequest, SimulateRequest, SmoothRequest
+from service.validation import Prepared, Request
 
-SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
-START, BOOTSTRAP = 1 << 40, 1 << 41  # spawn keys far from those of iterations
+START_SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
+START_KEY, BOOTSTRAP_KEY = 1 << 40, 1 << 41  # spawn keys far from those of iterations
 
 
-def plan(request: Request) -> list[tuple[str, int]]:
-    """The stages: what their tasks do, and how many tasks."""
+# What the tasks of each stage do, by the number of stages.
+ROLES = {
+    1: ("computation",),
+    2: ("start", "choice"),
+    3: ("estimate", "bootstrap", "summary"),
+    4: ("start", "choice", "bootstrap", "summary"),
+}
+
+
+def plan(request: Request) -> list[int]:
+    """How many tasks each stage has."""
     if not isinstance(request, EstimateRequest):
-        return [(request.kind, 1)]
+        return [1]
     options = request.options
-    stages = [("estimate", 1)] if options.starts == 1 else [("fit", options.starts), ("choose", 1)]
-    if options.bootstrap:
-        stages += [("resample", options.bootstrap), ("summarize", 1)]
-    return stages
+    stages = [1] if options.starts == 1 else [options.starts, 1]
+    return [*stages, options.bootstrap, 1] if options.bootstrap else stages
+
+
+def roles(stages: Sequence[int]) -> list[str]:
+    """What each task of a job does, the tasks of later stages included."""
+    return [name for name, n in zip(ROLES[len(stages)], stages, strict=True) for _ in range(n)]
 
 
 def steps(job: Prepared) -> int:
@@ -47,7 +58,7 @@ def steps(job: Prepared) -> int:
     if isinstance(job.request, EstimateRequest):
         options = job.request.options
         return options.iterations * (options.starts + options.bootstrap)
-    return diagnoses.STEPS if isinstance(job.request, DiagnoseRequest) else len(job.series)
+    return diagnoses.PROGRESS_STEPS if isinstance(job.request, DiagnoseRequest) else len(job.series)
 
 
 def run(
@@ -59,30 +70,26 @@ def run(
     """
     match job.request:
         case SmoothRequest():
-            return kinds.smooth(job, job.request, progress)
+            return computations.smooth(job, job.request, progress)
         case SimulateRequest():
-            return kinds.simulate(job, job.request, progress)
+            return computations.simulate(job, job.request, progress)
         case DiagnoseRequest():
             return diagnoses.diagnose(job, job.request, progress, kept)
-    before = first = 0
-    stages = iter(plan(job.request))
-    role, n = next(stages)
-    while task >= first + n:
-        before, first = first, first + n
-        role, n = next(stages)
-    match role:
-        case "estimate":
-            options = job.request.options
-            found = kinds.fit(job, options, job.theta, options.seed, progress)
-            return kinds.describe(job, options, found, progress)
-        case "fit":
+    stages = plan(job.request)
+    first = sum(stages[:-2])  # of the bootstrap's tasks, where there are any
+    match roles(stages)[task]:
+        case "start":
             return _fit(job, job.request, task, progress)
-        case "choose":
+        case "choice":
             return _choose(job, job.request, progress)
-        case "resample":
+        case "bootstrap":
             return _resample(job, job.request, task - first, first - 1, progress)
+        case "summary":
+            return _summarize(job, job.request, range(first, task), first - 1, progress)
         case _:
-            return _summarize(job, job.request, range(before, first), before - 1, progress)
+            options = job.request.options
+            found = computations.fit(job, options, job.theta, options.seed, progress)
+            return computations.describe(job, options, found, progress)
 
 
 def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) -> dict[str, Any]:
@@ -90,13 +97,15 @@ def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) ->
     options, theta0 = request.options, _start(job, request, i)
     start = {"start": theta0.asdict()}
     try:
-        found = kinds.fit(job, options, theta0, options.seed, progress)
+        found = computations.fit(job, options, theta0, options.seed, progress)
     except ModelError as error:
         return start | {"success": False, "outcome": "failed", "message": str(error)}
     if found["success"]:
-        rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(START,)))
+        rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(START_KEY,)))
         theta = job.model.theta(found["theta"])
-        found["reached"] = kinds.log_likelihood(job, theta, options.particles, rng, options.method)
+        found["reached"] = computations.log_likelihood(
+            job, theta, options.particles, rng, options.method
+        )
     return start | found
 
 
@@ -105,12 +114,12 @@ def _start(job: Prepared, request: EstimateRequest, i: int) -> Theta:
     if i == 0:
         return job.theta
     rng = np.random.default_rng(
-        np.random.SeedSequence(request.options.seed, spawn_key=(START + i,))
+        np.random.SeedSequence(request.options.seed, spawn_key=(START_KEY + i,))
     )
     theta = np.array(job.theta)
     for k in job.model.free_indices(job.free):
         size = abs(theta[k]) or parameter_scale(job.model, theta, int(k))
-        around = (theta[k] - SPREAD * size, theta[k] + SPREAD * size)
+        around = (theta[k] - START_SPREAD * size, theta[k] + START_SPREAD * size)
         low, high = request.parameters.ranges.get(job.model.parameter_names[k], around)
         theta[k] = rng.uniform(max(low, job.model.lower[k]), min(high, job.model.upper[k]))
     return job.model.theta(theta)
@@ -126,7 +135,7 @@ def _choose(job: Prepared, request: EstimateRequest, progress: Progress) -> dict
             422, "no-start-succeeded", f"none of {len(found)} starts succeeded: {reasons}"
         )
     best = max(reached, key=lambda one: one["reached"]["value"])
-    result = kinds.describe(job, request.options, best, progress)
+    result = computations.describe(job, request.options, best, progress)
     names = job.model.parameter_names
     result["starts"] = [
         {"start": one["start"], "outcome": one["outcome"], "message": one["message"]}
@@ -156,16 +165,18 @@ def _resample(
     options, model = request.options, job.model
     values = {k: v["value"] for k, v in progress.left(estimated)["estimate"].items()}
     theta = model.theta(values)
-    rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(BOOTSTRAP + i,)))
+    rng = np.random.default_rng(
+        np.random.SeedSequence(options.seed, spawn_key=(BOOTSTRAP_KEY + i,))
+    )
     drawn = []
     for series in job.series:
         u = series.u if model.nu else None
-        y = engine.simulate(model, theta, len(series), rng, u=u, t=series.t).y
+        y = engine.simulate(model, theta, len(series), rng, u=u, t=series.t, hold=series.hold).y
         y[~series.observed] = np.nan
-        drawn.append(Series(y, series.u if model.nu else None, t=series.t))
+        drawn.append(series.replace(y=y))
     again = Prepared(request, model, drawn, theta, job.free)
     try:
-        found = kinds.fit(again, options, theta, options.seed + 1 + i, progress)
+        found = computations.fit(again, options, theta, options.seed + 1 + i, progress)
     except ModelError as error:
         return {"success": False, "message": str(error)}
     return {key: found[key] for key in ("theta", "success", "message")}

@@ -1,6 +1,6 @@
 """The store: the only channel between service and workers.
 
-All SQL is here, in ``attempts`` and in ``transitions``; the tables are in ``tables``.
+All SQL is here, in ``attempts`` and in ``transitions``; the tables are in ``db_schema``.
 
 A job has one or more tasks (computations). A task that is running belongs to an attempt, named
 by a token, for as long as its heartbeat goes on. Whoever writes says which attempt it is; the
@@ -24,19 +24,18 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select
+from sqlalchemy import Connection, Row, Select, and_, delete, func, insert, or_, select
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from engine.statespace.model import Array
 from service.attempts import Attempts
+from service.db_schema import documents, iterations, jobs, pulse, tasks
 from service.strict_json import dumps
-from service.tables import documents, iterations, jobs, pulse, tasks
 from service.transitions import KEPT, add, add_tasks, end, forget, locked, put, resume
 
 ENDED = ("successful", "failed", "dismissed")
-Most = Sequence[
-    tuple[str | None, int]
-]  # how many jobs of an owner, or of all (None), may wait or run
+# how many jobs of an owner, or of all (None), may wait or run
+Most = Sequence[tuple[str | None, int]]
 
 
 class KeyReused(Exception):  # noqa: N818 - it is the client that erred
@@ -98,10 +97,14 @@ class Store(Attempts):
             return _repeated(first, digest)
         return job_id
 
+    def _rows(self, query: Select[Any]) -> Sequence[Any]:
+        with self._read.begin() as sql:
+            return sql.execute(query).all()
+
     def job(self, job_id: str) -> Row[Any] | None:
         """One job, or None."""
-        with self._read.begin() as sql:
-            return sql.execute(select(jobs).where(jobs.c.id == job_id)).one_or_none()
+        found: Sequence[Row[Any]] = self._rows(select(jobs).where(jobs.c.id == job_id))
+        return found[0] if found else None
 
     def jobs(
         self,
@@ -125,16 +128,14 @@ class Store(Attempts):
             query = query.where(or_(jobs.c.model == model, extended))
         if owner is not None:
             query = query.where(jobs.c.owner == owner)
-        with self._read.begin() as sql:
-            return sql.execute(query).all()
+        return self._rows(query)
 
     def counts(self, owner: str | None = None) -> dict[str, int]:
         """Number of jobs of each status there is."""
         query = select(jobs.c.status, func.count()).group_by(jobs.c.status)
         if owner is not None:
             query = query.where(jobs.c.owner == owner)
-        with self._read.begin() as sql:
-            return {row[0]: row[1] for row in sql.execute(query)}
+        return {row[0]: row[1] for row in self._rows(query)}
 
     def statistics(self) -> dict[str, Any]:
         """Totals over all jobs there ever were, for the metrics."""
@@ -165,11 +166,9 @@ class Store(Attempts):
 
     def document(self, seq: int, name: str) -> bytes | None:
         """The JSON text of a request or result."""
-        with self._read.begin() as sql:
-            body = sql.scalar(
-                select(documents.c.body).where(documents.c.job == seq, documents.c.name == name)
-            )
-        return None if body is None else zlib.decompress(body)
+        here = (documents.c.job == seq, documents.c.name == name)
+        found = self._rows(select(documents.c.body).where(*here))
+        return zlib.decompress(found[0].body) if found else None
 
     def kept(self, seq: int) -> list[str]:
         """What attempts have kept, in order, see ``keep``."""
@@ -178,8 +177,7 @@ class Store(Attempts):
             .where(documents.c.job == seq, documents.c.name.startswith(KEPT))
             .order_by(documents.c.name)
         )
-        with self._read.begin() as sql:
-            return [zlib.decompress(body).decode() for body in sql.scalars(query)]
+        return [zlib.decompress(row.body).decode() for row in self._rows(query)]
 
     def rows(self, seq: int, task: int = 0, after: int = -1) -> tuple[list[int], Array]:
         """Iterations k > after of a task: [k, ...] and (n, n_theta + 4), see ``iterations.row``."""
@@ -188,8 +186,7 @@ class Store(Attempts):
             .where(iterations.c.job == seq, iterations.c.task == task, iterations.c.k > after)
             .order_by(iterations.c.k)
         )
-        with self._read.begin() as sql:
-            found = sql.execute(query).all()
+        found = self._rows(query)
         return [k for k, _ in found], np.array([np.frombuffer(row) for _, row in found])
 
     def tasks(self, seq: int) -> list[tuple[Row[Any], Array | None]]:
@@ -205,8 +202,7 @@ class Store(Attempts):
             .where(tasks.c.job == seq)
             .order_by(tasks.c.task)
         )
-        with self._read.begin() as sql:
-            found = sql.execute(query).all()
+        found = self._rows(query)
         return [(one, None if one.row is None else np.frombuffer(one.row)) for one in found]
 
     def dismiss(self, job_id: str) -> Row[Any] | None:
@@ -257,8 +253,7 @@ class Store(Attempts):
         old = select(jobs.c.seq).where(
             jobs.c.status.in_(ENDED), jobs.c.removed == 0, jobs.c.finished < before
         )
-        with self._read.begin() as sql:
-            found = list(sql.scalars(old))
+        found = [row.seq for row in self._rows(old)]
         for seq in found:  # one by one: nobody waits long for the lock
             with self._engine.begin() as sql:
                 job = locked(sql, seq)

@@ -6,6 +6,8 @@ import json
 import math
 from typing import Any
 
+from engine.json_values import plain
+
 PART = 20_000  # elements of a list that are written at once
 
 
@@ -23,15 +25,7 @@ def dumps(value: Any) -> str:
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))
     except ValueError:
-        return json.dumps(_without_nan(value), allow_nan=False, separators=(",", ":"))
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    return finite(value) if isinstance(value, float) else value
+        return json.dumps(plain(value), allow_nan=False, separators=(",", ":"))
 
 
 def finite(value: float | None) -> float | None:

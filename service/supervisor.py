@@ -77,7 +77,7 @@ class Supervisor:
             return f"the store cannot be used: {self._store_trouble}"
         if not self.alive():
             return "the supervisor does not run"
-        return "" if self.places() else "the cluster has no worker, or cannot be reached"
+        return "" if self.capacity() else "the cluster has no worker, or cannot be reached"
 
     def _try_store(self) -> str:
         try:
@@ -90,9 +90,9 @@ class Supervisor:
         """How many attempts the runner has."""
         return self._runner.running()
 
-    def places(self) -> int:
+    def capacity(self) -> int:
         """How many attempts the runner can have at once."""
-        return self._runner.places()
+        return self._runner.capacity()
 
     def stop(self, drain: bool = False) -> None:
         """Claim nothing more and wait for the runner to stop."""
@@ -131,7 +131,7 @@ class Supervisor:
 
     def _share(self) -> None:
         """Where all places are taken, let keys have their turns."""
-        if not self._runner.places() or self._runner.free() > 0:
+        if not self._runner.capacity() or self._runner.free() > 0:
             return
         ask, take = self._turns.look(*self._store.standing())
         if ask is not None:

@@ -10,8 +10,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, and_, delete, func, insert, select, update
 
+from service.db_schema import documents, iterations, jobs, tasks
 from service.strict_json import dumps
-from service.tables import documents, iterations, jobs, tasks
 
 KEPT = "kept-"  # names of documents that serve an attempt's successor
 
@@ -56,9 +56,19 @@ def of(attempt: Attempt) -> Any:
     )
 
 
+def change_job(sql: Connection, seq: int, **values: Any) -> None:
+    """Write values into a job's row."""
+    sql.execute(update(jobs).where(jobs.c.seq == seq).values(values))
+
+
+def change_tasks(sql: Connection, which: Any, **values: Any) -> int:
+    """Write values into the rows of tasks; how many."""
+    return sql.execute(update(tasks).where(which).values(values)).rowcount
+
+
 def mine(sql: Connection, attempt: Attempt, **values: Any) -> bool:
     """Change the task if it is still this attempt's; whether it was."""
-    return sql.execute(update(tasks).where(of(attempt)).values(values)).rowcount == 1
+    return change_tasks(sql, of(attempt), **values) == 1
 
 
 def leave(sql: Connection, attempt: Attempt, ran: float) -> bool:
@@ -74,11 +84,10 @@ def take(sql: Connection, seq: int, token: str) -> None:
 
 
 def _make_room(sql: Connection, seq: int, which: Any, **values: Any) -> bool:
-    queued = {"state": "queued", "token": None} | values
-    if sql.execute(update(tasks).where(which).values(queued)).rowcount != 1:
+    if change_tasks(sql, which, state="queued", token=None, **values) != 1:
         return False
     message = "made room for others; goes on where it was"
-    sql.execute(update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message))
+    change_job(sql, seq, updated=time.time(), message=message)
     return True
 
 
@@ -90,17 +99,10 @@ def locked(sql: Connection, seq: int) -> Row[Any]:
 
 def end(sql: Connection, seq: int, status: str, **values: Any) -> None:
     """End the job, and stop what of it still waits or runs; its checkpoints stay."""
-    sql.execute(
-        update(tasks)
-        .where(tasks.c.job == seq, tasks.c.state.in_(("queued", "running")))
-        .values(state="stopped")
-    )
+    left = and_(tasks.c.job == seq, tasks.c.state.in_(("queued", "running")))
+    change_tasks(sql, left, state="stopped")
     now = time.time()
-    sql.execute(
-        update(jobs)
-        .where(jobs.c.seq == seq)
-        .values(status=status, finished=now, updated=now, **values)
-    )
+    change_job(sql, seq, status=status, finished=now, updated=now, **values)
 
 
 def fail(sql: Connection, seq: int, problem: Mapping[str, Any]) -> None:
@@ -128,13 +130,10 @@ def lose(sql: Connection, seq: int, task: int, cause: str, allowed: int) -> None
         }  # fmt: skip
         fail(sql, seq, problem)
         return
-    sql.execute(
-        update(tasks)
-        .where(this)
-        .values(state="queued", token=None, losses=row.losses + 1, futile=futile, mark=mark)
-    )
+    again = {"losses": row.losses + 1, "futile": futile, "mark": mark}
+    change_tasks(sql, this, state="queued", token=None, **again)
     message = f"{cause}; goes on where it was (restart {futile} of {allowed})"
-    sql.execute(update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message))
+    change_job(sql, seq, updated=time.time(), message=message)
 
 
 def _checkpoints(sql: Connection, seq: int, task: int) -> int:
@@ -152,16 +151,11 @@ def _checkpoints(sql: Connection, seq: int, task: int) -> int:
 
 def resume(sql: Connection, seq: int) -> None:
     """Queue what was stopped of an ended job; its losses and its time are counted anew."""
-    sql.execute(
-        update(tasks)
-        .where(tasks.c.job == seq, tasks.c.state == "stopped")
-        .values(state="queued", token=None, futile=0, taken=0, spent=0.0)
-    )
+    stopped = and_(tasks.c.job == seq, tasks.c.state == "stopped")
+    change_tasks(sql, stopped, state="queued", token=None, futile=0, taken=0, spent=0.0)
     values = {"status": "accepted", "finished": None, "problem": None, "cause": None}
     message = "taken up again; goes on where it was"
-    sql.execute(
-        update(jobs).where(jobs.c.seq == seq).values(updated=time.time(), message=message, **values)
-    )
+    change_job(sql, seq, updated=time.time(), message=message, **values)
 
 
 def forget(sql: Connection, seq: int, **values: Any) -> None:
@@ -169,4 +163,4 @@ def forget(sql: Connection, seq: int, **values: Any) -> None:
     for table in (documents, iterations):
         sql.execute(delete(table).where(table.c.job == seq))
     gone = {"removed": 1, "estimate": None, "log_likelihood": None, "updated": time.time()}
-    sql.execute(update(jobs).where(jobs.c.seq == seq).values(gone | values))
+    change_job(sql, seq, **(gone | values))

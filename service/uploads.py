@@ -15,16 +15,16 @@ import numpy as np
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from engine.data.files import READERS, read_series_bytes
+from engine.data.files import read_table, series_from
 from engine.data.tables import Table
 from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
 from service.columns import match
-from service.prepare import ADAPTER, Request, find_model
 from service.problems import Problem, invalid
 from service.schemas import ModelReference
+from service.validation import ADAPTER, Request, find_model
 
-SMALL = 1 << 22  # bytes that any file may hold
+SMALL_BYTES = 1 << 22  # bytes that any file may hold
 
 
 class _FileSeries(BaseModel):
@@ -87,33 +87,25 @@ def _read(
     if wanted.file not in files:
         there = ", ".join(files) or "none"
         raise invalid(f"{where}.file", f"no file '{wanted.file}' was uploaded; there are {there}")
-    data = files[wanted.file]
     outputs, inputs = _channels(body.get("model"))
     try:
-        y, u = _matched(data, wanted, outputs, inputs, where)
-        series = read_series_bytes(data, wanted.file, y, u, wanted.t, wanted.dt)
+        table = read_table(files[wanted.file], wanted.file)
+        y, u = _matched(table, wanted, outputs, inputs, where) if outputs else (None, None)
+        series = series_from(table, y, u, wanted.t, wanted.dt)
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
     read = {"y": series.y, "t": series.t.tolist()}
     if series.u.shape[1]:
         read["u"] = series.u
     if wanted.extra:
-        read["extra"] = _extra(wanted, data, f"{where}.extra")
+        read["extra"] = _extra(wanted, table, f"{where}.extra")
     return read
 
 
 def _matched(
-    data: bytes,
-    wanted: _FileSeries,
-    outputs: list[str],
-    inputs: list[str],
-    where: str,
-) -> tuple[list[str] | None, list[str] | None]:
+    table: Table, wanted: _FileSeries, outputs: list[str], inputs: list[str], where: str
+) -> tuple[list[str], list[str]]:
     """Columns of y and u in the order of the model's channels."""
-    suffix = Path(wanted.file).suffix.lower()
-    if suffix not in READERS or not outputs:  # told when it is read, or with the model
-        return None, None
-    table = READERS[suffix](data, wanted.file)
     given = _given(wanted.y, table, outputs, f"{where}.y")
     given |= _given(wanted.u, table, inputs, f"{where}.u")
     found = match(table, outputs, inputs, given, {*wanted.extra, wanted.t or ""})
@@ -131,9 +123,8 @@ def _matched(
     return [found[one] for one in outputs], [found[one] for one in inputs if one in found]
 
 
-def _extra(wanted: _FileSeries, data: bytes, where: str) -> dict[str, list[float]]:
+def _extra(wanted: _FileSeries, table: Table, where: str) -> dict[str, list[float]]:
     """Columns that the model does not use."""
-    table = READERS[Path(wanted.file).suffix.lower()](data, wanted.file)
     found = {}
     for name in wanted.extra:
         if name not in table.columns:
@@ -189,7 +180,7 @@ def check_size(data: bytes, filename: str, where: str, max_values: int) -> None:
         if cells > max_values:
             raise invalid(where, f"'{filename}' has more than the {max_values} cells allowed here")
         return
-    most = max(SMALL, 8 * max_values)
+    most = max(SMALL_BYTES, 8 * max_values)
     size = len(data)
     if data[:2] == b"PK":
         try:

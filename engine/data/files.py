@@ -66,11 +66,26 @@ def read_series_bytes(
     hold: str | None = None,
 ) -> Series:
     """The same from the bytes of an uploaded file; the name's ending tells the format."""
-    file = Path(filename).name
-    suffix = Path(filename).suffix.lower()
+    return series_from(read_table(data, filename), y, u, t, dt, hold)
+
+
+def read_table(data: bytes, filename: str) -> Table:
+    """The columns of a file; the name's ending tells the format. Raises SeriesError."""
+    suffix, file = Path(filename).suffix.lower(), Path(filename).name
     if suffix not in READERS:
         raise SeriesError(f"{file}: the ending must be .csv, .mat or .npz, not '{suffix}'")
-    table = READERS[suffix](data, file)
+    return READERS[suffix](data, file)
+
+
+def series_from(
+    table: Table,
+    y: Channels = None,
+    u: Channels = None,
+    t: str | None = None,
+    dt: float | None = None,
+    hold: str | None = None,
+) -> Series:
+    """The series that columns of a table make, see :func:`read_series`."""
     y_names, y_columns = _channels(table, y, "y")
     u_names, u_columns = _channels(table, u, "u")
     if t is None and dt is None and table.dt is None:
@@ -88,7 +103,7 @@ def read_series_bytes(
             hold=hold or table.hold or "zoh",
         )
     except (SeriesError, OptionError) as error:
-        raise SeriesError(f"{file}: {error}") from error
+        raise SeriesError(f"{table.file}: {error}") from error
 
 
 def write_series(series: Series, path: str | Path) -> None:

@@ -12,7 +12,7 @@ import sys
 import numpy as np
 from scipy.io import loadmat
 
-SECONDS = 60  # of the processor, in which any file that can be uploaded is read
+PROCESSOR_SECONDS = 60  # in which any file that can be uploaded is read
 
 
 def limit(megabytes: int) -> None:
@@ -21,7 +21,10 @@ def limit(megabytes: int) -> None:
         import resource
     except ImportError:  # not on Windows
         return
-    for what, most in ((resource.RLIMIT_AS, megabytes << 20), (resource.RLIMIT_CPU, SECONDS)):
+    for what, most in (
+        (resource.RLIMIT_AS, megabytes << 20),
+        (resource.RLIMIT_CPU, PROCESSOR_SECONDS),
+    ):
         hard = resource.getrlimit(what)[1]
         resource.setrlimit(what, (most if hard < 0 else min(most, hard), hard))
 

@@ -24,18 +24,38 @@ HOLDS = ("zoh", "foh", "past")  # what an input does between its samples
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One experiment: y (T, ny), u (T, nu), times in seconds, channel names.
+    """One experiment: measured outputs and inputs, times in seconds, channel names.
 
-    ``Series(y, u, dt=0.01)`` is regularly sampled; ``Series(y, u, t=times)`` has a time stamp
-    per row. NaN in y is a missing value: a whole row or a single channel. A one-dimensional y
-    or u is one channel. ``extra`` (T, n) are channels that were recorded but that the model does not
-    use; a diagnosis asks whether they matter. ``substeps`` counts the rows from one sample to the next,
-    the first row being a sample, where the series was refined (see :meth:`refined`).
+    Parameters
+    ----------
+    y : array (T, ny) or (T,)
+        Outputs; NaN is a missing value, of a whole row or a single channel.
+    u : array (T, nu) or (T,), optional
+        Inputs.
+    dt : float
+        Time step, s, of a regularly sampled series.
+    t : array (T,), optional
+        Time stamps, s, one per row, instead of ``dt``.
+    y_names, u_names : sequence of str, optional
+        Names of the channels.
+    extra : array (T, n), optional
+        Channels that were recorded but that the model does not use; a diagnosis asks whether they matter.
+    extra_names : sequence of str, optional
+        Their names.
+    substeps : int
+        Rows from one sample to the next, the first row being a sample, where the series was refined (see
+        :meth:`refined`).
+    hold : str
+        What inputs did between their samples: held until the next one (``"zoh"``, as a converter holds what
+        a computer sends), on a straight line to it (``"foh"``, as of a signal that was measured like the
+        outputs), or at a row's value since the row before (``"past"``, as loggers write mean currents).
 
-    ``hold`` says what inputs did between their samples: held until the next one (``"zoh"``, as a converter
-    holds what a computer sends), on a straight line to it (``"foh"``, as of a signal that was measured like
-    the outputs), or at a row's value since the row before (``"past"``, as loggers write mean currents).
-    Raises SeriesError naming the row and the channel, OptionError for another ``hold``.
+    Raises
+    ------
+    SeriesError
+        The data cannot be used; names the row and the channel.
+    OptionError
+        ``hold`` is another word.
     """
 
     y: Array
@@ -275,12 +295,12 @@ class Series:
 
 def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:
     """One series or several, each checked against the model."""
-    listed = [series] if isinstance(series, Series) else list(series)
-    if not listed:
+    all_series = [series] if isinstance(series, Series) else list(series)
+    if not all_series:
         raise SeriesError("no series was given; at least one is needed")
-    for one in listed:
+    for one in all_series:
         one.check(model)
-    return listed
+    return all_series
 
 
 def _columns(values: ArrayLike, name: str) -> Array:

@@ -25,10 +25,10 @@ from engine.errors import SeriesError
 HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)  # a comment at the head of a CSV
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
-LARGEST = 4 << 30  # bytes an .npz may unpack to, and memory for reading a .mat
+LARGEST_BYTES = 4 << 30  # an .npz may unpack to, and memory for reading a .mat
 MAT_TO_NPZ = Path(__file__).with_name("mat_to_npz.py")  # a program of its own
-LONGEST = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
-_TOO_LONG = f"a cell has more than {LONGEST} characters; is a quotation mark left open?"
+LONGEST_CELL = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
+_TOO_LONG = f"a cell has more than {LONGEST_CELL} characters; is a quotation mark left open?"
 
 
 @dataclass
@@ -129,7 +129,7 @@ def read_csv(data: bytes, file: str) -> Table:
 
 def _short_cells(rows: Iterable[list[str]]) -> Iterator[list[str]]:
     for row in rows:
-        if any(len(cell) > LONGEST for cell in row):
+        if any(len(cell) > LONGEST_CELL for cell in row):
             raise csv.Error(_TOO_LONG)
         yield row
 
@@ -139,8 +139,10 @@ def read_npz(data: bytes, file: str) -> Table:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(info.file_size for info in archive.infolist())
-            if size > LARGEST:
-                raise SeriesError(f"{file} unpacks to {size} bytes; at most {LARGEST} are read")
+            if size > LARGEST_BYTES:
+                raise SeriesError(
+                    f"{file} unpacks to {size} bytes; at most {LARGEST_BYTES} are read"
+                )
             for info in archive.infolist():
                 _check_array(archive, info)
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
@@ -168,9 +170,8 @@ def _check_array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:
             (1, 0): np.lib.format.read_array_header_1_0,
             (2, 0): np.lib.format.read_array_header_2_0,
         }
-        if (
-            version not in readers
-        ):  # (3, 0) is for tables with named fields, which are not used here
+        # (3, 0) is for tables with named fields, which are not used here
+        if version not in readers:
             return
         shape, _, dtype = readers[version](stream)
         there = info.file_size - stream.tell()
@@ -183,11 +184,11 @@ def read_mat(data: bytes, file: str) -> Table:
     """Arrays y, u, t, dt (or others by name) of a MATLAB file, version 4 to 7."""
     if data[:4] == b"\x89HDF" or data[512:516] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
         raise SeriesError(f"{file} is a MATLAB 7.3 file; save it with -v7: save('{file}', '-v7')")
-    program = [sys.executable, "-P", str(MAT_TO_NPZ), str(LARGEST >> 20)]
+    program = [sys.executable, "-P", str(MAT_TO_NPZ), str(LARGEST_BYTES >> 20)]
     read = subprocess.run(program, input=data, capture_output=True, check=False)
     if read.returncode:
-        told = read.stderr.decode(errors="replace").strip().splitlines()
-        reason = told[-1] if told and read.returncode > 0 else "its reader crashed on it"
+        complaint = read.stderr.decode(errors="replace").strip().splitlines()
+        reason = complaint[-1] if complaint and read.returncode > 0 else "its reader crashed on it"
         raise SeriesError(f"{file} is not a readable MATLAB file: {reason}")
     return _from_arrays(dict(np.load(io.BytesIO(read.stdout), allow_pickle=False)), file)
 

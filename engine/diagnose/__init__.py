@@ -89,17 +89,51 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose a model on measured data.
 
-    ``theta`` start values (default: the model's defaults); ``test`` held-out data (default: the last fifth of
-    ``series``); ``alpha`` family-wise error; ``effects`` kinds or names to consider (default: the whole
-    catalogue); ``max_effects`` found in turn at most, of which more than two, beside outliers, make the verdict
-    ``unknown``; ``free`` parameters that are estimated (default: all); ``callback(stage, fraction)`` may stop
-    the run by raising StopIteration; ``bootstrap`` simulated series for a second p-value of the first round, 99
-    or more, each of which takes as long as a fit and a screen. Extra channels of the series become inputs of
-    the model that nothing depends on, until one is found to matter. A model that declares ``continuous`` makes
-    as many steps a sample as its effects need. Finished parts are put into ``kept``, an
-    empty dict at first, as JSON values; a run that was stopped goes on from them when the same version is asked
-    the same again with them, and its numbers are those of a run that was never stopped. Raises SeriesError,
-    ModelError, OptionError.
+    Extra channels of the series become inputs of the model that nothing depends on, until one is found to
+    matter. A model that declares ``continuous`` makes as many steps a sample as its effects need.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    theta : Theta, mapping, array or None
+        Start values; where None, one is searched for.
+    test : Series, optional
+        Held-out data; the last fifth of ``series`` by default.
+    seed : int
+        The same seed gives the same bits.
+    alpha : float
+        Family-wise probability of an alarm where nothing is wrong.
+    effects : sequence of str, optional
+        Kinds or names of the effects to consider; the whole catalogue by default.
+    max_effects : int
+        Effects found in turn at most; more than two, beside outliers, make the verdict ``unknown``.
+    free : sequence of str, optional
+        Names of the parameters to estimate; all by default.
+    callback : callable, optional
+        ``callback(stage, fraction)``; stops the run by raising StopIteration.
+    bootstrap : int
+        Simulated series for a second p-value of the first round, 99 or more; each takes as long as a fit
+        and a screen. 0 for none.
+    kept : mutable mapping, optional
+        Where finished parts are put as JSON values, empty at first; a stopped run goes on from them when
+        the same version is asked the same again, and gives the numbers of one that was never stopped.
+
+    Returns
+    -------
+    Diagnosis
+        Verdict, causes, extension, gain and what was testable; print it for a page.
+
+    Raises
+    ------
+    SeriesError
+        The data do not fit the model, or are too few.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
+    OptionError
+        An option is not known or out of its range.
     """
     series.check(model)
     _check_options(series, alpha, max_effects, effects)
@@ -249,6 +283,5 @@ def _particle_word(base: QuasiFit, found: Search, series: Series, seed: int) -> 
     moment = final.log_likelihood - base.log_likelihood
     before, after = (base.model, base.theta), (final.model, final.theta)
     text, contradicts = particle_word(before, after, moment, series, seed)
-    return text, contradicts and not has_tails(
-        found
-    )  # outliers were judged by a filter of their own
+    # outliers were judged by a filter of their own
+    return text, contradicts and not has_tails(found)

@@ -13,13 +13,47 @@ from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
 from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.statespace.model import MixedModel, Theta
-from engine.views import Figures, figures, html, tables, view
+from engine.views import Figures, html, plots, tables, view
 from engine.words import probability, tidy
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The answer of :func:`engine.diagnose`; print it for a page a person can read."""
+    """The answer of :func:`engine.diagnose`; print it for a page a person can read.
+
+    Attributes
+    ----------
+    model : MixedModel
+        The model that was diagnosed.
+    verdict : Verdict
+        Whether it leaves something out, and whether that has a name.
+    causes : tuple of Cause
+        What explains it, in the order found, with sizes and standard errors.
+    p_value : float
+        Of the first round: the chance of so much evidence where nothing is wrong.
+    base_theta : Theta
+        The model's parameters as fitted to the data.
+    extended : MixedModel
+        The model with the causes in it.
+    theta : Theta
+        The extended model's parameters.
+    symptoms : Symptoms
+        What is wrong, whatever the cause.
+    gain : Gain or None
+        What the extension gains on held-out data.
+    detectable : tuple of Detectable
+        The sizes from which effects would have been found.
+    search : Search
+        The rounds of screening and refitting.
+    notes : tuple of str
+        What else a reader should know.
+    seconds : dict
+        What each part took.
+    series : Series
+        What was given, the held-out part included.
+    p_bootstrap : float or None
+        The first round's p-value from simulated series, where it was asked for.
+    """
 
     model: MixedModel
     verdict: Verdict
@@ -57,12 +91,12 @@ class Diagnosis:
 
     def figures(self) -> dict[str, Any]:
         """Matplotlib figures by name; needs the extra ``plot``."""
-        made: dict[str, Any] = view("diagnosis_figures").figures(self)
-        return made
+        return dict(self.plot())
 
     def plot(self) -> Figures:
         """The same as one object: ``diagnosis.plot().save("figures")``."""
-        return figures(self.figures())
+        made: Figures = plots().of_document({"diagnosis": self.to_dict()})
+        return made
 
     def _repr_html_(self) -> str:
         causes = [

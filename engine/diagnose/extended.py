@@ -17,10 +17,24 @@ if TYPE_CHECKING:
 
 
 def get_model(name: str, effects: Sequence[str] | None = None) -> MixedModel:
-    """The registered model ``name``, extended by ``effects`` such as ``["coulomb:velocity"]``.
+    """The registered model of a name, extended by effects.
 
-    What a diagnosis found is an ordinary model like any other. Raises OptionError naming the
-    models, or the effects and channels, there are.
+    Parameters
+    ----------
+    name : str
+        One of :func:`model_names`.
+    effects : sequence of str, optional
+        Effects to add, such as ``["coulomb:velocity"]``; what a diagnosis found is an ordinary model.
+
+    Returns
+    -------
+    MixedModel
+        The model.
+
+    Raises
+    ------
+    OptionError
+        There is no such model, effect or channel; names those there are.
     """
     return extend(registry.get_model(name), effects or ())
 

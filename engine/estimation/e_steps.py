@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -50,9 +51,43 @@ class EStep:
 Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
 
 
+@dataclass(frozen=True)
+class ParticleStep:
+    """The E step by particles: filter every series, smooth it, make the Q-function of all.
+
+    ``run(theta, series, M, rng)`` filters, with more particles where it collapsed and ``recover`` is true;
+    ``smooth(filtered, series, rng)`` gives what the ``objective(theta, [...])`` needs of one series.
+    """
+
+    all_series: Sequence[Series]
+    run: Callable[..., Any]
+    smooth: Callable[[Any, Series, np.random.Generator], Any]
+    objective: Callable[[Theta, list[Any]], Objective]
+    n_particles: int
+    recover: bool
+
+    def __call__(self, theta: Theta, rng: np.random.Generator) -> EStep:
+        """Q(., theta) with random numbers of ``rng``."""
+        smoothed, log_likelihood, ess, lost, lost_at = [], 0.0, 0.0, 0, ""
+        for i, one in enumerate(self.all_series):
+            for times in (1, *RETRIES) if self.recover else (1,):
+                filtered = self.run(theta, one, times * self.n_particles, rng)
+                if len(filtered.collapsed) <= LOST_SHARE * len(one):
+                    break
+            if len(filtered.collapsed) and not lost_at:
+                row = int(filtered.collapsed[0])
+                lost_at = f"row {row} (t = {one.t[row]:g} s)" + (f" of series {i}" if i else "")
+            smoothed.append(self.smooth(filtered, one, rng))
+            log_likelihood += filtered.log_likelihood
+            ess += float(filtered.ess.sum())
+            lost += len(filtered.collapsed)
+        n = sum(map(len, self.all_series))
+        return EStep(self.objective(theta, smoothed), log_likelihood, ess / n, lost / n, lost_at)
+
+
 def rbps_step(
     model: MixedModel,
-    listed: Sequence[Series],
+    all_series: Sequence[Series],
     n_particles: int,
     n_trajectories: int,
     *,
@@ -71,47 +106,32 @@ def rbps_step(
             "smoother",
         )
 
-    def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> Filtered:
-        for times in (1, *RETRIES) if recover else (1,):
-            filtered = rbpf(
-                model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
-            )
-            if len(filtered.collapsed) <= LOST_SHARE * len(one):
-                break
-        return filtered
+    def smooth(filtered: Filtered, one: Series, rng: np.random.Generator) -> Any:
+        if smoother == "linear-cost":
+            draws = rb_ffbsi_linear(filtered, n_trajectories, rng, condition=False)
+        else:
+            draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
+        points = Points(model, one, draws.a)
+        if smoother != "algorithm-3":
+            draws = condition_on_trajectories(draws, points)
+        return Moments(draws.a, draws.z, draws.cov, draws.cross), points
 
-    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
-        smoothed, log_likelihood, ess, lost, lost_at = [], 0.0, 0.0, 0, ""
-        for i, one in enumerate(listed):
-            filtered = run_filter(theta, one, rng)
-            if len(filtered.collapsed) and not lost_at:
-                row = int(filtered.collapsed[0])
-                lost_at = f"row {row} (t = {one.t[row]:g} s)" + (f" of series {i}" if i else "")
-            if smoother == "linear-cost":
-                draws = rb_ffbsi_linear(filtered, n_trajectories, rng, condition=False)
-            else:
-                draws = rb_ffbsi(filtered, n_trajectories, rng, joint=smoother == "exact")
-            points = Points(model, one, draws.a)
-            if smoother != "algorithm-3":
-                draws = condition_on_trajectories(draws, points)
-            smoothed.append((Moments(draws.a, draws.z, draws.cov, draws.cross), points))
-            log_likelihood += filtered.log_likelihood
-            ess += float(filtered.ess.sum())
-            lost += len(filtered.collapsed)
-        n = sum(map(len, listed))
-        q = expectation(model, theta, smoothed)
-        return EStep(q, log_likelihood, ess / n, lost / n, lost_at)
-
-    return expect
+    options: dict[str, Any] = {
+        "proposal": proposal,
+        "resampling": resampling,
+        "ess_threshold": ess_threshold,
+    }
+    run = partial(rbpf, model, **options)
+    return ParticleStep(all_series, run, smooth, partial(expectation, model), n_particles, recover)
 
 
-def rts_step(model: MixedModel, listed: Sequence[Series]) -> Expect:
+def rts_step(model: MixedModel, all_series: Sequence[Series]) -> Expect:
     """The exact Kalman smoother over every series, for linear Gaussian models."""
     linear = as_linear(model)
 
     def expect(theta: Theta, rng: np.random.Generator) -> EStep:
         smoothed, log_likelihood = [], 0.0
-        for one in listed:
+        for one in all_series:
             k = kalman_smoother(model, theta, one)
             points = Points(linear, one, np.zeros((len(one), 1, 0)))
             moments = Moments(points.a, k.x[:, None], k.P[:, None], k.M[:, None])

@@ -43,27 +43,70 @@ def rbps_em(
 ) -> EmResult:
     """Estimate theta from one or several series; paper, Algorithm 1 (RBPS-EM).
 
-    ``theta0`` start values (default: the parameters' defaults); ``free`` names of the parameters to
-    estimate (default: all); ``n_trajectories`` N (default: ``n_particles``); ``tolerance`` of the
-    convergence rule in :mod:`engine.estimation.convergence`, None to use all iterations; ``callback`` sees
-    every :class:`Iteration` and stops the run by returning True or raising StopIteration.
+    Parameters that move what has no noise are moved by :mod:`engine.estimation.likelihood_step`; ``message``
+    of the result says so.
 
-    ``smoother``: "exact" uses moments of z given whole trajectories of a, which converge as M grows;
-    "algorithm-3" those of the report, eqs. (61), whose P and M keep the bias of Approximation 2;
-    "linear-cost" is "exact" with trajectories drawn by MCMC moves, in O(M), see
-    :mod:`engine.smoothers.linear_cost`.
-    ``recover``: run a filter that collapsed again with more particles (the paper does not).
-    ``m_step``: "scoring" or "bfgs", see :mod:`engine.estimation.maximization`.
-    ``warm_start``: let the first iteration leave from the maximum of an approximate likelihood where
-    theta0 is far less likely, see :mod:`engine.estimation.start`; False always starts EM at theta0.
-    Parameters that move what has no noise are moved by :mod:`engine.estimation.likelihood_step`;
-    ``message`` says so. Raises OptionError, SeriesError, ModelError.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    theta0 : Theta, mapping, array or None
+        Start values: all as (n_theta,), some by name, or None for the model's defaults.
+    free : sequence of str, optional
+        Names of the parameters to estimate; all by default.
+    n_particles : int
+        Number of particles M.
+    n_trajectories : int, optional
+        Number of trajectories N; as many as particles by default.
+    n_iterations : int
+        Iterations at most.
+    seed : int
+        The same seed gives the same bits.
+    callback : callable, optional
+        Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
+    resume : Checkpoint or EmResult, optional
+        Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
+    proposal : str or callable
+        ``adapted`` looks at y_t, ``bootstrap`` does not; or a function, see :mod:`engine.filters.proposals`.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+    smoother : str
+        ``exact`` uses moments of z given whole trajectories of a, which converge as M grows; ``algorithm-3``
+        those of the report, eqs. (61), whose P and M keep the bias of Approximation 2; ``linear-cost`` is
+        ``exact`` with trajectories drawn by MCMC moves, in O(M).
+    recover : bool
+        Run a filter that collapsed again with more particles (the papers do not).
+    m_step : str
+        ``scoring`` or ``bfgs``, see :mod:`engine.estimation.maximization`.
+    tolerance : float, optional
+        Of the convergence rule in :mod:`engine.estimation.convergence`; None uses all iterations.
+    warm_start : bool
+        Let the first iteration leave from the maximum of an approximate likelihood where ``theta0`` is far
+        less likely, see :mod:`engine.estimation.start`; False always starts EM at ``theta0``.
+
+    Returns
+    -------
+    EmResult
+        The estimate, the trace (K+1, n_theta), log-likelihoods, and how it ended in words.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
-    listed = as_series_list(series, model)
-    given, model = model, scaled(model, listed, theta0, free, resume)
+    all_series = as_series_list(series, model)
+    given, model = model, scaled(model, all_series, theta0, free, resume)
     expect = rbps_step(
         model,
-        listed,
+        all_series,
         n_particles,
         n_particles if n_trajectories is None else n_trajectories,
         proposal=proposal,
@@ -73,10 +116,10 @@ def rbps_em(
         recover=recover,
     )
     indices = model.free_indices(free)
-    ahead = WarmStart(model, listed, indices) if warm_start else None
+    start = WarmStart(model, all_series, indices) if warm_start else None
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
-    found = iterate(model, expect, loop, ahead, LikelihoodStep(model, listed))
-    note = f" {ahead.note}" if ahead is not None and ahead.note else ""
+    found = iterate(model, expect, loop, start, LikelihoodStep(model, all_series))
+    note = f" {start.note}" if start is not None and start.note else ""
     return replace(found, model=given, message=found.message + note)
 
 
@@ -92,21 +135,56 @@ def rts_em(
     m_step: str = "scoring",
     tolerance: float | None = 1e-6,
 ) -> EmResult:
-    """Exact EM for linear Gaussian models (RTS-EM of the paper, section V); no random numbers.
+    """Estimate a linear Gaussian model by exact EM (RTS-EM of the paper, section V).
 
-    Raises ModelError where the model is not linear Gaussian.
+    There are no random numbers.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    theta0 : Theta, mapping, array or None
+        Start values: all as (n_theta,), some by name, or None for the model's defaults.
+    free : sequence of str, optional
+        Names of the parameters to estimate; all by default.
+    n_iterations : int
+        Iterations at most.
+    callback : callable, optional
+        Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
+    resume : Checkpoint or EmResult, optional
+        Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
+    m_step : str
+        ``scoring`` or ``bfgs``.
+    tolerance : float, optional
+        Of the convergence rule in :mod:`engine.estimation.convergence`; None uses all iterations.
+
+    Returns
+    -------
+    EmResult
+        The estimate, the trace (K+1, n_theta), log-likelihoods, and how it ended in words.
+
+    Raises
+    ------
+    ModelError
+        The model is not linear Gaussian.
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
     """
-    listed = as_series_list(series, model)
-    given, model = model, scaled(model, listed, theta0, free, resume)
+    all_series = as_series_list(series, model)
+    given, model = model, scaled(model, all_series, theta0, free, resume)
     loop = Loop(theta0, free, n_iterations, 0, callback, resume, m_step, tolerance)
-    likelihood = LikelihoodStep(model, listed, "the exact", worth=1e-8)
-    found = iterate(model, rts_step(model, listed), loop, likelihood=likelihood)
+    likelihood = LikelihoodStep(model, all_series, "the exact", worth=1e-8)
+    found = iterate(model, rts_step(model, all_series), loop, likelihood=likelihood)
     return replace(found, model=given)
 
 
 def scaled(
     model: MixedModel,
-    listed: Sequence[Series],
+    all_series: Sequence[Series],
     theta0: ThetaLike,
     free: Sequence[str] | None,
     resume: Checkpoint | EmResult | None,
@@ -115,4 +193,4 @@ def scaled(
     start = model.theta(theta0) if resume is None else resume.trace[0]
     if np.shape(start) != (len(model.parameters),):
         return model  # a checkpoint of another model; ``iterate`` says so
-    return with_scales(model, listed, start, model.free_indices(free))
+    return with_scales(model, all_series, start, model.free_indices(free))

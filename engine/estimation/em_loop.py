@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.errors import OptionError
+from engine.errors import OptionError, check_count
 from engine.estimation.convergence import WINDOW, has_settled
 from engine.estimation.e_steps import LOST_SHARE, EStep, Expect
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
@@ -23,7 +23,7 @@ from engine.estimation.expectation import parameter_scale
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.maximization import Objective, maximize
 from engine.estimation.outcome import Outcome
-from engine.estimation.start import FAR
+from engine.estimation.start import FAR_NATS
 from engine.statespace.base import BaseModel, Theta, ThetaLike
 
 Callback: TypeAlias = Callable[[Iteration], Any]
@@ -31,7 +31,7 @@ Callback: TypeAlias = Callable[[Iteration], Any]
 
 @dataclass(frozen=True)
 class Loop:
-    """What every EM is told: where it starts, what it moves, when it ends, who looks on.
+    """The options of every EM: start, free parameters, when it ends, and who sees each iteration.
 
     Fields as in :func:`engine.estimation.em.rbps_em`; ``resume`` comes before ``theta0``.
     """
@@ -50,20 +50,19 @@ def iterate(
     model: BaseModel,
     expect: Expect,
     loop: Loop,
-    ahead: Callable[[Theta], Theta | None] | None = None,
+    better_start: Callable[[Theta], Theta | None] | None = None,
     likelihood: LikelihoodStep | None = None,
 ) -> EmResult:
     """Algorithm 1 of the paper: E step, M step, settled?
 
-    ``ahead`` may name a point from which the first iteration leaves if that is far more likely;
+    ``better_start`` may name a point from which the first iteration leaves if that is far more likely;
     ``likelihood`` moves the parameters to which the Q-function is no guide.
     """
     n = loop.n_iterations
-    if int(n) != n or n < 1:
-        raise OptionError(f"n_iterations = {n}; a positive whole number is needed", "n_iterations")
+    check_count("n_iterations", n)
     indices = model.free_indices(loop.free)
     log = _Log(model, loop)
-    steps = _Steps(expect, indices, loop, ahead, likelihood)
+    steps = _Steps(expect, indices, loop, better_start, likelihood)
     outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
@@ -99,7 +98,7 @@ class _Expected:
 
 @dataclass(frozen=True, eq=False)
 class _Maximized:
-    """Theta_k and the E step before it; what the M step left from, and how it went."""
+    """theta_k with the E step before it, the point that the M step left from, and how it went."""
 
     theta: Theta
     seen: EStep
@@ -126,15 +125,17 @@ class _Steps:
     expect: Expect
     indices: NDArray[np.intp]
     loop: Loop
-    ahead: Callable[[Theta], Theta | None] | None
+    better_start: Callable[[Theta], Theta | None] | None
     likelihood: LikelihoodStep | None
 
     def e_step(self, k: int, theta: Theta) -> _Expected:
         """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point."""
         rng = np.random.default_rng(np.random.SeedSequence(self.loop.seed, spawn_key=(k,)))
         seen = self.expect(theta, rng)
-        if k == 1 and self.ahead is not None:
-            return _Expected(seen, *_more_likely(self.expect, self.ahead(theta), theta, seen, rng))
+        if k == 1 and self.better_start is not None:
+            return _Expected(
+                seen, *_more_likely(self.expect, self.better_start(theta), theta, seen, rng)
+            )
         return _Expected(seen, theta, seen)
 
     def m_step(self, expected: _Expected) -> _Maximized:
@@ -167,7 +168,7 @@ def _more_likely(
     if other is not None:
         there = expect(other, rng)
         gain = there.log_likelihood - step.log_likelihood
-        if np.isfinite(there.log_likelihood) and not gain < FAR:
+        if np.isfinite(there.log_likelihood) and not gain < FAR_NATS:
             return other, there
     return theta, step
 
@@ -200,15 +201,8 @@ class _Log:
                 "resume",
             )
         self.trace = [model.theta(row) for row in resume.trace]
-        self.rows = list(
-            zip(
-                resume.log_likelihood.tolist(),
-                resume.ess.tolist(),
-                resume.seconds.tolist(),
-                resume.collapsed.tolist(),
-                strict=True,
-            )
-        )
+        columns = (resume.log_likelihood, resume.ess, resume.seconds, resume.collapsed)
+        self.rows = list(zip(*(column.tolist() for column in columns), strict=True))
 
     @property
     def k(self) -> int:
@@ -236,11 +230,11 @@ class _Log:
 
     def result(self, names: tuple[str, ...], outcome: Outcome, last: _Maximized | None) -> EmResult:
         trace = np.array([np.asarray(row) for row in self.trace])
-        columns = np.array(self.rows).reshape(-1, 4).T
+        log_likelihood, ess, seconds, collapsed = np.array(self.rows).reshape(-1, 4).T
         theta = trace[-1]
         if outcome is Outcome.CONVERGED:
             theta = trace[-WINDOW:].mean(axis=0)
-        lost = columns[3][-WINDOW:].mean() if self.k else 0.0
+        lost = collapsed[-WINDOW:].mean() if self.k else 0.0
         if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
             outcome = Outcome.COLLAPSED
         message = outcome.value
@@ -260,15 +254,16 @@ class _Log:
                 f" Not estimated, as the likelihood does not depend on them here or cannot be had: "
                 f"{', '.join(stuck)}. Hold them fixed (free=), or start elsewhere."
             )
+        estimate = Theta(theta, self.model.parameter_names)
         return EmResult(
             self.model,
             names,
-            Theta(theta, self.model.parameter_names),
+            estimate,
             trace,
-            columns[0],
-            columns[1],
-            columns[2],
-            columns[3],
+            log_likelihood,
+            ess,
+            seconds,
+            collapsed,
             outcome,
             message,
             stuck,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Array, BaseModel, Theta
 from engine.views import Figures, figures, html, plots, tables
@@ -13,10 +11,22 @@ from engine.views import Figures, figures, html, plots, tables
 
 @dataclass(frozen=True)
 class Iteration:
-    """What the callback sees: iteration k of n, theta_k, and how the E step before it went.
+    """What the callback sees of one iteration of EM.
 
-    ``log_likelihood`` is that of the previous theta; ``ess`` the mean effective sample size;
-    ``collapsed`` the share of rows at which the filter had one particle left.
+    Attributes
+    ----------
+    k, n_iterations : int
+        This iteration, counted from 1, and how many there are at most.
+    theta : Theta
+        The parameters after it.
+    log_likelihood : float
+        Of the parameters before it, as its E step estimated it.
+    ess : float
+        Mean effective sample size of the filter.
+    seconds : float
+        What it took.
+    collapsed : float
+        Share of the rows at which the filter had one particle left.
     """
 
     k: int
@@ -30,7 +40,21 @@ class Iteration:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """All that resuming needs: trace (k+1, n_theta), log_likelihood, ess, seconds, collapsed (k,)."""
+    """All that resuming after k iterations needs.
+
+    Parameters
+    ----------
+    trace : array (k+1, n_theta)
+        The parameters, the start first.
+    log_likelihood : array (k,)
+        Of the parameters before each iteration.
+    ess : array (k,)
+        Mean effective sample sizes.
+    seconds : array (k,)
+        What each iteration took.
+    collapsed : array (k,)
+        Shares of the rows at which the filter had one particle left.
+    """
 
     trace: Array
     log_likelihood: Array
@@ -41,12 +65,32 @@ class Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class EmResult:
-    """The estimate and how it came about.
+    """The estimate and how it came about in K iterations.
 
-    ``theta`` the estimate; ``trace`` (K+1, n_theta) with the start first; ``log_likelihood`` (K,) of
-    trace[:K] as estimated by each E step; ``ess`` (K,); ``seconds`` (K,); ``collapsed`` (K,) share of
-    rows at which the filter collapsed; ``outcome``; ``message`` with the particulars;
-    ``not_estimated`` names the free parameters that nothing could move: they are where they started.
+    Attributes
+    ----------
+    model : MixedModel or NonlinearModel
+        The model.
+    free : tuple of str
+        The parameters that were estimated; the others kept their start.
+    theta : Theta
+        The estimate.
+    trace : array (K+1, n_theta)
+        The parameters, the start first.
+    log_likelihood : array (K,)
+        Of ``trace[:K]``, as each E step estimated it.
+    ess : array (K,)
+        Mean effective sample sizes.
+    seconds : array (K,)
+        What each iteration took.
+    collapsed : array (K,)
+        Shares of the rows at which the filter had one particle left.
+    outcome : Outcome
+        How it ended, and whether ``theta`` is an estimate.
+    message : str
+        The same in a sentence, with the particulars.
+    not_estimated : tuple of str
+        Free parameters that nothing could move: they are where they started.
     """
 
     model: BaseModel
@@ -72,16 +116,7 @@ class EmResult:
         ``intervals`` (n_theta, 2) are drawn as bands: ``standard_errors(...).interval()``. Needs the
         extra ``plot``.
         """
-        at = self.model.free_indices(self.free)
-        figure = plots().convergence(
-            {self.model.parameters[i].name: self.model.parameters[i].unit for i in at},
-            self.trace[:, at],
-            np.asarray(self.theta)[at],
-            self.log_likelihood,
-            self.ess,
-            None if intervals is None else intervals[at],
-        )
-        return figures(convergence=figure)
+        return figures(convergence=plots().convergence(self, intervals))
 
     def _repr_html_(self) -> str:
         rows = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,30 +17,11 @@ from engine.statespace.base import BaseModel
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta
 from engine.statespace.points import Points
 
-BLOCK = 2**17  # numbers in an array of points; what fits the cache keeps time linear in T
-FEW = 3  # time steps at which it is asked first whether a parameter is used
-STEP = 1e-5  # of a parameter's size, for differences of the model's functions
-TYPICAL = 0.05  # of the distance of its bounds: a parameter's size where nothing else is known
-
-
-class Term(Protocol):
-    """A summand of the Q-function."""
-
-    def value(self, record: Any, rank: int | None = None) -> float:
-        """The summand at theta."""
-
-    def rank(self, record: Any) -> int:
-        """Number of directions with noise."""
-
-    def derivatives(
-        self, record: Any, neighbours: list[tuple[Any, Any, float]]
-    ) -> tuple[float, Array, Array]:
-        """Value, gradient and scoring matrix along the parameters given by their neighbours."""
-
-    def moves_noise_free(
-        self, record: Any, neighbours: list[tuple[Any, Any, float]]
-    ) -> NDArray[np.bool_]:
-        """Which of these parameters move what has no noise."""
+BLOCK_NUMBERS = 2**17  # numbers in an array of points; what fits the cache keeps time linear in T
+FEW_ROWS = 3  # time steps at which it is asked first whether a parameter is used
+STEP_SHARE = 1e-5  # of a parameter's size, for differences of the model's functions
+# Of the distance of its bounds: a parameter's size where nothing else is known.
+TYPICAL_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +82,7 @@ class QFunction:
         return out
 
     def _neighbours(self, theta: Array, k: int) -> tuple[Any, Any, float]:
-        step = STEP * parameter_scale(self.model, theta, k)
-        below, above = np.array(theta), np.array(theta)
-        below[k] = max(theta[k] - step, self.model.lower[k])
-        above[k] = min(theta[k] + step, self.model.upper[k])
+        below, above = either_side(self.model, theta, k, STEP_SHARE)
         return self.model.record(below), self.model.record(above), float(above[k] - below[k])
 
 
@@ -119,7 +97,16 @@ def parameter_scale(model: BaseModel, theta: Array, k: int) -> float:
     if size > 0.0:
         return size
     width = float(model.upper[k] - model.lower[k])
-    return TYPICAL * width if np.isfinite(width) else 1.0
+    return TYPICAL_SHARE * width if np.isfinite(width) else 1.0
+
+
+def either_side(model: BaseModel, theta: Array, k: int, share: float) -> tuple[Array, Array]:
+    """Theta with parameter k less and more by a ``share`` of its size, within its bounds."""
+    step = share * parameter_scale(model, theta, k)
+    below, above = np.array(theta), np.array(theta)
+    below[k] = max(theta[k] - step, model.lower[k])
+    above[k] = min(theta[k] + step, model.upper[k])
+    return below, above
 
 
 def expectation(
@@ -166,8 +153,8 @@ def dynamics_terms(model: MixedModel, s: Smoothed | Moments, points: Points) -> 
 
 
 def blocks(rows: NDArray[np.intp], width: int) -> list[NDArray[np.intp]]:
-    """Rows in parts of about BLOCK numbers each, ``width`` numbers per row."""
-    return np.array_split(rows, -(-len(rows) * width // BLOCK)) if len(rows) else []
+    """Rows in parts of about BLOCK_NUMBERS numbers each, ``width`` numbers per row."""
+    return np.array_split(rows, -(-len(rows) * width // BLOCK_NUMBERS)) if len(rows) else []
 
 
 def measurement_terms(
@@ -296,6 +283,9 @@ class DensityTerm:
         return self.value(record), scores.mean(axis=1), scores @ scores.T / len(self.a1)
 
 
+Term = GaussianTerm | DensityTerm  # a summand of the Q-function
+
+
 class _Forbidden:
     """Stands in for a parameter's value; any use of it raises."""
 
@@ -327,7 +317,7 @@ def dependence(model: MixedModel, theta: Theta, points: Points) -> list[NDArray[
         if not function.takes(*every, record):
             masks.append(np.ones(len(model.parameters), dtype=bool))
             continue
-        few = points.arguments(np.unique(np.linspace(0, n - 1, FEW).astype(int)), transition)
+        few = points.arguments(np.unique(np.linspace(0, n - 1, FEW_ROWS).astype(int)), transition)
         masks.append(
             _used(partial(function.once, *few), partial(function.once, *every), model, theta)
         )

@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.estimation.e_steps import LOST_SHARE, RETRIES, EStep, Expect
-from engine.estimation.expectation import STEP, parameter_scale
-from engine.filters.rbpf import check_options
-from engine.smoothers.general import check_rows, filter_general, smooth_general
+from engine.estimation.expectation import STEP_SHARE, either_side
 from engine.statespace.base import Array, Theta
 from engine.statespace.general import NonlinearModel
 
@@ -40,10 +37,7 @@ class TrajectoryQ:
         gradient, H = np.zeros(len(free)), np.zeros((len(free), len(free)))
         slopes = []
         for k in free:
-            step = STEP * parameter_scale(self.model, theta, int(k))
-            below, above = np.array(theta), np.array(theta)
-            below[k] = max(theta[k] - step, self.model.lower[k])
-            above[k] = min(theta[k] + step, self.model.upper[k])
+            below, above = either_side(self.model, theta, int(k), STEP_SHARE)
             pair = (self._log_densities(self.model.record(end)) for end in (below, above))
             slopes.append([(b - a) / (above[k] - below[k]) for a, b in zip(*pair, strict=True)])
         for part in zip(*slopes, strict=True):
@@ -85,38 +79,10 @@ def log_outputs(model: NonlinearModel, series: Series, x: Array, record: Any) ->
     return log_p.reshape(len(rows), N)
 
 
-def general_step(
-    model: NonlinearModel,
-    listed: Sequence[Series],
-    n_particles: int,
-    n_trajectories: int,
-    *,
-    resampling: str = "systematic",
-    ess_threshold: float = 0.5,
-    recover: bool = True,
-) -> Expect:
-    """The E step of PS-EM for general models; options as in :func:`engine.estimation.ps_em.ps_em`."""
-    check_options(n_particles, resampling, ess_threshold)
-    check_options(n_trajectories, resampling, ess_threshold)
-    for one in listed:
-        check_rows(one)
-
-    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
-        draws, log_likelihood, ess, lost = [], 0.0, 0.0, 0
-        for one in listed:
-            for times in (1, *RETRIES) if recover else (1,):
-                filtered = filter_general(
-                    model, theta, one, times * n_particles, rng, resampling, ess_threshold
-                )
-                if len(filtered.collapsed) <= LOST_SHARE * len(one):
-                    break
-            draws.append((one, smooth_general(filtered, n_trajectories, rng)))
-            log_likelihood += filtered.log_likelihood
-            ess += float(filtered.ess.sum())
-            lost += len(filtered.collapsed)
-        n = sum(map(len, listed))
-        model.transitions.look_again()
-        model.observations.look_again()
-        return EStep(TrajectoryQ(model, draws), log_likelihood, ess / n, lost / n)
-
-    return expect
+def trajectory_q(
+    model: NonlinearModel, theta: Theta, draws: Sequence[tuple[Series, Array]]
+) -> TrajectoryQ:
+    """The Q-function of trajectories drawn at theta."""
+    model.transitions.look_again()
+    model.observations.look_again()
+    return TrajectoryQ(model, draws)

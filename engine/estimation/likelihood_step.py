@@ -20,7 +20,7 @@ from engine.errors import ModelError
 from engine.estimation.quasi_ml import derivatives, quasi_ml
 from engine.statespace.model import Array, MixedModel, Theta
 
-STEPS = 10  # at most; near the maximum it is one, or none
+LIKELIHOOD_STEPS = 10  # at most; near the maximum it is one, or none
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class LikelihoodStep:
     """
 
     model: MixedModel
-    listed: Sequence[Series]
+    all_series: Sequence[Series]
     whose: str = "the moment filter's"
     worth: float = 1e-4
 
@@ -43,7 +43,9 @@ class LikelihoodStep:
         """
         names = [self.model.parameter_names[k] for k in indices]
         try:
-            found = quasi_ml(self.model, self.listed, theta, names, STEPS, self.worth)
+            found = quasi_ml(
+                self.model, self.all_series, theta, names, LIKELIHOOD_STEPS, self.worth
+            )
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)
@@ -51,7 +53,7 @@ class LikelihoodStep:
     def score(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Array, Array]:
         """Gradient (n,) and information (n, n) in the parameters ``indices``. Raises ModelError."""
         value, gradient, information = derivatives(
-            self.model, self.listed, np.asarray(theta), indices
+            self.model, self.all_series, np.asarray(theta), indices
         )
         if not np.isfinite(value):
             names = ", ".join(self.model.parameter_names[k] for k in indices)

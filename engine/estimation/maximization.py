@@ -13,10 +13,11 @@ from engine.estimation.expectation import parameter_scale
 from engine.statespace.base import Array, BaseModel
 from engine.statespace.refutation import repeated_if_refuted
 
-STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
-GAIN = 1e-7  # an expected gain in Q (nats) below this is not worth a step
-LAST = 1e-2  # after a full step with an expected gain below this, what is left is not worth another
-RIDGE = 1e-10  # of the scaled scoring matrix, for parameters the data say nothing about
+SCORING_STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
+GAIN_NATS = 1e-7  # an expected gain in Q (nats) below this is not worth a step
+# After a full step with an expected gain below this, what is left is not worth another.
+LAST_NATS = 1e-2
+SCALED_RIDGE = 1e-10  # of the scaled scoring matrix, for parameters the data say nothing about
 
 
 class Objective(Protocol):
@@ -52,18 +53,14 @@ def maximize(q: Objective, theta: Array, free: NDArray[np.intp], method: str = "
 
 def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
     lower, upper = q.model.lower[free], q.model.upper[free]
-    for _ in range(STEPS):
+    for _ in range(SCORING_STEPS):
         value, g, H = q.derivatives(theta, free)
         if not (np.isfinite(value) and np.isfinite(g).all() and np.isfinite(H).all()):
             return theta
         x = theta[free]
-        moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
-        if not moving.any():
-            return theta
-        direction = np.zeros_like(x)
-        direction[moving] = _solve(H[np.ix_(moving, moving)], g[moving])
+        direction = scoring_step(x, g, H, lower, upper, SCALED_RIDGE)
         expected = float(g @ direction)
-        if not expected > GAIN:
+        if not expected > GAIN_NATS:
             return theta
         step = 1.0
         while step > 1e-4:
@@ -75,17 +72,21 @@ def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:
         else:
             return theta
         theta = trial
-        if step == 1.0 and expected < LAST:
+        if step == 1.0 and expected < LAST_NATS:
             return theta
     return theta
 
 
-def _solve(H: Array, g: Array) -> Array:
-    """H^{-1} g with H scaled to a unit diagonal and slightly ridged."""
-    scale = 1.0 / np.sqrt(np.diag(H))
-    scaled = H * scale[:, None] * scale[None, :]
-    scaled[np.diag_indices_from(scaled)] += RIDGE
-    return np.asarray(np.linalg.solve(scaled, g * scale) * scale)
+def scoring_step(x: Array, g: Array, H: Array, lower: Array, upper: Array, ridge: float) -> Array:
+    """H^{-1} g in the parameters that are not held at a bound, H scaled to a unit diagonal and ridged."""
+    moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
+    direction = np.zeros_like(x)
+    if moving.any():
+        H = H[np.ix_(moving, moving)]
+        scale = 1.0 / np.sqrt(np.diag(H))
+        scaled = H * scale[:, None] * scale[None, :] + ridge * np.eye(len(scale))
+        direction[moving] = np.linalg.solve(scaled, g[moving] * scale) * scale
+    return direction
 
 
 def _bfgs(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:

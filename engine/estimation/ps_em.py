@@ -8,23 +8,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from engine.data.series import Series, as_series_list
 from engine.errors import OptionError
-from engine.estimation.e_steps import LOST_SHARE, RETRIES, EStep, Expect
+from engine.estimation.e_steps import ParticleStep
 from engine.estimation.em import Checkpoint, EmResult, scaled
 from engine.estimation.em_loop import Callback, Loop, iterate
 from engine.estimation.expectation import expectation
-from engine.estimation.general_em import general_step
+from engine.estimation.general_em import trajectory_q
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.filters.particle import ParticleFiltered, particle_filter
 from engine.filters.proposals import Proposal, get_proposal
 from engine.filters.rbpf import check_options
 from engine.smoothers.ffbsi import ffbsi
+from engine.smoothers.general import (
+    GeneralFiltered,
+    check_rows,
+    filter_general,
+    smooth_general,
+)
+from engine.smoothers.moments import Moments
 from engine.statespace.general import NonlinearModel
-from engine.statespace.model import MixedModel, Theta, ThetaLike
+from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.points import Points
 
 
@@ -49,81 +58,94 @@ def ps_em(
 ) -> EmResult:
     """Estimate theta by EM with the bootstrap PF and FFBSi on x = (a, z); paper, section V.
 
-    The Q-function is that of paper, eqs. (8)-(19), with the drawn states in place of moments, P = 0
-    and M = 0. Arguments, result and errors as in :func:`engine.estimation.em.rbps_em`; ``recover=False`` is
-    the paper's method to the letter, which goes on with a filter that has collapsed. ``m_step`` is
-    "scoring" by default for mixed models, "bfgs" for general ones, which know no ``proposal`` but
-    the bootstrap's.
+    The Q-function is that of paper, eqs. (8)-(19), with the drawn states in place of moments, P = 0 and M = 0.
+
+    Parameters
+    ----------
+    model : MixedModel or NonlinearModel
+        A mixed model, paper, eq. (1), or a general one, poster, eq. (1).
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    theta0 : Theta, mapping, array or None
+        Start values: all as (n_theta,), some by name, or None for the model's defaults.
+    free : sequence of str, optional
+        Names of the parameters to estimate; all by default.
+    n_particles : int
+        Number of particles M.
+    n_trajectories : int, optional
+        Number of trajectories N; as many as particles by default.
+    n_iterations : int
+        Iterations at most.
+    seed : int
+        The same seed gives the same bits.
+    callback : callable, optional
+        Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
+    resume : Checkpoint or EmResult, optional
+        Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
+    proposal : str or callable
+        As for :func:`rbps_em`; general models know no other than ``bootstrap``.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+    recover : bool
+        Run a filter that collapsed again with more particles (the papers do not).
+    m_step : str, optional
+        ``scoring`` or ``bfgs``; the first by default for mixed models, the second for general ones.
+    tolerance : float, optional
+        Of the convergence rule in :mod:`engine.estimation.convergence`; None uses all iterations.
+
+    Returns
+    -------
+    EmResult
+        The estimate, the trace (K+1, n_theta), log-likelihoods, and how it ended in words.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
-    listed = as_series_list(series, model)
-    n_trajectories = n_particles if n_trajectories is None else n_trajectories
+    all_series = as_series_list(series, model)
+    N = n_particles if n_trajectories is None else n_trajectories
+    check_options(n_particles, resampling, ess_threshold)
     given, likelihood = model, None
+    run: Any
+    smooth: Any
+    objective: Any
+    options: dict[str, Any] = {"resampling": resampling, "ess_threshold": ess_threshold}
     if isinstance(model, NonlinearModel):
         if proposal != "bootstrap":
             raise OptionError("a general model is filtered with proposal='bootstrap'", "proposal")
-        expect = general_step(
-            model,
-            listed,
-            n_particles,
-            n_trajectories,
-            resampling=resampling,
-            ess_threshold=ess_threshold,
-            recover=recover,
-        )
-        m_step = m_step or "bfgs"
+        check_options(N, resampling, ess_threshold)
+        for one in all_series:
+            check_rows(one)
+        run, smooth = partial(filter_general, model, **options), partial(_trajectories, N)
+        objective = partial(trajectory_q, model)
     else:
-        model = scaled(model, listed, theta0, free, resume)
-        likelihood = LikelihoodStep(model, listed)
-        expect = ps_step(
-            model,
-            listed,
-            n_particles,
-            n_trajectories,
-            proposal=proposal,
-            resampling=resampling,
-            ess_threshold=ess_threshold,
-            recover=recover,
-        )
-    chosen = m_step or "scoring"
+        get_proposal(proposal)
+        model = scaled(model, all_series, theta0, free, resume)
+        likelihood = LikelihoodStep(model, all_series)
+        run = partial(particle_filter, model, proposal=proposal, **options)
+        smooth, objective = partial(_draws, N), partial(expectation, model)
+    expect = ParticleStep(all_series, run, smooth, objective, n_particles, recover)
+    chosen = m_step or ("scoring" if likelihood else "bfgs")
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)
     found = iterate(model, expect, loop, likelihood=likelihood)
     return replace(found, model=given)
 
 
-def ps_step(
-    model: MixedModel,
-    listed: Sequence[Series],
-    n_particles: int,
-    n_trajectories: int,
-    *,
-    proposal: str | Proposal = "bootstrap",
-    resampling: str = "multinomial",
-    ess_threshold: float = 1.0,
-    recover: bool = True,
-) -> Expect:
-    """Particle filter and FFBSi over every series; options as in :func:`ps_em`."""
-    check_options(n_particles, resampling, ess_threshold)
-    get_proposal(proposal)
+def _trajectories(
+    N: int, filtered: GeneralFiltered, series: Series, rng: np.random.Generator
+) -> tuple[Series, Array]:
+    return series, smooth_general(filtered, N, rng)
 
-    def run_filter(theta: Theta, one: Series, rng: np.random.Generator) -> ParticleFiltered:
-        for times in (1, *RETRIES) if recover else (1,):
-            filtered = particle_filter(
-                model, theta, one, times * n_particles, rng, proposal, resampling, ess_threshold
-            )
-            if len(filtered.collapsed) <= LOST_SHARE * len(one):
-                break
-        return filtered
 
-    def expect(theta: Theta, rng: np.random.Generator) -> EStep:
-        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
-        for one in listed:
-            filtered = run_filter(theta, one, rng)
-            draws = ffbsi(filtered, n_trajectories, rng)
-            smoothed.append((draws.moments, Points(model, one, draws.a)))
-            log_likelihood += filtered.log_likelihood
-            ess += float(filtered.ess.sum())
-            lost += len(filtered.collapsed)
-        n = sum(map(len, listed))
-        return EStep(expectation(model, theta, smoothed), log_likelihood, ess / n, lost / n)
-
-    return expect
+def _draws(
+    N: int, filtered: ParticleFiltered, series: Series, rng: np.random.Generator
+) -> tuple[Moments, Points]:
+    draws = ffbsi(filtered, N, rng)
+    return draws.moments, Points(filtered.model, series, draws.a)

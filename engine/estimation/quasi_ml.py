@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series, as_series_list
 from engine.errors import ModelError
-from engine.estimation.expectation import parameter_scale
+from engine.estimation.expectation import either_side, parameter_scale
+from engine.estimation.maximization import scoring_step
 from engine.filters.sigma_point import free_thetas, moment_filter
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
@@ -69,6 +70,11 @@ class QuasiFit:
         """Of the free parameters (n,), from the information; inf where there is none."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
+    def log_terms(self, series: Series) -> Array:
+        """One-step predictive log-densities (T,) of a series under the fitted model."""
+        thetas = np.asarray(self.theta)[None]
+        return np.asarray(moment_filter(self.model, thetas, series).log_terms[:, 0])
+
 
 @repeated_if_refuted
 def quasi_ml(
@@ -86,15 +92,15 @@ def quasi_ml(
     where even twice what is expected would not reach ``target``; then ``given_up`` is True.
     Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     theta = np.asarray(model.theta(theta0))
     indices = model.free_indices(free)
-    for one in listed:
+    for one in all_series:
         check_start(model, theta, one)
-    given, model = model, with_scales(model, listed, theta, indices)
+    given, model = model, with_scales(model, all_series, theta, indices)
     names = tuple(model.parameter_names[i] for i in indices)
     lower, upper = model.lower[indices], model.upper[indices]
-    value, g, H = derivatives(model, listed, theta, indices)
+    value, g, H = derivatives(model, all_series, theta, indices)
     if not np.isfinite(value):
         raise ModelError(
             f"model '{model.name}': the likelihood is not finite at the start values; choose others"
@@ -103,7 +109,7 @@ def quasi_ml(
     while iterations < max_iterations:
         iterations += 1
         x = theta[indices]
-        direction = _direction(x, g, H, lower, upper, damping)
+        direction = scoring_step(x, g, H, lower, upper, damping)
         expected = float(g @ direction)
         if not expected > tolerance:
             converged = True
@@ -111,7 +117,7 @@ def quasi_ml(
         if iterations > PATIENCE and value + expected < target:
             given_up = True
             break
-        moved, there = _step(model, listed, theta, indices, direction, value, expected)
+        moved, there = _step(model, all_series, theta, indices, direction, value, expected)
         if moved is None:
             if damping > 1.0:
                 break
@@ -125,20 +131,12 @@ def quasi_ml(
         if gained < 0.1 * tolerance:
             converged = True
             break
-    return QuasiFit(
-        given,
-        Theta(theta, model.parameter_names),
-        float(value),
-        names,
-        H,
-        iterations,
-        converged,
-        given_up,
-    )
+    best = Theta(theta, model.parameter_names)
+    return QuasiFit(given, best, float(value), names, H, iterations, converged, given_up)
 
 
 def with_scales(
-    model: MixedModel, listed: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+    model: MixedModel, all_series: Sequence[Series], theta: Array, indices: NDArray[np.intp]
 ) -> MixedModel:
     """The model with a ``scale`` for each parameter of ``indices`` whose default is 0 and that has none.
 
@@ -148,23 +146,24 @@ def with_scales(
     parameters = list(model.parameters)
     unknown = [k for k in indices if parameters[k].default == parameters[k].scale == 0.0]
     for k in unknown:
-        scale = abs(float(theta[k])) or _informed_scale(model, listed, np.asarray(theta), int(k))
+        scale = abs(float(theta[k])) or _informed_scale(
+            model, all_series, np.asarray(theta), int(k)
+        )
         scale = scale or parameter_scale(model, theta, k)
         parameters[k] = replace(parameters[k], scale=scale)
     return model.with_parameters(parameters) if unknown else model
 
 
-def _informed_scale(model: MixedModel, listed: Sequence[Series], theta: Array, k: int) -> float:
+def _informed_scale(model: MixedModel, all_series: Sequence[Series], theta: Array, k: int) -> float:
     """1 / sqrt(information of one reading) on parameter k; 0 where there is none."""
-    scale, n = 1.0, sum(int(one.observed.sum()) for one in listed)
-    for _ in range(
-        TRIALS
-    ):  # differences over steps of a wrong size are lost in rounding, or too long
+    scale, n = 1.0, sum(int(one.observed.sum()) for one in all_series)
+    # differences over steps of a wrong size are lost in rounding, or too long
+    for _ in range(TRIALS):
         parameters = list(model.parameters)
         parameters[k] = replace(parameters[k], scale=scale)
         tried = model.with_parameters(parameters)
         try:
-            value, _, H = derivatives(tried, listed, theta, np.array([k]))
+            value, _, H = derivatives(tried, all_series, theta, np.array([k]))
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return 0.0
         if not np.isfinite(value):
@@ -179,7 +178,7 @@ def _informed_scale(model: MixedModel, listed: Sequence[Series], theta: Array, k
 
 def _step(
     model: MixedModel,
-    listed: Sequence[Series],
+    all_series: Sequence[Series],
     theta: Array,
     indices: NDArray[np.intp],
     direction: Array,
@@ -194,22 +193,22 @@ def _step(
     lower, upper = model.lower[indices], model.upper[indices]
     trials = np.clip(theta[indices] + TRIES[:, None] * direction, lower, upper)
     moved = free_thetas(theta, indices, trials[:1])[0]
-    there = derivatives(model, listed, moved, indices)
+    there = derivatives(model, all_series, moved, indices)
     if there[0] > value + GOOD * expected:
         return moved, there
-    values = log_likelihoods(model, listed, free_thetas(theta, indices, trials[1:]))
+    values = log_likelihoods(model, all_series, free_thetas(theta, indices, trials[1:]))
     best = 1 + int(np.argmax(values))
     if there[0] > value and not values[best - 1] > there[0]:
         return moved, there
     if not values[best - 1] > value:
         return None, there
     moved = free_thetas(theta, indices, trials[best : best + 1])[0]
-    return moved, derivatives(model, listed, moved, indices)
+    return moved, derivatives(model, all_series, moved, indices)
 
 
-def log_likelihoods(model: MixedModel, listed: Sequence[Series], thetas: Array) -> Array:
+def log_likelihoods(model: MixedModel, all_series: Sequence[Series], thetas: Array) -> Array:
     """Log-likelihood of all series together at each of the parameter vectors (K, n_theta)."""
-    each = [moment_filter(model, thetas, one).log_likelihood for one in listed]
+    each = [moment_filter(model, thetas, one).log_likelihood for one in all_series]
     return np.asarray(np.sum(each, axis=0))
 
 
@@ -218,31 +217,27 @@ def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tu
     thetas = [np.array(theta)]
     distances = []
     for k in indices:
-        step = DIFFERENCE * parameter_scale(model, theta, k)
-        low, high = np.array(theta), np.array(theta)
-        low[k] = max(theta[k] - step, model.lower[k])
-        high[k] = min(theta[k] + step, model.upper[k])
+        low, high = either_side(model, theta, k, DIFFERENCE)
         thetas += [low, high]
         distances.append(high[k] - low[k])
     return np.array(thetas), np.array(distances)
 
 
 def derivatives(
-    model: MixedModel, listed: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+    model: MixedModel, all_series: Sequence[Series], theta: Array, indices: NDArray[np.intp]
 ) -> tuple[float, Array, Array]:
     """Log-likelihood, gradient (n,) and information (n, n) in the free parameters."""
     thetas, distances = neighbours(model, theta, indices)
     n = len(indices)
     value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
-    for one in listed:
+    for one in all_series:
         f = moment_filter(model, thetas, one)
         total = f.log_likelihood
         value += float(total[0])
         if not np.isfinite(value):
             return -np.inf, g, H
-        with np.errstate(
-            invalid="ignore", over="ignore"
-        ):  # a lost neighbour: the value is -inf below
+        # a lost neighbour: the value is -inf below
+        with np.errstate(invalid="ignore", over="ignore"):
             g += (total[2::2] - total[1::2]) / distances
             d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
             d_S = f.S[:, 2::2] - f.S[:, 1::2]
@@ -266,15 +261,3 @@ def whitening(S: Array, observed: NDArray[np.bool_]) -> Array:
     inverse = np.linalg.inv(np.linalg.cholesky(safe))
     out: Array = np.where(there, inverse, 0.0)
     return out
-
-
-def _direction(x: Array, g: Array, H: Array, lower: Array, upper: Array, damping: float) -> Array:
-    """A damped scoring step in the parameters that are not held at a bound."""
-    moving = ~(((x <= lower) & (g < 0.0)) | ((x >= upper) & (g > 0.0)) | (np.diag(H) <= 0.0))
-    direction = np.zeros_like(x)
-    if moving.any():
-        H = H[np.ix_(moving, moving)]
-        scale = 1.0 / np.sqrt(np.diag(H))
-        scaled = H * scale[:, None] * scale[None, :] + damping * np.eye(len(scale))
-        direction[moving] = np.linalg.solve(scaled, g[moving] * scale) * scale
-    return direction

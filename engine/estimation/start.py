@@ -19,27 +19,27 @@ from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta
 
-ROWS = 2000  # of each series, at most, are searched
+SEARCHED_ROWS = 2000  # of each series, at most, are searched
 CANDIDATES = 96  # points around the start values ...
-REACH = 2.0  # ... this many sizes of each parameter away at most, within its bounds
-FAR = 20.0  # EM leaves from theta0 unless it is less likely than the maximum by this much
-BEST = 4  # of the candidates are improved, besides the start values themselves,
-SHORT = 6  # iterations each; the best of them is then followed to its maximum
+REACH_SIZES = 2.0  # ... this many sizes of each parameter away at most, within its bounds
+FAR_NATS = 20.0  # EM leaves from theta0 unless it is less likely than the maximum by this much
+IMPROVED_CANDIDATES = 4  # of the candidates are improved, besides the start values themselves,
+SHORT_ITERATIONS = 6  # iterations each; the best of them is then followed to its maximum
 
 
 class WarmStart:
     """:func:`moment_maximum` for a theta; ``note`` says why where it found nothing."""
 
     def __init__(
-        self, model: MixedModel, listed: Sequence[Series], indices: NDArray[np.intp]
+        self, model: MixedModel, all_series: Sequence[Series], indices: NDArray[np.intp]
     ) -> None:
-        self.model, self.listed, self.indices = model, listed, indices
+        self.model, self.all_series, self.indices = model, all_series, indices
         self.note = ""
 
     def __call__(self, theta: Theta) -> Theta | None:
         """The most likely parameters found, or None with a ``note``."""
         try:
-            return moment_maximum(self.model, self.listed, self.indices, theta)
+            return moment_maximum(self.model, self.all_series, self.indices, theta)
         except (ModelError, np.linalg.LinAlgError) as error:
             self.note = (
                 f"EM left from the start values; no better start could be looked for: {error}"
@@ -48,39 +48,37 @@ class WarmStart:
 
 
 def moment_maximum(
-    model: MixedModel, listed: Sequence[Series], indices: NDArray[np.intp], theta: Theta
+    model: MixedModel, all_series: Sequence[Series], indices: NDArray[np.intp], theta: Theta
 ) -> Theta:
     """The most likely parameters found. Raises ModelError where the moment filter cannot follow the model.
 
     Deterministic: the candidates are always the same for the same start.
     """
-    listed = [_head(series) for series in listed]
+    all_series = [
+        one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
+    ]
     names = [model.parameter_names[k] for k in indices]
     candidates = free_thetas(theta, indices, _around(model, theta, indices))
-    values = log_likelihoods(model, listed, candidates)
+    values = log_likelihoods(model, all_series, candidates)
     order = np.argsort(values)[::-1]
     found = []
     lost: Exception | None = None
-    for start in (np.asarray(theta), *candidates[order[:BEST]]):
+    for start in (np.asarray(theta), *candidates[order[:IMPROVED_CANDIDATES]]):
         try:
-            found.append(quasi_ml(model, listed, start, names, SHORT))
+            found.append(quasi_ml(model, all_series, start, names, SHORT_ITERATIONS))
         except (ModelError, np.linalg.LinAlgError) as error:
             lost = lost or error
     if not found and lost is not None:
         raise lost
     best = max(found, key=lambda fit: fit.log_likelihood)
-    return best.theta if best.converged else quasi_ml(model, listed, best.theta, names).theta
+    return best.theta if best.converged else quasi_ml(model, all_series, best.theta, names).theta
 
 
 def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array:
     """Points (CANDIDATES, n) spread evenly over a box around theta."""
     x = np.asarray(theta)[indices]
-    reach = REACH * np.array([parameter_scale(model, theta, k) for k in indices])
+    reach = REACH_SIZES * np.array([parameter_scale(model, theta, k) for k in indices])
     low: Array = np.maximum(x - reach, model.lower[indices])
     high: Array = np.minimum(x + reach, model.upper[indices])
     share: Array = np.random.default_rng(0).random((CANDIDATES, len(indices)))
     return low + share * (high - low)
-
-
-def _head(series: Series) -> Series:
-    return series if len(series) <= ROWS else series.part(0, ROWS)

@@ -24,7 +24,8 @@ from scipy.special import gammainccinv, gammaincinv, ndtr, ndtri
 from engine.errors import OptionError
 from engine.filters.proposals import Step
 from engine.filters.scale_mixture_proposal import MixingProposal
-from engine.statespace.model import Array, Density, Gaussian, MixedModel, Parameter
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.promotion import product
 
 LARGEST = 23.0  # of log s: noise a hundred thousand times as large is as good as no measurement
 FAR = 8.0  # |g| beyond which s is held constant; it is never drawn
@@ -51,11 +52,32 @@ def with_student_t(
     channels: Sequence[str] | None = None,
     name: str = "nu",
 ) -> MixedModel:
-    """The model with Student-t noise e ("measurement") or w ("dynamics") of ``nu`` degrees of freedom.
+    """The model with Student-t noise.
 
-    R (or Q) is its scale matrix, the covariance over nu / (nu - 2). ``channels`` names the outputs
-    (or states) that share the factor s_t; the default is all. ``name`` is that of the new parameter;
-    the new state is ``g_<name>``. Raises OptionError.
+    R (or Q) is the scale matrix of the noise, which is its covariance over nu / (nu - 2).
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    where : str
+        ``measurement`` (e) or ``dynamics`` (w).
+    nu_default : float
+        Default degrees of freedom.
+    channels : sequence of str, optional
+        Outputs, or states, that share the random factor of their noise; all by default.
+    name : str
+        Of the new parameter and, as ``g_<name>``, of the new state.
+
+    Returns
+    -------
+    MixedModel
+        The extended model.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
     """
     tail = 1.0 - 0.5 ** np.arange(3, TAIL + 1)
     edges = np.concatenate([[0.0, 0.1, 0.25, 0.5, 0.75], tail, [1.0]])
@@ -76,10 +98,32 @@ def with_mixture(
     channels: Sequence[str] | None = None,
     name: str = "outlier",
 ) -> MixedModel:
-    """The model with a share of outliers in e ("measurement") or w ("dynamics").
+    """The model with a share of outliers in its noise.
 
-    With probability ``<name>_share`` the standard deviation is ``<name>_ratio`` times as large.
-    ``channels`` as in :func:`with_student_t`. Raises OptionError.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    where : str
+        ``measurement`` (e) or ``dynamics`` (w).
+    share_default : float
+        Default of ``<name>_share``, the probability of an outlier.
+    ratio_default : float
+        Default of ``<name>_ratio``, the outliers' standard deviation over the usual one.
+    channels : sequence of str, optional
+        Outputs, or states, that share the random factor of their noise; all by default.
+    name : str
+        Of the new parameters and, as ``g_<name>``, of the new state.
+
+    Returns
+    -------
+    MixedModel
+        The extended model.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
     """
     mixing = Mixing(
         (
@@ -161,7 +205,8 @@ def _with_mixing(
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         start = model.start(model.record(theta[:n]))
-        density = _with_g(start.density, mixing.mean(theta[n:]), na)
+        mean = float(mixing.mean(theta[n:]))
+        density = product(start.density, lambda a: (np.full((len(a), 1), mean), np.eye(1)), na)
         z1, P1 = start.z1, start.P1
         return (
             density,
@@ -216,30 +261,3 @@ class Scaled:
             self.mask,
             self.scales,
         )(step)
-
-
-@dataclass(frozen=True)
-class _Independent:
-    """p(a) N(g; mean, 1) for a density of a that is not Gaussian."""
-
-    density: Density
-    mean: float
-    na: int
-
-    def sample(self, rng: np.random.Generator, n: int) -> Array:
-        """Draw (n, na + 1)."""
-        a = np.asarray(self.density.sample(rng, n), dtype=float)
-        return np.concatenate([a, self.mean + rng.standard_normal((n, 1))], axis=1)
-
-    def log_density(self, a: Array) -> Array:
-        """Evaluate at a (M, na + 1) -> (M,)."""
-        log_g = -0.5 * (a[:, self.na] - self.mean) ** 2 - 0.5 * np.log(2.0 * np.pi)
-        return np.asarray(self.density.log_density(np.ascontiguousarray(a[:, : self.na])) + log_g)
-
-
-def _with_g(density: Density, mean: Any, na: int) -> Density:
-    if not isinstance(density, Gaussian):
-        return _Independent(density, mean, na)
-    cov = np.eye(na + 1)
-    cov[:na, :na] = density.cov
-    return Gaussian(np.append(density.mean, mean), cov)

@@ -159,9 +159,28 @@ def start_probes(model: MixedModel, record: Any) -> Array:
 
 
 def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> KalmanSmoothed:
-    """Kalman filter and Rauch-Tung-Striebel smoother; missing channels are left out.
+    """Filter and smooth a linear Gaussian model exactly; missing channels are left out.
 
-    Raises ModelError where the model is not linear Gaussian in x = (a, z) at this theta.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+
+    Returns
+    -------
+    KalmanSmoothed
+        Means ``x`` (T, nx), covariances ``P`` (T, nx, nx), ``M`` (T-1, nx, nx) and the log-likelihood.
+
+    Raises
+    ------
+    ModelError
+        The model is not linear Gaussian in x = (a, z) at this theta.
+    SeriesError
+        The data do not fit the model.
     """
     theta = model.theta(theta)
     check_start(model, theta, series.check(model))

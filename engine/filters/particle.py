@@ -23,9 +23,15 @@ from engine.statespace.promotion import as_nonlinear
 class ParticleFiltered:
     """What a particle filter leaves behind.
 
-    ``x`` (T, M, nx) particles of x = (a, z) with ``weights`` (T, M) before resampling;
-    ``log_likelihood``; ``ess`` (T,) effective sample size before resampling. ``model`` is the model it
-    was asked for, ``filtered`` the pass of Algorithm 2 on the same model with empty z.
+    ``x`` (T, M, nx) are the particles of x = (a, z), ``weights`` (T, M) theirs before resampling;
+    ``log_likelihood`` and ``ess`` (T,) as of :class:`engine.Filtered`.
+
+    Attributes
+    ----------
+    model : MixedModel or NonlinearModel
+        The model it was asked for.
+    filtered : Filtered
+        The pass of Algorithm 2 on the same model with empty z.
     """
 
     model: MixedModel
@@ -91,10 +97,43 @@ def particle_filter(
     resampling: str = "multinomial",
     ess_threshold: float = 1.0,
 ) -> ParticleFiltered:
-    """Bootstrap particle filter with M = ``n_particles`` on x = (a, z) (Gordon, Salmond, Smith 1993).
+    """Filter x = (a, z) by the bootstrap particle filter (Gordon, Salmond, Smith 1993).
 
-    The defaults are the report's, section 6: the transition density as proposal, and resampling at
-    every time step. Options and errors as in :func:`engine.filters.rbpf.rbpf`.
+    The defaults are the report's, section 6: the transition density as proposal, and resampling at every
+    time step.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    n_particles : int
+        Number of particles M.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    proposal : str or callable
+        As for :func:`rbpf`; the report's is ``bootstrap``.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+
+    Returns
+    -------
+    ParticleFiltered
+        Particles ``x`` (T, M, nx) with their weights, and the log-likelihood.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
     full = as_nonlinear(model)
     filtered = rbpf(full, theta, series, n_particles, rng, proposal, resampling, ess_threshold)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.errors import OptionError
+from engine.errors import OptionError, check_count
 from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.kernels import resampling as schemes
 from engine.kernels.filtering import advance, predict, weigh
@@ -33,19 +33,41 @@ COLLAPSED = 1.5  # an effective sample size below this means that one particle i
 class Filtered:
     """What a RBPF pass leaves behind, for reading and for the backward pass.
 
-    For people: ``a`` (T, M, na), ``z`` (T, M, nz) and ``P`` (T, M, nz, nz) are z_{t|t} and P_{t|t} per
-    particle; ``weights`` (T, M) before resampling; ``log_likelihood``; ``ess`` (T,) the effective
-    sample size before resampling; ``collapsed`` the rows at which only one particle was left.
+    B is 1 where a matrix is common to all particles, and M otherwise.
 
-    For the backward pass, of the prediction from t to t+1, report, eq. (22): ``mu`` (T-1, M, nx),
-    ``L`` (T-1, B, nx, nx) with L L' = Sigma, ``AP`` (T-1, B, nx, nz) = A P_{t|t}; ``cov`` (T, B, nz, nz) holds
-    P with B = 1 where it is common to all particles; ``ancestors`` (T, M).
+    Attributes
+    ----------
+    model : MixedModel
+        The model.
+    theta : Theta
+        Its parameters.
+    series : Series
+        The data.
+    a : array (T, M, na)
+        Particles of the nonlinear states.
+    z : array (T, M, nz)
+        Means z_{t|t} of the linear states given each particle.
+    cov : array (T, B, nz, nz)
+        Their covariances P_{t|t}; ``P`` (T, M, nz, nz) is the full view.
+    weights, log_weights : array (T, M)
+        Normalised weights before resampling, and their logarithms.
+    log_likelihood_terms : array (T,)
+        Estimates of log p(y_t | y_{1:t-1}); ``log_likelihood`` is their sum.
+    ess : array (T,)
+        Effective sample size before resampling; ``collapsed`` are the rows at which one particle was left.
+    ancestors : array (T, M)
+        From which particle of t - 1 each was drawn.
+    mu : array (T-1, M, nx)
+        Means of the prediction from t to t + 1, report, eq. (22).
+    L : array (T-1, B, nx, nx)
+        Roots of its covariances, L L' = Sigma.
+    AP : array (T-1, B, nx, nz)
+        A P_{t|t}.
     """
 
     model: MixedModel
     theta: Theta
     series: Series
-    log_likelihood: float
     a: Array
     z: Array
     cov: Array
@@ -57,6 +79,11 @@ class Filtered:
     mu: Array
     L: Array
     AP: Array
+
+    @property
+    def log_likelihood(self) -> float:
+        """Estimate of log p(y_{1:T})."""
+        return float(self.log_likelihood_terms.sum())
 
     @property
     def P(self) -> Array:
@@ -79,6 +106,27 @@ class Filtered:
         return mean
 
 
+class Updated(NamedTuple):
+    """One row of :class:`Filtered`, once y_t is known."""
+
+    a: Array
+    z: Array
+    cov: Array
+    weights: Array
+    log_weights: Array
+    log_likelihood_terms: float
+    ess: float
+    ancestors: NDArray[np.int64]
+
+
+class Predicted(NamedTuple):
+    """The prediction of the next one, report, eq. (22)."""
+
+    mu: Array
+    L: Array
+    AP: Array
+
+
 @repeated_if_refuted
 def rbpf(
     model: MixedModel,
@@ -90,12 +138,42 @@ def rbpf(
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
 ) -> Filtered:
-    """Filter a series with M = ``n_particles``; report, Algorithm 2.
+    """Filter a series by the Rao-Blackwellized particle filter; report, Algorithm 2.
 
-    ``proposal``: "adapted" looks at y_t, "bootstrap" does not, or any function, see
-    :mod:`engine.filters.proposals`. ``resampling``: multinomial, stratified, systematic or residual, done
-    when the effective sample size is at most ``ess_threshold`` * M (1: at every step, 0: never).
-    Missing channels of y are left out of the update. Raises OptionError, SeriesError, ModelError.
+    Missing channels of y are left out of the update.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    n_particles : int
+        Number of particles M.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    proposal : str or callable
+        ``adapted`` looks at y_t, ``bootstrap`` does not; or a function, see :mod:`engine.filters.proposals`.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+
+    Returns
+    -------
+    Filtered
+        Particles ``a`` (T, M, na) with ``z`` (T, M, nz) and ``P``, their weights, and the log-likelihood.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
     theta = model.theta(theta)
     check_start(model, theta, series.check(model))
@@ -108,8 +186,8 @@ def rbpf(
     even = np.full(M, -np.log(M))
     nothing = np.zeros(M)
     log_w, ancestors, mu, L = even, own, np.empty((M, 0)), np.empty((1, 0, 0))
-    updated: list[tuple[Any, ...]] = []
-    predicted: list[tuple[Any, ...]] = []
+    updated: list[Updated] = []
+    predicted: list[Predicted] = []
     for t in range(T):
         # 1. Sampling, 2. Prediction, 3. Weighting, 4. Update of the linear states
         if t == 0:
@@ -137,7 +215,7 @@ def rbpf(
                 y[t],
                 log_w,
             )
-        updated.append((a, z, P, w, log_w, log_sum, ess, ancestors))
+        updated.append(Updated(a, z, P, w, log_w, log_sum, ess, ancestors))
         if t == T - 1:
             break
 
@@ -148,24 +226,16 @@ def rbpf(
         else:
             ancestors = own
         f, A, Q = model.transition(a, series.u_step[t], times[t], steps[t], record)
-        mu, L, AP = predict(f, stacked(A), stacked(Q), z, P)
-        predicted.append((mu, L, AP))
-
-    arrays = [
-        over_time(rows) for rows in (*zip(*updated, strict=True), *zip(*predicted, strict=True))
-    ]
-    log_likelihood = float(arrays[5].sum())
-    return Filtered(model, theta, series, log_likelihood, *arrays)
+        predicted.append(Predicted(*predict(f, stacked(A), stacked(Q), z, P)))
+        mu, L, _ = predicted[-1]
+    return Filtered(model, theta, series, **over_time(updated), **over_time(predicted))
 
 
 def check_options(
     n_particles: int, resampling: str, ess_threshold: float
 ) -> Callable[[Array, Array], NDArray[np.int64]]:
     """The resampling function, after checking the options of the filter. Raises OptionError."""
-    if int(n_particles) != n_particles or n_particles < 1:
-        raise OptionError(
-            f"n_particles = {n_particles}; a positive whole number is needed", "n_particles"
-        )
+    check_count("n_particles", n_particles)
     if resampling not in RESAMPLING:
         raise OptionError(
             f"resampling '{resampling}' is not known; use {', '.join(RESAMPLING)}", "resampling"
@@ -199,8 +269,13 @@ def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
     return a, z, stacked(P), log_ratio
 
 
-def over_time(rows: Sequence[Any]) -> Any:
-    """One array; rows common to all particles are repeated where others are not common."""
+def over_time(rows: Sequence[Any]) -> dict[str, Any]:
+    """{field: values (T, ...)} of named tuples; what is common to all particles at some rows is repeated."""
+    columns = map(_stacked, zip(*rows, strict=True))
+    return dict(zip(rows[0]._fields, columns, strict=True))
+
+
+def _stacked(rows: Sequence[Any]) -> Array:
     try:
         return np.array(rows)
     except ValueError:

@@ -29,7 +29,7 @@ from engine.kernels.moments import (
 from engine.statespace.model import Array, Gaussian, MixedModel, stacked
 from engine.statespace.refutation import repeated_if_refuted
 
-NEAR = 1e-4  # of a state's size: over this, slopes are taken where the state has no variance
+NEAR_SHARE = 1e-4  # of a state's size: over this, slopes are taken where the state has no variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +165,8 @@ def _slopes_without_variance(run: FilterSteps, kept: dict[str, Array]) -> None:
     predicted, P = kept["predicted"], kept["P_predicted"]
     variance = np.diagonal(P, axis1=1, axis2=2)
     sizes = np.maximum(np.abs(predicted), np.sqrt(np.maximum(variance, 0.0))).max(axis=0)
-    least = np.diag((NEAR * np.where(sizes > 0.0, sizes, 1.0)) ** 2)  # 1: it never leaves zero
+    # 1: it never leaves zero
+    least = np.diag((NEAR_SHARE * np.where(sizes > 0.0, sizes, 1.0)) ** 2)
     for name, function, means, covs in (
         ("H", run.observation, predicted, P),
         ("F", run.transition, kept["filtered"][:-1], kept["P_filtered"][:-1]),

@@ -24,7 +24,25 @@ _loaded = False
 
 
 def register(model: MixedModel, replace: bool = False) -> MixedModel:
-    """Check a model and make it known by its name. Raises ModelError."""
+    """Check a model and make it known by its name.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    replace : bool
+        Whether a model of that name may be replaced.
+
+    Returns
+    -------
+    MixedModel
+        The same model.
+
+    Raises
+    ------
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
+    """
     with _lock:
         _load()
         return _register(model, replace)
@@ -43,14 +61,26 @@ def get_model(name: str) -> MixedModel:
 
 
 def model_names() -> list[str]:
-    """The names of all registered models, sorted."""
+    """The names of all registered models, sorted.
+
+    Returns
+    -------
+    list of str
+        What :func:`get_model` takes.
+    """
     with _lock:
         _load()
         return sorted(_models)
 
 
 def plugin_errors() -> dict[str, str]:
-    """Entry points that could not be used, with the reason."""
+    """Entry points that could not be used.
+
+    Returns
+    -------
+    dict
+        {name: reason}.
+    """
     with _lock:
         _load()
         return dict(_plugin_errors)

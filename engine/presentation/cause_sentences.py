@@ -38,9 +38,11 @@ def experiment(cause: Cause) -> str:
     others = [name for name in cause.equivalent if name != cause.effect]
     if not others:
         return ""
-    told = {o.effect: o.difference for o in cause.look_alikes if o.difference}
+    differences = {o.effect: o.difference for o in cause.look_alikes if o.difference}
     known = [
-        f"{name} {phrased(told[name])}" for name in others if name in told and not _force(name)
+        f"{name} {phrased(differences[name])}"
+        for name in others
+        if name in differences and not _force(name)
     ]
     if known:
         return f"To tell them apart, excite what differs: {'; '.join(known)}."

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from engine.diagnose.gain.gain import Gain
     from engine.diagnose.search.rounds import Round
 
-SHOWN = 12  # screened effects of a round
+SCREENED_EFFECTS = 12  # screened effects of a round
 
 
 def as_dict(d: Diagnosis) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def _round(found: Round) -> dict[str, Any]:
                 "statistic": s.statistic,
                 "p_value": s.p_value,
             }
-            for s in found.screen.scores[:SHOWN]
+            for s in found.screen.scores[:SCREENED_EFFECTS]
         ],
         "refitted": [_refit(r, r.effect.name in equivalent) for r in found.refits],
         "unnamed": None

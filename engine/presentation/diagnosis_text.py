@@ -15,8 +15,8 @@ from engine.errors import EngineError
 from engine.presentation.cause_sentences import experiment, headline, phrased
 from engine.presentation.report.priority import asked_first
 from engine.words import (
+    enumerated,
     fit_quality,
-    listed,
     number,
     percent,
     probability,
@@ -52,7 +52,7 @@ def page(diagnosis: Diagnosis, every: bool = False) -> str:
 
 def _head(d: Diagnosis) -> Iterator[str]:
     series = d.series
-    outputs = listed(list(d.model.outputs))
+    outputs = enumerated(list(d.model.outputs))
     yield f"Diagnosis of model '{d.model.name}' on {len(series)} samples of {outputs}"
     yield "=" * WIDTH
     yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")
@@ -60,7 +60,7 @@ def _head(d: Diagnosis) -> Iterator[str]:
         closest = "Closest: " if d.verdict.value == "unknown" and k == 0 else ""
         yield from _wrapped(f"{closest}{_marker(d, k)}{headline(cause)}", "  ")
         if len(cause.equivalent) > 1:
-            others = listed(list(cause.equivalent[1:]), "or")
+            others = enumerated(list(cause.equivalent[1:]), "or")
             yield from _wrapped(f"not told apart from {others}", "      ")
     if not d.causes:
         yield from _wrapped(_no_cause(d), "  ")

@@ -6,7 +6,7 @@ The documents made here are those of ``GET /jobs/{id}/results`` too;
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,21 @@ from engine.json_values import plain
 from engine.presentation.report import write_report
 from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.rb_ffbsi import rb_ffbsi
+from engine.statespace.base import BaseModel
 from engine.statespace.model import Array, MixedModel, ThetaLike
+
+AFTER_START = ("log_likelihood", "ess", "seconds")  # of a trace
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """What :func:`examine` found, as the ``document`` that pages and reports show."""
+    """What :func:`examine` found.
+
+    Attributes
+    ----------
+    document : dict
+        What pages and reports show.
+    """
 
     document: dict[str, Any]
 
@@ -51,36 +60,89 @@ def examine(
 ) -> Examination:
     """Look at an estimate on the series it comes from.
 
-    ``errors`` are its standard errors, where they were computed; with them the simulation's bands hold
-    the parameters' uncertainty. ``intervals`` by the likelihood ratio are shown in place of those that
-    the standard errors give. States are smoothed with ``n_particles`` particles. Raises ModelError
-    for a model without linear part, OptionError, SeriesError.
+    Parameters
+    ----------
+    found : EmResult
+        The estimate.
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    errors : StandardErrors, optional
+        Its standard errors; with them the simulation's bands hold the parameters' uncertainty.
+    intervals : LikelihoodIntervals, optional
+        Shown in place of those that the standard errors give.
+    n_particles : int
+        Particles and trajectories by which states are smoothed.
+    seed : int
+        The same seed gives the same bits.
+
+    Returns
+    -------
+    Examination
+        The document that pages and reports show.
+
+    Raises
+    ------
+    ModelError
+        The model is no mixed model.
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
     """
     model = found.model
     if not isinstance(model, MixedModel):
         raise ModelError(
             f"model '{model.name}' is no mixed model; there is nothing to smooth it by"
         )
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    states = []
-    for one in listed:
-        draws = rb_ffbsi(
-            rbpf(model, found.theta, one, n_particles, rng), n_particles, rng, joint=True
-        )
-        smoothed = condition_on_trajectories(draws)
-        states.append((smoothed.mean(), smoothed.std()))
+    states = [
+        smoothed(model, found.theta, one, n_particles, n_particles, rng) for one in all_series
+    ]
     document = {
-        "model": model_document(model),
-        "estimate": estimate_document(model, found.theta, found.free, errors, intervals),
+        **estimation_document(
+            model, found.theta, found.free, all_series, states, (errors, intervals), seed
+        ),
         "outcome": found.outcome.name.lower().replace("_", "-"),
         "message": found.message,
-        "warning": " ".join(one.warning for one in (errors, intervals) if one and one.warning),
-        "trace": trace_document(found),
-        "states": states_document(model, listed, states),
-        "examination": examination(model, found.theta, listed, covariance_of(model, errors), seed),
+        "trace": trace_document(model.parameter_names, vars(found)),
     }
     return Examination(plain(document))
+
+
+def smoothed(
+    model: MixedModel, theta: ThetaLike, series: Series, M: int, N: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Means and standard deviations (T, nx) of the states by M particles and N trajectories.
+
+    Given whole trajectories of a, so without Algorithm 3's lasting bias.
+    """
+    draws = rb_ffbsi(rbpf(model, theta, series, M, rng), N, rng, joint=True)
+    exact = condition_on_trajectories(draws)
+    return exact.mean(), exact.std()
+
+
+Uncertainty = tuple[StandardErrors | None, LikelihoodIntervals | None]
+
+
+def estimation_document(
+    model: MixedModel,
+    theta: ThetaLike,
+    free: Sequence[str],
+    series: Sequence[Series],
+    states: Sequence[tuple[Array, Array]],
+    uncertainty: Uncertainty,
+    seed: int,
+) -> dict[str, Any]:
+    """An estimate on the series it comes from; ``states`` are smoothed means and standard deviations."""
+    errors, intervals = uncertainty
+    return {
+        "model": model_document(model),
+        "estimate": estimate_document(model, theta, free, errors, intervals),
+        "warning": " ".join(one.warning for one in uncertainty if one and one.warning),
+        "states": states_document(model, series, states),
+        "examination": examination(model, theta, series, covariance_of(model, errors), seed),
+    }
 
 
 def model_document(model: MixedModel) -> dict[str, Any]:
@@ -96,7 +158,7 @@ def model_document(model: MixedModel) -> dict[str, Any]:
 
 
 def estimate_document(
-    model: MixedModel,
+    model: BaseModel,
     theta: ThetaLike,
     free: Sequence[str],
     errors: StandardErrors | None,
@@ -126,16 +188,13 @@ def estimate_document(
     return out
 
 
-def trace_document(found: EmResult) -> dict[str, Any]:
-    """Every iteration; row 0 is the start. A log-likelihood belongs to the theta before its M step."""
-    names = found.model.parameter_names
-    return {
-        "iteration": list(range(len(found.trace))),
-        "theta": {name: found.trace[:, i].tolist() for i, name in enumerate(names)},
-        "log_likelihood": [None, *found.log_likelihood.tolist()],
-        "ess": [None, *found.ess.tolist()],
-        "seconds": [None, *found.seconds.tolist()],
-    }
+def trace_document(names: Sequence[str], found: Mapping[str, Any]) -> dict[str, Any]:
+    """Every iteration; row 0 is the start. ``found`` has the members of an :class:`engine.EmResult`."""
+    trace = np.asarray(found["trace"])
+    # a log-likelihood belongs to the theta before its M step; row 0 has none
+    after = {key: [None, *np.asarray(found[key]).tolist()] for key in AFTER_START}
+    theta = {name: trace[:, i].tolist() for i, name in enumerate(names)}
+    return {"iteration": list(range(len(trace))), "theta": theta, **after}
 
 
 def states_document(

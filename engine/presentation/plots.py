@@ -1,26 +1,49 @@
-"""Figures of results, from plain arrays. Matplotlib (extra ``plot``) is imported when one is drawn."""
+"""Figures of results: the charts of reports, drawn by matplotlib (extra ``plot``, imported then only)."""
 
 from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from engine.arrays import Array
 from engine.errors import OptionError
-from engine.words import tidy
+from engine.estimation.em import EmResult
+from engine.presentation.examination import estimate_document, trace_document
+from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
+from engine.presentation.report.comparison import (
+    TIME,
+    auxiliary_figures,
+    compared,
+    errors_over_time,
+    residual_figures,
+    where_it_is,
+)
+from engine.presentation.report.comparison import against_data as against_data_figures
+from engine.presentation.report.diagnosis_cause import force_figures, rankings
+from engine.presentation.report.diagnosis_gain import held_out_figures
+from engine.presentation.report.estimate import (
+    convergence_figures,
+    simulated_figures,
+    smoothed_figures,
+)
+from engine.presentation.report.html import Html
+from engine.presentation.report.parts import Document, label
+from engine.presentation.report.style import LIGHT
+from engine.presentation.report.svg import y_axis
 
-Array: TypeAlias = NDArray[np.float64]
-
-DATA, MODEL, QUIET = "#222222", "#c44e52", "#888888"
 FORMATS = ("svg", "png")
-MANY = 5000  # points from which a curve becomes pixels within an SVG, so that it opens at once
+# Points from which a curve becomes pixels within an SVG, so that it opens at once.
+MANY_POINTS = 5000
 TWO_SIDED = 1.96  # standard deviations of a 95 % band
+QUIET_COLOUR = "#888888"
+COLOURS = dict(re.findall(r"--chart-(\w+): (#\w+)", LIGHT))  # by role, as in reports
 
 
 class Figures(dict[str, Any]):
@@ -59,57 +82,161 @@ def axes(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, list[
     return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
 
 
-def convergence(
-    units: Mapping[str, str],
-    trace: Array,
-    estimate: Array,
-    log_likelihood: Array,
-    ess: Array,
-    intervals: Array | None = None,
-) -> Any:
-    """Iterates of each parameter, the log-likelihood and the effective sample size.
+class _Collected(list[Chart | Ranking]):
+    """Keeps the charts of a report instead of drawing them."""
 
-    ``units`` maps the n parameters that were free to their units; ``trace`` (K+1, n), ``estimate``
-    (n,), ``log_likelihood`` and ``ess`` (K,); ``intervals`` (n, 2) are drawn as bands, NaN is none.
+    def __call__(self, chart: Chart | Ranking) -> Html:
+        self.append(chart)
+        return Html("")
+
+
+Group = tuple[str, Sequence[Chart | Ranking], int]  # name, charts and columns of a figure
+
+
+def of_document(document: Document) -> Figures:
+    """The figures of a diagnosis, an estimation or a simulation, from its JSON document.
+
+    Diagnosis: ``wrong``, ``where``, ``residuals``, ``candidates``; ``force`` and ``gain`` where there are
+    such. Estimation: ``convergence``, and ``states`` and ``free-run`` of each series. Simulation:
+    ``outputs`` and ``states``.
     """
-    n = len(units)
-    rows = -(-(n + 2) // 2)
-    figure, panels = axes(rows, 2, (9.0, 2.2 * rows))
-    k = np.arange(len(trace))
-    for i, (name, unit) in enumerate(units.items()):
-        panel = panels[i]
-        if intervals is not None and np.isfinite(intervals[i]).all():
-            panel.axhspan(*intervals[i], color=MODEL, alpha=0.15, linewidth=0.0, label="95 %")
-        panel.axhline(estimate[i], color=MODEL, linewidth=0.8, linestyle="--", label="estimate")
-        panel.plot(k, trace[:, i], color=DATA, linewidth=1.0)
-        panel.set(ylabel=label(name, unit))
-    panels[0].legend(loc="best", fontsize=8)
-    for panel, values, name in (
-        (panels[n], log_likelihood, "log-likelihood"),
-        (panels[n + 1], ess, "effective sample size"),
-    ):
-        panel.plot(k[1:], values, color=DATA, linewidth=1.0)
-        panel.set(ylabel=name)
-        panel.ticklabel_format(useOffset=False)
-    panels[n + 1].set_ylim(bottom=0.0)
-    for panel in panels[n + 2 :]:
+    groups: Iterator[Group] = iter(())
+    if diagnosis := document.get("diagnosis"):
+        groups = _of_diagnosis(diagnosis)
+    elif document.get("estimate"):
+        groups = _of_estimate(document)
+    elif simulation := document.get("simulation"):
+        groups = (
+            one
+            for name, key in (("outputs", "y"), ("states", "states"))
+            for one in _of_each(name, simulation, simulated_figures, simulation["units"], key)
+        )
+    return Figures({name: figure(charts, columns) for name, charts, columns in groups if charts})
+
+
+def _of_diagnosis(d: Document) -> Iterator[Group]:
+    units, symptoms = d["channels"]["outputs"], d["symptoms"]
+    run = _collected(against_data_figures, symptoms["free_run"], "free_run", units)
+    yield "wrong", [*run, *_collected(errors_over_time, symptoms, units)], 1
+    yield "where", _collected(where_it_is, symptoms, units), 3
+    innovations = _collected(residual_figures, symptoms)
+    yield "residuals", [*innovations, *_collected(auxiliary_figures, symptoms)], 2
+    yield "candidates", _collected(rankings, d["rounds"]), 1
+    yield "force", _collected(force_figures, d["unnamed"] or {}), 1
+    yield "gain", _collected(held_out_figures, d["gain"] or {}, units), 1
+
+
+def _of_estimate(document: Document) -> Iterator[Group]:
+    yield "convergence", _collected(convergence_figures, document), 2
+    states, units = document["states"], document["model"]["outputs"]
+    yield from _of_each("states", states, smoothed_figures, states["units"])
+    runs = {"series": [one.get("free_run") for one in document["examination"]["series"]]}
+    yield from _of_each("free-run", runs, against_data_figures, "free_run", units)
+
+
+def _of_each(name: str, group: Document, make: Any, *given: Any) -> Iterator[Group]:
+    """A figure for each series, numbered where there are several."""
+    several = len(group["series"]) > 1
+    for i, one in enumerate(group["series"]):
+        yield f"{name}-{i + 1}" if several else name, _collected(make, one, *given), 1
+
+
+def _collected(make: Any, *given: Any) -> Sequence[Chart | Ranking]:
+    """The charts that a part of a report draws."""
+    kept = _Collected()
+    list(make(*given, kept))  # some are made one by one
+    return kept
+
+
+def figure(charts: Sequence[Chart | Ranking], columns: int = 1) -> Any:
+    """One figure with a panel for each chart, side by side in ``columns``."""
+    columns = min(columns, len(charts))
+    rows = -(-len(charts) // columns)
+    each = max(2.4, *(0.28 * len(c.rows) + 0.8 for c in charts if isinstance(c, Ranking)), 0.0)
+    made, panels = axes(rows, columns, (9.0 if columns < 3 else 3.6 * columns, each * rows))
+    for panel, chart in zip(panels, charts, strict=False):
+        _draw(panel, chart)
+    for panel in panels[len(charts) :]:
         panel.set_visible(False)
-    for panel in panels[: n + 2][-2:]:
-        panel.set(xlabel="iteration")
-    return figure
+    return made
+
+
+def _draw(panel: Any, chart: Chart | Ranking) -> None:
+    panel.set_title(chart.title, fontsize=9)
+    panel.set_xlabel(chart.x_label, fontsize=8)
+    if isinstance(chart, Ranking):
+        names, values, roles = zip(*chart.rows, strict=True)
+        panel.barh(range(len(names)), values, color=[COLOURS[role] for role in roles])
+        panel.set_yticks(range(len(names)), names, fontsize=7)
+        panel.invert_yaxis()
+        if chart.line is not None:
+            panel.axvline(chart.line, color=QUIET_COLOUR)
+        return
+    panel.set_ylabel(chart.y_label, fontsize=8)
+    panel.set(**{f"{axis}scale": "log" for axis in chart.log})
+    x, heavy = _numbers(chart.x), len(chart.x) > MANY_POINTS
+    for level in chart.level:
+        panel.axhline(level, color=QUIET_COLOUR, linewidth=0.6)
+    for t in chart.traces:
+        y, style = _numbers(t.y), {"color": COLOURS[t.role], "label": t.label}
+        if t.band is not None:
+            low, high = map(_numbers, t.band)
+            panel.fill_between(
+                x, low, high, color=style["color"], alpha=0.18, linewidth=0.0, rasterized=heavy
+            )
+        if t.kind == "bars":
+            panel.bar(x, y, 2.0 * _numbers(t.width or ()), **style)
+        elif t.reach is not None:
+            panel.errorbar(x, y, _numbers(t.reach), t.width, ".", **style)
+        elif t.kind == "points":
+            panel.plot(x, y, ".", markersize=2.5, rasterized=heavy, **style)
+        else:
+            line, held = "--" if t.dash else "-", "steps-post" if t.kind == "steps" else "default"
+            panel.plot(x, y, line, drawstyle=held, linewidth=1.0, rasterized=heavy, **style)
+    if not chart.log:
+        panel.ticklabel_format(useOffset=False)
+    panel.tick_params(labelsize=7)
+    seen = y_axis(chart, 0.0, 1.0)
+    panel.set_ylim(seen.low, seen.high)
+    if len(chart.traces) > 1 or any(t.band for t in chart.traces):
+        panel.legend(loc="best", fontsize=7)
+
+
+def _numbers(values: Numbers) -> Array:
+    return np.array(values, dtype=float)
+
+
+def convergence(found: EmResult, intervals: Array | None = None) -> Any:
+    """Each free parameter by iteration, the log-likelihood and the effective sample size.
+
+    ``intervals`` (n_theta, 2) are drawn as bands, NaN is none.
+    """
+    estimate = estimate_document(found.model, found.theta, found.free, None)
+    if intervals is not None:
+        for one, ends in zip(estimate.values(), intervals, strict=True):
+            one["interval"] = ends.tolist() if np.isfinite(ends).all() else None
+    document = {
+        "estimate": estimate,
+        "trace": trace_document(found.model.parameter_names, vars(found)),
+    }
+    return figure(_collected(convergence_figures, document), 2)
 
 
 def states(t: Array, units: Mapping[str, str], mean: Array, sd: Array | None = None) -> Any:
     """Curves (T, n), named with their units, and 95 % bands from ``sd`` (T, n); t in seconds."""
-    figure, panels = axes(len(units), 1, (9.0, 2.2 * len(units)))
-    for i, (panel, (name, unit)) in enumerate(zip(panels, units.items(), strict=True)):
-        if sd is not None:
-            half = TWO_SIDED * sd[:, i]
-            band(panel, t, mean[:, i] - half, mean[:, i] + half)
-        curve(panel, t, mean[:, i], color=MODEL)
-        panel.set(ylabel=label(name, unit))
-    panels[-1].set(xlabel="t [s]")
-    return figure
+    half = None if sd is None else TWO_SIDED * sd
+    return figure(
+        [
+            compared(
+                name,
+                label(name, unit),
+                t,
+                ("mean, 95 % band", mean[:, i]),
+                band=None if half is None else (mean[:, i] - half[:, i], mean[:, i] + half[:, i]),
+            )
+            for i, (name, unit) in enumerate(units.items())
+        ]
+    )
 
 
 def against_data(
@@ -122,42 +249,15 @@ def against_data(
     upper: Array | None = None,
 ) -> Any:
     """Measured outputs (T, n) with computed ones above, their differences below."""
-    figure, panels = axes(2 * len(units), 1, (9.0, 4.4 * len(units)))
+    charts = []
     for i, (name, unit) in enumerate(units.items()):
-        top, bottom = panels[2 * i], panels[2 * i + 1]
-        if lower is not None and upper is not None:
-            band(top, t, lower[:, i], upper[:, i])
-        curve(top, t, computed[:, i], color=MODEL, label=computed_as)
-        dots(top, t, measured[:, i], label="measured")
-        dots(bottom, t, measured[:, i] - computed[:, i])
-        bottom.axhline(0.0, color=QUIET, linewidth=0.6)
-        top.set(ylabel=label(name, unit))
-        bottom.set(ylabel=f"measured - {computed_as}")
-        top.legend(loc="best", fontsize=8)
-    panels[-1].set(xlabel="t [s]")
-    return figure
-
-
-def curve(panel: Any, t: Array, values: Array, **style: Any) -> None:
-    """A line."""
-    panel.plot(t, values, linewidth=1.0, rasterized=len(t) > MANY, **style)
-
-
-def dots(panel: Any, t: Array, values: Array, **style: Any) -> None:
-    """Measured values."""
-    panel.plot(t, values, ".", color=DATA, markersize=2.5, rasterized=len(t) > MANY, **style)
-
-
-def band(panel: Any, t: Array, low: Array, high: Array) -> None:
-    """A shaded band."""
-    panel.fill_between(
-        t, low, high, color=MODEL, alpha=0.18, linewidth=0.0, rasterized=len(t) > MANY
-    )
-
-
-def label(name: str, unit: str) -> str:
-    """``velocity [m/s]``."""
-    return f"{name} [{tidy(unit)}]" if tidy(unit) else name
+        band = None if lower is None or upper is None else (lower[:, i], upper[:, i])
+        both = (computed_as, computed[:, i]), measured[:, i]
+        charts.append(compared(name, label(name, unit), t, *both, band=band))
+        wrong = Trace("error", measured[:, i] - computed[:, i], "points", "data")
+        said = f"measured - {computed_as}"
+        charts.append(Chart(f"Error of {name}", TIME, said, t, (wrong,), level=(0.0,)))
+    return figure(charts)
 
 
 def _png(figure: Any) -> str:

@@ -109,17 +109,42 @@ def fit_simulation(
     seed: int = 0,
     max_evaluations: int = 200,
 ) -> SimulationFit:
-    """Least squares on the free run of one or several series.
+    """Fit the free run to one or several series by least squares.
 
-    Estimated are the ``free`` parameters (all by default) and, for each series, those components
-    of the first state that the model's initial density leaves uncertain. The search starts from
-    ``theta0`` and from those of ``n_starts`` random parameter vectors around it that run closest to
-    the data; the one that gets furthest in a few evaluations is followed to its end. That is no
-    guarantee: two tanks with their time constants exchanged, say, are a minimum of their own, so
-    start near what is known. Outputs are weighed by their standard deviation when there are
+    Estimated are the free parameters and, for each series, those components of the first state that the
+    model's initial density leaves uncertain. The start that gets furthest in a few evaluations is followed
+    to its end. That is no guarantee: two tanks with their time constants exchanged, say, are a minimum of
+    their own, so start near what is known. Outputs are weighed by their standard deviation when there are
     several. Missing measurements are left out.
 
-    Raises ModelError where the run from every start is not finite.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    theta0 : Theta, mapping, array or None
+        Start values: all as (n_theta,), some by name, or None for the model's defaults.
+    free : sequence of str, optional
+        Names of the parameters to estimate; all by default.
+    n_starts : int
+        Random parameter vectors around ``theta0`` that are tried besides it.
+    seed : int
+        The same seed gives the same bits.
+    max_evaluations : int
+        Evaluations at most of the start that is followed to its end.
+
+    Returns
+    -------
+    SimulationFit
+        Parameters, first states, free runs and a covariance that takes residuals for white.
+
+    Raises
+    ------
+    ModelError
+        The run from every start is not finite.
+    SeriesError
+        The data do not fit the model.
     """
     began = time.perf_counter()
     listed = as_series_list(series, model)

@@ -98,13 +98,39 @@ def free_run(
     initial_rows: int = 0,
     bands: Bands | None = None,
 ) -> FreeRun:
-    """Simulate without noise from (a1, z1) over a series' inputs and times.
+    """Simulate without noise over a series' inputs and times.
 
-    A first state that is not given is the mean of the model's initial density; with
-    ``initial_rows`` > 0, what the initial density leaves uncertain of it is instead estimated by
-    least squares on the first ``initial_rows`` samples; otherwise y may be missing throughout.
-    Raises ModelError naming the time where the run stops being finite, OptionError for a first
-    state of the wrong size.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    a1 : array (na,), optional
+        First nonlinear state; the mean of the initial density by default.
+    z1 : array (nz,), optional
+        First linear state, likewise.
+    initial_rows : int
+        Estimate what the initial density leaves uncertain of the first state by least squares on so many
+        samples; 0 for none, and then y may be missing throughout.
+    bands : Bands, optional
+        What the Monte Carlo bands of the run shall hold.
+
+    Returns
+    -------
+    FreeRun
+        ``y`` (T, ny), ``a`` (T, na), ``z`` (T, nz), and bands (T, ny) where asked for.
+
+    Raises
+    ------
+    ModelError
+        The run stops being finite; names the time.
+    OptionError
+        A first state has the wrong size.
+    SeriesError
+        The data do not fit the model.
     """
     series.check(model, measured=initial_rows > 0)
     vector = model.theta(theta)

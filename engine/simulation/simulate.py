@@ -22,7 +22,21 @@ from engine.views import Figures, figures, plots
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """y (T, ny), the states a (T, na), z (T, nz) behind it, and y with its inputs as a Series."""
+    """A run of a model.
+
+    Attributes
+    ----------
+    y : array (T, ny)
+        Outputs.
+    a : array (T, na)
+        Nonlinear states.
+    z : array (T, nz)
+        Linear states.
+    series : Series
+        The outputs with the inputs and times they were made with.
+    model : MixedModel
+        The model.
+    """
 
     y: Array
     a: Array
@@ -53,11 +67,40 @@ def simulate(
     t: ArrayLike | None = None,
     hold: str = "zoh",
 ) -> Simulation:
-    """Draw T = n_samples samples of paper, eq. (1): x_1 from the initial density, w, e with noise.
+    """Draw samples of paper, eq. (1): x_1 from the initial density, w and e with noise.
 
-    u (T, nu) or (T,) are the inputs, ``hold`` what they do between samples (see
-    :class:`engine.Series`); dt or t (T,) the times in seconds. Q and R may be singular.
-    Raises ModelError naming the time at which the state stopped being finite.
+    Q and R may be singular.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    n_samples : int
+        Number of samples T, at least 2.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    u : array (T, nu) or (T,), optional
+        Inputs, in their units.
+    dt : float
+        Time step, s, where ``t`` is not given.
+    t : array (T,), optional
+        Times, s.
+    hold : str
+        What inputs do between samples, see :class:`engine.Series`.
+
+    Returns
+    -------
+    Simulation
+        ``y`` (T, ny), the states behind it, and both with the inputs as a Series.
+
+    Raises
+    ------
+    ModelError
+        The state stopped being finite; names the time.
+    OptionError
+        Inputs are missing, or there are too few samples.
     """
     if n_samples < 2:
         raise OptionError(f"n_samples = {n_samples}; at least 2 are needed", "n_samples")

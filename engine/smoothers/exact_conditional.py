@@ -23,7 +23,17 @@ from engine.statespace.refutation import repeated_if_refuted
 def condition_on_trajectories(smoothed: Smoothed, points: Points | None = None) -> Smoothed:
     """Replace the moments of Algorithm 3 by those of z given each whole trajectory.
 
-    ``points`` are the trajectories as evaluation points of the model, if the caller has them.
+    Parameters
+    ----------
+    smoothed : Smoothed
+        Trajectories of a, drawn with ``joint=True`` to be exact.
+    points : Points, optional
+        The trajectories as evaluation points of the model, if the caller has them.
+
+    Returns
+    -------
+    Smoothed
+        The same trajectories with exact ``z`` (T, N, nz), ``P`` and ``M``.
     """
     filtered = smoothed.filtered
     model, series = filtered.model, filtered.series

@@ -18,9 +18,16 @@ from engine.statespace.model import Array
 
 @dataclass(frozen=True, eq=False)
 class ParticleSmoothed:
-    """N equally weighted draws ``trajectories`` (T, N, nx) of x_{1:T} given y_{1:T}.
+    """N equally weighted draws of x_{1:T} given y_{1:T}; ``a`` (T, N, na) and ``z`` (T, N, nz) are their parts.
 
-    ``a`` (T, N, na) and ``z`` (T, N, nz) are its parts; ``index`` (T, N) the filter particle of each point.
+    Attributes
+    ----------
+    filtered : ParticleFiltered
+        The pass forward.
+    trajectories : array (T, N, nx)
+        The draws.
+    index : array (T, N)
+        The filter particle of each point.
     """
 
     filtered: ParticleFiltered
@@ -56,6 +63,21 @@ class ParticleSmoothed:
 def ffbsi(
     filtered: ParticleFiltered, n_trajectories: int, rng: np.random.Generator
 ) -> ParticleSmoothed:
-    """Draw N = ``n_trajectories`` trajectories of x by backward simulation (Godsill et al. 2004)."""
+    """Draw trajectories of x by backward simulation (Godsill, Doucet, West 2004).
+
+    Parameters
+    ----------
+    filtered : ParticleFiltered
+        A pass of :func:`particle_filter`.
+    n_trajectories : int
+        Number of trajectories N.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+
+    Returns
+    -------
+    ParticleSmoothed
+        ``trajectories`` (T, N, nx) of x_{1:T} given y_{1:T}.
+    """
     draws = rb_ffbsi(filtered.filtered, n_trajectories, rng)
     return ParticleSmoothed(filtered, draws.a, draws.index)

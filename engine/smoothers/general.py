@@ -53,10 +53,41 @@ def filter_general(
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
 ) -> GeneralFiltered:
-    """Bootstrap particle filter with M = ``n_particles`` (Gordon, Salmond, Smith 1993).
+    """Filter a general model by the bootstrap particle filter (Gordon, Salmond, Smith 1993).
 
-    A row of y is used whole or, where all of it is missing, not at all: the density of a part of
-    e is not known. Raises SeriesError for a row with some channels missing, OptionError.
+    A row of y is used whole or, where all of it is missing, not at all: the density of a part of e is not
+    known.
+
+    Parameters
+    ----------
+    model : NonlinearModel
+        The model, poster, eq. (1).
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    n_particles : int
+        Number of particles M.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+
+    Returns
+    -------
+    GeneralFiltered
+        Particles ``x`` (T, M, nx) with their weights, and the log-likelihood.
+
+    Raises
+    ------
+    SeriesError
+        A row has some channels missing, but not all.
+    OptionError
+        An option is not known or out of its range.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
     theta = model.theta(theta)
     check_rows(series.check(model))
@@ -93,7 +124,22 @@ def filter_general(
 def smooth_general(
     filtered: GeneralFiltered, n_trajectories: int, rng: np.random.Generator
 ) -> Array:
-    """N = ``n_trajectories`` draws (T, N, nx) of x_{1:T} by backward simulation, O(M N) per step."""
+    """Draw trajectories of a general model by backward simulation, O(M N) per step.
+
+    Parameters
+    ----------
+    filtered : GeneralFiltered
+        A pass of :func:`filter_general`.
+    n_trajectories : int
+        Number of trajectories N.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+
+    Returns
+    -------
+    array (T, N, nx)
+        Draws of x_{1:T} given y_{1:T}.
+    """
     model, series, x = filtered.model, filtered.series, filtered.x
     T, N, record = len(x), n_trajectories, model.record(filtered.theta)
     draws = np.empty((T, N, model.nx))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.errors import OptionError
+from engine.errors import OptionError, check_count
 from engine.filters.rbpf import Filtered
 from engine.kernels.linear_cost import backward_linear
 from engine.kernels.resampling import stratified
@@ -37,16 +37,36 @@ def rb_ffbsi_linear(
     tries: int | None = None,
     condition: bool = True,
 ) -> Smoothed:
-    """Draw N = ``n_trajectories`` joint trajectories, in O(M + N) per time step.
+    """Draw joint trajectories in O(M + N) per time step.
 
-    ``method``: "mcmc" takes ``moves`` Metropolis-Hastings steps from the particle's own ancestor; it
-    needs no bound and its cost is fixed, but a trajectory may keep to the filter's genealogy
-    where hardly any candidate is accepted. "rejection" draws exactly what the full weights would,
-    gives up after ``tries`` candidates (default M / 4, at least 16) and computes all weights then;
-    in more than about two dimensions it hardly ever accepts.
+    Parameters
+    ----------
+    filtered : Filtered
+        A pass of :func:`rbpf`.
+    n_trajectories : int
+        Number of trajectories N.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    method : str
+        ``mcmc`` needs no bound and its cost is fixed, but a trajectory may keep to the filter's genealogy
+        where hardly any candidate is accepted. ``rejection`` draws exactly what the full weights would; in
+        more than about two dimensions it hardly ever accepts.
+    moves : int
+        Metropolis-Hastings steps from the particle's own ancestor, for ``mcmc``.
+    tries : int, optional
+        Candidates after which ``rejection`` computes all weights; M / 4, at least 16, by default.
+    condition : bool
+        Give the exact moments of z given each a trajectory; without it z are the draws and P = M = 0.
 
-    With ``condition`` z, P and M are the exact moments of z given each a trajectory; without it,
-    z are the draws themselves and P = M = 0. Raises OptionError.
+    Returns
+    -------
+    Smoothed
+        Trajectories of a with moments of z, and the joint draws (T, N, nx).
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
     """
     return backward_draws(filtered, n_trajectories, rng, method, moves, tries, condition)[0]
 
@@ -67,8 +87,7 @@ def backward_draws(
         raise OptionError(f"method '{method}' is not known; use {' or '.join(METHODS)}", "method")
     tries = max(16, M // 4) if tries is None else tries
     for name, value in (("n_trajectories", N), ("moves", moves), ("tries", tries)):
-        if int(value) != value or value < 1:
-            raise OptionError(f"{name} = {value}; a positive whole number is needed", name)
+        check_count(name, value)
     index, draws, accepted, full = backward_linear(
         filtered.a,
         filtered.z,

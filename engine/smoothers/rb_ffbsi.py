@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.errors import OptionError
+from engine.errors import check_count
 from engine.filters.rbpf import Filtered
 from engine.kernels.backward import backward_simulation
 from engine.kernels.resampling import stratified
@@ -20,10 +20,25 @@ from engine.views import Figures, figures, html, plots, tables
 class Smoothed:
     """N backward trajectories, each of weight 1/N.
 
-    ``a`` (T, N, na) nonlinear states; ``z`` (T, N, nz) = z_{t|T}, ``cov`` = P_{t|T} and ``cross`` = M_{t|T},
-    the moments of z given the trajectory, with an axis of length 1 where common to all (``P``
-    (T, N, nz, nz) and ``M`` (T-1, N, nz, nz) are the full views); ``index`` (T, N) the filter particle
-    of each point; ``trajectories`` (T, N, nx) whole joint draws of x = (a, z), or None.
+    ``cov`` and ``cross`` are moments of z given the trajectory, with an axis of length 1 in place of N where
+    common to all; ``P`` (T, N, nz, nz) and ``M`` (T-1, N, nz, nz) are the full views.
+
+    Attributes
+    ----------
+    filtered : Filtered
+        The pass forward.
+    a : array (T, N, na)
+        Nonlinear states.
+    z : array (T, N, nz)
+        Means z_{t|T} of the linear states.
+    cov : array (T, N or 1, nz, nz)
+        Their covariances P_{t|T}.
+    cross : array (T-1, N or 1, nz, nz)
+        Their covariances M_{t|T} with the states of the next row.
+    index : array (T, N)
+        The filter particle of each point.
+    trajectories : array (T, N, nx) or None
+        Whole joint draws of x = (a, z).
     """
 
     filtered: Filtered
@@ -102,19 +117,35 @@ def rb_ffbsi(
     rng: np.random.Generator,
     joint: bool = False,
 ) -> Smoothed:
-    """Draw N = ``n_trajectories`` backward trajectories; report, Algorithm 3.
+    """Draw backward trajectories; report, Algorithm 3.
 
-    ``z``, ``P`` and ``M`` are the moments of the report, eqs. (61): under Approximation 1, as in the
-    filter's stored moments, and Approximation 2, which leaves a bias in P and M that does not
-    vanish as M grows. ``joint=True`` chains the drawn z~ into whole trajectories from the joint
-    smoothing density of (a, z); these converge, and the a of such a run are exact draws too.
-    :func:`engine.smoothers.exact_conditional.condition_on_trajectories` turns them into exact moments of z.
+    ``z``, ``P`` and ``M`` are the moments of the report, eqs. (61): under Approximation 1, as in the filter's
+    stored moments, and Approximation 2, which leaves a bias in P and M that does not vanish as M grows.
+    :func:`condition_on_trajectories` turns joint trajectories into exact moments of z.
+
+    Parameters
+    ----------
+    filtered : Filtered
+        A pass of :func:`rbpf`.
+    n_trajectories : int
+        Number of trajectories N.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    joint : bool
+        Chain the drawn z~ into whole trajectories from the joint smoothing density of (a, z); these converge,
+        and the a of such a run are exact draws too.
+
+    Returns
+    -------
+    Smoothed
+        ``a`` (T, N, na) with moments ``z`` (T, N, nz), ``P`` and ``M`` of z.
+
+    Raises
+    ------
+    OptionError
+        ``n_trajectories`` is no positive whole number.
     """
-    if int(n_trajectories) != n_trajectories or n_trajectories < 1:
-        raise OptionError(
-            f"n_trajectories = {n_trajectories}; a positive whole number is needed",
-            "n_trajectories",
-        )
+    check_count("n_trajectories", n_trajectories)
     T, N, nz = len(filtered.a), n_trajectories, filtered.z.shape[2]
     index, z, P, M, draws = backward_simulation(
         filtered.a,

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.errors import ModelError, OptionError
-from engine.filters.rbpf import Filtered, check_options, over_time
+from engine.errors import ModelError, check_count
+from engine.filters.rbpf import Filtered, Predicted, Updated, check_options, over_time
 from engine.kernels import resampling as schemes
 from engine.kernels.categorical import pick_each
 from engine.kernels.filtering import advance, predict, weigh
@@ -33,10 +33,17 @@ from engine.statespace.shapes import through
 
 @dataclass(frozen=True, eq=False)
 class SpecialCase:
-    """A model of eq. (63): the rows of z and y are those of ``model``, whose rows of a are not used.
+    """A model of eq. (63).
 
-    ``sample(a, u, t, dt, theta, rng)`` draws a_{t+1} (M, na) for each row of a (M, na), and
-    ``log_density(a_next, a, u, t, dt, theta)`` evaluates log p(a_next | a) row by row, (K, na) -> (K,).
+    Parameters
+    ----------
+    model : MixedModel
+        Its rows of z and y; the rows of a are not used.
+    sample : callable
+        ``sample(a, u, t, dt, theta, rng)`` draws a_{t+1} (M, na) for each row of a (M, na).
+    log_density : callable
+        ``log_density(a_next, a, u, t, dt, theta)`` evaluates log p(a_next | a) row by row,
+        (K, na) -> (K,).
     """
 
     model: MixedModel
@@ -57,9 +64,17 @@ class SpecialCase:
 
 
 def gaussian_case(model: MixedModel) -> SpecialCase:
-    """Eq. (64): p(a_{t+1} | a_t) = N(f_a(a_t), Q_a(a_t)) from the model's own rows of a.
+    """The special case with a Gaussian p(a_{t+1} | a_t) = N(f_a(a_t), Q_a(a_t)); report, eq. (64).
 
-    The model must have A_a = 0 and Q_az = 0; this is checked where it is evaluated.
+    Parameters
+    ----------
+    model : MixedModel
+        A model with A_a = 0 and Q_az = 0, which is checked where it is evaluated.
+
+    Returns
+    -------
+    SpecialCase
+        For :func:`rbpf_special`.
     """
     na = model.na
 
@@ -102,9 +117,38 @@ def rbpf_special(
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
 ) -> SpecialFiltered:
-    """Filter with M = ``n_particles`` drawn from p(a_{t+1} | a_t); report, Algorithm 2 for eq. (63).
+    """Filter with particles drawn from p(a_{t+1} | a_t); report, Algorithm 2 for eq. (63).
 
-    Options and errors as in :func:`engine.filters.rbpf.rbpf`.
+    Parameters
+    ----------
+    case : SpecialCase
+        The model with its density of a.
+    theta : Theta, mapping, array or None
+        Parameters: all as (n_theta,), some by name, or None for the model's defaults.
+    series : Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    n_particles : int
+        Number of particles M.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    resampling : str
+        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+    ess_threshold : float
+        Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
+
+    Returns
+    -------
+    SpecialFiltered
+        As :func:`rbpf` returns.
+
+    Raises
+    ------
+    OptionError
+        An option is not known or out of its range.
+    SeriesError
+        The data do not fit the model.
+    ModelError
+        The model's functions, shapes or covariances cannot be used.
     """
     model = case.model
     theta = model.theta(theta)
@@ -116,8 +160,8 @@ def rbpf_special(
     ancestors, y = own, np.array(series.y)
     start = model.start(record)
     a = np.asarray(start.density.sample(rng, M), dtype=float)
-    updated: list[tuple[Any, ...]] = []
-    predicted: list[tuple[Any, ...]] = []
+    updated: list[Updated] = []
+    predicted: list[Predicted] = []
     log_w, mu, L = even, none, np.empty((1, 0, 0))
     for t in range(T):
         time = float(series.t[t])
@@ -131,38 +175,50 @@ def rbpf_special(
             z, P, log_w, w, log_sum, ess = advance(
                 mu, L, ancestors, none, nothing, True, h, stacked(C), stacked(R), y[t], log_w
             )
-        updated.append((a, z, P, w, log_w, log_sum, ess, ancestors))
+        updated.append(Updated(a, z, P, w, log_w, log_sum, ess, ancestors))
         if t == T - 1:
             break
         ancestors, u, dt = own, series.u_step[t], float(series.steps[t])
         if ess <= ess_threshold * M:
             ancestors, log_w = scheme(w, rng.random(M)), even
-        mu, L, AP = predict(*case.linear(a, u, time, dt, record), z, P)
-        predicted.append((mu, L, AP))
+        predicted.append(Predicted(*predict(*case.linear(a, u, time, dt, record), z, P)))
+        mu, L, _ = predicted[-1]
         a = np.ascontiguousarray(
             case.sample(np.ascontiguousarray(a[ancestors]), u, time, dt, record, rng), dtype=float
         )
-    arrays = [
-        over_time(rows) for rows in (*zip(*updated, strict=True), *zip(*predicted, strict=True))
-    ]
-    log_likelihood = float(arrays[5].sum())
-    plain = Filtered(model, theta, series, log_likelihood, *arrays)
-    return SpecialFiltered(**vars(plain), case=case)
+    rows = {**over_time(updated), **over_time(predicted)}
+    return SpecialFiltered(model, theta, series, **rows, case=case)
 
 
 def rb_ffbsi_special(
     filtered: SpecialFiltered, n_trajectories: int, rng: np.random.Generator, joint: bool = False
 ) -> Smoothed:
-    """Draw N = ``n_trajectories`` backward trajectories, z smoothed in RTS form, eqs. (66)-(68).
+    """Draw backward trajectories, z smoothed in RTS form; report, eqs. (66)-(68).
 
     Backward weights are w_t^i p(a~_{t+1} | a_t^i) N(z~_{t+1}; z^i_{t+1|t}, P^i_{t+1|t}), from eq. (69).
-    Approximations 1 and 2 and ``joint`` as in :func:`engine.smoothers.rb_ffbsi.rb_ffbsi`.
+
+    Parameters
+    ----------
+    filtered : SpecialFiltered
+        A pass of :func:`rbpf_special`.
+    n_trajectories : int
+        Number of trajectories N.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    joint : bool
+        As for :func:`rb_ffbsi`.
+
+    Returns
+    -------
+    Smoothed
+        ``a`` (T, N, na) with moments of z, under Approximations 1 and 2 of the report.
+
+    Raises
+    ------
+    OptionError
+        ``n_trajectories`` is no positive whole number.
     """
-    if int(n_trajectories) != n_trajectories or n_trajectories < 1:
-        raise OptionError(
-            f"n_trajectories = {n_trajectories}; a positive whole number is needed",
-            "n_trajectories",
-        )
+    check_count("n_trajectories", n_trajectories)
     case, series = filtered.case, filtered.series
     record = case.model.record(filtered.theta)
     T, M, na = filtered.a.shape

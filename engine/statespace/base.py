@@ -21,10 +21,23 @@ ThetaLike: TypeAlias = "Mapping[str, float] | ArrayLike | None"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One component of theta: its name, default value, unit, closed bounds and meaning.
+    """One component of theta.
 
-    ``scale`` is a typical size, in the same unit; only a parameter whose default is 0 may need one, and
-    estimations find it from the data where it is 0.
+    Parameters
+    ----------
+    name : str
+        Its name, a Python identifier.
+    default : float
+        Its default value.
+    unit : str
+        Its unit.
+    bounds : tuple of float
+        The closed interval it lies in.
+    description : str
+        What it means.
+    scale : float
+        A typical size, in the same unit; only a parameter whose default is 0 may need one, and estimations
+        find it from the data where it is 0.
     """
 
     name: str
@@ -36,7 +49,15 @@ class Parameter:
 
 
 class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):
-    """Parameter values as a vector (n_theta,) with names: ``theta[0]``, ``theta["k1"]``."""
+    """Parameter values as a vector (n_theta,) with names: ``theta[0]``, ``theta["k1"]``.
+
+    Parameters
+    ----------
+    values : array (n_theta,)
+        The values, which are copied.
+    names : sequence of str
+        Their names.
+    """
 
     names: tuple[str, ...]
 

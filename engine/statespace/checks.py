@@ -14,8 +14,8 @@ from engine.data.series import Series
 from engine.errors import EngineError, ModelError
 from engine.statespace.model import Array, Gaussian, MixedModel
 
-ROWS = 3  # draws of a_1 tried at once: enough to tell (M, n) from (n,)
-TIMES = 8  # rows of a series on which functions are tried
+TRIED_DRAWS = 3  # draws of a_1 tried at once: enough to tell (M, n) from (n,)
+TRIED_ROWS = 8  # rows of a series on which functions are tried
 ROUNDING = 1e-9  # of a standard deviation each, what a covariance may be off
 
 
@@ -27,7 +27,7 @@ def check_start(model: MixedModel, theta: Array, series: Series) -> None:
     """
     if series in model.checked:
         return
-    rows = np.unique(np.linspace(0, len(series) - 2, TIMES).astype(int))
+    rows = np.unique(np.linspace(0, len(series) - 2, TRIED_ROWS).astype(int))
     at = ((series.u_step[i], float(series.t[i]), float(series.steps[i])) for i in rows)
     _check_functions(model, theta, at, "the start values")
     model.checked.add(series)
@@ -95,12 +95,12 @@ def _check_first(model: MixedModel, record: object, what: str) -> Array:
     """Draws of a_1, (M, na), after checking its density and those of z_1."""
     try:
         start = model.start(record)
-        a = np.asarray(start.density.sample(np.random.default_rng(0), ROWS), dtype=float)
-        if a.shape != (ROWS, model.na):
-            raise ModelError(f"p(a_1) draws shape {a.shape}; ({ROWS}, {model.na}) is needed")
+        a = np.asarray(start.density.sample(np.random.default_rng(0), TRIED_DRAWS), dtype=float)
+        if a.shape != (TRIED_DRAWS, model.na):
+            raise ModelError(f"p(a_1) draws shape {a.shape}; ({TRIED_DRAWS}, {model.na}) is needed")
         log_p = np.asarray(start.density.log_density(a))
-        if log_p.shape != (ROWS,):
-            raise ModelError(f"log p(a_1) has shape {log_p.shape}; ({ROWS},) is needed")
+        if log_p.shape != (TRIED_DRAWS,):
+            raise ModelError(f"log p(a_1) has shape {log_p.shape}; ({TRIED_DRAWS},) is needed")
         z, P = start.linear(a)
     except EngineError as error:
         text = str(error)

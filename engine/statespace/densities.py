@@ -17,9 +17,14 @@ from engine.statespace.model import Array
 
 @dataclass(frozen=True)
 class StudentT:
-    """Independent Student-t components: ``scale`` (n,), ``nu`` > 0 degrees of freedom, mean 0.
+    """Independent Student-t components of mean 0.
 
-    The variance is scale^2 nu / (nu - 2) for nu > 2.
+    Parameters
+    ----------
+    scale : array (n,) or float
+        Scales; the variance is scale^2 nu / (nu - 2) for nu > 2.
+    nu : float
+        Degrees of freedom, positive.
     """
 
     scale: Array
@@ -43,7 +48,19 @@ class StudentT:
 
 @dataclass(frozen=True)
 class GaussianMixture:
-    """Independent components, each a mixture: ``shares`` (k,), ``means`` (k,), ``sds`` (k,)."""
+    """Independent components, each the same mixture of k normal densities.
+
+    Parameters
+    ----------
+    shares : array (k,)
+        Probabilities of the normal densities; scaled to the sum 1.
+    means : array (k,)
+        Their means.
+    sds : array (k,)
+        Their standard deviations.
+    n : int
+        Number of components.
+    """
 
     shares: Array
     means: Array

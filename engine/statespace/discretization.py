@@ -34,11 +34,28 @@ def discretize(
     *,
     dt: float | Array,
 ) -> tuple[Array, Array, Array]:
-    """A (n, n), B (n, m), Q (n, n) of a linear system over a step of dt seconds.
+    """Discretize a linear system with noise over a step: A, B, Q by matrix exponentials.
 
-    F (n, n) in 1/s, G (n, m), Qc (n, n) the noise's intensity per second. F, G, Qc may have
-    leading axes and dt may be an array; what is returned has their common leading axes. Without
-    G, B is (n, 0); without Qc, Q is zero. Raises OptionError naming the argument.
+    Parameters
+    ----------
+    F : array (..., n, n)
+        System matrix, 1/s.
+    G : array (..., n, m), optional
+        Input matrix, per second.
+    Qc : array (..., n, n), optional
+        Intensity of the noise, per second.
+    dt : float or array (...)
+        Time step, s; leading axes are broadcast.
+
+    Returns
+    -------
+    tuple of arrays
+        A (..., n, n), B (..., n, m), n x 0 without ``G``, and Q (..., n, n), zero without ``Qc``.
+
+    Raises
+    ------
+    OptionError
+        An argument has the wrong shape or is not finite; names it.
     """
     F = _matrix(F, "F")
     n = F.shape[-1]

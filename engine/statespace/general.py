@@ -28,7 +28,7 @@ from engine.data.series import Series
 from engine.errors import EngineError, ModelError
 from engine.kernels.gaussian import psd_cholesky_many
 from engine.statespace.base import BaseModel
-from engine.statespace.checks import TIMES
+from engine.statespace.checks import TRIED_ROWS
 from engine.statespace.declared import check_declared
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.model import (
@@ -46,12 +46,35 @@ from engine.statespace.shapes import through
 
 Noise: TypeAlias = Callable[[Any], Density]
 
-DRAWS = 3  # of each density, to look at
+DENSITY_DRAWS = 3  # of each density, to look at
 
 
 @dataclass(frozen=True)
 class NonlinearModel(BaseModel):
-    """A general state-space model; see the module's docstring."""
+    """A general state-space model, poster, eq. (1); see the module's docstring.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    dynamics, measurement, initial, process_noise, measurement_noise : callable
+        The functions of the module's docstring.
+    states, outputs : mapping
+        {name: unit} of the states x and of the outputs y.
+    parameters : sequence of Parameter
+        The components of theta.
+    inputs : mapping
+        {name: unit} of the inputs u.
+    description : str
+        What is modelled, in a sentence.
+    equations : sequence of str
+        Lines of text for people.
+
+    Raises
+    ------
+    ModelError
+        Names, bounds or defaults cannot be used.
+    """
 
     name: str
     dynamics: Callable[[Array, Any, Any, Any, Any], tuple[Any, Any]]
@@ -88,7 +111,7 @@ class NonlinearModel(BaseModel):
     def transition(
         self, x: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array | None]:
-        """F (K, nx) and g, of which None stands for the unit matrix."""
+        """f (K, nx) and g, of which None stands for the unit matrix."""
         f, g = self.transitions(x, u, t, dt, theta)
         return f, g
 
@@ -152,7 +175,9 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
     ):
         try:
             density = getattr(model, name)(record)
-            values = np.asarray(density.sample(np.random.default_rng(0), DRAWS), dtype=float)
+            values = np.asarray(
+                density.sample(np.random.default_rng(0), DENSITY_DRAWS), dtype=float
+            )
             log_p = np.asarray(density.log_density(values), dtype=float)
             alone = [float(np.squeeze(density.log_density(v[None]))) for v in values]
         except EngineError:
@@ -161,7 +186,8 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
             raise ModelError(
                 f"model '{model.name}': {name} raised {type(error).__name__}: {error}"
             ) from error
-        for what, got, shape in (("draws", values, (DRAWS, n)), ("log density", log_p, (DRAWS,))):
+        shapes = (DENSITY_DRAWS, n), (DENSITY_DRAWS,)
+        for what, got, shape in (("draws", values, shapes[0]), ("log density", log_p, shapes[1])):
             if got.shape != shape or not np.isfinite(got).all():
                 raise ModelError(
                     f"model '{model.name}', {name}: {what} {got.tolist()} of shape {got.shape}; finite "
@@ -174,7 +200,7 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
             )
         if name == "initial":
             x = values
-    for i in np.unique(np.linspace(0, len(series) - 2, TIMES).astype(int)):
+    for i in np.unique(np.linspace(0, len(series) - 2, TRIED_ROWS).astype(int)):
         u, t = series.u[i], float(series.t[i])
         f, g = model.transition(x, series.u_step[i], t, float(series.steps[i]), record)
         h, s = model.output(x, u, t, record)
@@ -192,7 +218,15 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
 def as_general(model: MixedModel) -> NonlinearModel:
     """A mixed model as a general one: x = (a, z), g = chol Q, s = chol R, Gaussian noise.
 
-    A singular Q has no density to evaluate; the general algorithms raise ModelError then.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+
+    Returns
+    -------
+    NonlinearModel
+        The same model. A singular Q has no density to evaluate; general algorithms raise ModelError then.
     """
     full = as_nonlinear(model)
     nx, ny = model.nx, model.ny

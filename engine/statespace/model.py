@@ -72,7 +72,15 @@ class Density(Protocol):
 
 @dataclass(frozen=True)
 class Gaussian:
-    """N(mean, cov): mean (na,), cov (na, na); a singular cov fixes components exactly."""
+    """The density N(mean, cov).
+
+    Parameters
+    ----------
+    mean : array (n,)
+        Its mean.
+    cov : array (n, n)
+        Its covariance; a singular one fixes components exactly.
+    """
 
     mean: Array
     cov: Array
@@ -114,15 +122,35 @@ Initial: TypeAlias = Callable[[Any], tuple[Density, Any, Any]]
 class MixedModel(BaseModel):
     """A mixed linear/nonlinear state-space model, paper, eq. (1); see the module's docstring.
 
-    ``nonlinear`` (a), ``linear`` (z), ``inputs`` (u) and ``outputs`` (y) map names to units.
-    ``equations`` are lines of text for people. ``kinematic`` names states whose equation holds by
-    definition, as q' = v does: a diagnosis adds nothing to it. ``reference`` maps channels to the value
-    of their natural zero, in their unit (20 for a temperature that is counted from room temperature):
-    effects that have a zero of their own, such as drag or a gain error, count from there. ``continuous``
-    declares that dt is a real time step: two half-steps agree with one, A and Q included, up to the order
-    of the scheme, so that a diagnosis may step more finely than the data (checked when it is used).
+    Parameters
+    ----------
+    name : str
+        Its name.
+    dynamics, measurement, initial : callable
+        The functions of the module's docstring.
+    outputs : mapping
+        {name of an output y: its unit}.
+    parameters : sequence of Parameter
+        The components of theta.
+    nonlinear, linear, inputs : mapping
+        {name: unit} of the states a and z and of the inputs u.
+    description : str
+        What is modelled, in a sentence.
+    equations : sequence of str
+        Lines of text for people.
+    kinematic : sequence of str
+        States whose equation holds by definition, as q' = v does: a diagnosis adds nothing to it.
+    reference : mapping
+        {channel: the value of its natural zero, in its unit}, such as 20 for a temperature that is counted
+        from room temperature. Effects that have a zero of their own (drag, a gain error) count from there.
+    continuous : bool
+        dt is a real time step: two half-steps agree with one, A and Q included, up to the order of the
+        scheme, so that a diagnosis may step more finely than the data (checked when it is used).
 
-    Raises ModelError for names, bounds or defaults that cannot be used.
+    Raises
+    ------
+    ModelError
+        Names, bounds or defaults cannot be used.
     """
 
     name: str
@@ -195,12 +223,12 @@ class MixedModel(BaseModel):
     def transition(
         self, a: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array, Array]:
-        """F (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
+        """f (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
         f, A, Q = self.transitions(a, u, t, dt, theta)
         return f, A, Q
 
     def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
-        """H (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
+        """h (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
         h, C, R = self.observations(a, u, t, 0.0, theta)
         return h, C, R
 

@@ -176,7 +176,7 @@ def fit(
     """
     with guarded(as_json):
         from service.cli import fit as work
-        from service.cli.experiment import told
+        from service.cli.experiment import parsed
         from service.cli.state import Asked
         from service.cli.values import one_of
 
@@ -194,7 +194,7 @@ def fit(
         model = model_named(model)
         asked = Asked(
             data=[str(path.absolute()) for path in data],
-            **told(model, effects, values, fixed, free, columns, time, dt, seed, paths),
+            **parsed(model, effects, values, fixed, free, columns, time, dt, seed, paths),
             method=method,
             particles=particles,
             trajectories=trajectories,
@@ -297,7 +297,7 @@ def diagnose(
     """
     with guarded(as_json):
         from service.cli import diagnose as work
-        from service.cli.experiment import told
+        from service.cli.experiment import parsed
         from service.cli.values import names
 
         paths = absolute_paths(out=out, report=report, plot=plot)
@@ -314,7 +314,7 @@ def diagnose(
         model = model_named(model)
         asked = work.Asked(
             data=str(data.absolute()),
-            **told(model, effects, values, fixed, free, columns, time, dt, seed, paths),
+            **parsed(model, effects, values, fixed, free, columns, time, dt, seed, paths),
             extra=names(extra),
             test=str(test.absolute()) if test else None,
             alpha=alpha,

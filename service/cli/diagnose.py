@@ -1,4 +1,4 @@
-"""``rbps diagnose``: what a model leaves out, told, and kept until then so that it can be gone on with."""
+"""``rbps diagnose``: find out what a model leaves out; what is finished is kept for a resumed run."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from service.cli.ending import Code, Ending, Interrupt, wrong
 from service.cli.experiment import Experiment
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
-from service.cli.outputs import check_outputs, not_written, output_path, say_written, write_outputs
-from service.cli.state_file import StateFile, beside, keep_old, read
+from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
+from service.cli.state_file import StateFile, beside, read
 from service.cli.values import free_of, theta_of
 
 
@@ -92,13 +92,8 @@ def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> No
     output_path("--state", path)
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
-        in_file = references.in_file(asked.model)
-        files = [Path(name) for name in (asked.data, asked.test) if name]
-        asked.seal([*files, in_file[0]] if in_file else files)
-        aside = keep_old(path)
-        if aside is not None:
-            shown.note(f"an earlier {path.name} is kept as {aside.name}")
-        kept = Kept(StateFile(path, asked), shown)
+        files = [name for name in (asked.data, asked.test) if name]
+        kept = Kept(asked.begin(path, files, shown), shown)
         found, document = _run(job, asked, kept)
     _tell(asked, found, document, kept, as_json)
 
@@ -106,9 +101,7 @@ def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> No
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
     """Go on with a diagnosis; ``changes`` are members of Asked that may differ."""
     asked, rows, left = read(path, Asked)
-    for name, value in changes.items():
-        setattr(asked, name, value)
-    asked.check()
+    asked.change(changes)
     _check(asked)
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
@@ -158,7 +151,7 @@ def _prepare(asked: Asked, shown: Meter) -> Job:
 
 def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str, Any]]:
     """The diagnosis and its document; when it is interrupted, what is done is saved."""
-    kept.shown.begin(diagnoses.STEPS, kept.percent)
+    kept.shown.begin(diagnoses.PROGRESS_STEPS, kept.percent)
     try:
         with kept.interrupt.held():
             found = engine.diagnose(
@@ -172,7 +165,7 @@ def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str
                 max_effects=asked.max_effects,
                 free=job.free,
                 bootstrap=asked.bootstrap,
-                callback=diagnoses.Percent(kept),
+                callback=diagnoses.Percent(kept.step),
                 kept=kept,
             )
     except KeyboardInterrupt:
@@ -218,12 +211,8 @@ def _tell(
     kept: Kept,
     as_json: bool,
 ) -> None:
-    """Write the files and print the page; the state goes once they are there, unless asked for by name."""
-    try:
-        written = write_outputs(asked, document, [asked.data], asked.seed, found.plot)
-    except OSError as error:
-        kept.save()
-        raise not_written(error, kept.file.again) from None
+    """Write the files and print the page; then the state is removed, unless --state named it."""
+    written = write_outputs(asked, document, [asked.data], kept)
     if asked.keep:
         kept.save()
     else:

@@ -1,13 +1,15 @@
-"""What an estimation and a diagnosis are both told: the model, its parameters, where the data are."""
+"""The options that an estimation and a diagnosis share: the model, its parameters, where the data are."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from service.cli.references import absolute
-from service.cli.state_file import Sealed
+from service.cli.meter import Meter
+from service.cli.references import absolute, in_file
+from service.cli.state_file import Sealed, StateFile, keep_old
 from service.cli.values import names, numbers, pairs
 
 
@@ -29,8 +31,23 @@ class Experiment(Sealed):
     plot: str | None = None
     keep: bool = False  # the state file, when there is nothing to go on with any more
 
+    def begin(self, path: Path, files: Sequence[str], shown: Meter) -> StateFile:
+        """The state file of a new run; an earlier one of that name is moved aside."""
+        model = in_file(self.model)
+        self.seal([*map(Path, files), *([model[0]] if model else [])])
+        aside = keep_old(path)
+        if aside is not None:
+            shown.note(f"an earlier {path.name} is kept as {aside.name}")
+        return StateFile(path, self)
 
-def told(
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Take over what a resumed run may change, and refuse one whose files are not what they were."""
+        for name, value in changes.items():
+            setattr(self, name, value)
+        self.check()
+
+
+def parsed(
     model: str,
     effects: list[str],
     values: Sequence[str],

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.data.files import READERS, TIME, read_series
+from engine.data.files import TIME, read_table, series_from
 from engine.data.series import Series
 from engine.data.tables import Table
 from engine.errors import SeriesError
@@ -35,20 +35,10 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
     table = _table(path, model, columns)
     y, u = _assigned(table, model, columns)
     try:
-        found = read_series(
-            path, y=y, u=u if model.inputs else [], t=columns.time, dt=columns.dt
-        ).check(model)
-        series = Series(
-            found.y,
-            found.u if model.nu else None,
-            t=found.t,
-            y_names=tuple(model.outputs),
-            u_names=tuple(model.inputs),
-            extra=np.column_stack([table.column(name) for name in columns.extra])
-            if columns.extra
-            else None,
-            extra_names=tuple(columns.extra) or None,
-        )
+        series = series_from(table, y, u, columns.time, columns.dt).check(model)
+        if columns.extra:
+            extra = np.column_stack([table.column(name) for name in columns.extra])
+            series = series.replace(extra=extra, extra_names=tuple(columns.extra))
     except SeriesError as error:
         text = str(error)
         raise wrong(text if path.name in text else f"{path.name}: {text}") from None
@@ -61,11 +51,8 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
     _, u = _assigned(table, model, columns, "u")
     some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
     try:
-        found = read_series(
-            path, y=[some], u=u if model.inputs else [], t=columns.time, dt=columns.dt
-        )
-        blank = np.full((len(found), model.ny), np.nan)
-        return Series(blank, found.u if model.nu else None, t=found.t)
+        found = series_from(table, [some], u, columns.time, columns.dt)
+        return found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)
     except SeriesError as error:
         raise wrong(str(error)) from None
 
@@ -79,11 +66,8 @@ def _table(path: Path, model: MixedModel, columns: Columns) -> Table:
                 f"--map {channel}={column}: model '{model.name}' has no output or input "
                 f"'{channel}'; it has {there}"
             )
-    suffix = path.suffix.lower()
-    if suffix not in READERS:
-        raise wrong(f"{path}: the ending must be .csv, .mat or .npz, not '{suffix}'")
     try:
-        table = READERS[suffix](path.read_bytes(), path.name)
+        table = read_table(path.read_bytes(), path.name)
     except SeriesError as error:
         raise wrong(str(error)) from None
     asked = [(f"--map {channel}={column}", column) for channel, column in columns.of.items()]
@@ -115,11 +99,11 @@ def _assigned(
 def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns: Columns) -> str:
     every = f"every {series.dt:g} s" if series.dt is not None else "at irregular times"
     channels = [*series.y_names, *series.u_names]
-    told = [
+    channels_read = [
         channel if channel == column else f"{channel} from column {column}"
         for channel, column in zip(channels, read, strict=True)
     ]
-    text = f"{path.name}: {len(series)} samples {every}; {', '.join(told)}"
+    text = f"{path.name}: {len(series)} samples {every}; {', '.join(channels_read)}"
     missing = int((~series.observed).sum())
     text += f"; {missing} missing" if missing else ""
     clock = columns.time or columns.dt or table.dt or any(map(TIME.fullmatch, table.groups))

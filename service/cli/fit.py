@@ -1,4 +1,4 @@
-"""``rbps fit``: estimate, tell, and leave what a resumed run needs."""
+"""``rbps fit``: estimate, print the estimate, and keep the state that a resumed run needs."""
 
 from __future__ import annotations
 
@@ -7,25 +7,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from engine import words
 from engine.data.series import Series
-from engine.errors import ModelError
-from engine.presentation import plots
-from engine.simulation.free_run import free_run
 from engine.statespace.model import MixedModel
 from service import stages, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, wrong
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
-from service.cli.outputs import check_outputs, not_written, output_path, say_written, write_outputs
+from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
 from service.cli.state import Asked, Recorder
-from service.cli.state_file import StateFile, beside, keep_old, read
+from service.cli.state_file import StateFile, beside, read
 from service.cli.values import free_of, theta_of
-from service.found import roles
-from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import (
     EstimateOptions,
@@ -33,6 +26,7 @@ from service.schemas import (
     EstimateRequest,
     ModelReference,
 )
+from service.validation import Prepared
 
 
 def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
@@ -41,15 +35,10 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     asked.keep = state is not None
     check_outputs(asked)
     output_path("--state", path)
-    in_file = references.in_file(asked.model)
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
-            asked.seal([Path(name) for name in asked.data] + ([in_file[0]] if in_file else []))
-            aside = keep_old(path)
-            if aside is not None:
-                shown.note(f"an earlier {path.name} is kept as {aside.name}")
-            begun.append(Recorder(path, asked, shown))
+            begun.append(Recorder(asked.begin(path, asked.data, shown), asked, shown))
             _name_tasks(job, begun[0])
             document = _run(job, asked, begun[0], shown)
         _tell(job, asked, document, begun[0], as_json)
@@ -60,14 +49,12 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     asked, rows, finished = read(path, Asked)
     if "iterations" in changes and (asked.starts > 1 or asked.bootstrap):
         raise wrong("--iterations cannot be changed where there are several starts or a bootstrap")
-    for name, value in changes.items():
-        setattr(asked, name, value)
-    asked.check()
+    asked.change(changes)
     check_outputs(asked)
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
-            recorder = Recorder(path, asked, shown, rows, finished)
+            recorder = Recorder(StateFile(path, asked), asked, shown, rows, finished)
             if len(rows) and rows.shape[1] != len(job.model.parameters) + 4:
                 raise wrong(
                     f"--resume {path}: its parameters are not those of model '{asked.model}'"
@@ -136,19 +123,18 @@ def _resumable(asked: Asked) -> Iterator[list[Recorder]]:
 
 def _name_tasks(job: Prepared, recorder: Recorder) -> None:
     """Names of the tasks, as the page of a job has them."""
-    sizes = [n for _, n in stages.plan(job.request)]
+    sizes = stages.plan(job.request)
     if len(sizes) > 1:
-        parts = [roles(sizes)[sum(sizes[:i])] for i in range(len(sizes))]
         recorder.names = [
             f"{role} {i + 1} of {n}" if n > 1 else role
-            for role, n in zip(parts, sizes, strict=True)
+            for role, n in zip(stages.ROLES[len(sizes)], sizes, strict=True)
             for i in range(n)
         ]
 
 
 def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[str, Any]:
     """All tasks that are left, one after the other; what the last one leaves is the result."""
-    last = sum(n for _, n in stages.plan(job.request)) - 1
+    last = sum(stages.plan(job.request)) - 1
     shown.begin(stages.steps(job), recorder.steps)
     try:
         while True:
@@ -168,16 +154,10 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
 def _tell(
     job: Prepared, asked: Asked, document: dict[str, Any], recorder: Recorder, as_json: bool
 ) -> None:
-    """Write the files and print the estimate; a state that is of no more use goes once they are there."""
+    """Write the files and print the estimate; then remove a state that nothing can be resumed from."""
     one_run = asked.starts == 1 and not asked.bootstrap
     more = one_run and document["outcome"] == "iterations-used-up"
-    try:
-        written = write_outputs(
-            asked, document, asked.data, asked.seed, lambda: figures(job, document)
-        )
-    except OSError as error:
-        recorder.save()
-        raise not_written(error, recorder.file.again) from None
+    written = write_outputs(asked, document, asked.data, recorder)
     if not more:
         _tidy(asked, recorder.file)
     if as_json:
@@ -243,39 +223,3 @@ def _starts(document: dict[str, Any]) -> list[str]:
         if "log_likelihood" not in one
     ]
     return lines + lost
-
-
-def figures(job: Prepared, document: dict[str, Any]) -> plots.Figures:
-    """Convergence, smoothed states with bands, free runs against the data."""
-    model = job.model
-    estimate = document["estimate"]
-    free = [p for p in model.parameters if not estimate[p.name].get("fixed")]
-    trace = document["trace"]
-    value = np.array([estimate[p.name]["value"] for p in free])
-    error = np.array([estimate[p.name]["standard_error"] for p in free], dtype=float)
-    half = plots.TWO_SIDED * error
-    out = plots.Figures(
-        convergence=plots.convergence(
-            {p.name: p.unit for p in free},
-            np.array([trace["theta"][p.name] for p in free]).T,
-            value,
-            np.array(trace["log_likelihood"][1:], dtype=float),
-            np.array(trace["ess"][1:], dtype=float),
-            np.stack([value - half, value + half], axis=1),
-        )
-    )
-    theta = model.theta({name: one["value"] for name, one in estimate.items()})
-    smoothed = document["states"]
-    for i, (series, one) in enumerate(zip(job.series, smoothed["series"], strict=True)):
-        suffix = f"-{i + 1}" if len(job.series) > 1 else ""
-        mean, sd = (
-            np.array(list(one[key].values()), dtype=float).T
-            for key in ("mean", "standard_deviation")
-        )
-        out[f"states{suffix}"] = plots.states(series.t, smoothed["units"], mean, sd)
-        try:
-            run = free_run(model, theta, series, initial_rows=20)
-        except ModelError:
-            continue  # without measurements the model runs away: nothing to draw
-        out[f"free-run{suffix}"] = run.plot()["outputs"]
-    return out

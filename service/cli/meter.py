@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 import sys
 import time
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
-STEPS = 10  # lines of a whole run, about ...
-PAUSE = 30.0  # ... and one after so many seconds without
+PROGRESS_LINES = 10  # lines of a whole run, about ...
+PAUSE_SECONDS = 30.0  # ... and one after so many seconds without
 
 
-class Meter(Protocol):
-    """Where a computation tells how far it is; a context manager."""
+class Meter:
+    """Where a computation tells how far it is; a context manager. This one shows nothing."""
 
     def begin(self, total: int, done: int = 0) -> None:
         """There are ``total`` steps, ``done`` of them from before."""
@@ -28,54 +27,22 @@ class Meter(Protocol):
         """A line that stays."""
 
     def __enter__(self) -> Self:
-        """Start showing."""
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         """Leave the terminal clean."""
 
 
 def meter(quiet: bool) -> Meter:
     """The meter that fits stderr."""
     if quiet:
-        return Silent()
+        return Meter()
     if sys.stderr.isatty() and os.environ.get("TERM", "") not in ("", "dumb"):
         return Bar()
     return Lines()
 
 
-class Silent:
-    """Shows nothing."""
-
-    def begin(self, total: int, done: int = 0) -> None:
-        """Nothing."""
-
-    def at(self, done: int, text: str = "") -> None:
-        """Nothing."""
-
-    def say(self, text: str) -> None:
-        """Nothing."""
-
-    def note(self, text: str) -> None:
-        """Nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        pass
-
-
-class Lines(Silent):
+class Lines(Meter):
     """A line for every tenth of the run, with the time that is left by the pace so far."""
 
     def begin(self, total: int, done: int = 0) -> None:
@@ -86,12 +53,12 @@ class Lines(Silent):
     def at(self, done: int, text: str = "") -> None:
         """Write a line where a tenth is done, or nothing was said for long."""
         now = time.monotonic()
-        tenth = done * STEPS // self.total > self.shown * STEPS // self.total
-        if not tenth and now - self.said < PAUSE:
+        tenth = done * PROGRESS_LINES // self.total > self.shown * PROGRESS_LINES // self.total
+        if not tenth and now - self.said < PAUSE_SECONDS:
             return
         self.shown, self.said = done, now
         left, mine = "", done - self.first
-        if done < self.total and mine * STEPS >= self.total:  # sooner it would be a guess
+        if done < self.total and mine * PROGRESS_LINES >= self.total:  # sooner it would be a guess
             left = f", {duration((now - self.since) / mine * (self.total - done))} left"
         self.say(f"{done} of {self.total}{', ' if text else ''}{text}{left}")
 
@@ -104,7 +71,7 @@ class Lines(Silent):
         self.say(text)
 
 
-class Bar(Silent):
+class Bar(Meter):
     """A bar that is written over, with per cent, remaining time and the latest words."""
 
     def begin(self, total: int, done: int = 0) -> None:
@@ -142,12 +109,7 @@ class Bar(Silent):
         self.progress.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.progress.stop()
 
 

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Any
-
-import numpy as np
 
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting
@@ -15,13 +12,14 @@ from engine.statespace.model import MixedModel
 from engine.words import number, tidy
 from service import strict_json
 from service.cli.references import model_of, with_effects
+from service.serializers import members
 
 
 def show_all(as_json: bool) -> None:
     """Every registered model with its description; broken plug-ins on stderr."""
     models = [get_model(name) for name in model_names()]
     if as_json:
-        print(strict_json.dumps([document(model) for model in models]))
+        print(strict_json.dumps([members(model) for model in models]))
     else:
         width = max(len(model.name) for model in models) + 2
         for model in models:
@@ -48,32 +46,9 @@ def show_one(reference: str, effects: Sequence[str], list_effects: bool, as_json
         for one in found:
             print(f"{one.name:<{width}}{one.title}: {one.equation}")
     elif as_json:
-        print(strict_json.dumps(document(model)))
+        print(strict_json.dumps(members(model)))
     else:
         print("\n".join(page(model)))
-
-
-def document(model: MixedModel) -> dict[str, Any]:
-    """A model as JSON, member by member as in ``GET /models``; an infinite bound is null."""
-    return {
-        "name": model.name,
-        "description": model.description,
-        "equations": list(model.equations),
-        "nonlinear": dict(model.nonlinear),
-        "linear": dict(model.linear),
-        "inputs": dict(model.inputs),
-        "outputs": dict(model.outputs),
-        "parameters": [
-            {
-                "name": p.name,
-                "unit": p.unit,
-                "default": float(p.default),
-                "bounds": [float(bound) if np.isfinite(bound) else None for bound in p.bounds],
-                "description": p.description,
-            }
-            for p in model.parameters
-        ],
-    }
 
 
 def page(model: MixedModel) -> Iterator[str]:

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from engine.presentation import plots
 from engine.presentation.report import write_report
 from service import strict_json
-from service.cli.ending import Ending, about_file, wrong
+from service.cli.ending import about_file, wrong
+from service.cli.experiment import Experiment
+from service.cli.state_file import StateFile
 from service.cli.values import about
 
 
-class Wanted(Protocol):
-    """``--out``, ``--report`` and ``--plot`` as they were given."""
+class Kept(Protocol):
+    """The state of a run, which can be written and gone on with."""
 
-    out: str | None
-    report: str | None
-    plot: str | None
+    file: StateFile
+
+    def save(self) -> None:
+        """Write the state."""
 
 
-def check_outputs(wanted: Wanted) -> None:
+def check_outputs(wanted: Experiment) -> None:
     """Refuse ``--out``, ``--report`` and ``--plot`` that cannot be written before any time is spent."""
     output_path("--out", Path(wanted.out) if wanted.out else None, (".json",))
     output_path("--report", Path(wanted.report) if wanted.report else None, (".html", ".htm"))
@@ -31,30 +34,32 @@ def check_outputs(wanted: Wanted) -> None:
 
 
 def write_outputs(
-    wanted: Wanted,
-    document: dict[str, Any],
-    data: Sequence[str],
-    seed: int,
-    figures: Callable[[], plots.Figures],
+    wanted: Experiment, document: dict[str, Any], data: Sequence[str], state: Kept
 ) -> list[str]:
-    """Write what was asked for; the paths. ``figures`` are made where ``--plot`` asks. Raises OSError."""
+    """Write what was asked for; the paths. Where that fails, ``state`` writes it without computing anew."""
+    try:
+        return _write(wanted, document, data)
+    except OSError as error:
+        state.save()
+        raise wrong(
+            f"{about_file(error)}. What was found is kept; once that is mended:\n  {state.file.again}"
+        ) from None
+
+
+def _write(wanted: Experiment, document: dict[str, Any], data: Sequence[str]) -> list[str]:
     written = []
     text = strict_json.dumps(document)
+    plain = json.loads(text)
     if wanted.out:
         Path(wanted.out).write_text(text + "\n", encoding="utf-8")
         written.append(wanted.out)
     if wanted.report:
-        about_run = {"data": ", ".join(Path(name).name for name in data), "seed": seed}
-        written.append(str(write_report(json.loads(text), wanted.report, about_run)))
+        about_run = {"data": ", ".join(Path(name).name for name in data), "seed": wanted.seed}
+        written.append(str(write_report(plain, wanted.report, about_run)))
     if wanted.plot:
-        figures().save(wanted.plot)
+        plots.of_document(plain).save(wanted.plot)
         written.append(wanted.plot)
     return written
-
-
-def not_written(error: OSError, again: str) -> Ending:
-    """A file could not be written; the command ``again`` writes it without computing anew."""
-    return wrong(f"{about_file(error)}. What was found is kept; once that is mended:\n  {again}")
 
 
 def say_written(written: Sequence[str]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,14 +14,14 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.presentation import plots
 from engine.statespace.model import Array, MixedModel
-from service import kinds, strict_json
+from service import computations, strict_json
 from service.cli import references
 from service.cli.ending import wrong
 from service.cli.files import Columns, inputs_of
 from service.cli.outputs import figure_folder, output_path
 from service.cli.values import about
-from service.prepare import Prepared
 from service.schemas import ModelReference, SimulateOptions, SimulateRequest
+from service.validation import Prepared
 
 SHAPES = ("steps", "square", "sine")
 
@@ -45,7 +44,7 @@ class Wanted:
 
 
 class Steps:
-    """The part of ``kinds.Progress`` that a simulation uses; it takes no time to speak of."""
+    """The part of ``computations.Progress`` that a simulation uses; it takes no time to speak of."""
 
     def step(self, k: int, message: str = "") -> None:
         """Nothing to show."""
@@ -69,19 +68,14 @@ def run(wanted: Wanted, as_json: bool) -> None:
         ),
     )
     job = Prepared(request, model, [frame], theta)
-    document = kinds.simulate(job, request, Steps())  # type: ignore[arg-type]  # told steps only
+    document = computations.simulate(job, request, Steps())  # type: ignore[arg-type]  # told steps only
     one = document["simulation"]["series"][0]
-    drawn = Series(
-        np.array([one["y"][name] for name in model.outputs]).T,
-        frame.u if model.nu else None,
-        t=frame.t,
-        y_names=tuple(model.outputs),
-        u_names=tuple(model.inputs),
-    )
+    y = np.array([one["y"][name] for name in model.outputs]).T
+    drawn = frame.replace(y=y, y_names=tuple(model.outputs), u_names=tuple(model.inputs))
     if wanted.out:
         write_series(drawn, wanted.out)
     if wanted.plot:
-        figures(model, drawn, one["states"]).save(wanted.plot)
+        plots.of_document(document).save(wanted.plot)
     if as_json:
         print(strict_json.dumps(document))
     elif wanted.out:
@@ -154,13 +148,3 @@ def _sizes(model: MixedModel, effects: Mapping[str, float], frame: Series) -> di
         out[effect.size.name] = size
         model = effect.apply(model)
     return out
-
-
-def figures(model: MixedModel, drawn: Series, states: dict[str, Any]) -> plots.Figures:
-    """Outputs and states over time."""
-    units = {**model.nonlinear, **model.linear}
-    x = np.array([states[name] for name in units]).T
-    return plots.Figures(
-        outputs=plots.states(drawn.t, model.outputs, drawn.y),
-        states=plots.states(drawn.t, units, x),
-    )

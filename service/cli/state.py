@@ -9,7 +9,6 @@ import copy
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -39,17 +38,17 @@ class Asked(Experiment):
 
 
 class Recorder:
-    """``kinds.Progress`` on a state file and a meter; rows are (theta..., log-likelihood, ess, ...)."""
+    """``computations.Progress`` on a state file and a meter; rows are (theta..., log-likelihood, ess, ...)."""
 
     def __init__(
         self,
-        path: Path,
+        file: StateFile,
         asked: Asked,
         meter: Meter,
         rows: Array | None = None,
         finished: Sequence[Any] = (),
     ) -> None:
-        self.file, self.asked, self.meter = StateFile(path, asked), asked, meter
+        self.file, self.asked, self.meter = file, asked, meter
         self.done: list[Array] = [] if rows is None else list(rows)
         self.finished = list(finished)  # what the tasks before this one left
         self.names: list[str] = []  # of the tasks, where there are several

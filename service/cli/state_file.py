@@ -113,23 +113,26 @@ def read(path: Path, kind: type[Asked]) -> tuple[Asked, Array, list[Any]]:
     """What was asked of the command, its rows (k, n) or (0, 0), and what else it left."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            told, rows = json.loads(str(stored["asked"])), np.asarray(stored["rows"], dtype=float)
+            stored_request, rows = (
+                json.loads(str(stored["asked"])),
+                np.asarray(stored["rows"], dtype=float),
+            )
             left = json.loads(stored["left"].tobytes())
-        other = told.get("command", "fit")  # the first that had one, and did not say so
+        other = stored_request.get("command", "fit")  # the first that had one, and did not say so
         if other != kind.command:
             raise wrong(
                 f"--resume {path}: this is a state file of 'rbps {other}'; go on with "
                 f"'rbps {other} --resume {path}'"
             )
         known = {one.name for one in fields(kind)}
-        asked = kind(**{name: value for name, value in told.items() if name in known})
+        asked = kind(**{name: value for name, value in stored_request.items() if name in known})
     except FileNotFoundError:
         raise wrong(f"--resume {path}: there is no such file") from None
     except (ValueError, TypeError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
         raise wrong(
             f"--resume {path}: this is not a state file of 'rbps {kind.command}'"
         ) from error
-    if told.get("rbps_state") != FORMAT or rows.ndim != 2 or not isinstance(left, list):
+    if stored_request.get("rbps_state") != FORMAT or rows.ndim != 2 or not isinstance(left, list):
         raise wrong(f"--resume {path}: this is not a state file of this version of rbps")
     return asked, rows if rows.size else np.zeros((0, 0)), left
 

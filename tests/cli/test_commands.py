@@ -19,10 +19,10 @@ from engine import words
 from engine.data import nile
 from engine.data.files import read_series, write_series
 from service import stages
+from service.computations import simulate as simulated_by_the_service
 from service.examples import EXAMPLES
-from service.kinds import simulate as simulated_by_the_service
-from service.prepare import load
 from service.strict_json import dumps
+from service.validation import load
 from tests.cli.conftest import RBPS
 
 QUICK = ("-n", "3", "--no-standard-errors")
@@ -387,6 +387,19 @@ def test_simulate_hides_an_effect(rbps, tmp_path):
     assert (levels == levels[:, :1]).all()  # held for half a second each
     assert np.abs(levels).max() <= 2.0
     assert levels[0, 0] != levels[1, 0]
+
+
+def test_simulate_heeds_how_inputs_are_held(rbps, tmp_path):
+    u = np.sin(np.arange(30.0))
+    given = engine.Series(np.zeros(30), u, dt=0.1, u_names=["drive"], hold="foh")
+    write_series(given, tmp_path / "in.csv")
+    result = rbps("simulate", "-m", "servo", "--inputs", "in.csv", "--seed", 4, "-o", "run.csv")
+    assert result.exit_code == 0, result.stderr
+    rng = np.random.default_rng(4)
+    expected = engine.simulate(engine.get_model("servo"), None, 30, rng, u=u, dt=0.1, hold="foh")
+    written = read_series(tmp_path / "run.csv")
+    assert written.hold == "foh"
+    assert np.allclose(written.y, expected.y)
 
 
 def test_simulate_inputs_of_a_file_and_csv_on_stdout(rbps, tmp_path):

@@ -24,10 +24,10 @@ import uvicorn
 
 import engine
 from service.app import create_app
+from service.db_schema import metadata
 from service.server import server_config
 from service.settings import Settings
 from service.store import Store
-from service.tables import metadata
 
 # Loaded when first used, which would be in a server's thread; there Python 3.11 may fail to parse it.
 OPEN_FILE = anyio.open_file

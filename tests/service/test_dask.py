@@ -79,7 +79,7 @@ def attempts(cluster, workers, children_of):
 @pytest.fixture
 def client(make_client, cluster, database, eventually):
     served = make_client(dask_scheduler=cluster.address, database_url=database, lease_seconds=5)
-    eventually(lambda: served.app.state.supervisor.places() == 2)
+    eventually(lambda: served.app.state.supervisor.capacity() == 2)
     return served
 
 

@@ -10,7 +10,7 @@ from engine.data import nile
 from engine.diagnose import extend
 from service import diagnoses
 from service.diagnoses import Percent
-from service.prepare import load
+from service.validation import load
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,7 @@ def test_progress_only_goes_forward():
         def step(self, k, message=""):
             told.append((k, message))
 
-    percent = Percent(Recorded())
+    percent = Percent(Recorded().step)
     percent("fit", 0.0)
     percent("search", 0.0)
     for _ in range(3):

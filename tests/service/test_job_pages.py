@@ -6,9 +6,8 @@ import re
 import pytest
 
 from service.auth import digest_of
-from service.found import roles
-from service.stages import plan
-from service.thin import thin_results
+from service.downsample import thin_results
+from service.stages import plan, roles
 
 BROWSER = "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"
 
@@ -155,17 +154,23 @@ def test_computations_are_listed(client, url, ended):
     assert tasks[2]["estimate"] is None
 
 
-@pytest.mark.parametrize(("starts", "bootstrap"), [(1, 0), (3, 0), (1, 4), (3, 4)])
-def test_roles_are_those_of_the_plan(estimation, starts, bootstrap):
-    from service.prepare import load
+START, CHOICE, DRAW, SUMMARY = "start", "choice", "bootstrap", "summary"
+
+
+@pytest.mark.parametrize(
+    ("starts", "bootstrap", "expected"),
+    [
+        (1, 0, ["computation"]),
+        (3, 0, [START, START, START, CHOICE]),
+        (1, 2, ["estimate", DRAW, DRAW, SUMMARY]),
+        (2, 2, [START, START, CHOICE, DRAW, DRAW, SUMMARY]),
+    ],
+)
+def test_roles_are_those_of_the_plan(estimation, starts, bootstrap, expected):
+    from service.validation import load
 
     request = load(estimation(starts=starts, bootstrap=bootstrap)).request
-    stages = plan(request)
-    told = {"estimate": "estimate", "fit": "start", "choose": "choice", "resample": "bootstrap",
-            "summarize": "summary"}  # fmt: skip
-    expected = [told[role] for role, n in stages for _ in range(n)]
-    found = roles([n for _, n in stages])
-    assert found == (["computation"] if len(stages) == 1 else expected)
+    assert roles(plan(request)) == expected
 
 
 def test_a_waiting_job_has_a_page_and_no_report(make_client, estimation):

@@ -10,8 +10,8 @@ import pytest
 
 import engine
 from service import stages
-from service.kinds import LIKELIHOOD_RUNS, describe, log_likelihood, mean_error
-from service.prepare import load
+from service.computations import LIKELIHOOD_RUNS, describe, log_likelihood, mean_error
+from service.validation import load
 
 MODEL = engine.get_model("linear-2")
 SERIES = engine.simulate(MODEL, None, 60, np.random.default_rng(4)).series

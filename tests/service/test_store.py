@@ -10,8 +10,8 @@ import pytest
 from service import stages
 from service.attempt import StoredParts
 from service.clocks import Silence
-from service.prepare import load
 from service.store import KeyReused, QueueFull, Store
+from service.validation import load
 
 
 def test_an_attempt_that_lost_its_task_cannot_write(store):
@@ -127,8 +127,8 @@ def test_stages_follow_each_other_whoever_runs_them(store, estimation):
     request = estimation(method="rts-em", iterations=3, starts=2, bootstrap=2)
     job = load(request)
     plan = stages.plan(job.request)
-    assert plan == [("fit", 2), ("choose", 1), ("resample", 2), ("summarize", 1)]
-    made = store.create("estimate", "linear-2", request, 12, [n for _, n in plan])
+    assert plan == [2, 1, 2, 1]
+    made = store.create("estimate", "linear-2", request, 12, plan)
     first, second = store.claim("a"), store.claim("b")
     assert (first.task, second.task) == (0, 1)
     assert store.claim("c") is None

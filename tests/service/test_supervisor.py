@@ -16,7 +16,7 @@ class Broken:
     def __init__(self):
         self.mended, self.started = threading.Event(), []
 
-    def places(self):
+    def capacity(self):
         return 1
 
     def free(self):

@@ -8,8 +8,8 @@ SCRIPT = """
 import numpy as np
 from engine.compile_kernels import compiled_kernels, warm
 from service import stages
-from service.documents import model
-from service.prepare import load
+from service.serializers import model
+from service.validation import load
 import engine
 
 class Progress:

@@ -42,7 +42,24 @@ _makers: dict[str, tuple[Maker, Channels]] = {kind: (make, where) for kind, make
 
 
 def register_effect(kind: str, maker: Maker, channels: Channels, replace: bool = False) -> None:
-    """Make a kind of effect known; ``channels`` lists where it may enter a given model."""
+    """Make a kind of effect known to the catalogue.
+
+    Parameters
+    ----------
+    kind : str
+        What stands before the colon in ``kind:channel``.
+    maker : callable
+        ``maker(setting, channel)`` returns an :class:`Effect`, or None where the channel is not of its sort.
+    channels : callable
+        ``channels(setting)`` lists where it may enter a given model.
+    replace : bool
+        Whether a kind of that name may be replaced.
+
+    Raises
+    ------
+    OptionError
+        The kind is registered already.
+    """
     if kind in _makers and not replace:
         raise OptionError(f"an effect of kind '{kind}' is already registered", "effects")
     _makers[kind] = (maker, channels)
@@ -87,9 +104,8 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
 def extend(model: MixedModel, effects: Sequence[str], setting: Setting | None = None) -> MixedModel:
     """The model with effects applied one after the other, by name."""
     known = setting or Setting(model)
-    known = replace(
-        known, zeros=known.known_zeros
-    )  # what an effect adds moves no zero of the model's
+    # what an effect adds moves no zero of the model's
+    known = replace(known, zeros=known.known_zeros)
     for name in effects:
         model = make_effect(name, replace(known, model=model)).apply(model)
     return model

@@ -25,9 +25,10 @@ class Clip:
         origin = self.origin = Origin(setting, name, channel)
         low, high = setting.inside(channel)
         zero, away = setting.zero(channel), setting.distance(channel, SHARES[-1])
-        self.name, self.zero = name, origin.name
+        self.name = name
         bounds = setting.limits(min(low, zero - away), max(high, zero + away), -np.inf)
-        self.parameters = (
+        own = (
+            Parameter(name, 0.0, "1", (0.0, 1.0), "share of the excess that is lost"),
             Parameter(
                 f"{name}_limit",
                 zero + setting.distance(channel, 0.7),
@@ -36,16 +37,16 @@ class Clip:
                 "where it begins",
             ),
             Parameter(f"{name}_side", 0.0, "1", (-1.0, 1.0), "1: above, -1: below, 0: both sides"),
-            *origin.parameters,
         )
-        self.held = (f"{name}_side", *origin.held)
         lowest, highest = (setting.quantile(channel, q) for q in (1.0 - SHARES[-1], SHARES[-1]))
         both = [(zero + setting.distance(channel, share), 0.0) for share in SHARES]
         if not lowest < zero < highest:
             both = []  # it has no second side
         above = [(setting.quantile(channel, share), 1.0) for share in SHARES[1:]]
         below = [(setting.quantile(channel, 1.0 - share), -1.0) for share in SHARES[1:]]
-        self.probes = tuple((*p, *origin.probe) for p in (*both, *above, *below))
+        members = origin.counted(*own, probes=(*both, *above, *below))
+        # of an :class:`Effect` whose size is the share of the excess that is lost
+        self.members = {**members, "held": (f"{name}_side", *members["held"])}
 
     def excess(self, x: Any, own: Sequence[Any]) -> Any:
         """How far x is beyond the limit, with its sign; zero inside."""

@@ -8,19 +8,23 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.augmentation import add_linear_states, add_memory, beside
-from engine.diagnose.effects.effect import Effect, Split, identifier, per_point
-from engine.diagnose.effects.setting import Kind, Setting, each_input, each_output
+from engine.diagnose.effects.effect import Effect, Split, per_point
+from engine.diagnose.effects.setting import (
+    Kind,
+    Setting,
+    at_inputs,
+    at_outputs,
+    each_input,
+    each_output,
+)
 from engine.statespace.model import Array, MixedModel, Parameter
 
 LONGEST_DELAY = 4  # samples
 AFFINE = 1e-9  # share of its change by which a function may bend and count as straight
 
 
-def _lag(setting: Setting, channel: str) -> Effect | None:
+def _lag(setting: Setting, channel: str, name: str) -> Effect:
     """A share of the reading comes one sample late."""
-    if channel not in setting.model.outputs:
-        return None
-    name = identifier("lag", channel)
     return Effect(
         "lag",
         channel,
@@ -37,11 +41,8 @@ def _lag(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _sensor_delay(setting: Setting, channel: str) -> Effect | None:
+def _sensor_delay(setting: Setting, channel: str, name: str) -> Effect:
     """A share of the reading comes several samples late; all of it where the size is one."""
-    if channel not in setting.model.outputs:
-        return None
-    name = identifier("delay", channel)
 
     def weights(own: Any) -> list[Any]:
         # held at a whole number, where one weight is the size; linear in between
@@ -131,11 +132,8 @@ def _blocks(now: Any, shift: Array, hold: Array) -> list[list[Any]]:
     ]
 
 
-def _delay(setting: Setting, channel: str) -> Effect | None:
-    """An input that arrives some samples late, or a part of it does; at an output, the sensor's delay."""
-    if channel not in setting.model.inputs:
-        return _sensor_delay(setting, channel)
-    name = identifier("delay", channel)
+def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
+    """An input that arrives some samples late, or a part of it does."""
     unit, before = setting.unit(channel), setting.first(channel)
     latest = LONGEST_DELAY if _adds(setting, setting.model, channel) else 1
 
@@ -282,7 +280,13 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
     return add_memory(model, split, f"last_{channel}", unit, step, observe, begin)
 
 
+def _delay(setting: Setting, channel: str) -> Effect | None:
+    """Of an input, or of a sensor."""
+    makers = (at_inputs("delay", _input_delay)[1], at_outputs("delay", _sensor_delay)[1])
+    return makers[0](setting, channel) or makers[1](setting, channel)
+
+
 KINDS: list[Kind] = [
-    ("lag", _lag, each_output),
+    at_outputs("lag", _lag),
     ("delay", _delay, lambda s: iter([*each_input(s), *each_output(s)])),
 ]

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.augmentation import Begin, add_linear_states, add_memory, beside
-from engine.diagnose.effects.effect import Effect, Split, identifier, pushed
+from engine.diagnose.effects.effect import Effect, Split, pushed
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import Kind, Setting, each_moved, each_state, pair
+from engine.diagnose.effects.setting import Kind, Setting, at_pairs, each_moved, each_state
 from engine.diagnose.effects.traits import Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -54,13 +54,8 @@ class _Following:
         return f, A, Q
 
 
-def _pole(setting: Setting, channel: str) -> Effect | None:
+def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
     """A first-order lag of a state that acts back: l' = l + dt (x - l) / tau, a force size (l - x)."""
-    found = pair(setting, channel)
-    if found is None:
-        return None
-    source, target = found
-    name = identifier("pole", channel)
     fast, slow = 2.0 * setting.dt, 0.5 * (setting.span[1] - setting.span[0])
 
     def extend(model: MixedModel) -> MixedModel:
@@ -99,16 +94,12 @@ def _pole(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _mode(setting: Setting, channel: str) -> Effect | None:
+def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
     """A resonance that a state excites and that acts back: q'' = w^2 (x - q) - 2 zeta w q', size (q - x).
 
     Discretised exactly for x held over the step; its second state is q' / w, in the unit of x.
     """
-    found = pair(setting, channel)
-    if found is None:
-        return None
-    source, target = found
-    name, unit = identifier("mode", channel), setting.unit(source)
+    unit = setting.unit(source)
     length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
 
     def extend(model: MixedModel) -> MixedModel:
@@ -153,13 +144,9 @@ def _mode(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _hysteresis(setting: Setting, channel: str) -> Effect | None:
+def _hysteresis(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
     """Bouc-Wen with n = 1: h' = h + dt (v - |v| h / w), a force that remembers (Wen 1976)."""
-    found = pair(setting, channel)
-    if found is None:
-        return None
-    source, target = found
-    name, unit = identifier("hysteresis", channel), product(setting.unit(source), "s")
+    unit = product(setting.unit(source), "s")
     width = setting.distance(source, 0.7) * 5.0 * setting.dt
     origin = Origin(setting, name, source)
 
@@ -194,22 +181,19 @@ def _hysteresis(setting: Setting, channel: str) -> Effect | None:
         "state",
         f"hysteresis (Bouc-Wen) driven by {source}" + ("" if source == target else f" on {target}"),
         f"m' = m + dt (v - |v| m / w),  v = {origin.text(source)},  {target}' = ... + dt * {name} * m",
-        (
-            Parameter(name, 0.0, setting.rate(target, unit)),
-            Parameter(f"{name}_width", width, unit, setting.limits(width / 100, width * 100)),
-            *origin.parameters,
-        ),
-        extend,
-        probes=tuple((w, *origin.probe) for w in (width, 10.0 * width)),
-        held=origin.held,
-        zero=origin.name,
+        extend=extend,
         look_alikes={"coulomb": "has no memory beyond the sign", "coupling": "has no loop"},
         traits=Traits(suits="rate"),
+        **origin.counted(
+            Parameter(name, 0.0, setting.rate(target, unit)),
+            Parameter(f"{name}_width", width, unit, setting.limits(width / 100, width * 100)),
+            probes=((width,), (10.0 * width,)),
+        ),
     )
 
 
 KINDS: list[Kind] = [
-    ("pole", _pole, each_state),
-    ("mode", _mode, each_moved),
-    ("hysteresis", _hysteresis, each_state),
+    at_pairs("pole", _pole, each_state),
+    at_pairs("mode", _mode, each_moved),
+    at_pairs("hysteresis", _hysteresis, each_state),
 ]

@@ -20,8 +20,6 @@ from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 
-FAMILIES = ("state", "measurement", "noise", "input", "time")
-
 
 @dataclass(frozen=True)
 class Effect:
@@ -237,17 +235,36 @@ def add_to_output(
 ) -> MixedModel:
     """``output`` = ... + term(signals, own parameters)."""
     base = promote(model, needs)
-    split = Split(model)
     row = list(base.outputs).index(output)
 
-    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-        own_base, own = split(theta)
-        h, C, R = base.observation(a, u, t, own_base)
+    def change(a: Array, u: Any, t: Any, h: Array, C: Array, R: Array, own: Any) -> Any:
         h = h.copy()
         h[:, row] += term(Values(signals(base, a, u), t, None), own)
         return h, C, R
 
-    return on_base(base, split, measurement=measurement)
+    return change_output(base, Split(model), change)
+
+
+def change_output(model: MixedModel, split: Split, change: Callable[..., Any]) -> MixedModel:
+    """The model with ``change(a, u, t, h, C, R, own)`` for its h, C, R, which it must not write into."""
+
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        record, own = split(theta)
+        h, C, R = change(a, u, t, *model.observation(a, u, t, record), own)
+        return h, C, R
+
+    return on_base(model, split, measurement=measurement)
+
+
+def change_step(model: MixedModel, split: Split, change: Callable[..., Any]) -> MixedModel:
+    """The model with ``change(a, u, t, f, A, Q, own)`` for its f, A, Q, which it must not write into."""
+
+    def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+        record, own = split(theta)
+        f, A, Q = change(a, u, t, *model.transition(a, u, t, dt, record), own)
+        return f, A, Q
+
+    return on_base(model, split, dynamics=dynamics)
 
 
 def change_inputs(

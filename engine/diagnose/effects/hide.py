@@ -16,7 +16,7 @@ from engine.errors import OptionError
 from engine.simulation.simulate import Simulation, simulate
 from engine.statespace.model import MixedModel, ThetaLike
 
-FINE = 16  # steps a sample of a continuous model
+FINE_STEPS = 16  # steps a sample of a continuous model
 
 
 def hide(
@@ -34,12 +34,12 @@ def hide(
     """A simulation of ``model`` at ``theta`` with effects such as ``"coulomb:velocity"`` in it.
 
     ``values`` gives the effects' own parameters by name, sizes among them; what is left out keeps its
-    default; ``u``, ``dt`` and ``hold`` as in :func:`engine.simulate`. A continuous model makes FINE steps a
-    sample, so that effects act within it. Effects that change readings once they are taken (rounding) do
-    just that, instead of adding the noise that stands for it in the extended model. Raises OptionError for
-    an unknown name, ModelError where the simulation runs away.
+    default; ``u``, ``dt`` and ``hold`` as in :func:`engine.simulate`. A continuous model makes
+    FINE_STEPS steps a sample, so that effects act within it. Effects that change readings once they are taken
+    (rounding) do just that, instead of adding the noise that stands for it in the extended model. Raises
+    OptionError for an unknown name, ModelError where the simulation runs away.
     """
-    fine = FINE if model.continuous else 1
+    fine = FINE_STEPS if model.continuous else 1
     setting = Setting(model, span=(0.0, dt * (n_samples - 1)), dt=dt, substeps=fine)
     setting = replace(setting, zeros=setting.known_zeros)
     extended, changes = model, []

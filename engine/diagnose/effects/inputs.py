@@ -18,17 +18,14 @@ from engine.diagnose.effects.effect import (
     on_base,
 )
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import POSITIVE, WIDEST, Kind, Setting, each_input
+from engine.diagnose.effects.setting import POSITIVE, WIDEST, Kind, Setting, at_inputs
 from engine.diagnose.effects.spare_inputs import UNIT, with_inputs
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 
 
-def input_offset(setting: Setting, channel: str) -> Effect | None:
+def _input_offset(setting: Setting, channel: str, name: str) -> Effect:
     """The system sees u + size."""
-    if channel not in setting.model.inputs:
-        return None
-    name = identifier("input_offset", channel)
     return Effect(
         "input-offset",
         channel,
@@ -42,10 +39,10 @@ def input_offset(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _input_dead_zone(setting: Setting, channel: str) -> Effect | None:
-    if channel not in setting.model.inputs:
-        return None
-    name = identifier("input_deadzone", channel)
+INPUT_OFFSET = at_inputs("input-offset", _input_offset)
+
+
+def _input_dead_zone(setting: Setting, channel: str, name: str) -> Effect:
     origin = Origin(setting, name, channel)
     bounds = setting.limits(0.0, WIDEST * setting.distance(channel, 0.7), 0.0)
 
@@ -59,23 +56,14 @@ def _input_dead_zone(setting: Setting, channel: str) -> Effect | None:
         "input",
         f"dead zone of the input {channel}",
         f"v = {origin.text(channel)} -> (|v| - {name})+ sign(v)",
-        (
-            Parameter(name, 0.0, setting.unit(channel), bounds, "half width"),
-            *origin.parameters,
-        ),
-        lambda model: change_inputs(model, channel, change),
-        probes=(origin.probe,),
+        extend=lambda model: change_inputs(model, channel, change),
         look_alikes={"coulomb": "acts on the sign of the velocity, not of the input"},
         one_sided=True,
-        held=origin.held,
-        zero=origin.name,
+        **origin.counted(Parameter(name, 0.0, setting.unit(channel), bounds, "half width")),
     )
 
 
-def _input_saturation(setting: Setting, channel: str) -> Effect | None:
-    if channel not in setting.model.inputs:
-        return None
-    name = identifier("input_saturation", channel)
+def _input_saturation(setting: Setting, channel: str, name: str) -> Effect:
     clip = Clip(setting, name, channel)
     return Effect(
         "input-saturation",
@@ -83,22 +71,16 @@ def _input_saturation(setting: Setting, channel: str) -> Effect | None:
         "input",
         f"saturation of the input {channel}",
         f"{channel} -> {channel} - {name} * {clip.text(channel)}",
-        (
-            Parameter(name, 0.0, "1", (0.0, 1.0), "share of the excess that is lost"),
-            *clip.parameters,
-        ),
-        lambda model: change_inputs(
+        extend=lambda model: change_inputs(
             model, channel, lambda u, own: u - own[0] * clip.excess(u, own)
         ),
-        probes=clip.probes,
         look_alikes={"saturation": "depends on the state, not on the input"},
         one_sided=True,
-        held=clip.held,
-        zero=clip.zero,
+        **clip.members,
     )
 
 
-def _hold(setting: Setting, channel: str) -> Effect | None:
+def _hold(setting: Setting, channel: str, name: str) -> Effect | None:
     """The input goes on between its samples: the step is driven by u_t + size (u_(t+1) - u_t) / 2.
 
     With g the gain of an input held over the step, x_(t+1) = F(x_t, u_t) + size g (u_(t+1) - u_t) / 2. The
@@ -106,15 +88,15 @@ def _hold(setting: Setting, channel: str) -> Effect | None:
     and is x_1 at first. The input must add to the state equation; g may depend on a slowly. Nothing is asked
     of a series that says already what its inputs did.
     """
-    if channel not in setting.model.inputs or setting.hold != "zoh":
+    if setting.hold != "zoh":
         return None
-    name, scale, first = identifier("hold", channel), setting.size(channel), setting.first(channel)
+    scale, first = setting.size(channel), setting.first(channel)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
         index, na = list(model.inputs).index(channel), model.na
 
-        def ahead(a: Array, u: Any, t: Any, record: Any, own: Any) -> Array:
+        def shift_of(a: Array, u: Any, t: Any, record: Any, own: Any) -> Array:
             """size g (u_t - u_1) / 2, (M, nx)."""
             more = list(u)
             more[index] = u[index] + scale
@@ -124,13 +106,13 @@ def _hold(setting: Setting, channel: str) -> Effect | None:
 
         def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
             record, own = split(theta)
-            shift = ahead(a, u, t, record, own)
+            shift = shift_of(a, u, t, record, own)
             f, A, Q = model.transition(a + shift[:, :na], u, t, dt, record)
             return f + np.einsum("...ij,...j->...i", A, shift[:, na:]) - shift, A, Q
 
         def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
             record, own = split(theta)
-            shift = ahead(a, u, t, record, own)
+            shift = shift_of(a, u, t, record, own)
             h, C, R = model.observation(a + shift[:, :na], u, t, record)
             return h + np.einsum("...ij,...j->...i", C, shift[:, na:]), C, R
 
@@ -185,15 +167,11 @@ def _extra_input(setting: Setting, channel: str) -> Effect | None:
         "input",
         f"the channel {source}, which the model leaves out, drives {target}",
         f"{target}' = ... + dt * {name} * {origin.text(source)}",
-        (
-            Parameter(name, 0.0, setting.rate(target, unit), description="rate per unit"),
-            *origin.parameters,
-        ),
-        extend,
-        probes=(origin.probe,),
-        held=origin.held,
-        zero=origin.name,
+        extend=extend,
         look_alikes={"force": "is constant", "latent": "does not follow the channel"},
+        **origin.counted(
+            Parameter(name, 0.0, setting.rate(target, unit), description="rate per unit")
+        ),
     )
 
 
@@ -204,9 +182,9 @@ def _each_extra(setting: Setting) -> Iterator[str]:
 
 
 KINDS: list[Kind] = [
-    ("input-offset", input_offset, each_input),
-    ("input-deadzone", _input_dead_zone, each_input),
-    ("input-saturation", _input_saturation, each_input),
-    ("hold", _hold, each_input),
+    INPUT_OFFSET,
+    at_inputs("input-deadzone", _input_dead_zone),
+    at_inputs("input-saturation", _input_saturation),
+    at_inputs("hold", _hold),
     ("extra-input", _extra_input, _each_extra),
 ]

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from engine.diagnose.effects.clip import Clip
-from engine.diagnose.effects.effect import (
-    Effect,
-    Split,
-    add_to_output,
-    identifier,
-    on_base,
-    per_point,
-)
+from engine.diagnose.effects.effect import Effect, Split, add_to_output, change_output, per_point
+from engine.diagnose.effects.inputs import INPUT_OFFSET
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import Kind, Maker, Setting, each_output
+from engine.diagnose.effects.setting import Kind, Setting, at_outputs
 from engine.diagnose.effects.traits import Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -38,22 +33,19 @@ def _curve(
     kind: str,
     title: str,
     formula: str,
-    curve: Callable[[Any, Sequence[Any]], Any],
+    curve: Callable[[Any], Any],
     unit_power: float,
     look_alikes: dict[str, str],
     limits: tuple[float, float] = (-np.inf, np.inf),
-) -> Maker:
+) -> Kind:
     """A kind ``reading = y + size * curve(y)``, y the noise-free output, counted from its zero."""
 
-    def make(setting: Setting, channel: str) -> Effect | None:
-        if channel not in setting.model.outputs:
-            return None
-        name = identifier(kind, channel)
+    def make(setting: Setting, channel: str, name: str) -> Effect:
         origin = Origin(setting, name, channel)
         unit = product((setting.unit(channel), unit_power))
 
         def bent(y: Any, own: Sequence[Any]) -> Any:
-            return own[0] * curve(y - origin.of(own), own[1:])
+            return own[0] * curve(y - origin.of(own))
 
         return Effect(
             kind,
@@ -61,16 +53,13 @@ def _curve(
             "measurement",
             f"{title} of the sensor {channel}",
             f"{channel} = y + {name} * {formula.format(y=origin.text('y'))}",
-            (Parameter(name, 0.0, unit, limits, title), *origin.parameters),
-            lambda model: _bend(model, setting, channel, bent),
-            probes=(origin.probe,),
+            extend=lambda model: _bend(model, setting, channel, bent),
             look_alikes=look_alikes,
-            held=origin.held,
-            zero=origin.name,
             one_sided=limits[0] == 0.0,
+            **origin.counted(Parameter(name, 0.0, unit, limits, title)),
         )
 
-    return make
+    return at_outputs(kind, make)
 
 
 def _bend(
@@ -81,24 +70,18 @@ def _bend(
 ) -> MixedModel:
     """The reading y + bent(y, own values), y the noise-free output."""
     base = promote(model, _observers(setting, model, channel))
-    split = Split(model)
     row = list(base.outputs).index(channel)
 
-    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-        own_base, own = split(theta)
-        h, C, R = base.observation(a, u, t, own_base)
+    def change(a: Array, u: Any, t: Any, h: Array, C: Array, R: Array, own: Any) -> Any:
         h = h.copy()
         h[:, row] += bent(h[:, row], own)
         return h, C, R
 
-    return on_base(base, split, measurement=measurement)
+    return change_output(base, Split(model), change)
 
 
-def _saturation(setting: Setting, channel: str) -> Effect | None:
+def _saturation(setting: Setting, channel: str, name: str) -> Effect:
     """A sensor that clips: at an upper limit, at a lower one, or at both, alike far from its zero."""
-    if channel not in setting.model.outputs:
-        return None
-    name = identifier("saturation-sensor", channel)
     clip = Clip(setting, name, channel)
     return Effect(
         "saturation-sensor",
@@ -106,23 +89,16 @@ def _saturation(setting: Setting, channel: str) -> Effect | None:
         "measurement",
         f"saturation of the sensor {channel}",
         f"{channel} = y - {name} * {clip.text('y')}",
-        (Parameter(name, 0.0, "1", (0.0, 1.0), "share of the excess lost"), *clip.parameters),
-        lambda model: _bend(model, setting, channel, lambda y, own: -own[0] * clip.excess(y, own)),
-        probes=clip.probes,
-        look_alikes={
-            "gain": "acts on small readings too",
-            "cubic-sensor": "bends everywhere",
-        },
-        held=clip.held,
-        zero=clip.zero,
+        extend=lambda model: _bend(
+            model, setting, channel, lambda y, own: -own[0] * clip.excess(y, own)
+        ),
+        look_alikes={"gain": "acts on small readings too", "cubic-sensor": "bends everywhere"},
         one_sided=True,
+        **clip.members,
     )
 
 
-def _bias(setting: Setting, channel: str) -> Effect | None:
-    if channel not in setting.model.outputs:
-        return None
-    name = identifier("bias", channel)
+def _bias(setting: Setting, channel: str, name: str) -> Effect:
     return Effect(
         "bias",
         channel,
@@ -136,22 +112,17 @@ def _bias(setting: Setting, channel: str) -> Effect | None:
     )
 
 
+BIAS = at_outputs("bias", _bias)
+
+
 def _offset(setting: Setting, channel: str) -> Effect | None:
     """Another word for it, at an output or an input."""
-    from dataclasses import replace
-
-    from engine.diagnose.effects.inputs import input_offset
-
-    effect = _bias(setting, channel) or input_offset(setting, channel)
-    if effect is None:
-        return None
-    return replace(effect, kind="offset")
+    effect = BIAS[1](setting, channel) or INPUT_OFFSET[1](setting, channel)
+    return None if effect is None else replace(effect, kind="offset")
 
 
-def _drift(setting: Setting, channel: str) -> Effect | None:
-    if channel not in setting.model.outputs:
-        return None
-    name, start = identifier("drift", channel), setting.span[0]
+def _drift(setting: Setting, channel: str, name: str) -> Effect:
+    start = setting.span[0]
     return Effect(
         "drift",
         channel,
@@ -170,25 +141,19 @@ def _drift(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _gain(setting: Setting, channel: str) -> Effect | None:
-    if channel not in setting.model.outputs:
-        return None
-    name = identifier("gain", channel)
+def _gain(setting: Setting, channel: str, name: str) -> Effect:
     origin = Origin(setting, name, channel)
 
     def extend(model: MixedModel) -> MixedModel:
-        split = Split(model)
         row = list(model.outputs).index(channel)
 
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            h, C, R = model.observation(a, u, t, own_base)
+        def change(a: Array, u: Any, t: Any, h: Array, C: Array, R: Array, own: Any) -> Any:
             h, C = h.copy(), per_point(C, len(a), own[0])
             h[:, row] += own[0] * (h[:, row] - origin.of(own))
             C[..., row, :] *= 1.0 + np.reshape(own[0], (-1, 1)) if np.ndim(own[0]) else 1.0 + own[0]
             return h, C, R
 
-        return on_base(model, split, measurement=measurement)
+        return change_output(model, Split(model), change)
 
     return Effect(
         "gain",
@@ -196,44 +161,28 @@ def _gain(setting: Setting, channel: str) -> Effect | None:
         "measurement",
         f"gain error of the sensor {channel}",
         f"{channel} = y + {name} * {origin.text('y')}",
-        (Parameter(name, 0.0, "1", (-0.99, 10.0), "relative gain error"), *origin.parameters),
-        extend,
-        probes=(origin.probe,),
+        extend=extend,
         look_alikes={"saturation-sensor": "acts on large readings only"},
-        held=origin.held,
-        zero=origin.name,
+        **origin.counted(Parameter(name, 0.0, "1", (-0.99, 10.0), "relative gain error")),
     )
 
 
 KINDS: list[Kind] = [
-    ("bias", _bias, each_output),
+    BIAS,
     ("offset", _offset, lambda setting: iter(())),  # by name only: listed as bias
-    ("drift", _drift, each_output),
-    ("gain", _gain, each_output),
-    (
-        "cubic-sensor",
-        _curve(
-            "cubic-sensor",
-            "cubic characteristic",
-            "{y}^3",
-            lambda y, own: y**3,
-            -2,
-            {"gain": "is linear"},
-        ),
-        each_output,
+    at_outputs("drift", _drift),
+    at_outputs("gain", _gain),
+    _curve(
+        "cubic-sensor", "cubic characteristic", "{y}^3", lambda y: y**3, -2, {"gain": "is linear"}
     ),
-    ("saturation-sensor", _saturation, each_output),
-    (
+    at_outputs("saturation-sensor", _saturation),
+    _curve(
         "rectification",
-        _curve(
-            "rectification",
-            "rectification",
-            "(|{y}| - {y})",
-            lambda y, own: np.abs(y) - y,
-            0,
-            {"bias": "is constant"},
-            limits=(0.0, 1.0),
-        ),
-        each_output,
+        "rectification",
+        "(|{y}| - {y})",
+        lambda y: np.abs(y) - y,
+        0,
+        {"bias": "is constant"},
+        limits=(0.0, 1.0),
     ),
 ]

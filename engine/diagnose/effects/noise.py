@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import Effect, Split, identifier, on_base, per_point
+from engine.diagnose.effects.effect import (
+    Effect,
+    Split,
+    change_output,
+    change_step,
+    identifier,
+    per_point,
+)
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import POSITIVE, Kind, Setting, each_output, each_state
+from engine.diagnose.effects.setting import (
+    POSITIVE,
+    Kind,
+    Setting,
+    at_outputs,
+    at_signals,
+    each_output,
+    each_state,
+)
 from engine.diagnose.effects.traits import Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -24,70 +39,55 @@ def _scaled(S: Array, index: int, factor: Any, M: int) -> Array:
     return S
 
 
-def _level(setting: Setting, channel: str) -> Effect | None:
-    """The standard deviation of e or w is exp(size) times the model's."""
-    model = setting.model
+def _with_noise(
+    model: MixedModel, channel: str, factor: Callable[[MixedModel, Array, Any, Any, Any], Any]
+) -> MixedModel:
+    """Standard deviation of e or w in ``channel`` times ``factor(model, a, u, t, own values)``."""
     at_output = channel in model.outputs
-    if not at_output and channel not in setting.states:
-        return None
-    name = identifier("level", channel)
+    names = list(model.outputs) if at_output else [*model.nonlinear, *model.linear]
+    index = names.index(channel)
 
-    def extend(model: MixedModel) -> MixedModel:
-        split = Split(model)
+    def change(a: Array, u: Any, t: Any, f: Array, A: Array, S: Array, own: Any) -> Any:
+        return f, A, _scaled(S, index, factor(model, a, u, t, own), len(a))
 
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            f, A, Q = model.transition(a, u, t, dt, own_base)
-            index = [*model.nonlinear, *model.linear].index(channel)
-            return f, A, _scaled(Q, index, np.exp(own[0]), len(a))
+    return (change_output if at_output else change_step)(model, Split(model), change)
 
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            h, C, R = model.observation(a, u, t, own_base)
-            return h, C, _scaled(R, list(model.outputs).index(channel), np.exp(own[0]), len(a))
 
-        if at_output:
-            return on_base(model, split, measurement=measurement)
-        return on_base(model, split, dynamics=dynamics)
-
+def _level(setting: Setting, channel: str, name: str) -> Effect:
+    """The standard deviation of e or w is exp(size) times the model's."""
+    what = "measurement" if channel in setting.model.outputs else "process"
     return Effect(
         "level",
         channel,
         "noise",
-        f"wrong level of the {'measurement' if at_output else 'process'} noise of {channel}",
+        f"wrong level of the {what} noise of {channel}",
         f"std of the noise of {channel} times exp({name})",
         (Parameter(name, 0.0, "1", (-5.0, 5.0), "log ratio of standard deviations"),),
-        extend,
+        lambda model: _with_noise(model, channel, lambda m, a, u, t, own: np.exp(own[0])),
         look_alikes={"variance": "changes with a signal or with time"},
         traits=Traits(noise_level=True),
     )
 
 
-def _quantisation(setting: Setting, channel: str) -> Effect | None:
+def _quantisation(setting: Setting, channel: str, name: str) -> Effect:
     """Readings rounded to steps of q: white noise of variance q^2 / 12 on top, where q is not large.
 
     By its effect on predictions it is a noise level and nothing else, so it is a candidate only where
     the readings themselves lie on a lattice, and its variance is bounded by twice what that explains.
     """
-    model = setting.model
-    if channel not in model.outputs:
-        return None
-    name, unit = identifier("quantisation", channel), setting.unit(channel)
-    step = setting.resolution.get(channel)
+    unit, step = setting.unit(channel), setting.resolution.get(channel)
     most = np.inf if step is None else step**2 / 6.0
+    what = "variance of the rounding error"
 
     def extend(model: MixedModel) -> MixedModel:
-        split = Split(model)
         row = list(model.outputs).index(channel)
 
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            h, C, R = model.observation(a, u, t, own_base)
+        def change(a: Array, u: Any, t: Any, h: Array, C: Array, R: Array, own: Any) -> Any:
             R = per_point(R, len(a), own[0])
             R[..., row, row] += own[0]
             return h, C, R
 
-        return on_base(model, split, measurement=measurement)
+        return change_output(model, Split(model), change)
 
     return Effect(
         "quantisation",
@@ -96,11 +96,7 @@ def _quantisation(setting: Setting, channel: str) -> Effect | None:
         f"rounding of the readings of {channel}"
         + ("" if step is None else f" to steps of {with_unit(step, unit)}"),
         f"variance of the noise of {channel} + {name},  step^2 / 12",
-        (
-            Parameter(
-                name, 0.0, product((unit, 2.0)), (0.0, most), "variance of the rounding error"
-            ),
-        ),
+        (Parameter(name, 0.0, product((unit, 2.0)), (0.0, most), what),),
         extend,
         look_alikes={"level": "is not seen in the readings: they take any value"},
         traits=Traits(plainness=4),
@@ -143,25 +139,6 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
             x = np.abs(u[list(model.inputs).index(signal)] - origin.of(own))
         return np.exp(np.clip(0.5 * own[0] * x / own[1], -8.0, 8.0))
 
-    def extend(model: MixedModel) -> MixedModel:
-        split = Split(model)
-
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            f, A, Q = model.transition(a, u, t, dt, own_base)
-            index = [*model.nonlinear, *model.linear].index(target)
-            return f, A, _scaled(Q, index, factor(model, a, u, t, own), len(a))
-
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            h, C, R = model.observation(a, u, t, own_base)
-            index = list(model.outputs).index(target)
-            return h, C, _scaled(R, index, factor(model, a, u, t, own), len(a))
-
-        if at_output:
-            return on_base(model, split, measurement=measurement)
-        return on_base(model, split, dynamics=dynamics)
-
     unit = "s" if origin is None else setting.unit(signal)
     noise = "measurement" if at_output else "process"
     further = [
@@ -180,7 +157,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         f"{noise} noise of {target} that changes with {'time' if origin is None else what}",
         f"log variance of the noise of {target} + {name} * {what} / {name}_per",
         (Parameter(name, 0.0, "1", (-20.0, 20.0), "change of the log variance"), *further),
-        extend,
+        lambda model: _with_noise(model, target, factor),
         probes=(tuple(p.default for p in further),),
         look_alikes={"level": "does not change", "heavy-tails": "comes at random times"},
         traits=Traits(noise_level=True, contains=("level",)),
@@ -205,20 +182,17 @@ def _correlation(setting: Setting, channel: str) -> Effect | None:
     name = identifier("correlation", one, other)
 
     def extend(model: MixedModel) -> MixedModel:
-        split = Split(model)
         all_states = [*model.nonlinear, *model.linear]
         i, j = all_states.index(one), all_states.index(other)
 
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            own_base, own = split(theta)
-            f, A, Q = model.transition(a, u, t, dt, own_base)
+        def change(a: Array, u: Any, t: Any, f: Array, A: Array, Q: Array, own: Any) -> Any:
             Q = per_point(Q, len(a), own[0])
             both = own[0] * np.sqrt(Q[..., i, i] * Q[..., j, j])
             Q[..., i, j] += both
             Q[..., j, i] += both
             return f, A, Q
 
-        return on_base(model, split, dynamics=dynamics)
+        return change_step(model, Split(model), change)
 
     return Effect(
         "correlation",
@@ -240,8 +214,8 @@ def _each_correlation(setting: Setting) -> Iterator[str]:
 
 
 KINDS: list[Kind] = [
-    ("level", _level, lambda s: iter([*each_output(s), *each_state(s)])),
-    ("quantisation", _quantisation, _each_lattice),
+    at_signals("level", _level, lambda s: iter([*each_output(s), *each_state(s)])),
+    at_outputs("quantisation", _quantisation, _each_lattice),
     ("variance", _variance, _each_variance),
     ("correlation", _correlation, _each_correlation),
 ]

@@ -38,10 +38,16 @@ class Origin:
         """The parameter's name, None where the zero is known."""
         return self.parameters[0].name if self.parameters else None
 
-    @property
-    def held(self) -> tuple[str, ...]:
-        """The same, for :attr:`Effect.held`."""
-        return tuple(p.name for p in self.parameters)
+    def counted(
+        self, *parameters: Parameter, probes: Sequence[tuple[float, ...]] = ((),)
+    ) -> dict[str, Any]:
+        """Members of an :class:`Effect` with these parameters that counts from here."""
+        return {
+            "parameters": (*parameters, *self.parameters),
+            "probes": tuple((*probe, *self.probe) for probe in probes),
+            "held": tuple(p.name for p in self.parameters),
+            "zero": self.name,
+        }
 
     @property
     def probe(self) -> tuple[float, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 from engine.statespace.model import Array
 
 VISIBLE = 0.5  # steps below this many standard deviations of the noise add little to it
-FEWEST = 3  # levels without which there is no lattice to speak of
+FEWEST_LEVELS = 3  # levels without which there is no lattice to speak of
 REPEATED = 0.9  # largest share of distinct values: what is not rounded does not repeat itself
 OFF = 0.02  # of a step: how far off the lattice a level may lie
 
@@ -15,7 +15,7 @@ OFF = 0.02  # of a step: how far off the lattice a level may lie
 def lattice_step(values: Array) -> float | None:
     """The step of the lattice that all values (n,) lie on; None where they lie on none."""
     levels = np.unique(values)
-    if not FEWEST <= len(levels) <= REPEATED * len(values):
+    if not FEWEST_LEVELS <= len(levels) <= REPEATED * len(values):
         return None
     span = float(levels[-1] - levels[0])
     gaps = np.diff(levels)

@@ -13,17 +13,15 @@ from engine.estimation.expectation import parameter_scale
 from engine.filters.sigma_point import first_moments
 from engine.statespace.model import Array, MixedModel
 
-POINTS = 12  # at which a rate is looked for
-STEPS = 10.0 ** -np.arange(
-    0.0, 11.0, 2.0
-)  # time steps in seconds: one of them is short for any model
-FADING = (
-    0.5  # what is only there as the step is finite falls at least so much where it is quartered
-)
-SMALL = 1e-2  # share of the dependence on the rate itself
-ROUNDING = 1e-8  # share that is rounding
-FELT = 1e-6  # of a state's own size: a smaller change of it is none
-SNAP = 1e-6  # of a rate's size: a zero so near 0 is 0
+PROBE_POINTS = 12  # at which a rate is looked for
+# time steps in seconds: one of them is short for any model
+TIME_STEPS = 10.0 ** -np.arange(0.0, 11.0, 2.0)
+# What is only there as the step is finite falls at least so much where it is quartered.
+FADING = 0.5
+SMALL_SHARE = 1e-2  # share of the dependence on the rate itself
+ROUNDING_SHARE = 1e-8  # share that is rounding
+FELT_SHARE = 1e-6  # of a state's own size: a smaller change of it is none
+SNAP_SHARE = 1e-6  # of a rate's size: a zero so near 0 is 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +44,10 @@ def guessed_points(model: MixedModel, dt: float) -> Points:
     rng = np.random.default_rng(5)
     theta = np.asarray(model.theta())
     mean, scale = state_scale(model, theta, dt)
-    x = mean + rng.standard_normal((POINTS, model.nx)) * scale
-    u = 0.5 + np.abs(rng.standard_normal((POINTS, model.nu)))
-    t = np.asarray(dt * np.arange(POINTS), dtype=float)
-    return Points(x, u, t, np.full(POINTS, dt), scale, np.ones(model.nu))
+    x = mean + rng.standard_normal((PROBE_POINTS, model.nx)) * scale
+    u = 0.5 + np.abs(rng.standard_normal((PROBE_POINTS, model.nu)))
+    t = np.asarray(dt * np.arange(PROBE_POINTS), dtype=float)
+    return Points(x, u, t, np.full(PROBE_POINTS, dt), scale, np.ones(model.nu))
 
 
 def state_scale(model: MixedModel, theta: Array, dt: float) -> tuple[Array, Array]:
@@ -84,8 +82,8 @@ def feeding(
             u[i] += step
             more = _next(model, theta, points, k, points.x[k][None], u)[0]
             moved = np.fmax(moved, np.abs(more - here))
-        size = np.fmax(size, SMALL * np.abs(here))
-    return change > FELT * size[:, None], moved > FELT * size
+        size = np.fmax(size, SMALL_SHARE * np.abs(here))
+    return change > FELT_SHARE * size[:, None], moved > FELT_SHARE * size
 
 
 def _next(model: MixedModel, theta: Array, points: Points, k: int, x: Array, u: Array) -> Array:
@@ -127,11 +125,11 @@ def rates(model: MixedModel) -> dict[str, Rate]:
         )
         points = guessed_points(model, 1.0)
         out: dict[str, Rate] = {}
-        for dt in STEPS:
+        for dt in TIME_STEPS:
             elsewhere = _rates(model, other, points, dt)
             for v, (zero, of) in _rates(model, theta, points, dt).items():
                 again, _ = elsewhere.get(v, (np.nan, []))
-                same = abs(again - zero) <= SNAP * points.scale[v] * 10.0
+                same = abs(again - zero) <= SNAP_SHARE * points.scale[v] * 10.0
                 moved = tuple(states[j] for j in of)
                 out.setdefault(states[v], Rate(zero if same else None, moved))
         return out
@@ -150,12 +148,12 @@ def _rates(
     for j in range(model.nx):
         for v in range(model.nx):
             share, finest = shares[j, v], finer[j, v]
-            fades = share <= ROUNDING or (share <= SMALL and finest <= FADING * share)
+            fades = share <= ROUNDING_SHARE or (share <= SMALL_SHARE and finest <= FADING * share)
             if v == j or not fades:
                 continue
             zero = (4.0 * finer_zeros[j, v] - zeros[j, v]) / 3.0
             size = points.scale[v]
-            v0 = 0.0 if abs(zero) <= SNAP * size else float(f"{zero:.9g}")
+            v0 = 0.0 if abs(zero) <= SNAP_SHARE * size else float(f"{zero:.9g}")
             out[v] = (v0, [*(out[v][1] if v in out else []), j])
     return out
 

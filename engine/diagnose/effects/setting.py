@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from engine.data.series import Series
-from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.effect import Effect, identifier
 from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
 from engine.diagnose.effects.units import product
@@ -122,8 +122,8 @@ class Setting:
         """Zeros that are declared, or that the model tells: of a rate, where what it moves stands still."""
         if self.zeros is not None:
             return self.zeros
-        told = {name: rate.zero for name, rate in self._rates.items() if rate.zero is not None}
-        return {**told, **self.model.reference}
+        derived = {name: rate.zero for name, rate in self._rates.items() if rate.zero is not None}
+        return {**derived, **self.model.reference}
 
     def zero(self, channel: str) -> float:
         """The channel's zero in its unit: declared, derived from the model, else 0 of the unit."""
@@ -259,11 +259,64 @@ def each_pair(setting: Setting) -> Iterator[str]:
                 yield f"{source}->{target}"
 
 
-def pair(setting: Setting, channel: str) -> tuple[str, str] | None:
-    """(source, target) of a channel, None where they are not states of the model."""
-    source, _, target = channel.partition("->")
-    target = target or source
-    return (source, target) if {source, target} <= set(setting.states) else None
+def at_outputs(
+    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_output
+) -> Kind:
+    """A kind that enters at outputs; ``make(setting, channel, name of the size)``."""
+    return _kind(kind, make, channels, lambda setting: setting.model.outputs)
+
+
+def at_inputs(
+    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_input
+) -> Kind:
+    """The same for inputs."""
+    return _kind(kind, make, channels, lambda setting: setting.model.inputs)
+
+
+def at_states(
+    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_state
+) -> Kind:
+    """The same for states."""
+    return _kind(kind, make, channels, lambda setting: setting.states)
+
+
+def at_signals(
+    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels
+) -> Kind:
+    """The same for outputs and states."""
+    return _kind(kind, make, channels, lambda s: {**s.model.outputs, **s.states})
+
+
+def at_pairs(
+    kind: str, make: Callable[[Setting, str, str, str, str], Effect], channels: Channels
+) -> Kind:
+    """A kind by which one state acts on another, or on itself: ``source->target``, or the state.
+
+    ``make(setting, channel, name of the size, source, target)``.
+    """
+
+    def maker(setting: Setting, channel: str) -> Effect | None:
+        source, _, target = channel.partition("->")
+        target = target or source
+        if not {source, target} <= set(setting.states):
+            return None
+        return make(setting, channel, identifier(kind, channel), source, target)
+
+    return kind, maker, channels
+
+
+def _kind(
+    kind: str,
+    make: Callable[[Setting, str, str], Effect | None],
+    channels: Channels,
+    there: Callable[[Setting], Mapping[str, str]],
+) -> Kind:
+    def maker(setting: Setting, channel: str) -> Effect | None:
+        if channel not in there(setting):
+            return None
+        return make(setting, channel, identifier(kind, channel))
+
+    return kind, maker, channels
 
 
 def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:

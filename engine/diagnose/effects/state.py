@@ -17,7 +17,7 @@ from engine.diagnose.effects.effect import (
     identifier,
 )
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import Kind, Maker, Setting, each_pair, each_state, pair
+from engine.diagnose.effects.setting import Kind, Setting, at_pairs, at_states, each_pair
 from engine.diagnose.effects.traits import USUAL, Traits
 from engine.diagnose.effects.units import product
 from engine.statespace.model import MixedModel, Parameter
@@ -37,33 +37,23 @@ def _static(
     look_alikes: dict[str, str],
     width: bool = False,
     traits: Traits = USUAL,
-) -> Maker:
+) -> Kind:
     """A kind ``size * term(x)``, x counted from its zero, where term grows like x ** power.
 
     ``width`` adds a scale parameter.
     """
 
-    def make(setting: Setting, channel: str) -> Effect | None:
-        found = pair(setting, channel)
-        if found is None:
-            return None
-        source, target = found
-        name = identifier(kind, channel)
+    def make(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
         unit = setting.unit(source)
         origin = Origin(setting, name, source)
-        parameters = [
-            Parameter(name, 0.0, setting.rate(target, product((unit, power))), description=title)
-        ]
+        rate = setting.rate(target, product((unit, power)))
+        parameters = [Parameter(name, 0.0, rate, description=title)]
+        widths: list[tuple[float, ...]] = [()]
         if width:
-            parameters.append(
-                Parameter(
-                    f"{name}_width",
-                    setting.distance(source, 0.4),
-                    unit,
-                    setting.width(source),
-                    f"distance of {source} from its zero at which it bends",
-                )
-            )
+            start, bounds = setting.distance(source, 0.4), setting.width(source)
+            what = f"distance of {source} from its zero at which it bends"
+            parameters.append(Parameter(f"{name}_width", start, unit, bounds, what))
+            widths = [(setting.distance(source, level),) for level in WIDTHS]
 
         def extend(model: MixedModel) -> MixedModel:
             return add_to_state(
@@ -73,32 +63,27 @@ def _static(
                 needs=(source,) if source in model.linear else (),
             )
 
-        widths = [(setting.distance(source, level),) for level in WIDTHS] if width else [()]
         return Effect(
             kind,
             channel,
             "state",
-            f"{title} of {source}" + ("" if source == target else f" on {target}"),
+            f"{title} of {source}" + _acting_on(source, target),
             f"{target}' = ... + dt * {name} * {formula.format(x=origin.text(source))}",
-            (*parameters, *origin.parameters),
-            extend,
-            probes=tuple((*own, *origin.probe) for own in widths),
+            extend=extend,
             look_alikes=look_alikes,
-            held=origin.held,
-            zero=origin.name,
             traits=traits,
+            **origin.counted(*parameters, probes=widths),
         )
 
-    return make
+    return at_pairs(kind, make, each_pair)
 
 
-def _coulomb(setting: Setting, channel: str) -> Effect | None:
+def _acting_on(source: str, target: str) -> str:
+    return "" if source == target else f" on {target}"
+
+
+def _coulomb(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
     """Friction of constant size against the motion; it may stop the motion in a step, not reverse it."""
-    found = pair(setting, channel)
-    if found is None:
-        return None
-    source, target = found
-    name = identifier("coulomb", channel)
     origin = Origin(setting, name, source)
 
     def term(v: Values, own: Sequence[Any]) -> Any:
@@ -112,33 +97,21 @@ def _coulomb(setting: Setting, channel: str) -> Effect | None:
         needs = (source,) if source in model.linear else ()
         return add_to_state(model, target, term, needs, midway=False)
 
+    size = Parameter(name, 0.0, setting.rate(target), description="friction per unit of inertia")
     return Effect(
         "coulomb",
         channel,
         "state",
-        f"Coulomb friction of {source}" + ("" if source == target else f" on {target}"),
+        f"Coulomb friction of {source}" + _acting_on(source, target),
         f"{target}' = ... - dt * {name} * sign({origin.text(source)})",
-        (
-            Parameter(name, 0.0, setting.rate(target), description="friction per unit of inertia"),
-            *origin.parameters,
-        ),
-        extend,
-        probes=(origin.probe,),
+        extend=extend,
         look_alikes={"drag": ODD, "stribeck": ODD, "deadzone": ODD},
-        held=origin.held,
-        zero=origin.name,
         traits=FRICTION,
+        **origin.counted(size),
     )
 
 
-def _force(setting: Setting, channel: str) -> Effect | None:
-    if channel not in setting.states:
-        return None
-    name = identifier("force", channel)
-
-    def extend(model: MixedModel) -> MixedModel:
-        return add_to_state(model, channel, lambda v, own: own[0])
-
+def _force(setting: Setting, channel: str, name: str) -> Effect:
     return Effect(
         "force",
         channel,
@@ -146,7 +119,7 @@ def _force(setting: Setting, channel: str) -> Effect | None:
         f"constant force on {channel}",
         f"{channel}' = ... + dt * {name}",
         (Parameter(name, 0.0, setting.rate(channel), description="constant rate"),),
-        extend,
+        lambda model: add_to_state(model, channel, lambda v, own: own[0]),
         look_alikes={
             "bias": "a sensor bias does not move the state",
             "step": "acts from one time on",
@@ -155,52 +128,40 @@ def _force(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _linear(setting: Setting, channel: str) -> Effect | None:
+def _linear(setting: Setting, channel: str, name: str) -> Effect:
     """A state's own rate of decay or growth; one that the model estimates is not testable beside it."""
-    if channel not in setting.states:
-        return None
-    name = identifier("linear", channel)
     origin = Origin(setting, name, channel)
-
     return Effect(
         "linear",
         channel,
         "state",
         f"linear damping or growth of {channel}",
         f"{channel}' = ... + dt * {name} * {origin.text(channel)}",
-        (Parameter(name, 0.0, "1/s", description="rate"), *origin.parameters),
-        partial(_coupled, channel, channel, origin),
-        probes=(origin.probe,),
-        held=origin.held,
-        zero=origin.name,
+        extend=partial(_coupled, channel, channel, origin),
         look_alikes={
             "drag": "grows faster than the state",
             "saturation": "acts on large values only",
             "deadzone": "acts on small values only",
         },
+        **origin.counted(Parameter(name, 0.0, "1/s", description="rate")),
     )
 
 
 def _coupling(setting: Setting, channel: str) -> Effect | None:
-    found = pair(setting, channel)
-    if found is None or found[0] == found[1]:
+    source, _, target = channel.partition("->")
+    if source == target or not {source, target} <= set(setting.states):
         return None
-    source, target = found
     name = identifier("coupling", source, target)
     origin = Origin(setting, name, source)
-
     return Effect(
         "coupling",
         channel,
         "state",
         f"coupling of {source} into {target}",
         f"{target}' = ... + dt * {name} * {origin.text(source)}",
-        (Parameter(name, 0.0, setting.rate(target, setting.unit(source))), *origin.parameters),
-        partial(_coupled, source, target, origin),
-        probes=(origin.probe,),
+        extend=partial(_coupled, source, target, origin),
         look_alikes={"cubic": "grows faster than the state", "gain": "acts on the reading only"},
-        held=origin.held,
-        zero=origin.name,
+        **origin.counted(Parameter(name, 0.0, setting.rate(target, setting.unit(source)))),
     )
 
 
@@ -219,89 +180,65 @@ def _each_coupling(setting: Setting) -> Any:
 
 
 KINDS: list[Kind] = [
-    ("force", _force, each_state),
-    (
+    at_states("force", _force),
+    _static(
         "quadratic",
-        _static(
-            "quadratic",
-            "quadratic force",
-            "{x}^2",
-            lambda x, own: x * x,
-            2,
-            {"force": "is constant"},
-            traits=STIFFNESS,
-        ),
-        each_pair,
+        "quadratic force",
+        "{x}^2",
+        lambda x, own: x * x,
+        2,
+        {"force": "is constant"},
+        traits=STIFFNESS,
     ),
-    (
+    _static(
         "cubic",
-        _static(
-            "cubic",
-            "cubic stiffness",
-            "{x}^3",
-            lambda x, own: x**3,
-            3,
-            {"drag": ODD, "deadzone": ODD},
-            traits=STIFFNESS,
-        ),
-        each_pair,
+        "cubic stiffness",
+        "{x}^3",
+        lambda x, own: x**3,
+        3,
+        {"drag": ODD, "deadzone": ODD},
+        traits=STIFFNESS,
     ),
-    (
+    _static(
         "drag",
-        _static(
-            "drag",
-            "quadratic drag",
-            "-{x}|{x}|",
-            lambda x, own: -x * np.abs(x),
-            2,
-            {"cubic": ODD, "coulomb": ODD},
-            traits=FRICTION,
-        ),
-        each_pair,
+        "quadratic drag",
+        "-{x}|{x}|",
+        lambda x, own: -x * np.abs(x),
+        2,
+        {"cubic": ODD, "coulomb": ODD},
+        traits=FRICTION,
     ),
-    ("coulomb", _coulomb, each_pair),
-    (
+    at_pairs("coulomb", _coulomb, each_pair),
+    _static(
         "stribeck",
-        _static(
-            "stribeck",
-            "Stribeck friction",
-            "-sign({x}) exp(-|{x}|/w)",
-            lambda x, own: -np.sign(x) * np.exp(-np.abs(x) / own[0]),
-            0,
-            {"coulomb": "does not fade with speed"},
-            width=True,
-            traits=replace(FRICTION, contains=("coulomb",)),
-        ),
-        each_pair,
+        "Stribeck friction",
+        "-sign({x}) exp(-|{x}|/w)",
+        lambda x, own: -np.sign(x) * np.exp(-np.abs(x) / own[0]),
+        0,
+        {"coulomb": "does not fade with speed"},
+        width=True,
+        traits=replace(FRICTION, contains=("coulomb",)),
     ),
-    (
+    _static(
         "deadzone",
-        _static(
-            "deadzone",
-            "dead zone",
-            "clip({x}, -w, w)",
-            lambda x, own: np.clip(x, -own[0], own[0]),
-            1,
-            {"coulomb": ODD, "saturation": ODD},
-            width=True,
-            traits=replace(STIFFNESS, contains=BENT),
-        ),
-        each_pair,
+        "dead zone",
+        "clip({x}, -w, w)",
+        lambda x, own: np.clip(x, -own[0], own[0]),
+        1,
+        {"coulomb": ODD, "saturation": ODD},
+        width=True,
+        traits=replace(STIFFNESS, contains=BENT),
     ),
-    (
+    _static(
         "saturation",
-        _static(
-            "saturation",
-            "saturation",
-            "(|{x}| - w)+ sign({x})",
-            lambda x, own: np.sign(x) * np.maximum(np.abs(x) - own[0], 0.0),
-            1,
-            {"cubic": ODD, "deadzone": ODD},
-            width=True,
-            traits=replace(STIFFNESS, contains=BENT),
-        ),
-        each_pair,
+        "saturation",
+        "(|{x}| - w)+ sign({x})",
+        lambda x, own: np.sign(x) * np.maximum(np.abs(x) - own[0], 0.0),
+        1,
+        {"cubic": ODD, "deadzone": ODD},
+        width=True,
+        traits=replace(STIFFNESS, contains=BENT),
     ),
-    ("linear", _linear, each_state),
+    at_states("linear", _linear),
     ("coupling", _coupling, _each_coupling),
 ]

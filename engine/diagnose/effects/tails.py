@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from engine.diagnose.effects.effect import Effect, identifier
-from engine.diagnose.effects.setting import Kind, Setting
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.setting import Kind, Setting, at_signals
 from engine.diagnose.effects.traits import Traits
 from engine.filters.heavy_tails import with_mixture
 from engine.statespace.model import MixedModel, Parameter
 
 
-def _heavy_tails(setting: Setting, channel: str) -> Effect | None:
+def _heavy_tails(setting: Setting, channel: str, name: str) -> Effect:
     at_output = channel in setting.model.outputs
-    if not at_output and channel not in setting.states:
-        return None
-    name = identifier("heavy_tails", channel)
 
     def extend(model: MixedModel) -> MixedModel:
         where = "measurement" if at_output else "dynamics"
@@ -38,5 +35,5 @@ def _heavy_tails(setting: Setting, channel: str) -> Effect | None:
 
 
 KINDS: list[Kind] = [
-    ("heavy-tails", _heavy_tails, lambda s: iter([*s.model.outputs, *s.targets])),
+    at_signals("heavy-tails", _heavy_tails, lambda s: iter([*s.model.outputs, *s.targets])),
 ]

@@ -18,15 +18,21 @@ from engine.diagnose.effects.effect import (
 from engine.diagnose.effects.setting import (
     ON_TIME,
     POSITIVE,
+    Channels,
     Kind,
-    Maker,
     Setting,
+    at_signals,
     each_output,
     each_parameter,
     each_state,
 )
 from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
+
+
+def _each_place(setting: Setting) -> Iterator[str]:
+    yield from each_output(setting)
+    yield from each_state(setting)
 
 
 def _signal(
@@ -38,14 +44,12 @@ def _signal(
     look_alikes: dict[str, str],
     held: tuple[str, ...] = (),
     traits: Traits = USUAL,
-) -> Maker:
+    channels: Channels = _each_place,
+) -> Kind:
     """A kind ``size * signal(t)`` added to a state's equation or to an output."""
 
-    def make(setting: Setting, channel: str) -> Effect | None:
+    def make(setting: Setting, channel: str, name: str) -> Effect:
         at_output = channel in setting.model.outputs
-        if not at_output and channel not in setting.states:
-            return None
-        name = identifier(kind, channel)
         unit = setting.unit(channel) if at_output else setting.rate(channel)
         further = shape(name, setting)
 
@@ -67,7 +71,7 @@ def _signal(
             traits=traits,
         )
 
-    return make
+    return at_signals(kind, make, channels)
 
 
 def _when(name: str, setting: Setting) -> list[Parameter]:
@@ -90,11 +94,8 @@ def _frequency(name: str, setting: Setting) -> list[Parameter]:
     ]
 
 
-def _harmonic(setting: Setting, channel: str) -> Effect | None:
+def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
     at_output = channel in setting.model.outputs
-    if not at_output and channel not in setting.states:
-        return None
-    name = identifier("harmonic", channel)
     unit = setting.unit(channel) if at_output else setting.rate(channel)
     frequency = _frequency(name, setting)
 
@@ -123,7 +124,7 @@ def _harmonic(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _parameter_change(kind: str, title: str) -> Maker:
+def _parameter_change(kind: str, title: str) -> Kind:
     """A parameter that steps at a time, or drifts linearly through the record."""
 
     def make(setting: Setting, channel: str) -> Effect | None:
@@ -182,12 +183,7 @@ def _parameter_change(kind: str, title: str) -> Maker:
             ),
         )
 
-    return make
-
-
-def _each_place(setting: Setting) -> Iterator[str]:
-    yield from each_output(setting)
-    yield from each_state(setting)
+    return kind, make, each_parameter
 
 
 def _pulse(t: Any, own: Sequence[Any]) -> Any:
@@ -206,48 +202,37 @@ def _start(name: str, setting: Setting) -> list[Parameter]:
 
 
 KINDS: list[Kind] = [
-    (
+    _signal(
         "step",
-        _signal(
-            "step",
-            "step",
-            "[t >= time]",
-            lambda t, own: 1.0 * (t >= own[0]),
-            _when,
-            {"ramp": "goes on growing", "pulse": "is over at once"},
-            traits=Traits(Course.STEP, swallowed=True, plainness=1),
-        ),
-        _each_place,
+        "step",
+        "[t >= time]",
+        lambda t, own: 1.0 * (t >= own[0]),
+        _when,
+        {"ramp": "goes on growing", "pulse": "is over at once"},
+        traits=Traits(Course.STEP, swallowed=True, plainness=1),
     ),
-    (
+    _signal(
         "pulse",
-        _signal(
-            "pulse",
-            "pulse",
-            "[time <= t < time + width]",
-            _pulse,
-            _width,
-            {"step": "stays", "heavy-tails": "comes again"},
-            held=("width",),
-            traits=Traits(Course.PULSE),
-        ),
-        _each_place,
+        "pulse",
+        "[time <= t < time + width]",
+        _pulse,
+        _width,
+        {"step": "stays", "heavy-tails": "comes again"},
+        held=("width",),
+        traits=Traits(Course.PULSE),
     ),
-    (
+    _signal(
         "ramp",
-        _signal(
-            "ramp",
-            "ramp",
-            "(t - start)",
-            lambda t, own: t - own[0],
-            _start,
-            {"drift": "moves the reading only", "step": "comes at once"},
-            held=("start",),
-            traits=Traits(swallowed=True),
-        ),
-        each_state,
+        "ramp",
+        "(t - start)",
+        lambda t, own: t - own[0],
+        _start,
+        {"drift": "moves the reading only", "step": "comes at once"},
+        held=("start",),
+        traits=Traits(swallowed=True),
+        channels=each_state,
     ),
-    ("harmonic", _harmonic, _each_place),
-    ("parameter-step", _parameter_change("parameter-step", "step"), each_parameter),
-    ("parameter-drift", _parameter_change("parameter-drift", "drift"), each_parameter),
+    at_signals("harmonic", _harmonic, _each_place),
+    _parameter_change("parameter-step", "step"),
+    _parameter_change("parameter-drift", "drift"),
 ]

@@ -13,14 +13,14 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from engine.diagnose.gain.simulation_gain import OutputGain
-from engine.words import listed, number, percent, probability, with_unit
+from engine.words import enumerated, number, percent, probability, with_unit
 
 if TYPE_CHECKING:
     from engine.diagnose.gain.gain import Gain
 
-LEVEL = 0.05  # of the one-sided tests of a gain and of a loss one step ahead
-MATTERS = 1.0  # nats in all: a smaller loss, a likelihood ratio below e, speaks against nothing
-MATTERS_RUN = 0.01  # of a free run's rms error: a smaller change, however sure, is none
+TEST_LEVEL = 0.05  # of the one-sided tests of a gain and of a loss one step ahead
+LOSS_NATS = 1.0  # nats in all: a smaller loss, a likelihood ratio below e, speaks against nothing
+RUN_SHARE = 0.01  # of a free run's rms error: a smaller change, however sure, is none
 
 
 class Decision(Enum):
@@ -44,16 +44,16 @@ def decide(
     given is not.
     """
     better, worse = runs_changed(outputs)
-    if lost or worse or (p_loss < LEVEL and log_density < -MATTERS):
+    if lost or worse or (p_loss < TEST_LEVEL and log_density < -LOSS_NATS):
         return Decision.LOSES
-    return Decision.ADOPTED if p_gain <= LEVEL or better else Decision.NO_EVIDENCE
+    return Decision.ADOPTED if p_gain <= TEST_LEVEL or better else Decision.NO_EVIDENCE
 
 
 def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
     """Outputs whose free run is significantly better, and those where it is significantly worse."""
-    told = [o for o in outputs if abs(o.difference) > MATTERS_RUN * o.rmse_before]
-    better = [o for o in told if o.interval_difference[1] < 0.0]
-    return better, [o for o in told if o.interval_difference[0] > 0.0]
+    changed = [o for o in outputs if abs(o.difference) > RUN_SHARE * o.rmse_before]
+    better = [o for o in changed if o.interval_difference[1] < 0.0]
+    return better, [o for o in changed if o.interval_difference[0] > 0.0]
 
 
 def in_short(gain: Gain) -> str:
@@ -62,7 +62,7 @@ def in_short(gain: Gain) -> str:
         return "NOT adopted: it does worse there."
     if gain.decision is Decision.NO_EVIDENCE:
         return "NOT adopted: no evidence there that it does better."
-    if gain.p_value <= LEVEL:
+    if gain.p_value <= TEST_LEVEL:
         return "Adopted."
     return f"Adopted: better in free run of {_names(runs_changed(gain.outputs)[0])}."
 
@@ -72,22 +72,20 @@ def in_full(gain: Gain) -> str:
     if gain.decision is Decision.LOSES:
         better = _names(runs_changed(gain.outputs)[0])
         but = f"; its free run of {better} is better" if better else ""
-        return (
-            f"Not adopted, as it loses on data that it has not seen: {listed(_losses(gain))}{but}."
-        )
+        return f"Not adopted, as it loses on data that it has not seen: {enumerated(_losses(gain))}{but}."
     if gain.decision is Decision.NO_EVIDENCE:
         return (
             "Not adopted for want of evidence: on data that it has not seen, "
             f"{_one_step(gain)}, and no free run is significantly better."
         )
-    ahead = gain.p_value <= LEVEL
-    reasons = [f"one step ahead ({probability(gain.p_value)})"] if ahead else []
+    predicts = gain.p_value <= TEST_LEVEL
+    reasons = [f"one step ahead ({probability(gain.p_value)})"] if predicts else []
     reasons += [
         f"in free run of {o.output} ({percent(1.0 - o.rmse_after / o.rmse_before)} of the error gone)"
         for o in runs_changed(gain.outputs)[0]
     ]
-    but = "" if ahead else f"; {_one_step(gain)}"
-    return f"Adopted: on data that it has not seen it does significantly better {listed(reasons)}{but}."
+    but = "" if predicts else f"; {_one_step(gain)}"
+    return f"Adopted: on data that it has not seen it does significantly better {enumerated(reasons)}{but}."
 
 
 def _one_step(gain: Gain) -> str:
@@ -95,14 +93,14 @@ def _one_step(gain: Gain) -> str:
         return "nothing can be said of its predictions one step ahead"
     if gain.log_density > 0.0:
         return f"its gain one step ahead is within chance ({probability(gain.p_value)})"
-    if gain.p_loss < LEVEL:
-        return f"its loss one step ahead is below {number(MATTERS)} in all"
+    if gain.p_loss < TEST_LEVEL:
+        return f"its loss one step ahead is below {number(LOSS_NATS)} in all"
     return f"its loss one step ahead is within chance ({probability(gain.p_loss)})"
 
 
 def _losses(gain: Gain) -> list[str]:
     out = []
-    if gain.p_loss < LEVEL and gain.log_density < -MATTERS:
+    if gain.p_loss < TEST_LEVEL and gain.log_density < -LOSS_NATS:
         out.append(
             f"its log-density one step ahead is lower by {number(-gain.log_density)} "
             f"({probability(gain.p_loss)} of no loss)"
@@ -114,4 +112,4 @@ def _losses(gain: Gain) -> list[str]:
 
 
 def _names(outputs: Sequence[OutputGain]) -> str:
-    return listed([o.output for o in outputs])
+    return enumerated([o.output for o in outputs])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from engine.data.series import Series
-from engine.diagnose.gain.adoption import LEVEL, Decision, decide, runs_changed
+from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
 from engine.diagnose.gain.simulation_gain import (
     OutputGain,
     free_run_from,
@@ -27,13 +27,12 @@ from engine.diagnose.gain.simulation_gain import (
 from engine.diagnose.symptoms.error_localization import newey_west
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
-from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array
-from engine.words import listed
+from engine.words import enumerated
 
 BLOCKS, EVERY = 25, 5  # of interleaved blocks
 FOLDS_BELOW = 500  # rows: where fewer, each block is left out in turn
-TIMES = 200  # rows at most that a time is sought at
+SOUGHT_TIMES = 200  # rows at most that a time is sought at
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +169,7 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     for trial in trials:
         marked = trial.rows & seen
         rows |= marked
-        terms = [_terms(fit, series) for fit in (trial.base, trial.extended)]
+        terms = [fit.log_terms(series) for fit in (trial.base, trial.extended)]
         d[marked] = (terms[1] - terms[0])[marked]
         lost = [one or not np.isfinite(x[marked]).all() for one, x in zip(lost, terms, strict=True)]
         shown = trial.rows[first:] if len(trials) > 1 else np.ones(len(part), dtype=bool)
@@ -201,9 +200,9 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
     gone = any(after and not before for before, after in (lost, away))
     decision = decide(p_gain, p_loss, total, outputs, gone)
     worse = [o.output for o in runs_changed(outputs)[1]]
-    if worse and p_gain > LEVEL:
+    if worse and p_gain > TEST_LEVEL:
         notes.append(
-            f"The extended model simulates {listed(worse)} worse, and does not clearly predict better: it "
+            f"The extended model simulates {enumerated(worse)} worse, and does not clearly predict better: it "
             "explains the data as noise and not by a cause."
         )
     return Gain(
@@ -223,12 +222,6 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
         after=None if away[1] else runs[1],
         d=np.where(rows, d, np.nan)[first:],
     )
-
-
-def _terms(fit: QuasiFit, series: Series) -> Array:
-    """One-step predictive log-densities (T,)."""
-    theta = np.asarray(fit.theta)[None]
-    return np.asarray(moment_filter(fit.model, theta, series).log_terms[:, 0])
 
 
 def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, float]:
@@ -273,7 +266,9 @@ def _times_again(extended: QuasiFit, masked: Series, times: Sequence[str]) -> Ar
     for name in times:
         k = model.index(name)
         rows = np.flatnonzero(masked.observed.any(axis=1))
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(TIMES, len(rows))).astype(int))]
+        rows = rows[
+            np.unique(np.linspace(0, len(rows) - 1, min(SOUGHT_TIMES, len(rows))).astype(int))
+        ]
         tried = np.append(masked.t[rows], theta[k])
         thetas = np.repeat(theta[None], len(tried), axis=0)
         thetas[:, k] = np.clip(tried, model.lower[k], model.upper[k])

@@ -14,7 +14,7 @@ from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Array
 
 BOOTSTRAPS = 999
-LEVEL = 0.95
+INTERVAL_LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -131,6 +131,6 @@ def bootstrap_means(values: Array, rng: np.random.Generator, n: int = BOOTSTRAPS
 
 
 def _interval(drawn: Array) -> tuple[float, float]:
-    tail = 0.5 * (1.0 - LEVEL)
+    tail = 0.5 * (1.0 - INTERVAL_LEVEL)
     low, high = np.quantile(drawn, [tail, 1.0 - tail])
     return float(low), float(high)

@@ -18,7 +18,7 @@ from engine.estimation.quasi_ml import whitening
 from engine.filters.sigma_point import MomentPath
 from engine.statespace.model import Array
 
-BLOCK = 1_000_000  # numbers held at once where times are irregular
+BLOCK_NUMBERS = 1_000_000  # numbers held at once where times are irregular
 
 
 def backward(
@@ -86,7 +86,7 @@ def _fourier_sums(scores: Array, series: Series, frequencies: Array) -> NDArray[
         turn = 2j * np.pi * series.dt
         return np.asarray(czt(scores, len(frequencies), np.exp(-turn * step), np.exp(turn * first)))
     t = series.t - series.t[0]
-    rows = max(1, BLOCK // len(t))
+    rows = max(1, BLOCK_NUMBERS // len(t))
     return np.concatenate(
         [
             np.exp(-2j * np.pi * np.outer(frequencies[i : i + rows], t)) @ scores

@@ -17,12 +17,13 @@ from engine.kernels.sensitivities import sensitivities
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.points import Points
 
-REACH = 0.005  # a probe's size in its own standard errors: a slope, also of what few data tell
-NEAR = 0.9  # share of it that is near enough
+# A probe's size in its own standard errors: a slope, also of what few data tell.
+REACH_ERRORS = 0.005
+NEAR_SHARE = 0.9  # share of it that is near enough
 
 
 # of its own scatter, by which a prediction moves where a slope is taken: aimed at, and accepted
-FIRST, SLIGHT = 1e-4, (1e-7, 1e-2)
+AIMED_SHARE, SLIGHT_SHARES = 1e-4, (1e-7, 1e-2)
 TRIALS = 6
 
 UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could show
@@ -153,9 +154,9 @@ def _slopes(
             float(np.abs(change / size).max(initial=0.0))
             for change, size in zip(changes, sizes, strict=True)
         )
-        if SLIGHT[0] <= felt <= SLIGHT[1] or not np.isfinite(felt):
+        if SLIGHT_SHARES[0] <= felt <= SLIGHT_SHARES[1] or not np.isfinite(felt):
             break
-        factor = FIRST / felt if felt > 0.0 else 1e4
+        factor = AIMED_SHARE / felt if felt > 0.0 else 1e4
         if factor > 1.0 and step * factor > 0.5 * (upper - lower):
             break
         step *= float(np.clip(factor, 1e-8, 1e8))
@@ -242,7 +243,7 @@ def _arrays(filtered: MomentFiltered) -> tuple[Array, Array, Array]:
 
 
 def _steps(extended: MixedModel, at: Array, k: int, series: Series) -> Array:
-    """Sizes (n,) of about REACH standard errors, found on the first part of the series; NaN for none."""
+    """Sizes (n,) of about REACH_ERRORS standard errors, found on the first part of the series; NaN for none."""
     first = 100 * series.substeps
     part = series if len(series) <= first else series.part(0, first)
     longer = np.sqrt(len(series) / len(part))
@@ -263,10 +264,10 @@ def _steps(extended: MixedModel, at: Array, k: int, series: Series) -> Array:
                 steps[i] *= 1e-2
             elif reach == 0.0:
                 steps[i] *= 1e2
-            elif NEAR * REACH <= reach <= REACH / NEAR:
+            elif NEAR_SHARE * REACH_ERRORS <= reach <= REACH_ERRORS / NEAR_SHARE:
                 found[i], open_[i] = steps[i], False
             else:
-                factor = float(np.clip(REACH / reach, 1e-4, 1e4))
+                factor = float(np.clip(REACH_ERRORS / reach, 1e-4, 1e4))
                 # damped, as a variance answers to a size squared
                 steps[i] *= factor**0.7 if 1e-2 < factor < 1e2 else factor
             if not 1e-250 < steps[i] < 1e250:

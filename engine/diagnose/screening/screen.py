@@ -28,8 +28,8 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.screening.score_columns import UNTESTABLE, Column, Projection
 from engine.statespace.model import Array
 
-DRAWS = 499  # multiplier draws
-SEEN = 10  # draws above a value, from which their count is its p-value
+MULTIPLIER_DRAWS = 499  # multiplier draws
+COUNTED_DRAWS = 10  # draws above a value, from which their count is its p-value
 CLEARLY_HEAVIER = 2.5  # a tail than chi2: in 499 draws of chi2 the 95 % point scatters by a fifth
 
 
@@ -62,9 +62,9 @@ class Score:
 class Screen:
     """All scores, best first; ``p_value`` family-wise; ``likenesses`` (n, n) of every two effects.
 
-    ``lowest`` (DRAWS,) are the smallest p-values of the multiplier draws; ``simulated`` the number of
-    series by which p-values were calibrated, see :mod:`engine.diagnose.search.calibration`, 0 where they
-    were not. Where the screen is one of several chances of an alarm, it has this ``share`` of the error.
+    ``lowest`` (MULTIPLIER_DRAWS,) are the draws' smallest p-values; ``simulated`` the number of series by
+    which p-values were calibrated, see :mod:`engine.diagnose.search.calibration`, 0 where they were not.
+    Where the screen is one of several chances of an alarm, it has this ``share`` of the error.
     """
 
     scores: tuple[Score, ...]
@@ -146,7 +146,7 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
     ``threshold`` is the statistic a single two-sided test needs at the family-wise level ``alpha``.
     """
     T = tests[0].s.shape[1]
-    signs = rng.choice(np.array([-1.0, 1.0]), size=(DRAWS, T))
+    signs = rng.choice(np.array([-1.0, 1.0]), size=(MULTIPLIER_DRAWS, T))
     observed, drawn, effective = [], [], []
     for test in tests:
         found = test.statistics(test.s.sum(axis=1))
@@ -156,10 +156,10 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
         effective.append(_effective(draws, test) if found.size > 1 else tail * test.tries)
         if test.known is not None:
             observed.append(test.known[1])
-            drawn.append(rng.random(DRAWS))
+            drawn.append(rng.random(MULTIPLIER_DRAWS))
         elif test.tries > 1:  # the best of many places, nearly independent: Bonferroni
             observed.append(min(1.0, test.tries * float(chi2.sf(found.max(), test.degrees))))
-            drawn.append(rng.random(DRAWS))
+            drawn.append(rng.random(MULTIPLIER_DRAWS))
         elif single:  # the limiting distribution resolves smaller p-values than the draws
             factor = tail * _heavier(draws, test, tail)
             observed.append(min(1.0, factor * float(chi2.sf(found.max(), test.degrees))))
@@ -215,7 +215,7 @@ def _family_p(values: Array, draws: Array, degrees: int, effective: float) -> Ar
     """
     count = (draws >= values[:, None]).sum(axis=1)
     beyond = np.minimum(1.0, effective * chi2.sf(values, degrees))
-    return np.asarray(np.where(count >= SEEN, (1.0 + count) / (len(draws) + 1.0), beyond))
+    return np.asarray(np.where(count >= COUNTED_DRAWS, (1.0 + count) / (len(draws) + 1.0), beyond))
 
 
 def _heavier(draws: Array, test: Test, tail: float) -> float:

@@ -21,9 +21,8 @@ from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import moment_path
 
-TAILS_ALARM = (
-    1e-3  # p-value from which outliers are judged by their likelihood, whatever their rank
-)
+# P-value from which outliers are judged by their likelihood, whatever their rank.
+TAILS_ALARM = 1e-3
 
 Progress = Callable[[str, float], Any]
 

@@ -119,7 +119,7 @@ def simulated(question: Question, rng: np.random.Generator) -> tuple[QuasiFit, S
     Raises EngineError or LinAlgError where the run or the filter is lost.
     """
     fit, series = question.fit, question.series
-    y = simulate(fit.model, fit.theta, len(series), rng, u=series.u, t=series.t).y
+    y = simulate(fit.model, fit.theta, len(series), rng, u=series.u, t=series.t, hold=series.hold).y
     drawn = series.replace(y=np.where(series.observed, y, np.nan))
     return quasi_ml(fit.model, drawn, fit.theta, fit.free), drawn
 

@@ -35,7 +35,7 @@ ASKED = "asked"  # the part that says which diagnosis the others belong to
 
 
 def _nobody(_seconds: float) -> None:
-    """Is told, and does nothing."""
+    """Leaves the seconds uncounted."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from engine.diagnose.screening.tails import fit_tails
 from engine.diagnose.screening.time_scan import grid
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
-from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array, MixedModel
 
 TOLERANCE = 0.02  # of a log-likelihood: refits are compared, the best one is then finished
@@ -173,4 +172,4 @@ def _best_row(
 
 def held_out_terms(fit: QuasiFit, series: Series) -> Array:
     """One-step predictive log-densities (T,) of a series under a fitted model."""
-    return np.asarray(moment_filter(fit.model, np.asarray(fit.theta)[None], series).log_terms[:, 0])
+    return fit.log_terms(series)

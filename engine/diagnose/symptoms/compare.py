@@ -18,11 +18,10 @@ from engine.diagnose.symptoms.error_localization import (
 from engine.filters.sigma_point import MomentPath
 from engine.statespace.model import Array, MixedModel
 
-LEVEL = 0.95
-TRANSIENT = (
-    3.0  # times the median: a prediction less certain than that is one of a state not yet known
-)
-AWAY = 1000.0  # ranges of the readings: a run further off than that has run away
+BAND_LEVEL = 0.95
+# Times the median: a prediction less certain than that is one of a state not yet known.
+TRANSIENT = 3.0
+AWAY_RANGES = 1000.0  # ranges of the readings: a run further off than that has run away
 
 
 @dataclass(frozen=True)
@@ -60,11 +59,11 @@ class Comparison:
 
 
 def lost_at(y: Array, series: Series) -> int | None:
-    """The first row where a run y (T, ny) is not finite or ``AWAY`` from the readings; None if none is."""
+    """The first row where a run y (T, ny) is not finite or ``AWAY_RANGES`` off; None if none is."""
     low, high = np.full(y.shape[1], -np.inf), np.full(y.shape[1], np.inf)
     for i, seen in enumerate(series.observed.T):
         values = series.y[seen, i]
-        reach = AWAY * float(np.ptp(values)) if len(values) else 0.0
+        reach = AWAY_RANGES * float(np.ptp(values)) if len(values) else 0.0
         if reach > 0.0:
             low[i], high[i] = values.min() - reach, values.max() + reach
     lost = ~(np.isfinite(y) & (y >= low) & (y <= high)).all(axis=1)
@@ -79,7 +78,7 @@ def against_run(
         nothing = np.full_like(y, np.nan)
         fits = _fits(model, series, y, nothing, nothing, [None] * model.ny)
         return Comparison(y, nothing, nothing, fits, ())
-    tail = 0.5 * (1.0 - LEVEL)
+    tail = 0.5 * (1.0 - BAND_LEVEL)
     lower, upper = np.quantile(fine, [tail, 1.0 - tail], axis=0)
     signals = _signals(model, series, x, y)
     regions, expected, errors_drawn = [], [], []

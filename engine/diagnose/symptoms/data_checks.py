@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
 from engine.statespace.model import Array, MixedModel
-from engine.words import listed, number, percent, with_unit
+from engine.words import enumerated, number, percent, with_unit
 
-SHORT = 100  # samples; and ten per parameter
-OUTLIER = 6.0  # robust standard deviations
+SHORT_SAMPLES = 100  # samples; and ten per parameter
+OUTLIER_DEVIATIONS = 6.0  # robust standard deviations
 FLICKERS = 0.1  # share of short stretches from which a signal ends at zero by a cut
-AFTER = 5  # samples after a step of an input in which an answer to it may peak
+ANSWER_SAMPLES = 5  # samples after a step of an input in which an answer to it may peak
 MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
 
 
@@ -53,7 +53,7 @@ def check_data(model: MixedModel, series: Series) -> tuple[str, ...]:
 
 def _length(model: MixedModel, series: Series) -> list[str]:
     T, n = len(series), len(model.parameters)
-    if max(SHORT, 10 * n) <= T:
+    if max(SHORT_SAMPLES, 10 * n) <= T:
         return []
     return [
         f"Only {T} samples for {n} parameters: small effects cannot be seen, and p-values that hold "
@@ -90,7 +90,7 @@ def _held(name: str, unit: str, y: Array, u: Array) -> list[str]:
     Readings that rest while all inputs rest are neither.
     """
     cut = [text for sign in (1.0, -1.0) for text in _cut(sign, unit, y)]
-    clipped = [f"Output {name} looks clipped: {listed(cut)}."] if cut else []
+    clipped = [f"Output {name} looks clipped: {enumerated(cut)}."] if cut else []
     same = np.concatenate([[False], np.diff(y) == 0.0])
     start, length = _longest(same)
     if length + 1 < max(20, 0.05 * len(y)) or (cut and y[start] in (np.nanmin(y), np.nanmax(y))):
@@ -177,7 +177,7 @@ def _lattice(name: str, unit: str, values: Array) -> list[str]:
 def _outliers(name: str, unit: str, y: Array, series: Series) -> list[str]:
     """Single readings beyond both neighbours on either side, which return to where they were.
 
-    What follows a step of an input within ``AFTER`` samples may be the answer to it, and is none.
+    What follows a step of an input within ``ANSWER_SAMPLES`` samples may be the answer to it, and is none.
     """
     seen = np.flatnonzero(~np.isnan(y))
     if len(seen) < 15:
@@ -192,13 +192,13 @@ def _outliers(name: str, unit: str, y: Array, series: Series) -> list[str]:
         return []
     scale = np.maximum(usual, MAD * _running_median(np.abs(distance)))
     moved = np.abs(others[:, :2].mean(axis=1) - others[:, 2:].mean(axis=1))
-    far = np.flatnonzero((beyond > np.maximum(OUTLIER * scale, moved)) & ~answers)
+    far = np.flatnonzero((beyond > np.maximum(OUTLIER_DEVIATIONS * scale, moved)) & ~answers)
     if not far.size or far.size > 0.1 * len(seen):
         return []
     worst = far[int(np.argmax(np.abs(distance[far])))]
     return [
         f"Output {name}: {far.size} single reading{'s' if far.size > 1 else ''} "
-        f"({percent(far.size / len(seen))}) more than {OUTLIER:g} robust standard deviations "
+        f"({percent(far.size / len(seen))}) more than {OUTLIER_DEVIATIONS:g} robust standard deviations "
         "off all of the neighbours, the worst by "
         f"{with_unit(float(distance[worst]), unit)} at t = {number(float(series.t[seen[worst]]), 6)} s."
     ]
@@ -209,8 +209,8 @@ def _after_steps(series: Series) -> NDArray[np.bool_]:
     near = np.zeros(len(series), dtype=bool)
     for u in series.u.T:
         change = np.abs(np.diff(u, prepend=u[0]))
-        for row in np.flatnonzero(change > OUTLIER * MAD * _running_median(change)):
-            near[max(row - 1, 0) : row + AFTER] = True
+        for row in np.flatnonzero(change > OUTLIER_DEVIATIONS * MAD * _running_median(change)):
+            near[max(row - 1, 0) : row + ANSWER_SAMPLES] = True
     return near
 
 

@@ -26,9 +26,9 @@ from engine.statespace.model import Array
 # Standard errors: by chance about one in 20 among all intervals of ten signals. Free runs get by with
 # fewer, since their errors are a few slow shapes and not hundreds of independent draws.
 NOTABLE, NOTABLE_RUN = 3.5, 3.0
-FEWEST = 5  # samples in a region
-MOST = 0.6  # share of samples up to which a region is one
-EXPLAINED = 0.02  # least share of all squared errors that a notable region makes up
+FEWEST_SAMPLES = 5  # samples in a region
+MOST_SAMPLES_SHARE = 0.6  # share of samples up to which a region is one
+EXPLAINED_SHARE = 0.02  # least share of all squared errors that a notable region makes up
 ROUNDING = 64.0 * float(np.finfo(float).eps)  # a range below this much of its values is rounding
 
 
@@ -97,7 +97,7 @@ def by_signal(
     out = []
     for first, last in _runs(n):
         inside = seen & (band >= first) & (band <= last)
-        if inside.sum() < FEWEST:
+        if inside.sum() < FEWEST_SAMPLES:
             continue
         limits = (float(edges[first]), float(edges[last + 1]), first == 0, last == n - 1)
         out.append(_region(errors, seen, inside, kind, name, unit, limits))
@@ -116,9 +116,8 @@ def _region(
     e = errors.e
     mean = float(e[inside].mean())
     if errors.drawn is None:
-        inner = np.where(
-            inside, e - mean, 0.0
-        )  # the larger: negative correlations are often chance
+        inner = np.where(inside, e - mean, 0.0)
+        # the larger: negative correlations are often chance
         error = max(newey_west(inner, int(inside.sum()), lags) for lags in (0, None))
         score = mean / error if error > 0.0 else 0.0
     else:
@@ -237,7 +236,7 @@ def most_telling(regions: list[Region], limit: int, notable: float = NOTABLE) ->
     """
     best: dict[tuple[str, str], Region] = {}
     for region in regions:
-        if not abs(region.score) >= notable or region.share_samples > MOST:
+        if not abs(region.score) >= notable or region.share_samples > MOST_SAMPLES_SHARE:
             continue
         if not _matters(region):
             continue
@@ -257,7 +256,7 @@ def _matters(region: Region) -> bool:
         expected = region.expected_rms
         if expected is None or not region.rms > 1.2 * expected:
             return False
-    return _explained(region) > EXPLAINED
+    return _explained(region) > EXPLAINED_SHARE
 
 
 def _explained(region: Region) -> float:

@@ -1,11 +1,10 @@
-"""One-step residuals as pictures want them: whitened, as probabilities, and by disturbance."""
+"""One-step residuals as pictures want them: whitened, by lag, and by disturbance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 from scipy.stats import chi2
 
 from engine.data.series import Series
@@ -69,11 +68,6 @@ def autocorrelation(z: Array, lags: int) -> tuple[Array, Array]:
     return np.where(pairs > 1, r, 0.0), np.where(pairs > 1, pairs, 0.0)
 
 
-def pit(z: Array) -> Array:
-    """Probability integral transform Phi(z): uniform on (0, 1) if predictions are right (T, ny)."""
-    return np.where(np.isfinite(z), ndtr(np.nan_to_num(z)), np.nan)
-
-
 def auxiliary(path: MomentPath, series: Series) -> tuple[Array, Array]:
     """Auxiliary residuals (Harvey and Koopman 1992): of the measurements (T, ny), the states (T-1, nx).
 
@@ -91,5 +85,5 @@ def auxiliary(path: MomentPath, series: Series) -> tuple[Array, Array]:
 
 
 def _over_root(value: Array, variance: Array) -> Array:
-    told = variance > 0.0
-    return np.where(told, value / np.sqrt(np.where(told, variance, 1.0)), np.nan)
+    known = variance > 0.0
+    return np.where(known, value / np.sqrt(np.where(known, variance, 1.0)), np.nan)

@@ -108,9 +108,11 @@ def covariance_of(fit: QuasiFit) -> Array:
     own = np.array([fit.model.index(name) for name in fit.free], dtype=int)
     theta = np.asarray(fit.theta)[own]
     inside = (theta > fit.model.lower[own]) & (theta < fit.model.upper[own])
-    told = np.flatnonzero((d > 0.0) & inside)
-    if told.size:
-        scaled = H[np.ix_(told, told)] / np.outer(d[told], d[told])
-        inverse = np.linalg.pinv(scaled, rcond=1e-6, hermitian=True) / np.outer(d[told], d[told])
-        out[np.ix_(own[told], own[told])] = 0.5 * (inverse + inverse.T)
+    informed = np.flatnonzero((d > 0.0) & inside)
+    if informed.size:
+        scaled = H[np.ix_(informed, informed)] / np.outer(d[informed], d[informed])
+        inverse = np.linalg.pinv(scaled, rcond=1e-6, hermitian=True) / np.outer(
+            d[informed], d[informed]
+        )
+        out[np.ix_(own[informed], own[informed])] = 0.5 * (inverse + inverse.T)
     return out

@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.symptoms.compare import (
-    AWAY,
+    AWAY_RANGES,
     Comparison,
     Fit,
     against_predictions,
@@ -19,7 +19,7 @@ from engine.diagnose.symptoms.compare import (
 from engine.diagnose.symptoms.curves import bands_of, compared, residuals_of
 from engine.diagnose.symptoms.data_checks import check_data
 from engine.diagnose.symptoms.error_localization import NOTABLE, NOTABLE_RUN, most_telling
-from engine.diagnose.symptoms.residuals import Whiteness, auxiliary, pit, standardised, whiteness
+from engine.diagnose.symptoms.residuals import Whiteness, auxiliary, standardised, whiteness
 from engine.diagnose.symptoms.runs import draws, noise_free, start_state
 from engine.diagnose.symptoms.sentences import correlated, overall, sentence
 from engine.filters.sigma_point import moment_path
@@ -29,10 +29,11 @@ from engine.words import number
 
 __all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
 
-DRAWS = 200
-ROOM, FEWEST_DRAWS = 4_000_000, 40  # simulated samples in all: longer series get fewer draws
-FEWEST_FINE = 20  # simulations that do not run away, without which nothing is judged by them
-SHOWN = 4  # sentences on regions, of the free run and of the predictions
+SIMULATIONS = 200
+# simulated samples in all: longer series get fewer draws
+SIMULATED_SAMPLES, FEWEST_SIMULATIONS = 4_000_000, 40
+FEWEST_FINITE_RUNS = 20  # simulations that do not run away, without which nothing is judged by them
+REGION_SENTENCES = 4  # sentences on regions, of the free run and of the predictions
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +41,7 @@ class Symptoms:
     """What the model's simulation and predictions get wrong on a series.
 
     ``sentences`` say it in words; ``free_run`` is None where it runs away. For pictures: standardised
-    innovations ``z``, their ``pit``, auxiliary residuals ``of_outputs`` (T, ny) and ``of_states`` (T-1, nx),
-    simulated states ``x`` (T, nx) and predicted states (T, nx).
+    innovations ``z`` (T, ny), auxiliary residuals ``of_outputs`` (T, ny) and ``of_states`` (T-1, nx).
     """
 
     sentences: tuple[str, ...]
@@ -51,11 +51,8 @@ class Symptoms:
     one_step: Comparison
     whiteness: tuple[Whiteness, ...]
     z: Array
-    pit: Array
     of_outputs: Array
     of_states: Array
-    x: Array | None
-    predicted: Array
 
     def to_dict(self) -> dict[str, Any]:
         """As data: sentences, fits, notable regions, whiteness, and what pictures need.
@@ -80,7 +77,7 @@ class Symptoms:
     def _comparison(self, comparison: Comparison | None, notable: float) -> dict[str, Any] | None:
         if comparison is None:
             return None
-        regions = most_telling(list(comparison.regions), 4 * SHOWN, notable)
+        regions = most_telling(list(comparison.regions), 4 * REGION_SENTENCES, notable)
         series, c = self.series, comparison
         names = list(self.model.outputs)
         return {
@@ -110,18 +107,17 @@ def find_symptoms(
     path = moment_path(model, vector, series)
     z = standardised(path, series)
     one_step = against_predictions(model, series, path, z, n_bands)
-    free, x, sentences = None, None, []
+    free, sentences = None, []
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     with np.errstate(over="ignore", invalid="ignore"):
         mean, P = start_state(model, vector, series)
         y, states = noise_free(model, vector, series, mean)
         row = lost_at(y, series)
         if row is None:
-            x = states
-            n = int(np.clip(ROOM // len(series), FEWEST_DRAWS, DRAWS))
+            n = int(np.clip(SIMULATED_SAMPLES // len(series), FEWEST_SIMULATIONS, SIMULATIONS))
             drawn = draws(model, vector, series, mean, P, covariance, n, rng)
             fine = drawn[np.isfinite(drawn).all(axis=(1, 2))]
-            if len(fine) < FEWEST_FINE:
+            if len(fine) < FEWEST_FINITE_RUNS:
                 fine = fine[:0]
                 sentences.append(
                     "Most of the model's own simulations run away: what it leads to expect of the free run is "
@@ -131,7 +127,7 @@ def find_symptoms(
         else:
             sentences.append(
                 f"The free run runs away: from t = {number(float(series.t[row]), 6)} s on it is further off "
-                f"than {AWAY:g} times the range of the readings."
+                f"than {AWAY_RANGES:g} times the range of the readings."
             )
     white = whiteness(z, tuple(model.outputs))
     for comparison, what in ((free, "simulation"), (one_step, "prediction")):
@@ -139,23 +135,11 @@ def find_symptoms(
             continue
         sentences += [overall(f, what) for f in comparison.fits]
         notable = NOTABLE_RUN if what == "simulation" else NOTABLE
-        telling = most_telling(list(comparison.regions), SHOWN, notable)
+        telling = most_telling(list(comparison.regions), REGION_SENTENCES, notable)
         sentences += [sentence(r, what, model.outputs[r.output]) for r in telling]
     sentences += [
         correlated(w.output, w.statistic, w.lags, w.p_value) for w in white if w.p_value < 0.001
     ]
-    of_y, of_x = auxiliary(path, series)
     return Symptoms(
-        tuple(sentences),
-        model,
-        series,
-        free,
-        one_step,
-        white,
-        z,
-        pit(z),
-        of_y,
-        of_x,
-        x,
-        path.predicted,
+        tuple(sentences), model, series, free, one_step, white, z, *auxiliary(path, series)
     )

@@ -43,28 +43,41 @@ from engine.estimation.uncertainty.score import Score
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.views import html, tables
 
-STEP = 0.7  # between the values of theta_k, in standard errors ...
+STEP_ERRORS = 0.7  # between the values of theta_k, in standard errors ...
 GROWTH = 1.25  # ... and by how much it grows from one to the next
-POINTS = 20  # on one side at most; the last is some 240 standard errors away
-OVERSHOOT = 1.5  # nats beyond the end: the step is halved, so that the spline has a point nearby
+SIDE_POINTS = 20  # on one side at most; the last is some 240 standard errors away
+# Nats beyond the end: the step is halved, so that the spline has a point nearby.
+OVERSHOOT_NATS = 1.5
 HALVINGS = 3
-BEYOND = 0.3  # nats that the last point is beyond the end
-NEAR = 0.01  # standard errors from a bound count as being there
-LAG = 0.01  # nats by which the other parameters may be away from their maximum ...
+BEYOND_NATS = 0.3  # nats that the last point is beyond the end
+NEAR_ERRORS = 0.01  # standard errors from a bound count as being there
+LAG_NATS = 0.01  # nats by which the other parameters may be away from their maximum ...
 CORRECTIONS = 3  # ... after this many steps towards it at most
-AWAY = 1.0  # standard errors between the estimate and the maximum are worth a warning
-FINE = 64  # parts of each step on which the curve is searched
+AWAY_ERRORS = 1.0  # standard errors between the estimate and the maximum are worth a warning
+STEP_PARTS = 64  # parts of each step on which the curve is searched
 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodIntervals:
     """Intervals of the free parameters by the likelihood ratio.
 
-    ``values`` (n_theta, 2), NaN for parameters that are held fixed or at a bound; an end that is the
-    parameter's bound, which may be infinite, says that the likelihood does not fall enough before it.
-    ``errors`` (n_theta, 2): Monte Carlo standard errors of the ends, NaN where there is no end but a
-    bound. ``maximum`` (n_theta,): where each profile is highest, the estimate if EM has arrived; where
-    that is more than a standard error away, ``warning`` says so.
+    Attributes
+    ----------
+    model : MixedModel
+        The model.
+    theta : Theta
+        The estimate.
+    level : float
+        Confidence of each interval, such as 0.95.
+    values : array (n_theta, 2)
+        The intervals; NaN for parameters that are held fixed or at a bound. An end that is the parameter's
+        bound, which may be infinite, says that the likelihood does not fall enough before it.
+    errors : array (n_theta, 2)
+        Monte Carlo standard errors of the ends, NaN where there is no end but a bound.
+    maximum : array (n_theta,)
+        Where each profile is highest: the estimate if EM has arrived.
+    warning : str
+        Says so where a maximum is more than a standard error away from the estimate.
     """
 
     model: MixedModel
@@ -102,13 +115,46 @@ def likelihood_intervals(
     exact: bool = False,
     callback: Callable[[str], Any] | None = None,
 ) -> LikelihoodIntervals:
-    """Likelihood-ratio intervals of confidence ``level`` about an estimate.
+    """Confidence intervals by the likelihood ratio about an estimate.
 
-    ``errors`` are the standard errors there, computed first if not given. Each slope is averaged over
-    ``replicates`` smoothers; some eight slopes are needed for each parameter. ``exact`` uses the Kalman
-    smoother (linear Gaussian models). ``callback(name)`` is told of each parameter before its interval is
-    sought, and may stop the run by raising. Raises OptionError; ModelError where the data hold no information
-    on a parameter, or the likelihood is not finite near the estimate.
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping or array
+        The estimate.
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    free : sequence of str, optional
+        Names of the estimated parameters, where ``errors`` does not give them; all by default.
+    level : float
+        Confidence, between 0 and 1.
+    errors : StandardErrors, optional
+        The standard errors at the estimate; computed first if not given.
+    n_particles : int
+        Number of particles M.
+    n_trajectories : int
+        Number of trajectories N.
+    replicates : int
+        Smoothers that each slope is averaged over; some eight slopes are needed for each parameter.
+    seed : int
+        The same seed gives the same bits.
+    exact : bool
+        Use the Kalman smoother instead of particles (linear Gaussian models).
+    callback : callable, optional
+        ``callback(name)`` before a parameter's interval is sought; may stop the run by raising.
+
+    Returns
+    -------
+    LikelihoodIntervals
+        ``values`` (n_theta, 2) in the parameters' units, with Monte Carlo errors of the ends.
+
+    Raises
+    ------
+    OptionError
+        The level is not between 0 and 1.
+    ModelError
+        The data hold no information on a parameter, or the likelihood is not finite near the estimate.
     """
     if not 0.0 < level < 1.0:
         raise OptionError(f"level = {level:g}; a number between 0 and 1 is needed", "level")
@@ -119,9 +165,9 @@ def likelihood_intervals(
             errors = standard_errors(
                 model, theta, series, free, n_particles, n_trajectories, seed=seed, exact=exact
             )
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     indices = np.array([model.index(name) for name in errors.names], dtype=np.intp)
-    score = Score.of(model, theta, listed, indices, n_particles, n_trajectories, exact)
+    score = Score.of(model, theta, all_series, indices, n_particles, n_trajectories, exact)
     seeds = np.random.SeedSequence(seed, spawn_key=(1,))
     march = _March(score, errors.covariance, 1 if exact else replicates, seeds)
     fall = 0.5 * float(chi2.ppf(level, 1))
@@ -141,8 +187,8 @@ def likelihood_intervals(
 
 
 def _warning(errors: StandardErrors, maximum: Array) -> str:
-    """What to say where a profile is highest more than AWAY standard errors from the estimate."""
-    away = np.abs(maximum - np.asarray(errors.theta)) > AWAY * np.nan_to_num(errors.values)
+    """What to say where a profile is highest more than AWAY_ERRORS standard errors from the estimate."""
+    away = np.abs(maximum - np.asarray(errors.theta)) > AWAY_ERRORS * np.nan_to_num(errors.values)
     far = [
         f"{p.name} = {value:.5g}"
         for p, value, yes in zip(errors.model.parameters, maximum.tolist(), away, strict=True)
@@ -193,25 +239,25 @@ class _March:
         lower, upper = self.score.bounds
         bound = lower[k] if sign < 0.0 else upper[k]
         v = self.covariance[:, k] / self.covariance[k, k]
-        step, halvings = STEP * sd, 0
+        step, halvings = STEP_ERRORS * sd, 0
         at, slopes = [x[k]], [float(slope.mean())]
         out: list[tuple[float, Array]] = []
-        while len(out) < POINTS:
+        while len(out) < SIDE_POINTS:
             room = abs(bound - x[k])
-            if room < NEAR * sd:
+            if room < NEAR_ERRORS * sd:
                 break
             length = min(step, 0.9 * room)  # at a bound a variance may be zero
-            there, ahead, direction = self._at(k, x + sign * length * v)
-            fallen = _fallen([*at, there[k]], [*slopes, float(ahead.mean())])
-            if fallen > fall + OVERSHOOT and halvings < HALVINGS:
+            there, slope_there, direction = self._at(k, x + sign * length * v)
+            fallen = _fallen([*at, there[k]], [*slopes, float(slope_there.mean())])
+            if fallen > fall + OVERSHOOT_NATS and halvings < HALVINGS:
                 step, halvings = 0.5 * length, halvings + 1
                 continue
-            out.append((float(there[k]), ahead))
-            if fallen > fall + BEYOND:
+            out.append((float(there[k]), slope_there))
+            if fallen > fall + BEYOND_NATS:
                 return out, float(there[k])
             x, v = there, direction
             at.append(x[k])
-            slopes.append(float(ahead.mean()))
+            slopes.append(float(slope_there.mean()))
             step *= GROWTH
         return out, float(bound)
 
@@ -222,7 +268,7 @@ class _March:
         v, other = self._directions(k, x, scores)
         s = scores.mean(axis=0)
         for _ in range(CORRECTIONS):
-            if 0.5 * float(s @ other @ s) <= LAG:
+            if 0.5 * float(s @ other @ s) <= LAG_NATS:
                 break
             x = self._clipped(x + other @ s, k)
             scores = self._scores(x)
@@ -284,7 +330,7 @@ def ends(
     may reach at most, ``outermost``.
     """
     height = CubicSpline(at, slope).antiderivative()
-    parts = [np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(at)]
+    parts = [np.linspace(a, b, STEP_PARTS, endpoint=False) for a, b in pairwise(at)]
     x = np.append(np.concatenate(parts), at[-1])
     y: NDArray[np.float64] = height(x)
     top = int(np.argmin(np.abs(x - start)))

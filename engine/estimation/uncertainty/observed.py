@@ -25,10 +25,10 @@ from engine.views import html, tables
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates
 GUESS = 0.1  # share of the complete-data information that the data usually hold, to start with
-REACH = 0.5  # length of the differences in standard errors: further out the curvature differs
-SETTLED = (
-    0.5  # standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases
-)
+# Length of the differences in standard errors: further out the curvature differs.
+REACH_ERRORS = 0.5
+# Standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases.
+SETTLED_ERRORS = 0.5
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
 
@@ -46,15 +46,30 @@ class Estimate(Protocol):
 class StandardErrors:
     """Asymptotic uncertainty of the free parameters at theta.
 
-    ``covariance`` (n, n) of the free parameters ``names`` that are not at a bound; ``score`` (n,) at
-    theta, which is zero at the maximum up to ``score_error`` (n,), its Monte Carlo standard error;
-    ``relative_error`` (n,) of the standard errors themselves, as Monte Carlo noise leaves it.
-
-    ``decrement`` s' C s is the squared distance, in standard errors, between theta and the maximum that
-    score s and covariance C point to (Newton's decrement; twice what the log-likelihood can still gain).
-    ``settled`` is False where it is more than a quarter and its Monte Carlo noise, or a parameter is held
-    at a bound from which the likelihood draws it away: then these are no errors of an estimate, and
-    ``warning`` says so.
+    Attributes
+    ----------
+    model : MixedModel
+        The model.
+    theta : Theta
+        Where the errors were computed.
+    names : tuple of str
+        The n free parameters that are not at a bound.
+    covariance : array (n, n)
+        Their covariance C.
+    score : array (n,)
+        Derivatives s of the log-likelihood, which are zero at the maximum up to ``score_error``.
+    score_error : array (n,)
+        Monte Carlo standard errors of the score.
+    relative_error : array (n,)
+        Those of the standard errors themselves, relative to them.
+    decrement : float
+        s' C s: the squared distance, in standard errors, between theta and the maximum that s and C point to
+        (Newton's decrement; twice what the log-likelihood can still gain).
+    settled : bool
+        False where that is more than a quarter and its Monte Carlo noise, or a parameter is held at a bound
+        from which the likelihood draws it away: then these are no errors of an estimate.
+    warning : str
+        Says so.
     """
 
     model: MixedModel
@@ -120,20 +135,48 @@ def standard_errors(
 ) -> StandardErrors:
     """Standard errors at an estimate; observed information by differences of the score.
 
-    ``theta`` are parameters or an :class:`engine.EmResult`, whose free parameters are then meant. Each of
-    the 2 n scores is averaged over ``replicates`` smoothers. ``exact`` uses the Kalman smoother (linear
-    Gaussian models). A free parameter at one of its bounds is held there. Where theta is no maximum of
-    the likelihood the result is not ``settled``, and a NotSettledWarning is given. Raises ModelError where
-    the data hold no information on a parameter.
+    A free parameter at one of its bounds is held there. Where theta is no maximum of the likelihood the
+    result is not ``settled``, and a NotSettledWarning is given.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+    theta : Theta, mapping, array or EmResult
+        The estimate; of an EmResult its free parameters are meant.
+    series : Series or sequence of Series
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    free : sequence of str, optional
+        Names of the parameters to estimate; all by default.
+    n_particles : int
+        Number of particles M.
+    n_trajectories : int
+        Number of trajectories N.
+    replicates : int
+        Smoothers that each of the 2 n scores is averaged over.
+    seed : int
+        The same seed gives the same bits.
+    exact : bool
+        Use the Kalman smoother instead of particles (linear Gaussian models).
+
+    Returns
+    -------
+    StandardErrors
+        Covariance (n, n) and standard errors (n_theta,) in the parameters' units.
+
+    Raises
+    ------
+    ModelError
+        The data hold no information on a parameter.
     """
     found = None
     if isinstance(theta, Estimate):
         found, theta = theta, theta.theta
         free = free or [name for name in found.free if name not in found.not_estimated]
     theta = model.theta(theta)
-    listed = as_series_list(series, model)
+    all_series = as_series_list(series, model)
     every = Score.of(
-        model, theta, listed, model.free_indices(free), n_particles, n_trajectories, exact
+        model, theta, all_series, model.free_indices(free), n_particles, n_trajectories, exact
     )
     within = np.isin(every.indices, inside(model, theta, free))
     score = replace(every, indices=every.indices[within])
@@ -156,7 +199,7 @@ def standard_errors(
         spread, L_last, L = G, L, refined
     covariance = L @ L.T
     decrement, noise = _decrement(covariance, scores)
-    settled = decrement <= SETTLED**2 + noise and not drawn
+    settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=2)
@@ -190,7 +233,7 @@ def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:
     lower, upper = score.bounds
     mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(len(scores))
     inward = np.where(score.x <= lower, mean, np.where(score.x >= upper, -mean, 0.0))
-    far = inward - 2.0 * noise > SETTLED * np.sqrt(np.maximum(information, 0.0))
+    far = inward - 2.0 * noise > SETTLED_ERRORS * np.sqrt(np.maximum(information, 0.0))
     return [name for name, yes in zip(score.names, far, strict=True) if yes and len(scores)]
 
 
@@ -223,12 +266,12 @@ def _whitened_information(score: Score, L: Array, which: np.random.SeedSequence)
 
 
 def _within(x: Array, step: Array, lower: Array, upper: Array) -> float:
-    """The largest share (at most REACH) of a step that stays well within the bounds."""
+    """The largest share (at most REACH_ERRORS) of a step that stays well within the bounds."""
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(
             step > 0.0, (upper - x) / step, np.where(step < 0.0, (lower - x) / step, np.inf)
         )
-    return float(min(REACH, 0.9 * room.min()))
+    return float(min(REACH_ERRORS, 0.9 * room.min()))
 
 
 def _root(S: Array) -> Array:

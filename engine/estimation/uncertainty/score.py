@@ -43,19 +43,19 @@ class Score:
         cls,
         model: MixedModel,
         theta: Theta,
-        listed: Sequence[Series],
+        all_series: Sequence[Series],
         indices: NDArray[np.intp],
         n_particles: int,
         n_trajectories: int,
         exact: bool,
     ) -> Score:
         """With the default particle smoother, or the exact one (linear Gaussian models)."""
-        model = with_scales(model, listed, theta, indices)
+        model = with_scales(model, all_series, theta, indices)
         whose = "the exact" if exact else "the moment filter's"
-        likelihood = LikelihoodStep(model, listed, whose)
+        likelihood = LikelihoodStep(model, all_series, whose)
         if exact:
-            return cls(model, theta, indices, rts_step(model, listed), True, likelihood)
-        expect = rbps_step(model, listed, n_particles, n_trajectories)
+            return cls(model, theta, indices, rts_step(model, all_series), True, likelihood)
+        expect = rbps_step(model, all_series, n_particles, n_trajectories)
         return cls(model, theta, indices, expect, False, likelihood)
 
     @property

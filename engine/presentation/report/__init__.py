@@ -22,15 +22,15 @@ from engine.presentation.report.parts import (
     Report,
     Section,
     facts,
-    on_paper,
 )
 from engine.presentation.report.style import RULES, stylesheet
+from engine.presentation.report.svg import svg_element
 
 __all__ = ["RULES", "OnPage", "Report", "Section", "make_report", "report_html", "write_report"]
 
 
 class Documented(Protocol):
-    """A result that can be told as data."""
+    """A result with a JSON document."""
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON document."""
@@ -39,12 +39,27 @@ class Documented(Protocol):
 def write_report(
     result: Documented | Document, path: str | Path, about: Mapping[str, object] | None = None
 ) -> Path:
-    """Write a report as one HTML file and return its path.
+    """Write a report as one HTML file.
 
-    ``result`` is a Diagnosis, an Examination, or the JSON document of either; a document of the
-    service's results, {"diagnosis": {...}} or {"estimate": {...}, ...}, will do as well. ``about`` are
-    rows to show at its end, such as {"data": "flows.csv", "seed": 1}. Raises OptionError for a
-    document that holds nothing to report.
+    Parameters
+    ----------
+    result : Diagnosis, Examination or mapping
+        Also the JSON document of either, or of the service's results, {"diagnosis": {...}} or
+        {"estimate": {...}, ...}.
+    path : str or Path
+        The file to write.
+    about : mapping, optional
+        Rows to show at its end, such as {"data": "flows.csv", "seed": 1}.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    OptionError
+        The document holds nothing to report.
     """
     document = result if isinstance(result, Mapping) else result.to_dict()
     file = Path(path)
@@ -72,7 +87,7 @@ def report_html(document: Document, about: Mapping[str, object] | None = None) -
     return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
 
 
-def make_report(document: Document, draw: Drawer = on_paper) -> Report:
+def make_report(document: Document, draw: Drawer = svg_element) -> Report:
     """The report's parts; ``draw`` makes its charts."""
     if document.get("diagnosis"):
         document = document["diagnosis"]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from engine.arrays import Array
 from engine.presentation.report.downsample import keep
 
-Numbers = Sequence[float | None]
-POINTS = 4000  # of a chart, at most about
-TIMES = "t"  # ``sync`` of charts over time
+Numbers = Sequence[float | None] | Array
+CHART_POINTS = 4000  # of a chart, at most about
+TIME_AXIS = "t"  # ``sync`` of charts over time
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,16 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class Ranking:
+    """Horizontal bars: ``rows`` of (name, value, role), and a ``line`` at a value to compare with."""
+
+    title: str
+    x_label: str
+    rows: Sequence[tuple[str, float, str]]
+    line: float | None = None
+
+
+@dataclass(frozen=True)
 class Chart:
     """Curves over a common x.
 
@@ -53,9 +64,9 @@ class Chart:
     wide: bool = False
     small: bool = False
     live: bool = True
-    sync: str = TIMES
+    sync: str = TIME_AXIS
 
-    def thinned(self, points: int = POINTS) -> Chart:
+    def thinned(self, points: int = CHART_POINTS) -> Chart:
         """The same with about so many points at most, extremes kept."""
         if len(self.x) <= points:
             return self
@@ -74,19 +85,16 @@ class Chart:
             return None if values is None else [values[i] for i in rows]
 
         traces = tuple(
-            Trace(
-                t.label,
-                few(t.y) or (),
-                t.kind,
-                t.role,
-                None if t.band is None else (few(t.band[0]) or (), few(t.band[1]) or ()),
-                few(t.reach),
-                few(t.width),
-                t.dash,
+            replace(
+                t,
+                y=few(t.y) or (),
+                band=None if t.band is None else (few(t.band[0]) or (), few(t.band[1]) or ()),
+                reach=few(t.reach),
+                width=few(t.width),
             )
             for t in self.traces
         )
-        return Chart(**{**self.__dict__, "x": few(self.x), "traces": traces})
+        return replace(self, x=few(self.x) or (), traces=traces)
 
     def spec(self) -> dict[str, Any]:
         """What the page's script ``charts.js`` draws."""

@@ -7,13 +7,29 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-from engine.presentation.report.chart import Chart, Trace
+from engine.presentation.report.chart import Chart, Numbers, Trace
 from engine.presentation.report.html import Html, bullets, join, table, tag
 from engine.presentation.report.parts import Document, Drawer, grid, label, measured, pretty, prose
 from engine.words import fit_quality, percent, probability
 
 TIME = "time [s]"
 WHAT = {"free_run": "Free-run simulation", "one_step": "One-step prediction"}
+
+
+def compared(
+    title: str,
+    y_label: str,
+    t: Numbers,
+    computed: tuple[str, Numbers],
+    measured: Numbers | None = None,
+    band: tuple[Numbers, Numbers] | None = None,
+    wide: bool = False,
+) -> Chart:
+    """What was ``computed`` (its name, values) over time with its band, and what was measured."""
+    traces = [Trace(*computed, band=band)]
+    if measured is not None:
+        traces.append(Trace("measured", measured, "points", "data"))
+    return Chart(title, TIME, y_label, t, tuple(traces), wide=wide)
 
 
 def against_data(
@@ -23,22 +39,17 @@ def against_data(
     if comparison is None or "curves" not in comparison:
         return []
     c = comparison["curves"]
+    said = f"{'simulated' if what == 'free_run' else 'predicted'}, 95 % band"
     return [
         draw(
-            Chart(
+            compared(
                 f"{WHAT[what]} of {name} and the data",
-                TIME,
                 label(name, unit),
                 c["t"],
-                (
-                    Trace(
-                        f"{'simulated' if what == 'free_run' else 'predicted'}, 95 % band",
-                        c["y"][name],
-                        band=(c["lower"][name], c["upper"][name]),
-                    ),
-                    Trace("measured", c["measured"][name], "points", "data"),
-                ),
-                wide=wide,
+                (said, c["y"][name]),
+                c["measured"][name],
+                (c["lower"][name], c["upper"][name]),
+                wide,
             )
         )
         for name, unit in units.items()
@@ -63,19 +74,9 @@ def errors_over_time(symptoms: Document, units: Document, draw: Drawer) -> list[
         if traces:
             t = symptoms["one_step"]["curves"]["t"]
             title = f"Error of {name} over time (measured less simulated)"
-            figures.append(
-                draw(
-                    Chart(
-                        title,
-                        TIME,
-                        label(name, unit),
-                        t,
-                        tuple(traces),
-                        level=(0.0,),
-                        wide=len(units) == 1,
-                    )
-                )
-            )
+            y_label, wide = label(name, unit), len(units) == 1
+            errors = Chart(title, TIME, y_label, t, tuple(traces), level=(0.0,), wide=wide)
+            figures.append(draw(errors))
     return figures
 
 
@@ -105,12 +106,12 @@ def where_it_is(symptoms: Document, units: Document, draw: Drawer) -> Html:
         comparison = symptoms[what]
         if comparison is None:
             continue
-        role = "model" if what == "free_run" else "data"
+        said, role = ("simulated", "model") if what == "free_run" else ("predicted", "data")
         figures = [
             draw(
-                _spectrum(output, units[output] if what == "free_run" else "", bands, role)
+                _spectrum(f"{said} {output}", units[output] if role == "model" else "", bands, role)
                 if kind == "frequency"
-                else _by_bands(output, units[output], signal, bands, role)
+                else _by_bands(f"{said} {output}", units[output], signal, bands, role)
             )
             for (output, kind, signal), bands in _by_signal(comparison["bands"])
         ]
@@ -129,10 +130,10 @@ def _by_signal(
         yield key, [b for b in bands if (b["output"], b["kind"], b["signal"]) == key]
 
 
-def _by_bands(output: str, unit: str, signal: str, bands: list[dict[str, Any]], role: str) -> Chart:
+def _by_bands(what: str, unit: str, signal: str, bands: list[dict[str, Any]], role: str) -> Chart:
     middle = [0.5 * (b["low"] + b["high"]) for b in bands]
     return Chart(
-        f"Error of {output} by {signal}",
+        f"Error of {what} by {signal}",
         label(signal, bands[0]["unit"]),
         f"error [{pretty(unit) or '1'}]",
         middle,
@@ -152,13 +153,13 @@ def _by_bands(output: str, unit: str, signal: str, bands: list[dict[str, Any]], 
     )
 
 
-def _spectrum(output: str, unit: str, bands: list[dict[str, Any]], role: str) -> Chart:
+def _spectrum(what: str, unit: str, bands: list[dict[str, Any]], role: str) -> Chart:
     """``unit`` of the errors; without one they are in standard deviations of the prediction."""
     edges = [b["low"] for b in bands] + [bands[-1]["high"]]
     error = [b["rms"] for b in bands]
     expected = [b["expected_rms"] for b in bands]
     return Chart(
-        f"Error of {output} by frequency",
+        f"Error of {what} by frequency",
         "frequency [Hz]",
         f"rms in the band [{pretty(unit)}]" if unit else "standardised rms in the band",
         edges,
@@ -180,21 +181,13 @@ def residual_figures(symptoms: Document, draw: Drawer) -> Html:
     figures = []
     for name, z in residuals["z"].items():
         whiteness = next((w for w in symptoms["whiteness"] if w["output"] == name), None)
-        figures.append(
-            draw(
-                Chart(
-                    f"Standardised innovations of {name}",
-                    TIME,
-                    "standard deviations",
-                    residuals["t"],
-                    (Trace("innovation", z, "points", "data"),),
-                    level=(-1.96, 1.96),
-                )
-            )
-        )
-        figures.append(draw(_correlation(name, residuals["autocorrelation"][name], whiteness)))
-        figures.append(draw(_histogram(name, residuals["histogram"][name])))
-        figures.append(draw(_quantiles(name, residuals["quantiles"][name])))
+        title = f"Standardised innovations of {name}"
+        figures += [
+            draw(_standardised(title, residuals["t"], "innovation", z)),
+            draw(_correlation(name, residuals["autocorrelation"][name], whiteness)),
+            draw(_histogram(name, residuals["histogram"][name])),
+            draw(_quantiles(name, residuals["quantiles"][name])),
+        ]
     return grid(figures)
 
 
@@ -204,21 +197,15 @@ def auxiliary_figures(symptoms: Document, draw: Drawer) -> Html:
     figures = []
     for key, what in (("of_outputs", "measurement"), ("of_states", "state")):
         for name, values in residuals.get(key, {}).items():
-            if not any(v is not None for v in values):
-                continue
-            figures.append(
-                draw(
-                    Chart(
-                        f"Auxiliary residual of the {what} {name}",
-                        TIME,
-                        "standard deviations",
-                        residuals["t"],
-                        (Trace("disturbance", values, "points", "data"),),
-                        level=(-1.96, 1.96),
-                    )
-                )
-            )
+            if any(v is not None for v in values):
+                title = f"Auxiliary residual of the {what} {name}"
+                figures.append(draw(_standardised(title, residuals["t"], "disturbance", values)))
     return grid(figures)
+
+
+def _standardised(title: str, t: Numbers, what: str, values: Numbers) -> Chart:
+    points = Trace(what, values, "points", "data")
+    return Chart(title, TIME, "standard deviations", t, (points,), level=(-1.96, 1.96))
 
 
 def _correlation(name: str, found: Document, whiteness: Document | None) -> Chart:

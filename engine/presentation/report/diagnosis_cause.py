@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from engine.presentation.report.chart import Chart, Trace
+from engine.presentation.report.chart import Chart, Ranking, Trace
 from engine.presentation.report.comparison import TIME
 from engine.presentation.report.html import Html, table, tag
 from engine.presentation.report.parts import (
@@ -22,10 +22,9 @@ from engine.presentation.report.parts import (
     prose,
 )
 from engine.presentation.report.priority import asked_first
-from engine.presentation.report.svg import hbars
 from engine.words import number
 
-SHOWN = 12  # candidates in a picture
+RANKED_CANDIDATES = 12  # candidates in a picture
 
 
 def cause_section(d: Document, draw: Drawer) -> list[object]:
@@ -54,9 +53,9 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
         parts.append(tag("p", "None named."))
     if d["unnamed"]:
         parts += [tag("h3", "An unnamed force"), tag("p", prose(d["unnamed"]["sentence"]))]
-        parts.append(grid(_force(d["unnamed"], draw)))
-    ranked = [_ranked(d["rounds"], k) for k in range(len(d["rounds"]))]
-    if any(ranked):
+        parts.append(grid(force_figures(d["unnamed"], draw)))
+    ranked = rankings(d["rounds"], draw)
+    if ranked:
         parts += [
             tag("h3", "Candidates and their evidence"),
             tag(
@@ -103,27 +102,41 @@ def _look_alikes(found: list[dict[str, Any]]) -> Html:
     return table(head, rows, "words")
 
 
-def _ranked(rounds: list[dict[str, Any]], k: int) -> Html:
-    found = rounds[k]
-    name = f"Round {k + 1}: "
+def rankings(rounds: list[dict[str, Any]], draw: Drawer) -> list[Html]:
+    """The candidates of each round by their evidence."""
+    ranked = (_ranked(found, f"Round {k}: ") for k, found in enumerate(rounds, 1))
+    return [draw(one) for one in ranked if one.rows]
+
+
+def _ranked(found: dict[str, Any], name: str) -> Ranking:
     if found["refitted"]:
         bars = [
             (r["title"], r["score"], "after" if r["equivalent"] else "data")
-            for r in found["refitted"][:SHOWN]
-        ]  # fmt: skip
+            for r in found["refitted"][:RANKED_CANDIDATES]
+        ]
         if found["unnamed"]:
             bars.append(("unnamed force", found["unnamed"]["score"], "before"))
-        bars.sort(key=lambda bar: -bar[1])
-        return hbars(f"{name}refitted effects", "2 × log-likelihood gained, less costs", bars)
-    bars = [(x["title"], -math.log10(max(x["p_value"], 1e-300)), "data") for x in found["screened"]]
+        bars = sorted(_finite(bars), key=lambda bar: -bar[1])
+        label = "2 × log-likelihood gained, less costs"
+        return Ranking(f"{name}refitted effects", label, bars)
+    bars = [(x["title"], _evidence(x["p_value"]), "data") for x in found["screened"]]
     needed = math.erfc(math.sqrt(0.5 * found["threshold"]))  # chi2 with one degree of freedom
-    title = f"{name}screened effects"
-    return hbars(
-        title, "-log10 of each one's p-value", bars[:SHOWN], -math.log10(max(needed, 1e-300))
+    label = "-log10 of each one's p-value"
+    return Ranking(
+        f"{name}screened effects", label, _finite(bars[:RANKED_CANDIDATES]), _evidence(needed)
     )
 
 
-def _force(force: Document, draw: Drawer) -> list[Html]:
+def _evidence(p: float) -> float:
+    return -math.log10(max(p, 1e-300))
+
+
+def _finite(bars: list[tuple[str, float, str]]) -> list[tuple[str, float, str]]:
+    return [bar for bar in bars if math.isfinite(bar[1])]
+
+
+def force_figures(force: Document, draw: Drawer) -> list[Html]:
+    """The unnamed force over time with its band."""
     curves = force.get("curves")
     if not curves:
         return []
@@ -132,16 +145,5 @@ def _force(force: Document, draw: Drawer) -> list[Html]:
     low = [None if m is None or s is None else m - 2.0 * s for m, s in pairs]
     high = [None if m is None or s is None else m + 2.0 * s for m, s in pairs]
     one = Trace("force ± 2 standard deviations", mean, band=(low, high), role="before")
-    return [
-        draw(
-            Chart(
-                f"The unnamed force on {force['target']}",
-                TIME,
-                label("force", force["unit"]),
-                curves["t"],
-                (one,),
-                level=(0.0,),
-                wide=True,
-            )
-        )
-    ]
+    title, y_label = f"The unnamed force on {force['target']}", label("force", force["unit"])
+    return [draw(Chart(title, TIME, y_label, curves["t"], (one,), level=(0.0,), wide=True))]

@@ -55,7 +55,7 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
         head = ("", "rms before", "rms after", "difference (95 %)", "fit")
         parts.append(table(head, rows, "numbers"))
     parts += [_budget(gain), adopted(gain, "in_full"), bullets(map(prose, gain["notes"]))]
-    parts.append(grid(_held_out(gain, units, draw)))
+    parts.append(grid(held_out_figures(gain, units, draw)))
     return parts
 
 
@@ -107,11 +107,12 @@ def _budget(gain: Document) -> Html:
     return join([tag("h3", "Error budget"), table(head, rows, "budget-table")])
 
 
-def _held_out(gain: Document, units: Document, draw: Drawer) -> list[Html]:
+def held_out_figures(gain: Document, units: Document, draw: Drawer) -> list[Html]:
+    """Measured, simulated before and after; then the log-density gained so far."""
     curves = gain.get("curves")
     if not curves:
         return []
-    figures = []
+    charts = []
     for name, unit in units.items():
         traces = [
             Trace(f"simulated {when} the extension", curves[when][name], "line", when)
@@ -119,30 +120,9 @@ def _held_out(gain: Document, units: Document, draw: Drawer) -> list[Html]:
             if curves[when] is not None
         ]
         traces.append(Trace("measured, held out", curves["measured"][name], "points", "data"))
-        figures.append(
-            draw(
-                Chart(
-                    f"Held-out data and simulation of {name}",
-                    TIME,
-                    label(name, unit),
-                    curves["t"],
-                    tuple(traces),
-                    wide=True,
-                )
-            )
-        )
-    gained = Trace("log-density gained", curves["log_density"], "line", "after")
-    figures.append(
-        draw(
-            Chart(
-                "Log-density gained so far",
-                TIME,
-                "log-density",
-                curves["t"],
-                (gained,),
-                level=(0.0,),
-                wide=True,
-            )
-        )
-    )
-    return figures
+        title, y_label = f"Held-out data and simulation of {name}", label(name, unit)
+        charts.append(Chart(title, TIME, y_label, curves["t"], tuple(traces), wide=True))
+    gained = (Trace("log-density gained", curves["log_density"], "line", "after"),)
+    title, level = "Log-density gained so far", (0.0,)
+    charts.append(Chart(title, TIME, "log-density", curves["t"], gained, level=level, wide=True))
+    return [draw(chart) for chart in charts]

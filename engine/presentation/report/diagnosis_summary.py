@@ -14,7 +14,7 @@ from engine.presentation.report.parts import (
     prose,
     signed,
 )
-from engine.words import bounds, listed, number, percent
+from engine.words import bounds, enumerated, number, percent
 
 TONE = {"nothing": "good", "named": "accent", "set": "warn", "unknown": "warn"}
 
@@ -50,7 +50,7 @@ def _headline(cause: Document) -> Html:
     ]
     parts.append(cause.get("when", ""))
     if len(cause["equivalent"]) > 1:
-        others = listed(list(cause["equivalent"][1:]), "or")
+        others = enumerated(list(cause["equivalent"][1:]), "or")
         parts.append(tag("span", f", not told apart from {others}", class_="hint"))
     return join(parts)
 
@@ -100,7 +100,7 @@ def _place(region: Document) -> str:
 def _cause_at_a_glance(d: Document) -> Html:
     if d["verdict"] == "unknown":
         said = tag("p", tag("b", "Unknown"), ": something acts that no known effect settles.")
-        names = listed([cause["title"] for cause in d["causes"]])
+        names = enumerated([cause["title"] for cause in d["causes"]])
         return join([said, tag("p", f"Closest: {names}", class_="hint") if names else ""])
     if not d["causes"]:
         return tag("p", f"None: {p_value(d['p_value'])} for all effects together.")

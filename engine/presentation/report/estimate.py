@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from engine.presentation.report.chart import Chart, Numbers, Trace
 from engine.presentation.report.comparison import (
-    TIME,
     against_data,
+    compared,
     fits,
     residual_figures,
     sentences,
@@ -32,7 +33,7 @@ from engine.presentation.report.parts import (
 from engine.words import number
 
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
-FEW = 7  # starts beside the one taken whose curves are drawn each
+FEW_STARTS = 7  # starts beside the one taken whose curves are drawn each
 
 
 def estimate_report(document: Document, draw: Drawer) -> Report:
@@ -53,7 +54,7 @@ def estimate_report(document: Document, draw: Drawer) -> Report:
             ]
         ),
         (
-            *section("convergence", "Convergence", grid(_convergence(document, draw))),
+            *section("convergence", "Convergence", grid(convergence_figures(document, draw))),
             *_states(document, draw),
             *_examined(document, model, draw),
             *section("attempts", "Attempts", _starts(document), _bootstrap(document, draw)),
@@ -81,21 +82,21 @@ def simulation_report(document: Document, draw: Drawer) -> Report:
     for i, series in enumerate(simulation["series"]):
         rmse = series.get("rmse")
         said = "" if rmse is None else tag("p", f"Wrong by {number(rmse)} rms against the data.")
-        figures = _simulated(series, simulation["units"], draw)
-        parts += section(f"series-{i}", _nth("Simulation", i, simulation), said, grid(figures))
+        figures = [simulated_figures(series, simulation["units"], k, draw) for k in ("y", "states")]
+        shown = grid(chain(*figures))
+        parts += section(f"series-{i}", _nth("Simulation", i, simulation), said, shown)
     values = document.get("parameters") or {}
     return Report("Simulation", facts((k, number(v, 6)) for k, v in values.items()), tuple(parts))
 
 
-def _simulated(series: Document, units: Document, draw: Drawer) -> Iterator[Html]:
-    measured = series.get("measured") or {}
-    for group in ("y", "states"):
-        for name, values in series[group].items():
-            traces = [Trace("simulated", values)]
-            if group == "y" and name in measured:
-                traces.append(Trace("measured", measured[name], "points", "data"))
-            unit = units.get(name, "")
-            yield draw(Chart(name, TIME, label(name, unit), series["t"], tuple(traces)))
+def simulated_figures(
+    series: Document, units: Document, group: str, draw: Drawer
+) -> Iterator[Html]:
+    """The outputs ("y") of a series beside what was measured, or its "states"."""
+    measured = (series.get("measured") or {}) if group == "y" else {}
+    for name, values in series[group].items():
+        y_label, simulated = label(name, units.get(name, "")), ("simulated", values)
+        yield draw(compared(name, y_label, series["t"], simulated, measured.get(name)))
 
 
 # ---- summary ----------------------------------------------------------------------------------
@@ -163,7 +164,7 @@ def estimates(document: Document) -> Html:
 # ---- convergence ------------------------------------------------------------------------------
 
 
-def _convergence(document: Document, draw: Drawer) -> Iterator[Html]:
+def convergence_figures(document: Document, draw: Drawer) -> Iterator[Html]:
     """Each free parameter over the iterations, with its interval and the other starts."""
     trace = document.get("trace")
     if not trace:
@@ -178,8 +179,10 @@ def _convergence(document: Document, draw: Drawer) -> Iterator[Html]:
         traces = [_interval(found, len(axis))] if found.get("interval") else []
         traces += _beside(axis, others)
         traces.append(Trace("iterate", _on(axis, ks, values), "line", "model"))
-        title, y_label = name, label(name, found.get("unit", ""))
-        yield draw(Chart(title, "iteration", y_label, axis, tuple(traces), sync="iteration"))
+        y_label, level = label(name, found.get("unit", "")), (found["value"],) if found else ()
+        yield draw(
+            Chart(name, "iteration", y_label, axis, tuple(traces), level=level, sync="iteration")
+        )
     for key, title in (("log_likelihood", "Log-likelihood"), ("ess", "Effective sample size")):
         if any(v is not None for v in trace[key]):
             one = Trace(title.lower(), trace[key], "line", "c4")
@@ -205,7 +208,7 @@ def _other_starts(document: Document, name: str) -> list[tuple[int, Numbers, Num
 def _beside(axis: list[int], others: list[tuple[int, Numbers, Numbers]]) -> list[Trace]:
     """A few starts each by itself, many by their middle and range."""
     curves = [(i, _on(axis, ks, values)) for i, ks, values in others]
-    if len(curves) <= FEW:
+    if len(curves) <= FEW_STARTS:
         return [
             Trace(f"start {i}", curve, "line", f"c{2 + k % 5}", dash=True)
             for k, (i, curve) in enumerate(curves)
@@ -235,17 +238,18 @@ def _states(document: Document, draw: Drawer) -> list[Section]:
         return []
     parts = []
     for i, series in enumerate(states["series"]):
-        figures = []
-        for name, mean in series["mean"].items():
-            sd = series["standard_deviation"][name]
-            low, high = (
-                [_shifted(m, s, k) for m, s in zip(mean, sd, strict=True)] for k in (-1, 1)
-            )
-            unit = states["units"].get(name, "")
-            one = Trace("smoothed mean, 95 % band", mean, band=(low, high))
-            figures.append(draw(Chart(name, TIME, label(name, unit), series["t"], (one,))))
+        figures = smoothed_figures(series, states["units"], draw)
         parts += section(f"states-{i}", _nth("Smoothed states", i, states), grid(figures))
     return parts
+
+
+def smoothed_figures(series: Document, units: Document, draw: Drawer) -> Iterator[Html]:
+    """Each state of a series with its band."""
+    for name, mean in series["mean"].items():
+        sd = series["standard_deviation"][name]
+        low, high = ([_shifted(m, s, k) for m, s in zip(mean, sd, strict=True)] for k in (-1, 1))
+        said, y_label = "smoothed mean, 95 % band", label(name, units.get(name, ""))
+        yield draw(compared(name, y_label, series["t"], (said, mean), band=(low, high)))
 
 
 def _shifted(mean: float | None, sd: float | None, sign: int) -> float | None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from engine.presentation.report.chart import POINTS, TIMES, Chart
+from engine.presentation.report.chart import CHART_POINTS, TIME_AXIS, Chart, Ranking
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.svg import svg_element
 from engine.words import estimate, number, probability, tidy
@@ -18,13 +18,8 @@ Document = Mapping[str, Any]
 class Drawer(Protocol):
     """Makes the element of a chart."""
 
-    def __call__(self, chart: Chart) -> Html:
+    def __call__(self, chart: Chart | Ranking) -> Html:
         """The element."""
-
-
-def on_paper(chart: Chart) -> Html:
-    """For a file: SVG."""
-    return svg_element(chart)
 
 
 @dataclass
@@ -39,11 +34,11 @@ class OnPage:
     charts: list[dict[str, Any]] = field(default_factory=list)
     finer: dict[int, dict[str, Any]] = field(default_factory=dict)
 
-    def __call__(self, chart: Chart) -> Html:
+    def __call__(self, chart: Chart | Ranking) -> Html:
         """A place with its number, or SVG where there is nothing to zoom into."""
-        if not chart.live:
+        if isinstance(chart, Ranking) or not chart.live:
             return svg_element(chart)
-        if self.zoom is not None and chart.sync == TIMES and len(chart.x) > POINTS:
+        if self.zoom is not None and chart.sync == TIME_AXIS and len(chart.x) > CHART_POINTS:
             self.finer[len(self.charts)] = chart.within(*self.zoom).thinned().spec()
         self.charts.append(chart.thinned().spec() | {"points": len(chart.x)})
         size = "figure live wide" if chart.wide else "figure live"

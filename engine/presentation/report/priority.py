@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-FIRST = 12  # effects that are listed; the rest is a click or an option away
+FIRST_EFFECTS = 12  # effects that are listed; the rest is a click or an option away
 
 # Kinds by how often they are met: friction, sensors, timing, limits, then noise and what happens once.
 _KINDS = (
@@ -15,7 +15,7 @@ _KINDS = (
 )  # fmt: skip
 
 
-def asked_first(effects: Sequence[str], n: int = FIRST) -> list[str]:
+def asked_first(effects: Sequence[str], n: int = FIRST_EFFECTS) -> list[str]:
     """At most ``n`` of the effects ``kind:place``, one of each common kind before a second one.
 
     Effects of a channel on itself come before those of one on another, such as ``drag:a->b``.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 # The names of the colours are those of the service's pages, which bring values of their own.
-_LIGHT = """
+LIGHT = """
   --page: #ffffff; --card: #ffffff; --ink: #17212b; --muted: #5a6875; --line: #d5dce3; --grid: #e6ebf0;
   --accent: #0b6486; --accent-pale: #e2f1f7; --good: #1b7a43; --good-pale: #e2f4e9; --warn: #8a5a00;
   --warn-pale: #fdf1d8; --bad: #b3261e; --bad-pale: #fdeceb;
@@ -143,7 +143,7 @@ footer { margin-top: 2.5rem; padding-top: .8rem; border-top: 1px solid var(--lin
 def stylesheet() -> str:
     """All rules of a file that stands alone: light, or dark where the reader's system is; light on paper."""
     light, dark = (
-        f":root {{{_LIGHT}  color-scheme: light;}}",
+        f":root {{{LIGHT}  color-scheme: light;}}",
         f":root {{{_DARK}  color-scheme: dark;}}",
     )
     screen = "@media screen and (prefers-color-scheme: dark)"

@@ -6,17 +6,18 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from engine.presentation.report.chart import Chart, Numbers, Trace
+from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
 from engine.presentation.report.html import Html, tag, text
 from engine.words import number
 
 # Widths drawn for: a third of a page or a phone, half a page, and a page.
-SMALL, NARROW, WIDE = 380, 520, 1080
-LOW, HEIGHT, TALL = 220, 250, 300
-LEFT, RIGHT, TOP, BOTTOM = 62, 18, 10, 46  # around the axes, for the words
-MARGIN, LETTER = 28, 9.5  # left of the numbers at the y axis, and for each of their letters
-DECADES = 1e-12  # of the largest value: what a logarithmic axis shows at most
-PIXELS = 1.5  # curves are thinned to so many buckets per unit of width
+SMALL_WIDTH, NARROW_WIDTH, WIDE_WIDTH = 380, 520, 1080
+LOW_HEIGHT, USUAL_HEIGHT, TALL_HEIGHT = 220, 250, 300
+# Around the axes, for the words; left of the numbers at the y axis, and for each of their letters.
+LEFT_MARGIN, RIGHT_MARGIN, TOP_MARGIN, BOTTOM_MARGIN = 62, 18, 10, 46
+LABEL_MARGIN, LETTER_WIDTH = 28, 9.5
+LOG_RANGE = 1e-12  # of the largest value: what a logarithmic axis shows at most
+BUCKETS_PER_UNIT = 1.5  # curves are thinned to so many buckets per unit of width
 
 
 @dataclass(frozen=True)
@@ -55,14 +56,17 @@ class Axis:
         return [k * step for k in range(begin, end + 1)]
 
 
-def svg_element(chart: Chart) -> Html:
+def svg_element(chart: Chart | Ranking) -> Html:
     """A figure: title, legend, and the chart; a wide one also drawn narrow, for small screens."""
+    if isinstance(chart, Ranking):
+        return _hbars(chart)
     if chart.small:
-        sizes = [(SMALL, LOW, "chart-svg")]
+        sizes = [(SMALL_WIDTH, LOW_HEIGHT, "chart-svg")]
     elif chart.wide:
-        sizes = [(WIDE, TALL, "chart-svg for-wide"), (NARROW, HEIGHT, "chart-svg for-narrow")]
+        wide, narrow = (WIDE_WIDTH, TALL_HEIGHT), (NARROW_WIDTH, USUAL_HEIGHT)
+        sizes = [(*wide, "chart-svg for-wide"), (*narrow, "chart-svg for-narrow")]
     else:
-        sizes = [(NARROW, HEIGHT, "chart-svg")]
+        sizes = [(NARROW_WIDTH, USUAL_HEIGHT, "chart-svg")]
     drawn = [svg(chart, width, height, class_) for width, height, class_ in sizes]
     head = tag("figcaption", text(chart.title))
     return tag("figure", head, legend(chart), *drawn, class_=f"figure{' wide' * chart.wide}")
@@ -81,11 +85,11 @@ def legend(chart: Chart) -> Html:
 
 def svg(chart: Chart, width: int, height: int, class_: str = "chart-svg") -> Html:
     """The chart alone, ``width`` by ``height`` units."""
-    chart = chart.thinned(int(PIXELS * width * _columns(chart)))
-    y = _axis(_ys(chart), height - BOTTOM, TOP, "y" in chart.log, 0.06)
+    chart = chart.thinned(int(BUCKETS_PER_UNIT * width * _columns(chart)))
+    y = y_axis(chart, height - BOTTOM_MARGIN, TOP_MARGIN)
     longest = max(len(number(tick, 4)) for tick in y.ticks(_rows(height)))
-    left = max(LEFT, MARGIN + LETTER * longest)
-    x = _axis(_xs(chart), left, width - RIGHT, "x" in chart.log, 0.0)
+    left = max(LEFT_MARGIN, LABEL_MARGIN + LETTER_WIDTH * longest)
+    x = _axis(_xs(chart), left, width - RIGHT_MARGIN, "x" in chart.log, 0.0)
     parts = [*_grid(chart, x, y, width, height)]
     for level in chart.level:
         if y.low <= level <= y.high:
@@ -106,16 +110,17 @@ def svg(chart: Chart, width: int, height: int, class_: str = "chart-svg") -> Htm
     )
 
 
-def hbars(
-    title: str, x_label: str, rows: Iterable[tuple[str, float, str]], line: float | None = None
-) -> Html:
-    """Horizontal bars (name, value, role), the longest names written in full above their bars."""
-    shown = [(name, value, role) for name, value, role in rows if math.isfinite(value)]
-    if not shown:
-        return Html("")
+def y_axis(chart: Chart, start: float, end: float) -> Axis:
+    """What of the values is seen, between two pixels."""
+    return _axis(_ys(chart), start, end, "y" in chart.log, 0.06)
+
+
+def _hbars(chart: Ranking) -> Html:
+    """Horizontal bars, the longest names written in full above them."""
+    shown, line = chart.rows, chart.line
     values = [value for _, value, _ in shown] + ([line] if line is not None else [])
     low, high = min(0.0, *values), max(0.0, *values)
-    width, step, bottom = NARROW, 38, 40
+    width, step, bottom = NARROW_WIDTH, 38, 40
     height = step * len(shown) + bottom + 4
     x = Axis(low, high if high > low else low + 1.0, 12, width - 60)
     parts = []
@@ -133,13 +138,13 @@ def hbars(
         parts.append(_words(right + 5, top + 28, number(value), "start"))
     if line is not None:
         parts.append(_line(x(line), 2, x(line), height - bottom, "level"))
-    parts.append(_words(width / 2, height - 6, x_label, "middle"))
+    parts.append(_words(width / 2, height - 6, chart.x_label, "middle"))
     said = "; ".join(f"{name} {number(value)}" for name, value, _ in shown)
     drawn = tag(
         "svg", *parts, viewBox=f"0 0 {width} {height}", class_="chart-svg", role="img",
-        aria_label=f"{title}: {said}",
+        aria_label=f"{chart.title}: {said}",
     )  # fmt: skip
-    return tag("figure", tag("figcaption", text(title)), drawn, class_="figure")
+    return tag("figure", tag("figcaption", text(chart.title)), drawn, class_="figure")
 
 
 # ---- parts --------------------------------------------------------------------------------------
@@ -147,7 +152,7 @@ def hbars(
 
 def _rows(height: int) -> int:
     """Lines of the grid."""
-    return 4 if height < TALL else 5
+    return 4 if height < TALL_HEIGHT else 5
 
 
 def _columns(chart: Chart) -> int:
@@ -196,7 +201,7 @@ def _axis(values: list[float], start: float, end: float, log: bool, room: float)
         values = [v for v in values if v > 0.0]
     low, high = (min(values), max(values)) if values else (1.0 if log else 0.0, 1.0)
     if log:
-        low = max(low, high * DECADES)
+        low = max(low, high * LOG_RANGE)
         if not high > low:
             low, high = 0.5 * low, 2.0 * high
         factor = (high / low) ** room
@@ -212,7 +217,7 @@ def _grid(chart: Chart, x: Axis, y: Axis, width: int, height: int) -> Iterable[H
     for tick in y.ticks(_rows(height)):
         yield _line(x.start, y(tick), x.end, y(tick), "grid")
         yield _words(x.start - 6, y(tick) + 4, number(tick, 4), "end")
-    for tick in x.ticks(4 if width < NARROW else 5 if width < WIDE else 10):
+    for tick in x.ticks(4 if width < NARROW_WIDTH else 5 if width < WIDE_WIDTH else 10):
         yield _line(x(tick), y.end, x(tick), y.start, "grid")
         yield _words(x(tick), y.start + 17, number(tick, 5), "middle")
     yield _words(0.5 * (x.start + x.end), height - 8, chart.x_label, "middle")

@@ -12,7 +12,7 @@ import engine
 from engine.data.series import Series
 from engine.diagnose.symptoms.curves import residuals_of, rounded
 from engine.diagnose.symptoms.residuals import autocorrelation
-from engine.diagnose.symptoms.symptoms import ROOM, find_symptoms
+from engine.diagnose.symptoms.symptoms import SIMULATED_SAMPLES, find_symptoms
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.mixed_4 import MODEL as MIXED
 from engine.presentation.examination import examination
@@ -92,11 +92,11 @@ def test_long_series_get_fewer_simulations(monkeypatch):
 
     module = importlib.import_module("engine.diagnose.symptoms.symptoms")
     monkeypatch.setattr(module, "draws", draws)
-    monkeypatch.setattr(module, "ROOM", 100 * 60)
+    monkeypatch.setattr(module, "SIMULATED_SAMPLES", 100 * 60)
     for n in (30, 100, 1000):
         find_symptoms(LINEAR, None, simulate(LINEAR, None, n, np.random.default_rng(1)).series)
     assert drawn == [200, 60, 40]
-    assert ROOM // 20_000 == 200
+    assert SIMULATED_SAMPLES // 20_000 == 200
 
 
 def test_residuals_as_pictures_need_them():

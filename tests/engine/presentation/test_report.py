@@ -19,10 +19,10 @@ from engine.errors import OptionError
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
 from engine.presentation.report import OnPage, make_report, report_html, write_report
-from engine.presentation.report.chart import Chart, Trace
+from engine.presentation.report.chart import Chart, Ranking, Trace
 from engine.presentation.report.html import tag
 from engine.presentation.report.parts import measured, plus_minus, pretty
-from engine.presentation.report.svg import Axis, hbars, svg, svg_element
+from engine.presentation.report.svg import Axis, svg, svg_element
 from engine.simulation.simulate import simulate
 
 EVIL = '<script>alert("1")</script>'
@@ -271,10 +271,11 @@ def test_bands_and_bars():
     heights = [float(r["height"]) for r in rects]
     assert heights[0] == pytest.approx(2.0 * heights[1], rel=0.02)
     assert float(rects[1]["y"]) == pytest.approx(float(rects[0]["y"]) + heights[0], abs=0.2)
-    ranked = Outline(hbars("t", "score", [("one", 10.0, "after"), ("two", -2.0, "data")], 4.0))
+    ranked = Outline(
+        svg_element(Ranking("t", "score", [("one", 10.0, "after"), ("two", -2.0, "data")], 4.0))
+    )
     widths = [float(r["width"]) for r in ranked.all("rect")]
     assert widths[0] == pytest.approx(5.0 * widths[1], rel=0.02)
-    assert hbars("t", "score", []) == ""
 
 
 @pytest.mark.parametrize(

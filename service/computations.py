@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,20 +14,20 @@ from engine.data.series import Series
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.uncertainty import LikelihoodIntervals, StandardErrors
 from engine.presentation.examination import (
-    covariance_of,
-    estimate_document,
-    examination,
+    estimation_document,
     model_document,
+    smoothed,
     states_document,
+    trace_document,
 )
 from engine.statespace.model import Array, MixedModel, Theta
-from service.prepare import Prepared
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
+from service.validation import Prepared
 
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
-WIDE = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
-DRAWS = 4000  # of that mean, to know its error to about one per cent
+WIDE_NATS = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
+LOGNORMAL_DRAWS = 4000  # of that mean, to know its error to about one per cent
 
 
 class Progress(Protocol):
@@ -53,7 +55,7 @@ class Progress(Protocol):
 def fit(
     job: Prepared, options: EstimateOptions, theta0: Theta, seed: int, progress: Progress
 ) -> dict[str, Any]:
-    """EM from theta0, going on where an earlier attempt was; rows as in ``tables.iterations``."""
+    """EM from theta0, going on where an earlier attempt was; rows as in ``db_schema.iterations``."""
     method = getattr(engine, options.method.replace("-", "_"))
     arguments: dict[str, Any] = {"n_iterations": options.iterations}
     if options.method != "rts-em":
@@ -96,66 +98,49 @@ def describe(
     message = found["message"]
     errors: StandardErrors | None = None
     intervals: LikelihoodIntervals | None = None
+    at, exact = (model, theta, job.series), options.method == "rts-em"
     if options.standard_errors and not options.bootstrap:
         progress.step(done, "standard errors")
-        exact = options.method == "rts-em"
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotSettledWarning)  # the page says it
-                errors = engine.standard_errors(
-                    model, theta, job.series, job.free, seed=options.seed, exact=exact
-                )
-        except ModelError as error:
-            message += f" No standard errors: {error}"
+        ask = partial(engine.standard_errors, *at, job.free, seed=options.seed, exact=exact)
+        errors, why = _tried(ask)
+        message += f" No standard errors: {why}" if why else ""
     if errors is not None and options.intervals == "likelihood-ratio":
         names = list(errors.names)
 
         def sought(name: str) -> None:
             progress.step(done, f"intervals, {names.index(name) + 1} of {len(names)}: {name}")
 
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotSettledWarning)
-                intervals = engine.likelihood_intervals(
-                    model,
-                    theta,
-                    job.series,
-                    errors=errors,
-                    seed=options.seed,
-                    exact=exact,
-                    callback=sought,
-                )
-        except ModelError as error:
-            message += f" Intervals are symmetric: {error}"
+        sides = partial(engine.likelihood_intervals, *at, errors=errors, callback=sought)
+        intervals, why = _tried(partial(sides, seed=options.seed, exact=exact))
+        message += f" Intervals are symmetric: {why}" if why else ""
     progress.step(done, "comparing simulation and prediction with the data")
-    examined = examination(
-        model, theta, job.series, covariance_of(model, errors), seed=options.seed
+    uncertainty = (errors, intervals)
+    document = estimation_document(
+        model, theta, found["free"], job.series, states, uncertainty, options.seed
     )
     likelihood = log_likelihood(job, theta, n, rng, options.method)
-    if not (likelihood["spread"] or 0.0) < WIDE:
+    if not (likelihood["spread"] or 0.0) < WIDE_NATS:
         message += (
             f" The log-likelihood is known poorly, and is probably too low: {LIKELIHOOD_RUNS} passes of the "
             f"filter scatter by {likelihood['spread']:.2g}. Use more particles."
         )
-    trace = np.array(found["trace"])
     return {
-        "model": model_document(model),
-        "estimate": estimate_document(model, theta, found["free"], errors, intervals),
+        **document,
         "outcome": found["outcome"],
         "message": message,
-        "warning": " ".join(one.warning for one in (errors, intervals) if one and one.warning),
         "log_likelihood": likelihood,
-        "trace": {
-            "iteration": list(range(len(trace))),
-            "theta": {p: trace[:, i].tolist() for i, p in enumerate(model.parameter_names)},
-            # a log-likelihood belongs to the theta before its M step; row 0 has none
-            "log_likelihood": [None, *found["log_likelihood"]],
-            "ess": [None, *found["ess"]],
-            "seconds": [None, *found["seconds"]],
-        },
-        "states": states,
-        "examination": examined,
+        "trace": trace_document(model.parameter_names, found),
     }
+
+
+def _tried(compute: Callable[[], Any]) -> tuple[Any, str]:
+    """What is computed, or None and why it could not be; what is not settled, the page says."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotSettledWarning)
+            return compute(), ""
+    except ModelError as error:
+        return None, str(error)
 
 
 def log_likelihood(
@@ -186,7 +171,7 @@ def log_likelihood(
 
 def mean_error(spread: float, runs: int) -> float:
     """Standard deviation of log mean exp of ``runs`` normal numbers whose own is ``spread``."""
-    logs = spread * np.random.default_rng(0).standard_normal((DRAWS, runs))
+    logs = spread * np.random.default_rng(0).standard_normal((LOGNORMAL_DRAWS, runs))
     return float((np.logaddexp.reduce(logs, axis=1) - np.log(runs)).std())
 
 
@@ -203,7 +188,7 @@ def smooth(job: Prepared, request: SmoothRequest, progress: Progress) -> dict[st
         "parameters": job.theta.asdict(),
         "model": model_document(job.model),
         "log_likelihood": log_likelihood(job, job.theta, n, rng, ""),
-        "states": states,
+        "states": states_document(job.model, job.series, states),
     }
 
 
@@ -215,18 +200,15 @@ def _states(
     rng: np.random.Generator,
     method: str = "",
     progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Smoothed states: given whole trajectories of a, so without Algorithm 3's lasting bias."""
+) -> list[tuple[Array, Array]]:
+    """Smoothed means and standard deviations of each series."""
     model, out = job.model, []
     for i, series in enumerate(job.series):
         if method == "rts-em":
             exact = engine.kalman_smoother(model, theta, series)
             mean, std = exact.x, np.sqrt(np.diagonal(exact.P, axis1=1, axis2=2))
         else:
-            filtered = engine.rbpf(model, theta, series, M, rng)
-            draws = engine.rb_ffbsi(filtered, N, rng, joint=True)
-            smoothed = engine.condition_on_trajectories(draws)
-            mean, std = smoothed.mean(), smoothed.std()
+            mean, std = smoothed(model, theta, series, M, N, rng)
         if not np.isfinite(mean).all():
             row = int(np.argmin(np.isfinite(mean).all(axis=1)))
             detail = f"the model's states are not finite at row {row} (t = {series.t[row]:g} s)"
@@ -234,7 +216,7 @@ def _states(
         out.append((mean, std))
         if progress is not None:
             progress.step(i + 1)
-    return states_document(model, job.series, out)
+    return out
 
 
 # ---- simulate -------------------------------------------------------------------------------
@@ -274,7 +256,7 @@ def _simulate(
     if request.options.mode == "free-run":
         return engine.free_run(model, theta, series)
     u = series.u if model.nu else None
-    return engine.simulate(model, theta, len(series), rng, u=u, t=series.t)
+    return engine.simulate(model, theta, len(series), rng, u=u, t=series.t, hold=series.hold)
 
 
 def _state_names(model: MixedModel) -> tuple[str, ...]:

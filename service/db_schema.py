@@ -57,9 +57,8 @@ jobs = Table(
     Column("owner", String(64), nullable=False, default=""),  # name of the API key
     Column("idempotency_key", String(200)),
     Column("digest", String(64)),  # of the request, to compare repeats of an idempotency key
-    Column(
-        "removed", Integer, nullable=False, server_default="0"
-    ),  # 1: its data are no longer there
+    # 1: its data are no longer there
+    Column("removed", Integer, nullable=False, server_default="0"),
     Index("jobs_status", "status", "seq"),
     UniqueConstraint("owner", "idempotency_key"),
     sqlite_autoincrement=True,
@@ -79,14 +78,12 @@ tasks = Table(
     Column("holder", String(100)),
     Column("beat", Integer, nullable=False, server_default="0"),
     Column("losses", Integer, nullable=False, default=0),
-    Column(
-        "futile", Integer, nullable=False, server_default="0"
-    ),  # losses without a checkpoint between
+    # losses without a checkpoint between
+    Column("futile", Integer, nullable=False, server_default="0"),
     Column("mark", Integer, nullable=False, server_default="0"),  # checkpoints at the latest loss
     Column("asked", Integer, nullable=False, server_default="0"),  # 1: to leave at a checkpoint
-    Column(
-        "taken", Integer, nullable=False, server_default="0"
-    ),  # attempts taken away since the latest checkpoint, see ``turns``
+    # attempts taken away since the latest checkpoint, see ``turns``
+    Column("taken", Integer, nullable=False, server_default="0"),
     Column("spent", Double, nullable=False, server_default="0"),  # s, of attempts that made room
     Column("iteration", Integer, nullable=False, default=0),
     Index("tasks_state", "state", "job", "task"),

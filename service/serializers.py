@@ -11,8 +11,9 @@ import numpy as np
 
 import engine
 from engine.statespace.model import Array, MixedModel
-from service.answers import JobStatus, Link, ModelOut, ParameterOut, Trace
+from service.responses import JobStatus, Link, ModelOut, Trace
 from service.schemas import ModelReference
+from service.strict_json import finite
 
 
 def job_status(row: Any) -> JobStatus:
@@ -58,7 +59,7 @@ def _time(seconds: float) -> str:
 
 
 def trace(names: list[str], ks: list[int], rows: Array) -> Trace:
-    """Iterations k with their rows (n, n_theta + 4), see ``tables.iterations``."""
+    """Iterations k with their rows (n, n_theta + 4), see ``db_schema.iterations``."""
     if rows.size and rows.shape[1] != len(names) + 4:  # nobody can say any more what they are
         names = [f"parameter {i + 1}" for i in range(rows.shape[1] - 4)]
     n = len(names)
@@ -73,34 +74,39 @@ def trace(names: list[str], ks: list[int], rows: Array) -> Trace:
 
 
 def _numbers(column: Array) -> list[float | None]:
-    return [x if np.isfinite(x) else None for x in column.tolist()]
+    return [finite(x) for x in column.tolist()]
 
 
 def model(model: MixedModel, reference: ModelReference | None = None) -> ModelOut:
     """The document of a registered model, or of the one that ``reference`` makes of it."""
     name = reference.name if reference else model.name
     with_effects = {"model": reference.model_dump()} if reference else {}
-    return ModelOut(
-        name=model.name,
-        description=model.description,
-        equations=list(model.equations),
-        nonlinear=dict(model.nonlinear),
-        linear=dict(model.linear),
-        inputs=dict(model.inputs),
-        outputs=dict(model.outputs),
-        parameters=[
-            ParameterOut(
-                name=p.name,
-                unit=p.unit,
-                default=p.default,
-                bounds=(_finite(p.bounds[0]), _finite(p.bounds[1])),
-                description=p.description,
-            )
+    link = Link(href=f"/models/{name}", rel="self" if reference is None else "base")
+    example = _example(name) | with_effects
+    return ModelOut(**{**members(model), "name": name}, example=example, links=[link])
+
+
+def members(model: MixedModel) -> dict[str, Any]:
+    """A model as JSON; an infinite bound is null."""
+    return {
+        "name": model.name,
+        "description": model.description,
+        "equations": list(model.equations),
+        "nonlinear": dict(model.nonlinear),
+        "linear": dict(model.linear),
+        "inputs": dict(model.inputs),
+        "outputs": dict(model.outputs),
+        "parameters": [
+            {
+                "name": p.name,
+                "unit": p.unit,
+                "default": float(p.default),
+                "bounds": [finite(float(bound)) for bound in p.bounds],
+                "description": p.description,
+            }
             for p in model.parameters
         ],
-        example=_example(name) | with_effects,
-        links=[Link(href=f"/models/{name}", rel="self" if reference is None else "base")],
-    )
+    }
 
 
 @cache
@@ -120,7 +126,3 @@ def _example(name: str) -> dict[str, Any]:
         "parameters": {"start": model.theta().asdict()},
         "options": {"particles": 50, "iterations": 20, "seed": 1},
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

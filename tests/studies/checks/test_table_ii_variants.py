@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.studies import tried
+from tests.studies import table_ii_variants
 from tests.studies.em_arms import estimate
 from tests.studies.false_maximum import FALSE_MAXIMUM, _information, curvature
 from tests.studies.lost import ALL_FIVE
@@ -43,17 +43,17 @@ def tables():
     n = range(10)
     good = [0.30 + 0.005 * run for run in n]
     out = {
-        tried.REFERENCE: table(n, good, [0.0] * 10),
-        tried.PAPERS: table(n, [*good[:6], 0.0, -0.01, 0.0, 3.1], [0.0] * 6 + [-30.0] * 4),
-        tried.GRADIENT: table(n, [*good[:9], 0.02], [0.0] * 9 + [-30.0]),
-        tried.PS_GUARDED: table(n, [0.1] * 10, [0.0] * 10),
-        tried.PS_GRADIENT: table(n, good, [0.0] * 10),
+        table_ii_variants.REFERENCE: table(n, good, [0.0] * 10),
+        table_ii_variants.PAPERS: table(n, [*good[:6], 0.0, -0.01, 0.0, 3.1], [0.0] * 6 + [-30.0] * 4),
+        table_ii_variants.GRADIENT: table(n, [*good[:9], 0.02], [0.0] * 9 + [-30.0]),
+        table_ii_variants.PS_GUARDED: table(n, [0.1] * 10, [0.0] * 10),
+        table_ii_variants.PS_GRADIENT: table(n, good, [0.0] * 10),
         FALSE_MAXIMUM.name: table(
             [6, 7, 8, 9], [0.0, 0.0, 0.0, 0.3], [-30.0] * 3 + [0.0], curvature=0.9, gain=0.2,
             curvature_se=0.1, **{"se.theta_5": 0.004},
         ),
     }  # fmt: skip
-    for arm in tried.TRIED:
+    for arm in table_ii_variants.TRIED:
         out[arm.name] = table([6, 7, 8, 9], [0.0, 0.0, 0.0, 3.1], [-30.0] * 4, 100)
     return out
 
@@ -64,26 +64,29 @@ def cells(text, start):
 
 
 def test_runs_chosen_are_those_lost_with_the_papers_settings():
-    assert tried.lost_with_papers_settings(tables()) == [6, 7, 8, 9]
-    assert set(tried.TABLE_II_TRIED.selected) == {FALSE_MAXIMUM, *tried.TRIED}
+    assert table_ii_variants.lost_with_papers_settings(tables()) == [6, 7, 8, 9]
+    assert set(table_ii_variants.TABLE_II_TRIED.selected) == {
+        FALSE_MAXIMUM,
+        *table_ii_variants.TRIED,
+    }
 
 
 def test_captured_runs_are_at_an_angle_or_a_radius_of_zero():
     ends = table(range(4), [0.3, 0.04, -0.04, -3.1], [0.0] * 4, radii=[0.9, 0.9, 0.9, 0.0])
-    assert tried.captured(ends).tolist() == [False, True, True, True]
+    assert table_ii_variants.captured(ends).tolist() == [False, True, True, True]
     # before the end only the radius of the last run is zero
-    assert tried.captured(ends, 990).tolist() == [False, False, False, True]
-    assert tried.captured(ends, 1000).tolist() == [False, True, True, True]
+    assert table_ii_variants.captured(ends, 990).tolist() == [False, False, False, True]
+    assert table_ii_variants.captured(ends, 1000).tolist() == [False, True, True, True]
 
 
 def test_the_report_counts_rescued_and_lost_runs():
-    text = tried.report(tables())
+    text = table_ii_variants.report(tables())
     assert "it loses 4 of 10 runs" in text
     assert "it loses 1 of 10; 3 of the 4 come out right" in text
     assert cells(text, "the paper's settings")[1:5] == ["1000", "3 of 4", "0 of 4", "4 of 10"]
     assert cells(text, "systematic")[1:5] == ["100", "3 of 4", "0 of 4", "-"]
     assert cells(text, "M step: one iteration")[1:5] == ["1000", "1 of 4", "3 of 4", "1 of 10"]
-    angles = tables()[tried.GRADIENT].numbers("last.theta_5")
+    angles = tables()[table_ii_variants.GRADIENT].numbers("last.theta_5")
     assert cells(text, "M step: one iteration")[5].startswith(f"{angles.std(ddof=1):.3f} ")
     assert cells(text, "800 | ")[5] == "0.000 ± 0.000"
     assert cells(text, "1000 | 0")[5].startswith(f"{angles.std(ddof=1):.3f} ")
@@ -92,7 +95,7 @@ def test_the_report_counts_rescued_and_lost_runs():
 
 
 def test_ps_em_is_shown_with_both_m_steps():
-    text = tried.report(tables())
+    text = table_ii_variants.report(tables())
     assert cells(text, "M step: to the maximum (10 runs)")[5] == "0.100 ± 0.000"
     assert cells(text, "M step: one gradient step (10 runs)")[5].startswith("0.32")
     assert cells(text, "reported | 0.965")[5] == "0.064 ± 0.285"
@@ -100,12 +103,12 @@ def test_ps_em_is_shown_with_both_m_steps():
 
 def test_settings_without_runs_are_left_out():
     some = tables()
-    some[tried.PS_GRADIENT] = Table([], {}, 0.0, 1)
-    some[next(iter(tried.TRIED)).name] = Table([], {}, 0.0, 1)
-    text = tried.report(some)
+    some[table_ii_variants.PS_GRADIENT] = Table([], {}, 0.0, 1)
+    some[next(iter(table_ii_variants.TRIED)).name] = Table([], {}, 0.0, 1)
+    text = table_ii_variants.report(some)
     assert "PS-EM with" not in text
     assert "PS-EM, which" not in text
-    assert next(iter(tried.TRIED.values())) not in text
+    assert next(iter(table_ii_variants.TRIED.values())) not in text
     assert "| systematic" in text
 
 
@@ -121,7 +124,7 @@ def test_the_report_tells_maxima_from_slopes():
     rows[3]["se.theta_5"] = rows[3]["curvature"] = float("nan")  # at a bound
     rows[3]["last.theta_4"] = 0.0
     rows[4]["se.theta_5"] = 0.006
-    text = tried.report(some)
+    text = table_ii_variants.report(some)
     assert "5 of 6 are at theta_5 = 0" in text
     assert " 2 of these points are local maxima" in text
     assert "At the bound theta_4 = 0: 1." in text

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from engine.presentation.examination import estimate_document, model_document
-from service import documents
+from service import serializers
 from service.auth import Keys
-from service.prepare import load
 from service.problems import Problem
 from service.store import Store
-
-# What the tasks of each stage do, by the number of stages; see ``stages.plan``.
-_ROLES = {
-    1: ("computation",),
-    2: ("start", "choice"),
-    3: ("estimate", "bootstrap", "summary"),
-    4: ("start", "choice", "bootstrap", "summary"),
-}
+from service.validation import load
 
 
 def find_job(store: Store, keys: Keys, job_id: str, caller: str) -> Any:
@@ -86,11 +77,5 @@ def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
         ),
         "outcome": "stopped",
         "message": f"Stopped after {ks[-1]} of at most {request['options']['iterations']} iterations.",
-        "trace": documents.trace(list(job.model.parameter_names), ks, rows).model_dump(),
+        "trace": serializers.trace(list(job.model.parameter_names), ks, rows).model_dump(),
     }
-
-
-def roles(stages: Sequence[int]) -> list[str]:
-    """What each task of a job does, the tasks of later stages included."""
-    names = _ROLES[len(stages)]
-    return [name for name, n in zip(names, stages, strict=True) for _ in range(n)]
