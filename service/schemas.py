@@ -148,7 +148,15 @@ class _Timed(_Strict):
         return self
 
 
+Hold = Literal["zoh", "foh", "past"]
+
+
 class _Recorded(_Timed):
+    hold: Hold = Field(
+        default="zoh",
+        description="what inputs do between samples: held until the next one (zoh), on a straight line to it "
+        "(foh), or held at a row's value since the row before (past)",
+    )
     extra: dict[ExtraName, Annotated[list[Number], _FIRST]] | None = Field(
         default=None,
         max_length=50,

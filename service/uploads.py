@@ -21,7 +21,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
 from service.columns import match
 from service.problems import Problem, invalid
-from service.schemas import ModelReference
+from service.schemas import Hold, ModelReference
 from service.validation import ADAPTER, Request, find_model
 
 SMALL_BYTES = 1 << 22  # bytes that any file may hold
@@ -36,6 +36,7 @@ class _FileSeries(BaseModel):
     u: list[str] | dict[str, str] | None = None
     t: str | None = None
     dt: float | None = None
+    hold: Hold | None = None  # None: as the file says
     extra: list[str] = Field(default_factory=list, max_length=50)
 
 
@@ -91,10 +92,10 @@ def _read(
     try:
         table = read_table(files[wanted.file], wanted.file)
         y, u = _matched(table, wanted, outputs, inputs, where) if outputs else (None, None)
-        series = series_from(table, y, u, wanted.t, wanted.dt)
+        series = series_from(table, y, u, wanted.t, wanted.dt, wanted.hold)
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
-    read = {"y": series.y, "t": series.t.tolist()}
+    read = {"y": series.y, "t": series.t.tolist(), "hold": series.hold}
     if series.u.shape[1]:
         read["u"] = series.u
     if wanted.extra:

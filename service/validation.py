@@ -198,6 +198,7 @@ def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:
             dt=1.0 if one.dt is None else one.dt,
             extra=np.column_stack(list(extra.values())) if extra else None,
             extra_names=tuple(extra) or None,
+            hold=one.hold,
         ).check(model)
 
 
@@ -240,7 +241,7 @@ def _inputs(request: SimulateRequest, model: MixedModel) -> list[Series]:
         y = one.y if one.y is not None else np.zeros((n, model.ny))
         out.append(
             _series(
-                SeriesIn.model_construct(y=y, u=one.u, dt=one.dt, t=one.t, extra=one.extra),
+                SeriesIn.model_construct(y=y, **{k: v for k, v in one if k != "y"}),
                 model,
                 where,
             )

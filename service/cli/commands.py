@@ -16,6 +16,7 @@ from service.cli.options import (
     Effects,
     Fixed,
     Free,
+    Hold,
     Json,
     Model,
     Out,
@@ -107,6 +108,7 @@ def fit(
     columns: Columns = [],  # noqa: B006
     time: TimeColumn = None,
     dt: Step = None,
+    hold: Hold = None,
     method: Annotated[
         str,
         typer.Option(
@@ -194,7 +196,7 @@ def fit(
         model = model_named(model)
         asked = Asked(
             data=[str(path.absolute()) for path in data],
-            **parsed(model, effects, values, fixed, free, columns, time, dt, seed, paths),
+            **parsed(model, effects, values, fixed, free, columns, time, dt, hold, seed, paths),
             method=method,
             particles=particles,
             trajectories=trajectories,
@@ -221,6 +223,7 @@ def diagnose(
     columns: Columns = [],  # noqa: B006
     time: TimeColumn = None,
     dt: Step = None,
+    hold: Hold = None,
     extra: Annotated[
         list[str],
         typer.Option(
@@ -314,7 +317,7 @@ def diagnose(
         model = model_named(model)
         asked = work.Asked(
             data=str(data.absolute()),
-            **parsed(model, effects, values, fixed, free, columns, time, dt, seed, paths),
+            **parsed(model, effects, values, fixed, free, columns, time, dt, hold, seed, paths),
             extra=names(extra),
             test=str(test.absolute()) if test else None,
             alpha=alpha,
@@ -344,6 +347,7 @@ def simulate(
         typer.Option("--samples", "-n", metavar="N", min=2, help="Length.  [the inputs' length]"),
     ] = None,
     dt: Step = None,
+    hold: Hold = None,
     inputs: Annotated[
         Path | None,
         typer.Option(
@@ -389,7 +393,7 @@ def simulate(
                 values=numbers("--set", values),
                 samples=samples,
                 inputs=inputs,
-                columns=Columns(pairs("--map", columns), time, dt),
+                columns=Columns(pairs("--map", columns), time, dt, hold=hold),
                 excite=pairs("--excite", excite),
                 noise=noise,
                 seed=seed,

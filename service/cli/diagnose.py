@@ -133,7 +133,7 @@ class Job:
 def _prepare(asked: Asked, shown: Meter) -> Job:
     """All that can be wrong is found here."""
     base = references.model_of(asked.model)
-    columns = Columns(asked.columns, asked.time, asked.dt, asked.extra)
+    columns = Columns(asked.columns, asked.time, asked.dt, asked.extra, asked.hold)
     series, said = series_of(Path(asked.data), base, columns)
     shown.note(said)
     test = None

@@ -25,6 +25,7 @@ class Experiment(Sealed):
     columns: dict[str, str] = field(default_factory=dict)
     time: str | None = None
     dt: float | None = None
+    hold: str | None = None
     seed: int = 0
     out: str | None = None
     report: str | None = None
@@ -56,6 +57,7 @@ def parsed(
     columns: Sequence[str],
     time: str | None,
     dt: float | None,
+    hold: str | None,
     seed: int,
     outputs: Mapping[str, str],
 ) -> dict[str, Any]:
@@ -69,6 +71,7 @@ def parsed(
         "columns": pairs("--map", columns),
         "time": time,
         "dt": dt,
+        "hold": hold,
         "seed": seed,
         **outputs,
     }

@@ -19,12 +19,13 @@ from service.columns import match
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns are which: {channel: column}, that of times or the step in s, extra ones."""
+    """Which columns are which: {channel: column}, that of times or the step in s, extra ones; the ``hold``."""
 
     of: Mapping[str, str] = field(default_factory=dict)
     time: str | None = None
     dt: float | None = None
     extra: Sequence[str] = ()
+    hold: str | None = None
 
 
 def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, str]:
@@ -35,7 +36,7 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
     table = _table(path, model, columns)
     y, u = _assigned(table, model, columns)
     try:
-        series = series_from(table, y, u, columns.time, columns.dt).check(model)
+        series = series_from(table, y, u, columns.time, columns.dt, columns.hold).check(model)
         if columns.extra:
             extra = np.column_stack([table.column(name) for name in columns.extra])
             series = series.replace(extra=extra, extra_names=tuple(columns.extra))
@@ -51,7 +52,7 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
     _, u = _assigned(table, model, columns, "u")
     some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
     try:
-        found = series_from(table, [some], u, columns.time, columns.dt)
+        found = series_from(table, [some], u, columns.time, columns.dt, columns.hold)
         return found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)
     except SeriesError as error:
         raise wrong(str(error)) from None
@@ -106,5 +107,6 @@ def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns
     text = f"{path.name}: {len(series)} samples {every}; {', '.join(channels_read)}"
     missing = int((~series.observed).sum())
     text += f"; {missing} missing" if missing else ""
+    text += f"; inputs between samples: {series.hold}" if series.hold != "zoh" else ""
     clock = columns.time or columns.dt or table.dt or any(map(TIME.fullmatch, table.groups))
     return text + ("" if clock else " (no column of times: a step of 1 s is assumed, see --dt)")

@@ -72,7 +72,7 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
 def _prepare(asked: Asked, shown: Meter) -> Prepared:
     """All that can be wrong is found here."""
     base = references.model_of(asked.model)
-    columns = Columns(asked.columns, asked.time, asked.dt)
+    columns = Columns(asked.columns, asked.time, asked.dt, hold=asked.hold)
     both = [series_of(Path(name), base, columns) for name in asked.data]
     series = [one for one, _ in both]
     model = references.with_effects(base, asked.effects, series[0])

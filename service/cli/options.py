@@ -50,6 +50,13 @@ Step = Annotated[
     float | None,
     typer.Option("--dt", metavar="SECONDS", help="Time step, where no column has the times.  [1]"),
 ]
+Hold = Annotated[
+    str | None,
+    typer.Option(
+        "--hold", metavar="zoh|foh|past",
+        help="Inputs between samples: held, on a straight line, or held since the row before.  [zoh]",
+    ),
+]  # fmt: skip
 Seed = Annotated[
     int, typer.Option(metavar="N", min=0, help="The same seed gives the same numbers.")
 ]

@@ -115,7 +115,8 @@ def _frame(model: MixedModel, wanted: Wanted) -> Series:
         for i, name in enumerate(names)
     ]
     blank = np.full((len(t), model.ny), np.nan)
-    return Series(blank, np.array(u).T if u else None, t=t)
+    with about("--hold"):
+        return Series(blank, np.array(u).T if u else None, t=t, hold=wanted.columns.hold or "zoh")
 
 
 def shape(name: str, text: str, t: Array, rng: np.random.Generator) -> Array:

@@ -455,6 +455,42 @@ def test_serve(tmp_path):
         run.communicate(timeout=120)
 
 
+@pytest.mark.parametrize("hold", ["zoh", "foh", "past"])
+def test_inputs_between_samples(rbps, tmp_path, hold):
+    u = 3.0 + np.sin(0.4 * np.arange(30))
+    engine_series = engine.Series(np.full(30, 5.0), u, dt=4.0)
+    write_series(engine_series, tmp_path / "u.csv")
+    found = rbps(
+        "simulate",
+        "-m",
+        "tanks",
+        "--inputs",
+        tmp_path / "u.csv",
+        "--map",
+        "pump=u",
+        "--no-noise",
+        "--hold",
+        hold,
+        "-o",
+        "run.csv",
+    )
+    assert found.exit_code == 0, found.stderr
+    run = engine.Series.read(tmp_path / "run.csv")
+    assert run.hold == hold
+    model = engine.get_model("tanks")
+    exact = engine.free_run(model, None, engine_series.replace(hold=hold)).y
+    np.testing.assert_allclose(run.y, exact, rtol=1e-9)
+
+
+def test_another_hold_is_refused(rbps, tmp_path):
+    (tmp_path / "u.csv").write_text("t,y,u\n0,1,1\n4,1,1\n")
+    found = rbps(
+        "simulate", "-m", "tanks", "--inputs", "u.csv", "--map", "pump=u", "--hold", "soft"
+    )
+    assert found.exit_code == 2
+    assert "hold = 'soft'; one of zoh, foh, past" in found.stderr
+
+
 def test_serve_with_a_wrong_setting(rbps, monkeypatch):
     monkeypatch.setenv("RBPS_WORKERS", "many")
     result = rbps("serve", "--port", "9999")

@@ -108,6 +108,7 @@ export class DataCard {
     by("drop").classList.toggle("small", this.ready);
     by("clock").hidden = this.job !== null;
     by("dt-field").hidden = by("time").value !== "";
+    by("hold-field").hidden = !this.channels.some(({ member }) => member === "u");
     for (const one of this.charts.splice(0)) one.destroy();
     if (!this.ready) return this.onChange();
     this.showFacts();
@@ -274,6 +275,7 @@ export class DataCard {
       if (!columns[member][name]) errors.push({ field: `series[0].${member}.${name}`, message: "no column is chosen for this channel" });
     }
     const how = { ...columns };
+    if (by("hold").value) how.hold = by("hold").value;
     if (this.extra.size) how.extra = [...this.extra];
     if (by("time").value) how.t = by("time").value;
     else {
