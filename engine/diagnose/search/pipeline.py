@@ -17,7 +17,7 @@ from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import undetermined
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
-from engine.diagnose.search.search import OUTLYING, Search, search
+from engine.diagnose.search.search import LATER, OUTLYING, Search, search
 from engine.diagnose.search.verdict import PATCHES, patchwork, verdict_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, whitening
 from engine.estimation.start import WarmStart
@@ -81,7 +81,12 @@ def find_causes(
         found,
         series,
         lambda fit, read: search(
-            model, read, fit, setting_for(model, read, fit.theta), kept=apart, **options
+            model,
+            read,
+            fit,
+            setting_for(model, read, fit.theta),
+            kept=apart,
+            **options | {"alpha": LATER * alpha},  # it is a later round
         ),
     )
     settled = other is not None and other.search is not found  # the record says it all

