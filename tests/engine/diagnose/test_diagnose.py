@@ -5,50 +5,13 @@ import pytest
 
 import engine
 from engine.diagnose import Verdict, diagnose, extend
-
-T = 400
-DT = 0.1
-
-
-def dynamics(a, u, t, dt, theta):
-    f = [a[:, 0] + dt * (-theta.damping * a[:, 0] + u[0]), 0.0]
-    A = [[dt * theta.load], [0.9]]
-    return f, A, np.diag([2e-4, 1e-2])
-
-
-def measurement(a, u, t, theta):
-    return [a[:, 0]], [[0.0]], [[1e-3]]
-
-
-def initial(theta):
-    return engine.Gaussian([0.0], [[0.01]]), [0.0], [[0.05]]
-
-
-DRIVE = engine.MixedModel(
-    name="drive",
-    dynamics=dynamics,
-    measurement=measurement,
-    initial=initial,
-    nonlinear={"speed": "m/s"},
-    linear={"load": "m/s^2"},
-    inputs={"force": "m/s^2"},
-    outputs={"reading": "m/s"},
-    parameters=[
-        engine.Parameter("damping", 1.0, "1/s", (0.0, 10.0)),
-        engine.Parameter("load", 1.0, "1", (0.0, 5.0)),
-    ],
-)
-
-
-def force(rng):
-    """A force that changes level every two seconds: speeds of both signs and many sizes."""
-    return np.repeat(rng.uniform(-2.0, 2.0, T // 20), 20)
+from tests.engine.hidden_effects import DRIVE, DT, T, levels
 
 
 def hidden(effects, sizes, seed):
     rng = np.random.default_rng(seed)
     model = extend(DRIVE, effects)
-    return engine.simulate(model, sizes, T, rng, u=force(rng), dt=DT).series
+    return engine.simulate(model, sizes, T, rng, u=levels(rng), dt=DT).series
 
 
 CASES = [
@@ -115,7 +78,7 @@ def test_nothing_hidden_nothing_found():
 def test_a_stranger_is_not_named_with_confidence(effects):
     """A chirp, a force of rising frequency, is in no catalogue."""
     rng = np.random.default_rng(3)
-    u, t = force(rng), DT * np.arange(T)
+    u, t = levels(rng), DT * np.arange(T)
     driven = engine.simulate(
         DRIVE, None, T, rng, u=u + 1.5 * np.sin(2 * np.pi * (0.1 + 0.02 * t) * t), dt=DT
     )
