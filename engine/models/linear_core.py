@@ -29,6 +29,9 @@ class LinearCore:
         known, matrices = self._last  # a filter asks for the same ones at every step
         if len(known) == len(values) and all(map(_same, known, values)):
             return matrices
+        values = (*values[:-1], _rounded(values[-1]))
+        if len(known) == len(values) and all(map(_same, known, values)):
+            return matrices
         matrices = self._of_values(values)
         if all(map(_lasting, values)):
             self._last = (values, matrices)
@@ -36,7 +39,7 @@ class LinearCore:
 
     def _of_values(self, values: tuple[Any, ...]) -> tuple[Array, ...]:
         if all(np.ndim(value) == 0 for value in values):
-            return self._one(*(float(f"{value:.12g}") for value in values))
+            return self._one(*map(float, values))
         rows = np.stack(np.broadcast_arrays(*values), axis=1).astype(float)
         return self._many(rows.tobytes(), len(values))
 
@@ -64,12 +67,18 @@ def _shared(matrices: Iterable[Array]) -> tuple[Array, ...]:
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Differences of times scatter by their rounding: 12 digits are what counts."""
-    if one is other:
-        return True
-    return (
-        isinstance(one, float) and isinstance(other, float) and abs(one - other) <= 1e-12 * abs(one)
-    )
+    return one is other or (isinstance(one, float) and isinstance(other, float) and one == other)
+
+
+def _rounded(dt: Any) -> Any:
+    """To 12 digits, a number or (K,): differences of times scatter by their rounding.
+
+    Alone and beside others alike; parameters stay as they are, as a rounded one would be another.
+    """
+    if not np.ndim(dt):
+        return float(f"{dt:.12g}")
+    digits = 10.0 ** (11.0 - np.floor(np.log10(dt)))
+    return np.round(dt * digits) / digits
 
 
 def _lasting(value: Any) -> bool:

@@ -28,8 +28,8 @@ import engine
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.search.substeps import choose
 from engine.simulation import whole_record
-from engine.simulation.fit import _Problem
 from engine.simulation.free_run import first_state
+from engine.simulation.problem import FreeRunProblem
 from engine.simulation.simulate import propagate
 from tests.benchmarks.machine import Watch
 from tests.engine.simulation.free_run_models import (
@@ -190,7 +190,7 @@ def derivatives() -> list[str]:
         series = record(1000)
         series = series.replace(y=np.random.default_rng(0).standard_normal(series.y.shape))
         theta = model.theta()
-        problem = _Problem(model, [series], theta, np.arange(len(theta)))
+        problem = FreeRunProblem(model, [series], theta, np.arange(len(theta)))
 
         def work(problem: Any = problem) -> Any:
             problem._last, problem._runs = None, [None]

@@ -14,6 +14,7 @@ from engine.diagnose.effects.colored import KINDS as COLORED
 from engine.diagnose.effects.delays import KINDS as LATE
 from engine.diagnose.effects.dynamic import KINDS as MEMORY
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.held import KINDS as HELD
 from engine.diagnose.effects.inputs import KINDS as INPUT
 from engine.diagnose.effects.measurement import KINDS as MEASUREMENT
 from engine.diagnose.effects.noise import KINDS as NOISE
@@ -36,6 +37,7 @@ SHIPPED: tuple[Kind, ...] = (
     *INPUT,
     *TIME,
     *TIME_STEP,
+    *HELD,
 )
 
 _makers: dict[str, tuple[Maker, Channels]] = {kind: (make, where) for kind, make, where in SHIPPED}

@@ -48,7 +48,7 @@ class Setting:
     step its readings come in, where they show one. ``record`` is what the series showed, None without
     data. ``zeros`` are the known zeros of channels (default: as the model declares and tells);
     ``substeps`` the steps that the model makes from one sample to the next; ``hold`` what the series says of
-    its inputs between samples.
+    its inputs between samples; ``held`` the parameters of the model that are not estimated.
     """
 
     model: MixedModel
@@ -61,6 +61,7 @@ class Setting:
     zeros: Mapping[str, float] | None = None
     substeps: int = 1
     hold: str = "zoh"
+    held: tuple[str, ...] = ()
 
     # ---- sizes --------------------------------------------------------------------------------
 

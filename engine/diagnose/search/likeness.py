@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search.refits import Refit, held_out_terms
 
@@ -24,7 +25,7 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
     """
     refits = [r for r in refits if not _merely_wider(r, refits)]
     terms = [held_out_terms(r.fit, series) for r in refits]
-    ranks = [(r.effect.traits.plainness, _unnatural(r, setting)) for r in refits]
+    ranks = [(r.effect.traits.plainness, unnatural(r.effect, setting)) for r in refits]
 
     def stands_for(j: int, i: int) -> bool:
         fits_as_well = refits[j].score >= refits[i].score - TIE
@@ -46,10 +47,10 @@ def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
     )
 
 
-def _unnatural(found: Refit, setting: Setting) -> int:
+def unnatural(effect: Effect, setting: Setting) -> int:
     """0 where the kind is natural for the channel, 2 where it is for the other sort, 1 where unknown."""
-    source = found.effect.channel.partition("->")[0]
-    friction, stiffness = (found.effect.traits.suits == sort for sort in ("rate", "position"))
+    source = effect.channel.partition("->")[0]
+    friction, stiffness = (effect.traits.suits == sort for sort in ("rate", "position"))
     if not (friction or stiffness):
         return 1
     if setting.is_rate(source):

@@ -16,8 +16,9 @@ from engine.models.mixed_4 import MODEL as MIXED
 from engine.models.servo import MODEL as SERVO
 from engine.models.tanks import MODEL as TANKS
 from engine.simulation import whole_record
-from engine.simulation.fit import _Problem, fit_simulation
+from engine.simulation.fit import fit_simulation
 from engine.simulation.free_run import free_run
+from engine.simulation.problem import FreeRunProblem
 from engine.simulation.simulate import simulate
 from engine.statespace.model import Parameter
 
@@ -171,10 +172,10 @@ def test_derivatives_that_differences_of_runs_contradict_are_not_used():
 
     stepped = replace(TANKS, measurement=measurement)
     series = tanks(5).series
-    problem = _Problem(stepped, [series], TANKS.theta(), np.array([0, 1, 2]))
+    problem = FreeRunProblem(stepped, [series], TANKS.theta(), np.array([0, 1, 2]))
     problem.look_for_silent()
     assert not problem.at_once
-    smooth = _Problem(TANKS, [series], TANKS.theta(), np.array([0, 1, 2]))
+    smooth = FreeRunProblem(TANKS, [series], TANKS.theta(), np.array([0, 1, 2]))
     smooth.look_for_silent()
     assert smooth.at_once
 

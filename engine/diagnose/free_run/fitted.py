@@ -1,0 +1,143 @@
+"""Models fitted to the free runs of records: Q = 0, least squares over parameters and first states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.simulation.free_run import first_state
+from engine.simulation.problem import FreeRunProblem
+from engine.statespace.model import Array, MixedModel, Theta
+
+EVALUATIONS = 40  # of a refit at most
+SHORT = 8  # evaluations after which one that is far from the best is left where it is
+HOPELESS = 2.0  # of the best squared error there is
+PRECISE = 1e-5  # relative change of the cost or of p at which a refit ends: refits are compared
+
+
+@dataclass(frozen=True, eq=False)
+class Pick:
+    """An effect to add: its size to start from, and values of its parameters after the size."""
+
+    effect: Effect
+    size: float
+    probe: tuple[float, ...] = ()
+
+    def start(self) -> list[float]:
+        """Values of all its parameters."""
+        own = [p.default for p in self.effect.parameters]
+        own[: 1 + len(self.probe)] = [self.size, *self.probe]
+        return own
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The best free runs of a model.
+
+    ``theta`` with ``x1`` (S, nx) first states of each record; ``e`` (n,) measured minus simulated at all
+    measured values, outputs weighed as in :func:`engine.simulation.free_run.output_scale`, ``J`` its
+    derivatives (n, n_p) by the ``problem``'s p; ``effects`` those added so far.
+    """
+
+    problem: FreeRunProblem
+    theta: Theta
+    x1: Array
+    p: Array
+    e: Array
+    J: Array
+    free: tuple[str, ...]
+    effects: tuple[Effect, ...] = ()
+
+    @property
+    def model(self) -> MixedModel:
+        """The model, with its effects in it."""
+        return self.problem.model
+
+    @property
+    def records(self) -> list[Series]:
+        """The records that were fitted."""
+        return self.problem.series
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares of ``e``."""
+        return float(self.e @ self.e)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of ``e``."""
+        return float(np.sqrt(np.mean(self.e**2)))
+
+    @property
+    def n_parameters(self) -> int:
+        """Parameters that were estimated, first states not counted."""
+        return int(self.problem.active.size)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(effect.name for effect in self.effects)
+
+
+def fit_runs(
+    model: MixedModel,
+    records: Sequence[Series],
+    theta: Theta,
+    free: Sequence[str],
+    x1: Array,
+    effects: tuple[Effect, ...] = (),
+    best: float = np.inf,
+) -> Fitted:
+    """Least squares from theta and first states x1 (S, nx). Raises what the model raises.
+
+    Left early where it stays far from ``best``, a squared error that was reached.
+    """
+    problem = FreeRunProblem(model, list(records), theta, model.free_indices(free), x1)
+    problem.look_for_silent()
+    end = problem.descend(problem.start(), SHORT, precise=PRECISE)
+    if end.status == 0 and 2.0 * end.cost < HOPELESS * best:
+        end = problem.descend(end.x, EVALUATIONS - SHORT, precise=PRECISE)
+    found, first = problem.split(end.x)
+    e, J = problem.evaluate(end.x)
+    return Fitted(problem, found, first, end.x, e, J, tuple(free), effects)
+
+
+def with_effects(fit: Fitted, picks: Sequence[Pick], best: float = np.inf) -> Fitted:
+    """Effects more, estimated together with all there is; ``best`` as in :func:`fit_runs`."""
+    model, theta, free = fit.model, fit.theta.tolist(), list(fit.free)
+    for pick in picks:
+        model = pick.effect.apply(model)
+        theta += pick.start()
+        held = {*pick.effect.held}
+        free += [p.name for p in pick.effect.parameters if p.name not in held]
+    start = model.theta(np.clip(theta, model.lower, model.upper))
+    x1 = first_states(model, start, fit)
+    effects = (*fit.effects, *(pick.effect for pick in picks))
+    return fit_runs(model, fit.records, start, free, x1, effects, best)
+
+
+def first_states(model: MixedModel, theta: Theta, fit: Fitted) -> Array:
+    """First states (S, nx) of an extended model: those of the fit, by name, where it has them."""
+    mean, _ = first_state(model, theta)
+    out = np.tile(mean, (len(fit.records), 1))
+    known = list(state_names(fit.model))
+    for i, name in enumerate(state_names(model)):
+        if name in known:
+            out[:, i] = fit.x1[:, known.index(name)]
+    return out
+
+
+def state_names(model: MixedModel) -> tuple[str, ...]:
+    """Names of x = (a, z)."""
+    return (*model.nonlinear, *model.linear)
+
+
+def on_rows(fit: Fitted, rows: NDArray[np.bool_], evaluations: int = EVALUATIONS) -> Array:
+    """All residuals (n,) of the model fitted to the marked ones only, from where it is."""
+    best = fit.problem.descend(fit.p, evaluations, rows, PRECISE)
+    return np.asarray(fit.problem.evaluate(best.x)[0])

@@ -1,0 +1,69 @@
+"""What free runs would show if nothing were missing: the fitted noise, simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.diagnose.free_run.fitted import Fitted
+from engine.diagnose.free_run.folds import Folds
+from engine.diagnose.free_run.linear import Linear
+from engine.simulation.simulate import propagate
+from engine.statespace.model import Array
+
+SERIES = 199  # simulated; the smallest p-value is 1 / (SERIES + 1)
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Whether noise alone explains what the free run gets wrong.
+
+    ``p_gain`` of the held-out gain of the best effects, ``p_size`` of the size of the error beside what
+    parameters and first states take up; ``rms`` is that error, ``rms_noise`` what noise makes of it (median),
+    in the weighed unit of the residuals; ``gain`` the held-out gain, log(mean squared error without / with).
+    """
+
+    p_gain: float
+    p_size: float
+    rms: float
+    rms_noise: float
+    gain: float
+
+    @property
+    def p_value(self) -> float:
+        """Of both together (Bonferroni)."""
+        return min(1.0, 2.0 * min(self.p_gain, self.p_size))
+
+
+def alarm(linear: Linear, theta: Array, folds: Folds, seed: int) -> Alarm:
+    """Compare the residuals with those of series simulated at theta, whose noise is that of the data.
+
+    ``theta`` (n_theta,) differs from the fit's own in the parameters that do not change a noise-free run.
+    """
+    fit = linear.fit
+    E = noise_runs(fit, theta, SERIES, seed)
+    E = E[:, np.isfinite(E).all(axis=0)]
+    gain = float(linear.held_out_gains(fit.e, folds)[0])
+    rms = float(np.sqrt(np.mean(linear.e**2)))
+    if not E.shape[1]:
+        return Alarm(1.0, 1.0, rms, float("inf"), gain)
+    sizes = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
+    p_gain = _p_value(gain, linear.held_out_gains(E, folds))
+    return Alarm(p_gain, _p_value(rms, sizes), rms, float(np.median(sizes)), gain)
+
+
+def noise_runs(fit: Fitted, theta: Array, n: int, seed: int) -> Array:
+    """What noise alone adds to the free runs (values, n), weighed as the fit's residuals."""
+    model, rng = fit.model, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(77,)))
+    record, na, parts = model.record(theta), model.na, []
+    for one, x1 in zip(fit.records, fit.x1, strict=True):
+        x = np.tile(x1, (n, 1))
+        y, _, _ = propagate(model, record, one, x[:, :na], x[:, na:], rng)
+        quiet, _, _ = propagate(model, record, one, x[:1, :na], x[:1, na:])
+        parts.append(((y - quiet) / fit.problem.scale).transpose(0, 2, 1)[one.observed])
+    return np.concatenate(parts)
+
+
+def _p_value(value: float, simulated: Array) -> float:
+    return float((1 + np.count_nonzero(simulated >= value)) / (1 + len(simulated)))

@@ -1,0 +1,263 @@
+"""Rounds of the second criterion: screen, refit, choose on rows left out, until nothing is worth more.
+
+In each round effects are screened to first order, alone and in pairs; the best are refitted, others beside
+the leading refits, and those compared on rows that each fit has not seen (:mod:`.folds`). What is not worse
+than the best at ``NOT_WORSE`` survives; of these the fewest parameters. Survivors that run alike say the
+same in other words, and one name stands for them; others are a set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.free_run.columns import CANNOT, columns
+from engine.diagnose.free_run.fitted import Fitted, Pick, with_effects
+from engine.diagnose.free_run.folds import Folds, folds_of, losses, p_better
+from engine.diagnose.free_run.linear import Linear, Share
+from engine.diagnose.free_run.null import Alarm, alarm
+from engine.diagnose.search.likeness import unnatural
+from engine.statespace.model import Array
+
+FAMILIES = ("state", "measurement", "input", "parameter")  # of effects that a free run shows
+SINGLES, LEADS, BESIDE, PAIRS = (
+    10,
+    3,
+    6,
+    8,
+)  # refitted: alone; led by them; beside each of these; in pairs
+LEAST = 0.02  # of the squared error: what an effect takes to first order, to be refitted
+JUDGED = 16  # refits that are judged on rows left out
+SIZES = (1.0, 0.2)  # of the first-order size, from which a refit starts
+ENOUGH = 1.2  # of the squared error expected to first order: so near it another start is not tried
+APART = 0.05  # of the residuals: two refits that differ less run alike
+GAINED, NOT_WORSE = (
+    0.05,
+    0.10,
+)  # p-values of a gain over the model without; of being no worse than the best
+WORTH = 0.1  # of the error on rows left out: less is not worth an effect
+
+Progress = Callable[[str, float], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A refit with the effects it adds, its losses (blocks,) on rows left out, and its own p-values.
+
+    ``p_gain`` of no gain over the model without, ``p_best`` of being no worse than the best candidate.
+    """
+
+    fit: Fitted
+    added: tuple[Effect, ...]
+    losses: Array
+    p_gain: float
+    p_best: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects that it adds."""
+        return tuple(effect.name for effect in self.added)
+
+    @property
+    def held_out(self) -> float:
+        """Error on rows left out: the root of the geometric mean over blocks, weighed as residuals are."""
+        return float(np.exp(0.5 * np.nanmean(self.losses)))
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRound:
+    """One round: what noise explains, what was screened, what was judged (best first), what survives.
+
+    ``survivors`` are groups of candidates that run alike, the leading name first in each.
+    """
+
+    fit: Fitted
+    losses: Array
+    alarm: Alarm
+    screened: tuple[Share, ...]
+    candidates: tuple[Candidate, ...]
+    survivors: tuple[tuple[Candidate, ...], ...]
+
+    @property
+    def chosen(self) -> Candidate | None:
+        """The candidate that the search goes on with."""
+        return self.survivors[0][0] if self.survivors else None
+
+
+def one_round(
+    fit: Fitted,
+    setting: Setting,
+    noisy: Array,
+    kinds: Sequence[str] | None,
+    rivals: Sequence[Sequence[Pick]],
+    alpha: float,
+    seed: int,
+    progress: Progress,
+) -> FreeRound:
+    """One round beyond ``fit``; ``noisy`` its theta with the noise of the data, ``rivals`` answers to try."""
+    progress("free run", 0.0)
+    effects = candidates(fit, setting, kinds)
+    linear = Linear(fit, columns(fit, effects))
+    folds = folds_of(fit.records)
+    seen = alarm(linear, noisy, folds, seed)
+    singles = linear.singles()
+    own = losses(fit, folds)
+    if seen.p_value > alpha or not linear.columns:
+        return FreeRound(fit, own, seen, tuple(singles), (), ())
+    found = refits(fit, linear, effects, rivals, progress)
+    judged = _judged(fit, own, _worth_judging(found, len(fit.effects)), folds, progress)
+    return FreeRound(fit, own, seen, tuple(singles), tuple(judged), survivors(own, judged, setting))
+
+
+def candidates(fit: Fitted, setting: Setting, kinds: Sequence[str] | None) -> list[Effect]:
+    """Effects that a noise-free run can show; those on a state that only noise moves have no meaning here."""
+    feeds, moved = setting.feeds
+    driven = {
+        name
+        for i, name in enumerate(setting.states)
+        if not (moved[i] or np.delete(feeds[i], i).any())
+    }
+    out = []
+    for effect in all_effects(setting, kinds):
+        source, _, target = effect.channel.partition("->")
+        shown = effect.family in FAMILIES and not effect.traits.unnamed and effect.readings is None
+        if shown and effect.name not in fit.names and not {source, target} & driven:
+            out.append(effect)
+    return out
+
+
+def refits(
+    fit: Fitted,
+    linear: Linear,
+    effects: Sequence[Effect],
+    rivals: Sequence[Sequence[Pick]],
+    progress: Progress,
+) -> list[Fitted]:
+    """Effects alone, in pairs, and beside the leading refits, each set of them once, the best fit first."""
+    found: dict[frozenset[str], Fitted] = {}
+    n = len(fit.names)
+
+    def add(base: Fitted, picks: Sequence[Pick], share: float) -> None:
+        key = frozenset((*base.names[n:], *(pick.effect.name for pick in picks)))
+        if key not in found:
+            reached = min((f.cost for f in found.values()), default=np.inf)
+            best = best_refit(base, picks, (1.0 - share) * base.cost, reached)
+            if best is not None and best.cost < base.cost:
+                found[key] = best
+
+    singles = [s for s in linear.singles() if s.share >= LEAST][:SINGLES]
+    pairs = [s for s in linear.pairs(PAIRS) if s.share >= LEAST]
+    tried = [*singles, *(Share(1.0, tuple(picks)) for picks in rivals), *pairs]
+    for i, one in enumerate(tried):
+        progress("free run", 0.5 * i / len(tried))
+        add(fit, one.picks, one.share)
+    led: list[Fitted] = []
+    for _ in range(LEADS):
+        leads = _distinct(f for f in found.values() if len(f.names) == n + 1)
+        lead = next((f for f in leads if f not in led), None)
+        if lead is None:
+            break
+        led.append(lead)
+        progress("free run", 0.5 + 0.1 * len(led))
+        others = [effect for effect in effects if effect.name != lead.names[-1]]
+        for share in Linear(lead, columns(lead, others)).singles()[:BESIDE]:
+            if share.share >= LEAST:
+                add(lead, share.picks, share.share)
+    return sorted(found.values(), key=lambda f: f.cost)
+
+
+def best_refit(
+    fit: Fitted, picks: Sequence[Pick], expected: float, reached: float
+) -> Fitted | None:
+    """From the first-order sizes, or smaller ones where these end far above ``expected``; None if impossible.
+
+    ``reached`` is the least squared error that any refit has reached.
+    """
+    best = None
+    for factor in SIZES:
+        if best is not None and best.cost < ENOUGH * expected:
+            break
+        scaled = [Pick(pick.effect, factor * pick.size, pick.probe) for pick in picks]
+        try:
+            found = with_effects(fit, scaled, reached)
+        except CANNOT:
+            continue
+        if np.isfinite(found.cost) and (best is None or found.cost < best.cost):
+            best = found
+    return best
+
+
+def _distinct(fits: Iterable[Fitted]) -> list[Fitted]:
+    """Sorted by their fit, without those that run like a better one."""
+    out: list[Fitted] = []
+    for fit in sorted(fits, key=lambda f: f.cost):
+        if all(not alike(fit, other) for other in out):
+            out.append(fit)
+    return out
+
+
+def alike(one: Fitted, other: Fitted) -> bool:
+    """Whether two fits run alike, beside what they leave."""
+    return bool(np.linalg.norm(one.e - other.e) <= APART * np.linalg.norm(other.e))
+
+
+def _worth_judging(found: Sequence[Fitted], known: int) -> list[Fitted]:
+    """The best fits, and what they are made of: effects beyond the ``known`` ones, each alone."""
+    best = list(found[:JUDGED])
+    parts = {name for fit in best[:LEADS] for name in fit.names[known:]}
+    alone = [f for f in found[JUDGED:] if len(f.effects) == known + 1]
+    return best + [f for f in alone if f.names[-1] in parts]
+
+
+def _judged(
+    base: Fitted, own: Array, found: Sequence[Fitted], folds: Folds, progress: Progress
+) -> list[Candidate]:
+    known = len(base.effects)
+    rows = []
+    for i, fit in enumerate(found):
+        progress("free run", 0.8 + 0.2 * i / len(found))
+        try:
+            rows.append((fit, losses(fit, folds)))
+        except CANNOT:
+            continue
+    rows.sort(key=lambda row: float(np.nanmean(row[1])))
+    return [
+        Candidate(fit, fit.effects[known:], out, p_better(out, own), p_better(rows[0][1], out))
+        for fit, out in rows
+    ]
+
+
+def survivors(
+    own: Array, judged: Sequence[Candidate], setting: Setting
+) -> tuple[tuple[Candidate, ...], ...]:
+    """Of those that gain, and are not worse than the best: the fewest parameters, in groups that run alike."""
+    worth = np.nanmean(own) + np.log1p(-WORTH)
+    gaining = [c for c in judged if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth]
+    if not gaining:
+        return ()
+    best = gaining[0]
+    left = [c for c in gaining if p_better(best.losses, c.losses) > NOT_WORSE]
+    fewest = min(c.fit.n_parameters for c in left)
+    groups: list[list[Candidate]] = []
+    for candidate in (c for c in left if c.fit.n_parameters == fewest):
+        for group in groups:
+            if alike(candidate.fit, group[0].fit):
+                group.append(candidate)
+                break
+        else:
+            groups.append([candidate])
+    return tuple(tuple(sorted(group, key=lambda c: plainness(c, setting))) for group in groups)
+
+
+def plainness(candidate: Candidate, setting: Setting) -> tuple[int, int]:
+    """Of candidates that say the same, the one with the least is said."""
+    return (
+        sum(effect.traits.plainness for effect in candidate.added),
+        sum(unnatural(effect, setting) for effect in candidate.added),
+    )

@@ -1,0 +1,282 @@
+"""The least-squares problem of free runs: residuals and derivatives over parameters and first states.
+
+p = (free parameters that change the run, first states of each series). A run and all its derivatives are
+found at once where that converges, see :mod:`engine.simulation.whole_record` and
+:mod:`engine.simulation.sensitivities`; else by differences of perturbed runs, which are one pass over time
+where the model's functions take arrays of parameters, as plain NumPy ones do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, least_squares
+
+from engine.data.series import Series
+from engine.errors import ModelError
+from engine.simulation.free_run import first_state, free_run, output_scale, run_rows
+from engine.simulation.sensitivities import sensitivities
+from engine.simulation.steps import observations, tested
+from engine.simulation.whole_record import whole_record
+from engine.statespace.model import Array, MixedModel, Theta
+
+STEP = 1e-5  # finite-difference step as a share of a parameter's scale
+FLAT = 1e-4  # a direction this much weaker than the strongest is lost in the differences
+REFINED = 4  # random starts that are followed
+TRIALS = 8  # sizes tried for a parameter of unknown scale
+PRECISE = 1e-7  # relative change of the cost or of p at which the search ends
+SILENT = 1e-9  # a derivative below this share of the largest one is no influence
+LOOKED_AT = 1000  # rows of a record on which derivatives of both kinds are compared
+ALIKE = 0.01  # share by which a column of derivatives may differ from differences of runs ...
+WEAK = 1e-6  # ... of the largest column: what differences of runs resolve
+
+
+class FreeRunProblem:
+    """Residuals and their derivatives as a function of p = (active parameters, first states)."""
+
+    def __init__(
+        self,
+        model: MixedModel,
+        series: list[Series],
+        theta: Theta,
+        free: NDArray[np.intp],
+        x1: Array | None = None,
+    ) -> None:
+        """Of some parameters; ``x1`` (S, nx) first states to begin with, else those of the model."""
+        self.model, self.series, self.theta = model, series, theta
+        self.active, self.silent = free, free[:0]
+        self.scale = output_scale(series)
+        given = [max(abs(p.default), p.scale) for p in model.parameters]
+        self.sizes: Array = np.maximum(np.abs(np.asarray(theta)), given)
+        mean, self.spread = first_state(model, theta)
+        self.x1 = np.tile(mean, (len(series), 1)) if x1 is None else x1
+        self.uncertain = np.flatnonzero(self.spread > 0.0)
+        self.evaluations = 0
+        self.at_once = True  # runs and derivatives as a whole, where they converge
+        self._last: tuple[bytes, Array, Array] | None = None
+        self._runs: list[Array | None] = [None] * len(series)  # the last of each, to begin with
+
+    def names(self, indices: NDArray[np.intp]) -> tuple[str, ...]:
+        """Names of parameters."""
+        return tuple(self.model.parameter_names[i] for i in indices)
+
+    def start(self) -> Array:
+        """The vector p at theta0 and the first states to begin with."""
+        first_states = self.x1[:, self.uncertain].ravel()
+        return np.concatenate((np.asarray(self.theta)[self.active], first_states))
+
+    def split(self, p: Array) -> tuple[Theta, Array]:
+        """Theta and the first states (S, nx)."""
+        theta, x1 = np.array(self.theta), self.x1.copy()
+        theta[self.active] = p[: self.active.size]
+        x1[:, self.uncertain] = p[self.active.size :].reshape(len(self.series), -1)
+        return self.model.theta(theta), x1
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of p."""
+        n = len(self.series) * self.uncertain.size
+        low, high = self.model.lower[self.active], self.model.upper[self.active]
+        return (
+            np.concatenate((low, np.full(n, -np.inf))),
+            np.concatenate((high, np.full(n, np.inf))),
+        )
+
+    def look_for_silent(self) -> None:
+        """Take parameters out that do not change the run around the start."""
+        self._look_for_sizes()
+        self.at_once = self._agree()
+        _, jacobian = self.evaluate(self.start())
+        size = np.abs(jacobian[:, : self.active.size]).max(axis=0, initial=0.0) * self.steps()
+        quiet = ~(size > SILENT * float(size.max(initial=0.0)))
+        self.silent, self.active = self.active[quiet], self.active[~quiet]
+        self._last = None
+
+    def _look_for_sizes(self) -> None:
+        """A size for each active parameter that starts at 0: what changes the run as much as it is wrong."""
+        for i, k in enumerate(self.active):
+            if self.sizes[k] > 0.0:
+                continue
+            self.sizes[k] = 1.0
+            for _ in range(
+                TRIALS
+            ):  # differences over a wrong size are lost in rounding, or too long
+                self._last = None
+                residuals, jacobian = self.evaluate(self.start())
+                wrong, slope = (float(np.sqrt(np.mean(x**2))) for x in (residuals, jacobian[:, i]))
+                if not np.isfinite(slope):
+                    self.sizes[k] *= 1e-3
+                    continue
+                found = wrong / slope if slope * wrong > 0.0 else 1e6 * self.sizes[k]
+                if 0.1 < found / self.sizes[k] < 10.0 or not np.isfinite(found):
+                    break
+                self.sizes[k] = found
+
+    def steps(self) -> Array:
+        """Finite-difference steps of the active parameters."""
+        return np.asarray(STEP * self.sizes[self.active])
+
+    def descend(
+        self,
+        start: Array,
+        evaluations: int,
+        rows: NDArray[np.bool_] | None = None,
+        precise: float = PRECISE,
+    ) -> OptimizeResult:
+        """Least squares from p = start; over those of the residuals (n,) that are marked, if any are."""
+        kept = slice(None) if rows is None else rows
+        low, high = self.bounds()
+
+        def residuals(p: Array) -> Array:
+            return self.evaluate(p)[0][kept]
+
+        def jacobian(p: Array) -> Array:
+            return self.evaluate(p)[1][kept]
+
+        return least_squares(
+            residuals,
+            np.clip(start, low, high),
+            jacobian,
+            bounds=(low, high),
+            x_scale=self.scales(),
+            ftol=precise,
+            xtol=precise,
+            max_nfev=evaluations,
+        )
+
+    def scales(self) -> Array:
+        """Typical size of each component of p: of the parameters, and of the first states."""
+        return np.concatenate(
+            (self.steps() / STEP, np.tile(self.spread[self.uncertain], len(self.series)))
+        )
+
+    def starts(self, n: int, rng: np.random.Generator) -> list[Array]:
+        """theta0, and the best of n random vectors around it."""
+        first, k = self.start(), self.active.size
+        draws = np.tile(first, (n + 1, 1))
+        typical = self.steps() / STEP
+        factor = np.exp(0.7 * rng.standard_normal((n, k)))
+        shift = 0.1 * typical * rng.standard_normal((n, k)) * (first[:k] == 0.0)
+        low, high = self.bounds()
+        draws[1:, :k] = np.clip(first[:k] * factor + shift, low[:k], high[:k])
+        costs = self._costs(draws)
+        if not np.isfinite(costs).any():
+            self._runs_away()
+        best = [i for i in np.argsort(costs) if i > 0 and np.isfinite(costs[i])][:REFINED]
+        return [draws[i] for i in ([0] if np.isfinite(costs[0]) else []) + best]
+
+    def _costs(self, draws: Array) -> Array:
+        """Sum of squares of each p (K, n_p), inf where the run is not finite."""
+        total = np.zeros(len(draws))
+        pairs = [self.split(p) for p in draws]
+        thetas = np.array([theta for theta, _ in pairs])
+        for s, one in enumerate(self.series):
+            y, _ = run_rows(self.model, thetas, one, np.array([x1[s] for _, x1 in pairs]))
+            e = ((one.y[:, None] - y) / self.scale).transpose(0, 2, 1)[one.observed]
+            with np.errstate(over="ignore"):
+                total += (e**2).sum(axis=0)
+        return np.where(np.isfinite(total), total, np.inf)
+
+    def _runs_away(self) -> None:
+        theta, x1 = self.split(self.start())
+        for one, x in zip(self.series, x1, strict=True):
+            free_run(self.model, theta, one, x[: self.model.na], x[self.model.na :])
+        raise ModelError(f"model '{self.model.name}': the run from theta0 is too large to fit")
+
+    def evaluate(self, p: Array) -> tuple[Array, Array]:
+        """Residuals (n,) and their derivatives (n, n_p); 0 where these are not finite."""
+        key = p.tobytes()
+        if self._last is not None and self._last[0] == key:
+            return self._last[1], self._last[2]
+        self.evaluations += 1
+        theta, x1 = self.split(p)
+        k, m, S = self.active.size, self.uncertain.size, len(self.series)
+        blocks, derivatives = [], []
+        for s, one in enumerate(self.series):
+            y, dy = self._at_once(theta, x1[s], s) or self._by_differences(theta, x1[s], one)
+            slope = (-dy / self.scale[:, None])[one.observed]
+            block = np.zeros((len(slope), k + S * m))
+            block[:, :k] = slope[:, :k]
+            block[:, k + s * m : k + (s + 1) * m] = slope[:, k:]
+            blocks.append(((one.y - y) / self.scale)[one.observed])
+            derivatives.append(np.where(np.isfinite(block), block, 0.0))
+        out = np.concatenate(blocks), np.concatenate(derivatives)
+        self._last = (key, *out)
+        return out
+
+    def _at_once(self, theta: Theta, x1: Array, s: int) -> tuple[Array, Array] | None:
+        """y (T, ny) of a series and its derivatives (T, ny, k + m), None where that does not converge."""
+        if not self.at_once:
+            return None
+        model, one, record = self.model, self.series[s], self.model.record(theta)
+        model.observations.look_again()
+        x = whole_record(model, record, one, x1, self._runs[s])
+        if len(x) < len(one):
+            return None
+        self._runs[s] = x
+        with np.errstate(all="ignore"):
+            seen = tested(model, observations(model, record, one), x)
+        if seen is None:
+            return None
+        steps, values = self.steps(), np.asarray(theta)
+        dy, _ = sensitivities(model, values, one, x, self.active, self.uncertain, steps)
+        return seen.value, dy
+
+    def _by_differences(self, theta: Theta, x1: Array, one: Series) -> tuple[Array, Array]:
+        """The same by central differences of runs; one-sided at a bound, NaN where one is not finite."""
+        k, m = self.active.size, self.uncertain.size
+        h = np.concatenate((self.steps(), STEP * self.spread[self.uncertain]))
+        thetas = np.tile(np.asarray(theta), (2 * (k + m) + 1, 1))
+        for i, column in enumerate(self.active):
+            thetas[1 + 2 * i, column] = min(theta[column] + h[i], self.model.upper[column])
+            thetas[2 + 2 * i, column] = max(theta[column] - h[i], self.model.lower[column])
+        x = np.tile(x1, (len(thetas), 1))
+        for i, column in enumerate(self.uncertain):
+            x[1 + 2 * (k + i), column] += h[k + i]
+            x[2 + 2 * (k + i), column] -= h[k + i]
+        y, _ = run_rows(self.model, thetas, one, x)
+        up, down = thetas[1 : 1 + 2 * k : 2], thetas[2 : 2 + 2 * k : 2]
+        reach = np.concatenate(((up - down)[np.arange(k), self.active], 2.0 * h[k:]))
+        with np.errstate(all="ignore"):
+            dy = np.swapaxes(y[:, 1::2] - y[:, 2::2], 1, 2) / reach
+        return y[:, 0], dy
+
+    def _agree(self) -> bool:
+        """Whether derivatives found at once are, at the start, those of differences of runs.
+
+        They are not where the model jumps, and where friction sticks and slips too often.
+        """
+        theta, x1 = self.split(self.start())
+        h = np.concatenate((self.steps(), STEP * self.spread[self.uncertain]))
+        for s, one in enumerate(self.series):
+            found = self._at_once(theta, x1[s], s)
+            if found is None:
+                continue
+            part = one.part(0, min(len(one), LOOKED_AT))
+            pair = found[1][: len(part)], self._by_differences(theta, x1[s], part)[1]
+            own, other = ((dy * h / self.scale[:, None])[part.observed] for dy in pair)
+            size = np.linalg.norm(other, axis=0)
+            off = np.linalg.norm(own - other, axis=0)
+            known = np.isfinite(size)
+            allowed = ALIKE * size + WEAK * size[known].max(initial=0.0)
+            if not (off <= allowed)[known].all():
+                return False
+        return True
+
+    def covariance(self, best: OptimizeResult) -> tuple[Array, tuple[str, ...]]:
+        """Covariance (n_theta, n_theta), and the parameters only determined together."""
+        J = np.asarray(best.jac)
+        n, n_p = J.shape
+        size = np.linalg.norm(J, axis=0)
+        size[size == 0.0] = 1.0
+        _, s, Vt = np.linalg.svd(J / size, full_matrices=False)
+        weak = s < FLAT * s.max(initial=0.0)
+        flat: tuple[str, ...] = ()
+        if weak.any():
+            share = np.abs(Vt[weak, : self.active.size]).max(axis=0)
+            flat = self.names(self.active[share > 0.05])
+        variance = 2.0 * float(best.cost) / max(n - n_p, 1)
+        V = (Vt[~weak] / size).T / s[~weak]
+        full = np.zeros((self.theta.size, self.theta.size))
+        k = self.active.size
+        full[np.ix_(self.active, self.active)] = variance * (V @ V.T)[:k, :k]
+        return full, flat
