@@ -34,6 +34,8 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.effects.traits import Course, Traits
+from engine.diagnose.free_run.answer import causes_of
+from engine.diagnose.free_run.second_opinion import second_opinion
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -189,6 +191,25 @@ def diagnose(
     base, found, verdict = causes.base, causes.search, causes.verdict
     notes.extend([*fine.notes, *causes.notes])
 
+    clock.start("free run")
+    asked = second_opinion(
+        causes,
+        train,
+        model.theta(theta),
+        alpha=alpha,
+        kinds=effects,
+        seed=seed,
+        progress=clock.progress,
+    )
+    notes.append(asked.reason)
+    named = tuple(cause_of(r) for r in found.rounds if r.equivalent)
+    before, after = found.base, found.final
+    if asked.decides and asked.search is not None:
+        verdict = asked.search.verdict
+        if asked.search.found:
+            named = causes_of(asked.search)
+            before, after = asked.search.before, asked.search.after
+
     p_bootstrap = None
     if bootstrap:
         clock.start(STAGE)
@@ -205,21 +226,21 @@ def diagnose(
         )
 
     clock.start("symptoms")
-    symptoms = find_symptoms(model, base.theta, plain, covariance_of(base), seed=seed)
+    symptoms = find_symptoms(model, before.theta, plain, covariance_of(before), seed=seed)
 
     clock.start("gain")
     gain = None
-    named = [r for r in found.rounds if r.equivalent]
-    if named:
+    rounds = [r for r in found.rounds if r.equivalent]
+    if named and after is not before:
         history = None if test is not None else train
         later = test is not None and test.t[0] > series.t[-1]  # else the test's clock is its own
-        if not later and all(r.refits[0].effect.family == "time" for r in named):
-            times = [name for r in named for name in r.refits[0].effect.sought]
-            gain = measure_gain_interleaved(base, found.final, fine.series, times, seed)
+        if not later and all(cause.where == "time" for cause in named):
+            times = [name for r in rounds for name in r.refits[0].effect.sought]
+            gain = measure_gain_interleaved(before, after, fine.series, times, seed)
         else:
-            gain = measure_gain(base, found.final, held_out, history, seed)
+            gain = measure_gain(before, after, held_out, history, seed)
         gain = gain.every(fine.k)
-        if model.na:
+        if model.na and not asked.decides:
             text, contradicts = _particle_word(base, found, train, seed)
             notes.append(text)
             verdict = Verdict.UNKNOWN if contradicts else verdict
@@ -227,11 +248,11 @@ def diagnose(
     return Diagnosis(
         model=model,
         verdict=verdict,
-        causes=tuple(cause_of(r) for r in named),
+        causes=named,
         p_value=found.rounds[0].screen.p_value,
-        base_theta=base.theta,
-        extended=found.final.model,
-        theta=found.final.theta,
+        base_theta=before.theta,
+        extended=after.model,
+        theta=after.theta,
         symptoms=symptoms,
         gain=gain,
         detectable=detectable_of(found.rounds[0].screen),
@@ -240,6 +261,7 @@ def diagnose(
         seconds=clock.seconds,
         series=series,
         p_bootstrap=p_bootstrap,
+        free_run=asked,
     )
 
 

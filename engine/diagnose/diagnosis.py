@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from engine.data.series import Series
+from engine.diagnose.free_run.answer import FreeRunSearch
+from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.search.findings import Cause, Detectable, Verdict
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
 from engine.diagnose.symptoms.symptoms import Symptoms
+from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
 from engine.views import Figures, html, plots, tables, view
 from engine.words import probability, tidy
@@ -53,6 +56,8 @@ class Diagnosis:
         What was given, the held-out part included.
     p_bootstrap : float or None
         The first round's p-value from simulated series, where it was asked for.
+    free_run : SecondOpinion or None
+        What the free run says of the same question, and whether it decided.
     """
 
     model: MixedModel
@@ -70,6 +75,31 @@ class Diagnosis:
     seconds: dict[str, float]
     series: Series  # what was given, the held-out part included
     p_bootstrap: float | None = None  # of the first round, where it was asked for
+    free_run: SecondOpinion | None = None
+
+    @property
+    def decided_by(self) -> str:
+        """The criterion that decided: ``likelihood`` or ``free run``."""
+        return "free run" if self.free_run is not None and self.free_run.decides else "likelihood"
+
+    @property
+    def before(self) -> QuasiFit:
+        """The fit without what was found, by the criterion that decided."""
+        told = self._told
+        return self.search.base if told is None else told.before
+
+    @property
+    def after(self) -> QuasiFit:
+        """The fit with it."""
+        told = self._told
+        return self.search.final if told is None else told.after
+
+    @property
+    def _told(self) -> FreeRunSearch | None:
+        """What the free run found, where it decided."""
+        asked = self.free_run
+        found = asked.search if asked is not None and asked.decides else None
+        return found if found is not None and found.found else None
 
     @property
     def rounds(self) -> tuple[Round, ...]:

@@ -170,7 +170,7 @@ def _extension(d: Diagnosis) -> Iterator[str]:
 
 def _parameters(d: Diagnosis) -> Iterator[str]:
     """Every parameter: before, after and its standard error; only the estimate where nothing was added."""
-    fit = d.search.final
+    fit = d.after
     errors = dict(zip(fit.free, fit.standard_errors.tolist(), strict=True))
     first = f"{'before':>12} {'after':>12}" if d.causes else f"{'estimate':>12}"
     yield f"  {'parameter':<24} {first} {'+-':>10}  unit"

@@ -2,8 +2,8 @@
 
 In each round effects are screened to first order, alone and in pairs; the best are refitted, others beside
 the leading refits, and those compared on rows that each fit has not seen (:mod:`.folds`). What is not worse
-than the best at ``NOT_WORSE`` survives; of these the fewest parameters. Survivors that run alike say the
-same in other words, and one name stands for them; others are a set.
+than the best, at ``NOT_WORSE`` for all of them together, survives; of these the fewest parameters. Survivors
+that run alike say the same in other words, and one name stands for them; others are a set.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ APART = 0.05  # of the residuals: two refits that differ less run alike
 GAINED, NOT_WORSE = (
     0.05,
     0.10,
-)  # p-values of a gain over the model without; of being no worse than the best
+)  # p-values of a gain over the model without; of being no worse than the best, all together
+NEAR = 0.05  # of the error before: parameters that the model has survive where they lose no more
 WORTH = 0.1  # of the error on rows left out: less is not worth an effect
 
 Progress = Callable[[str, float], Any]
@@ -83,6 +84,12 @@ class FreeRound:
     screened: tuple[Share, ...]
     candidates: tuple[Candidate, ...]
     survivors: tuple[tuple[Candidate, ...], ...]
+    level: float
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether the free run is further off than noise explains."""
+        return self.alarm.p_value <= self.level
 
     @property
     def chosen(self) -> Candidate | None:
@@ -109,10 +116,11 @@ def one_round(
     singles = linear.singles()
     own = losses(fit, folds)
     if seen.p_value > alpha or not linear.columns:
-        return FreeRound(fit, own, seen, tuple(singles), (), ())
+        return FreeRound(fit, own, seen, tuple(singles), (), (), alpha)
     found = refits(fit, linear, effects, rivals, progress)
     judged = _judged(fit, own, _worth_judging(found, len(fit.effects)), folds, progress)
-    return FreeRound(fit, own, seen, tuple(singles), tuple(judged), survivors(own, judged, setting))
+    left = survivors(own, judged, setting)
+    return FreeRound(fit, own, seen, tuple(singles), tuple(judged), left, alpha)
 
 
 def candidates(fit: Fitted, setting: Setting, kinds: Sequence[str] | None) -> list[Effect]:
@@ -157,14 +165,12 @@ def refits(
     for i, one in enumerate(tried):
         progress("free run", 0.5 * i / len(tried))
         add(fit, one.picks, one.share)
-    led: list[Fitted] = []
-    for _ in range(LEADS):
-        leads = _distinct(f for f in found.values() if len(f.names) == n + 1)
-        lead = next((f for f in leads if f not in led), None)
-        if lead is None:
-            break
-        led.append(lead)
-        progress("free run", 0.5 + 0.1 * len(led))
+    alone = [f for f in found.values() if len(f.names) == n + 1]
+    own = [f for f in alone if f.effects[-1].family == "parameter"]  # the model's, and so plausible
+    leads = _distinct(alone)[:LEADS]
+    leads += [f for f in own if f not in leads]
+    for i, lead in enumerate(leads):
+        progress("free run", 0.5 + 0.3 * i / len(leads))
         others = [effect for effect in effects if effect.name != lead.names[-1]]
         for share in Linear(lead, columns(lead, others)).singles()[:BESIDE]:
             if share.share >= LEAST:
@@ -241,8 +247,14 @@ def survivors(
     gaining = [c for c in judged if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth]
     if not gaining:
         return ()
-    best = gaining[0]
-    left = [c for c in gaining if p_better(best.losses, c.losses) > NOT_WORSE]
+    level = NOT_WORSE / len(judged)  # the best of so many is better than it will be again
+    near = gaining[0].held_out + NEAR * np.exp(0.5 * np.nanmean(own))
+    left = [
+        c
+        for c in gaining
+        if p_better(gaining[0].losses, c.losses) > level
+        or (_of_the_model(c) and c.held_out <= near)
+    ]
     fewest = min(c.fit.n_parameters for c in left)
     groups: list[list[Candidate]] = []
     for candidate in (c for c in left if c.fit.n_parameters == fewest):
@@ -252,7 +264,15 @@ def survivors(
                 break
         else:
             groups.append([candidate])
-    return tuple(tuple(sorted(group, key=lambda c: plainness(c, setting))) for group in groups)
+    for group in groups:
+        group.sort(key=lambda c: plainness(c, setting))
+    groups.sort(key=lambda group: not _of_the_model(group[0]))
+    return tuple(map(tuple, groups))
+
+
+def _of_the_model(candidate: Candidate) -> bool:
+    """Whether only parameters that the model has were released: its author knows that such a thing exists."""
+    return all(effect.family == "parameter" for effect in candidate.added)
 
 
 def plainness(candidate: Candidate, setting: Setting) -> tuple[int, int]:

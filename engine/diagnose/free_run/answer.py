@@ -1,0 +1,234 @@
+"""The second criterion from its start to its answer: fits, rounds, verdict, causes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.free_run.fitted import Fitted, Pick, fit_runs
+from engine.diagnose.free_run.folds import folds_of
+from engine.diagnose.free_run.search import Candidate, FreeRound, Progress, one_round
+from engine.diagnose.search.findings import Cause, LookAlike, Verdict
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml
+from engine.simulation.fit import fit_simulation
+from engine.statespace.model import Array, MixedModel, Theta
+
+STARTS = 4  # random ones beside each that is known
+ROUNDS = 3
+LATER = 0.2  # of alpha, for rounds after the first: small patches go on being significant
+SHOWN = 5  # look-alikes listed at most
+UNEXPLAINED = (
+    0.5  # of the free run's error before: with so much left beyond noise, no name settles it
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRunSearch:
+    """All rounds of the second criterion.
+
+    ``before`` and ``after`` are the fits of the free run without and with what was found, as maxima of the
+    likelihood over the noise alone: parameters that a noise-free run shows are those of the free run.
+    """
+
+    rounds: tuple[FreeRound, ...]
+    before: QuasiFit
+    after: QuasiFit
+
+    @property
+    def found(self) -> tuple[Candidate, ...]:
+        """What was chosen, round by round."""
+        return tuple(r.chosen for r in self.rounds if r.chosen is not None)
+
+    @property
+    def final(self) -> Fitted:
+        """The last fit."""
+        return self.found[-1].fit if self.found else self.rounds[0].fit
+
+    @property
+    def alarm_left(self) -> bool:
+        """Whether the last round has an alarm that nothing explains."""
+        return not self.rounds[-1].survivors and self.rounds[-1].alarmed
+
+    @property
+    def verdict(self) -> Verdict:
+        """As this criterion alone sees it."""
+        if not self.found:
+            return Verdict.UNKNOWN if self.alarm_left else Verdict.NOTHING
+        left = self.final.rms / self.rounds[0].fit.rms
+        if self.alarm_left and left > UNEXPLAINED:
+            return Verdict.UNKNOWN
+        several = any(len(r.survivors) > 1 for r in self.rounds)
+        return Verdict.SET if several else Verdict.NAMED
+
+
+def search_free_runs(
+    base: QuasiFit,
+    records: Sequence[Series],
+    theta: Theta,
+    held: tuple[str, ...],
+    *,
+    alpha: float,
+    kinds: Sequence[str] | None,
+    rivals: Callable[[Setting], Sequence[Sequence[Pick]]],
+    seed: int,
+    progress: Progress,
+    rounds: int = ROUNDS,
+) -> FreeRunSearch:
+    """Search for what the free run of ``base`` gets wrong; ``theta`` is another start of its fit.
+
+    ``rivals`` are answers of others, which are judged beside its own in the first round.
+    """
+    fit = best_runs(base.model, records, [base.theta, theta], base.free, seed)
+    before = after = noise_fit(fit)
+    done: list[FreeRound] = []
+    for k in range(rounds):
+        setting = setting_for(fit.model, records[0], np.asarray(fit.theta))
+        released = {effect.channel for effect in fit.effects if effect.family == "parameter"}
+        setting = replace(setting, held=tuple(name for name in held if name not in released))
+        others = rivals(setting) if k == 0 else ()
+        level = alpha if k == 0 else LATER * alpha
+        one = one_round(
+            fit, setting, np.asarray(after.theta), kinds, others, level, seed + k, progress
+        )
+        done.append(one)
+        if one.chosen is None:
+            break
+        fit = one.chosen.fit
+        after = noise_fit(fit)
+    return FreeRunSearch(tuple(done), before, after)
+
+
+def best_runs(
+    model: MixedModel,
+    records: Sequence[Series],
+    starts: Sequence[Theta],
+    free: Sequence[str],
+    seed: int,
+) -> Fitted:
+    """The best fit of the free run from several starts."""
+    tried = [
+        fit_simulation(model, records, start, free, n_starts=STARTS, seed=seed) for start in starts
+    ]
+    best = min(tried, key=lambda found: found.rmse)
+    x1 = np.concatenate((best.a1, best.z1), axis=1)
+    return fit_runs(model, records, best.theta, free, x1)
+
+
+def noise_fit(fit: Fitted) -> QuasiFit:
+    """The noise that the data call for beside the parameters of the free run."""
+    shown = {fit.model.parameter_names[i] for i in fit.problem.active}
+    noise = [name for name in fit.free if name not in shown]
+    if noise:
+        found = quasi_ml(fit.model, fit.records, fit.theta, noise)
+        return replace(found, free=fit.free, information=information(fit, found))
+    whole = quasi_ml(fit.model, fit.records, fit.theta, fit.free, max_iterations=0)
+    return replace(whole, information=information(fit, whole))
+
+
+def information(fit: Fitted, found: QuasiFit) -> Array:
+    """Of all free parameters (n, n): of the shown ones from the free run, of the others from the likelihood.
+
+    Errors of a free run are hardly ever white, so the inverse is that of a sandwich: scores summed over
+    blocks of rows.
+    """
+    n, k = len(fit.free), fit.n_parameters
+    out = np.zeros((n, n))
+    covariance = run_covariance(fit)[:k, :k]
+    shown = [fit.free.index(fit.model.parameter_names[i]) for i in fit.problem.active]
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    good = scale > 0.0
+    at = np.array(shown, dtype=int)[good]
+    correlations = covariance[np.ix_(good, good)] / np.outer(scale[good], scale[good])
+    inverse = np.linalg.pinv(correlations, rcond=1e-10, hermitian=True)
+    out[np.ix_(at, at)] = inverse / np.outer(scale[good], scale[good])
+    for i, name in enumerate(found.free):
+        if name in fit.free and fit.free.index(name) not in shown:
+            j = fit.free.index(name)
+            out[j, j] = found.information[i, i]
+    return out
+
+
+def run_covariance(fit: Fitted) -> Array:
+    """Covariance (n_p, n_p) of p from the free run: a sandwich over blocks of rows.
+
+    (J'J)^-1 (sum of s_b s_b') (J'J)^-1 with s_b = J_b' e_b; Liang and Zeger (1986), "Longitudinal data
+    analysis using generalized linear models", with blocks for subjects.
+    """
+    block = folds_of(fit.records).block
+    lengths = np.linalg.norm(fit.J, axis=0)
+    lengths[lengths == 0.0] = np.inf
+    J = fit.J / lengths
+    bread = np.linalg.pinv(J.T @ J, rcond=1e-10, hermitian=True)
+    scores = np.array([J[block == b].T @ fit.e[block == b] for b in np.unique(block)])
+    n = len(scores)
+    return np.asarray(
+        (n / max(n - 1, 1)) * (bread @ scores.T @ scores @ bread) / np.outer(lengths, lengths)
+    )
+
+
+def causes_of(found: FreeRunSearch) -> tuple[Cause, ...]:
+    """What was chosen, effect by effect, with what cannot be told from it."""
+    out = []
+    gain = 2.0 * (found.after.log_likelihood - found.before.log_likelihood)
+    n = sum(len(candidate.added) for candidate in found.found)
+    for one in found.rounds:
+        if one.chosen is not None:
+            out += [_cause(found, one, effect, gain / n) for effect in one.chosen.added]
+    return tuple(out)
+
+
+def _cause(found: FreeRunSearch, one: FreeRound, effect: Effect, gain: float) -> Cause:
+    theta, free = found.after.theta, found.after.free
+    error = float("nan")
+    if effect.size.name in free:
+        error = float(found.after.standard_errors[free.index(effect.size.name)])
+    return Cause(
+        effect.name,
+        effect.title,
+        effect.family,
+        effect.equation,
+        float(theta[effect.size.name]),
+        effect.size.unit,
+        error,
+        {p.name: float(theta[p.name]) for p in effect.parameters},
+        one.alarm.p_value,
+        gain,
+        (effect.name, *_in_its_place(one, effect)),
+        tuple(_look_alikes(one, effect)),
+    )
+
+
+def _in_its_place(one: FreeRound, effect: Effect) -> list[str]:
+    """Names of other sets that survive: what they have in place of this effect, or of all of the chosen."""
+    chosen = set(one.chosen.names) if one.chosen is not None else set()
+    out: list[str] = []
+    for group in one.survivors[1:]:
+        names = set(group[0].names)
+        if effect.name not in names:
+            out += [name for name in group[0].names if name not in chosen and name not in out]
+    return out
+
+
+def _look_alikes(one: FreeRound, effect: Effect) -> list[LookAlike]:
+    """Effects that say the same in other words, and those that were refitted in its place and lost."""
+    chosen = one.chosen
+    if chosen is None:
+        return []
+    rest, out = set(chosen.names) - {effect.name}, []
+    groups = [[c.names for c in group] for group in one.survivors]
+    for other in one.candidates:
+        instead = set(other.names) - rest
+        if rest - set(other.names) or len(instead) != 1 or effect.name in instead:
+            continue
+        name = instead.pop()
+        same = other.names in groups[0]
+        survives = any(other.names in group for group in groups)
+        likeness = float(np.corrcoef(one.fit.e - other.fit.e, one.fit.e - chosen.fit.e)[0, 1])
+        said = "says the same in other words here" if same else ""
+        out.append(LookAlike(name, abs(likeness), None, not survives, said))
+    return out[:SHOWN]

@@ -1,0 +1,156 @@
+"""Which criterion decides: the likelihood one step ahead, or the free run.
+
+The likelihood asks what the noise is like; a record nearly free of noise, of a model wrong in several places,
+lets it explain the physics as noise. So where the likelihood settles nothing, or patches on the noise, the
+free run is asked; and where it names a cause whose free run is still further off than noise explains, its
+answer competes with those of the free run on rows left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.free_run.answer import FreeRunSearch, noise_fit, search_free_runs
+from engine.diagnose.free_run.columns import CANNOT, columns
+from engine.diagnose.free_run.fitted import Fitted, Pick, fit_runs
+from engine.diagnose.free_run.folds import folds_of
+from engine.diagnose.free_run.linear import Linear
+from engine.diagnose.free_run.null import Alarm, alarm
+from engine.diagnose.free_run.search import FAMILIES, Progress, candidates
+from engine.diagnose.free_run.windows import windows
+from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.pipeline import Causes
+from engine.diagnose.search.refits import Refit
+from engine.estimation.quasi_ml import QuasiFit
+from engine.simulation.free_run import first_state
+from engine.statespace.model import Theta
+
+SETTLED = (
+    0.2  # of alpha: level of the free run's alarm where the likelihood has an answer without it
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SecondOpinion:
+    """What the free run says of the same question.
+
+    ``decides`` whether its answer is the diagnosis'; ``reason`` why, or why not, in a sentence; ``alarm`` of
+    the model that the likelihood ended with, ``search`` where there was one; both None where no free run can
+    be had.
+    """
+
+    decides: bool
+    reason: str
+    alarm: Alarm | None = None
+    search: FreeRunSearch | None = None
+
+
+def second_opinion(
+    causes: Causes,
+    series: Series,
+    theta: Theta,
+    *,
+    alpha: float,
+    kinds: Sequence[str] | None,
+    seed: int,
+    progress: Progress,
+) -> SecondOpinion:
+    """Ask the free run of the training ``series``; ``theta`` is another start for the base's parameters."""
+    records = windows([series])
+    named = [r.refits[0] for r in causes.search.rounds if r.equivalent]
+    patches = any(refit.effect.family == "noise" for refit in named)
+    settled = causes.verdict is not Verdict.UNKNOWN and not patches
+    level = SETTLED * alpha if settled else alpha
+    base = causes.base
+    held = tuple(name for name in base.model.parameter_names if name not in base.free)
+    try:
+        start = causes.search.final if settled else base
+        seen = _alarm_of(start, records, held, kinds, seed)
+        if seen.p_value > level:
+            return SecondOpinion(False, _noise_explains(seen), seen)
+        found = search_free_runs(
+            base,
+            records,
+            theta,
+            held,
+            alpha=level,
+            kinds=kinds,
+            rivals=lambda setting: _rivals(named),
+            seed=seed,
+            progress=progress,
+        )
+    except CANNOT as error:
+        return SecondOpinion(False, f"The free run was not asked: {error}")
+    decides, reason = _decided(causes.verdict, settled, named, found)
+    return SecondOpinion(decides, reason, seen, found)
+
+
+def _alarm_of(
+    start: QuasiFit,
+    records: Sequence[Series],
+    held: tuple[str, ...],
+    kinds: Sequence[str] | None,
+    seed: int,
+) -> Alarm:
+    """Whether noise explains what the free run of a fitted model gets wrong."""
+    mean, _ = first_state(start.model, start.theta)
+    fit = fit_runs(start.model, records, start.theta, start.free, np.tile(mean, (len(records), 1)))
+    setting = replace(setting_for(fit.model, records[0], np.asarray(fit.theta)), held=held)
+    linear = Linear(fit, columns(fit, _beside(fit, setting, kinds)))
+    return alarm(linear, np.asarray(noise_fit(fit).theta), folds_of(fit.records), seed)
+
+
+def _beside(fit: Fitted, setting: Setting, kinds: Sequence[str] | None) -> list[Effect]:
+    known = set(fit.model.parameter_names)
+    return [e for e in candidates(fit, setting, kinds) if e.size.name not in known]
+
+
+def _rivals(named: Sequence[Refit]) -> list[list[Pick]]:
+    """The likelihood's answer, as far as a free run shows it."""
+    picks = []
+    for refit in named:
+        effect = refit.effect
+        if effect.family in FAMILIES and effect.readings is None:
+            own = [float(refit.fit.theta[p.name]) for p in effect.parameters]
+            picks.append(Pick(effect, own[0], tuple(own[1:])))
+    return [picks] if picks else []
+
+
+def _decided(
+    verdict: Verdict, settled: bool, named: Sequence[Refit], found: FreeRunSearch
+) -> tuple[bool, str]:
+    """Whether the free run decides, and the reason."""
+    first = found.rounds[0]
+    if not first.alarmed:
+        return False, _noise_explains(first.alarm)
+    off = (
+        f"{first.alarm.rms / first.alarm.rms_noise:.1f} times"
+        if first.alarm.rms_noise
+        else "more than"
+    )
+    answer = {refit.effect.name for refit in named}
+    agreed = any(set(c.names) == answer for group in first.survivors for c in group)
+    if settled and verdict is not Verdict.NOTHING and (agreed or not found.found):
+        return (
+            False,
+            "The likelihood decides: on rows left out its extension also runs free as well as any.",
+        )
+    why = (
+        "its one-step answer does not run free as well on rows left out"
+        if settled and verdict is not Verdict.NOTHING
+        else "one step ahead, noise hides it"
+    )
+    return True, (
+        f"The free run decides: what it gets wrong ({off} what noise makes of it) has a pattern that noise "
+        f"does not have (p = {first.alarm.p_value:.2g}), and {why}."
+    )
+
+
+def _noise_explains(seen: Alarm) -> str:
+    return f"The likelihood decides: noise explains what the free run gets wrong (p = {seen.p_value:.2g})."

@@ -1,0 +1,39 @@
+"""A long record is searched on windows of it: the search takes as long as its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from engine.data.series import Series
+
+MOST_ROWS = 6000  # of all windows together, steps between samples counted
+WINDOWS = 4
+
+
+def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
+    """The records, or windows of the longest one: the one that moves most, the least, and two between."""
+    rows = sum(len(one) for one in records)
+    if rows <= most:
+        return list(records)
+    longest = max(records, key=len)
+    length = most // WINDOWS // longest.substeps * longest.substeps
+    n = len(longest) // length
+    if n <= WINDOWS:
+        return [longest.part(0, min(most, len(longest)))]
+    parts = [longest.part(k * length, (k + 1) * length) for k in range(n)]
+    parts = [part for part in parts if part.observed.any()]
+    order = sorted(range(len(parts)), key=lambda k: activity(parts[k], longest))
+    chosen = {order[i] for i in np.linspace(0, len(order) - 1, WINDOWS).round().astype(int)}
+    return [parts[k] for k in sorted(chosen)]
+
+
+def activity(part: Series, whole: Series) -> float:
+    """How far its readings and inputs reach, in their standard deviations over the whole record."""
+    total = 0.0
+    for own, every in ((part.y, whole.y), (part.u, whole.u)):
+        spread = np.nanstd(every, axis=0) if every.size else np.zeros(0)
+        reach = np.nanmax(np.abs(own - np.nanmean(every, axis=0)), axis=0, initial=0.0)
+        total += float(np.sum(np.nan_to_num(reach[spread > 0.0] / spread[spread > 0.0])))
+    return total
