@@ -14,14 +14,15 @@ from service.schemas import DiagnoseRequest
 from service.validation import Prepared
 
 PROGRESS_STEPS = 100  # of progress
-# per cent for the base model's fit, and for all rounds of search
-FIT_PERCENT, SEARCH_PERCENT = 5.0, 85.0
+# per cent for the base model's fit, for all rounds of search, and for the free run
+FIT_PERCENT, SEARCH_PERCENT, FREE_RUN_PERCENT = 5.0, 65.0, 20.0
 STAGE_PERCENT = {"symptoms": 92.0, "gain": 95.0}
 STAGE_MESSAGES = {
     "fit": "estimating the model as it is",
     "search": "looking for effects",
     "screen": "screening effects",
     "refit": "estimating the best of them",
+    "free run": "looking at the free run",
     "bootstrap": "asking the same of simulated data",
     "symptoms": "comparing simulation and prediction with the data",
     "gain": "measuring the gain on held-out data",
@@ -97,7 +98,9 @@ class Percent:
             left = 0.5 ** max(self.round, 0)
             part = 0.6 * fraction if stage == "screen" else 0.6 + 0.4 * fraction
             return FIT_PERCENT + SEARCH_PERCENT * (1.0 - left + 0.5 * left * part)
+        if stage == "free run":
+            return FIT_PERCENT + SEARCH_PERCENT + FREE_RUN_PERCENT * fraction
         if stage == "bootstrap":
-            searched = FIT_PERCENT + SEARCH_PERCENT
+            searched = FIT_PERCENT + SEARCH_PERCENT + FREE_RUN_PERCENT
             return searched + (STAGE_PERCENT["symptoms"] - searched) * fraction
         return STAGE_PERCENT.get(stage, FIT_PERCENT if stage == "search" else 0.0)

@@ -201,7 +201,6 @@ def diagnose(
         seed=seed,
         progress=clock.progress,
     )
-    notes.append(asked.reason)
     named = tuple(cause_of(r) for r in found.rounds if r.equivalent)
     before, after = found.base, found.final
     if asked.decides and asked.search is not None:

@@ -21,6 +21,9 @@ from engine.presentation.equations import to_latex
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis
+    from engine.diagnose.free_run.null import Alarm
+    from engine.diagnose.free_run.search import FreeRound
+    from engine.diagnose.free_run.second_opinion import SecondOpinion
     from engine.diagnose.gain.gain import Gain
     from engine.diagnose.search.rounds import Round
 
@@ -64,6 +67,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             "at_bounds": {"before": at_bounds(d.before), "after": at_bounds(d.after)},
             "in_the_library": in_the_library(d),
         },
+        "free_run": None if d.free_run is None else _free_run(d.free_run),
         "symptoms": d.symptoms.to_dict(),
         "gain": None if d.gain is None else _gain(d.gain, list(d.model.outputs)),
         "detectable": [asdict(item) for item in d.detectable],
@@ -74,6 +78,52 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
     }
     cleaned: dict[str, Any] = plain(data)
     return cleaned
+
+
+def _free_run(asked: SecondOpinion) -> dict[str, Any]:
+    """Both criteria side by side, and how the free run came to its answer."""
+    found = asked.search
+    return {
+        "decides": asked.decides,
+        "reason": asked.reason,
+        "likelihood": {"verdict": asked.likelihood.value, "effects": list(asked.names)},
+        "free_run": None
+        if found is None
+        else {
+            "verdict": found.verdict.value,
+            "effects": [name for candidate in found.found for name in candidate.names],
+        },
+        "alarm": None if asked.alarm is None else _alarm(asked.alarm),
+        "rounds": [] if found is None else [_free_round(one) for one in found.rounds],
+    }
+
+
+def _alarm(alarm: Alarm) -> dict[str, float]:
+    return {"p_value": alarm.p_value, "rms": alarm.rms, "rms_noise": alarm.rms_noise}
+
+
+def _free_round(one: FreeRound) -> dict[str, Any]:
+    """``share`` of the squared error to first order; ``held_out`` errors on rows left out."""
+    left = {c.names for group in one.survivors for c in group}
+    return {
+        "alarm": _alarm(one.alarm),
+        "held_out": one.held_out,
+        "screened": [
+            {"effect": s.names[0], "share": s.share} for s in one.screened[:SCREENED_EFFECTS]
+        ],
+        "judged": [
+            {
+                "effects": list(c.names),
+                "rms": c.fit.rms,
+                "held_out": c.held_out,
+                "p_gain": c.p_gain,
+                "p_best": c.p_best,
+                "parameters": c.fit.n_parameters,
+                "survives": c.names in left,
+            }
+            for c in one.candidates
+        ],
+    }
 
 
 def _errors(fit: QuasiFit) -> dict[str, float]:

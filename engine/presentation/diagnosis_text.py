@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from engine.diagnose.extended import at_bounds, in_the_library
@@ -26,8 +26,9 @@ from engine.words import (
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis
+    from engine.diagnose.free_run.second_opinion import SecondOpinion
     from engine.diagnose.gain.gain import Gain
-    from engine.diagnose.search.findings import Detectable
+    from engine.diagnose.search.findings import Detectable, Verdict
 
 WIDTH = 100
 
@@ -135,6 +136,21 @@ def _cause(d: Diagnosis) -> Iterator[str]:
     force = unnamed(d)
     if force is not None:
         yield from _wrapped(force.sentence, "  ")
+    if d.free_run is not None:
+        yield from _wrapped(criteria(d.free_run), "  ")
+
+
+def criteria(asked: SecondOpinion) -> str:
+    """What each of the two criteria says, and which one decides."""
+    said = [f"By the likelihood one step ahead: {_answer(asked.likelihood, asked.names)}."]
+    if asked.search is not None:
+        names = [name for candidate in asked.search.found for name in candidate.names]
+        said.append(f"By the free run: {_answer(asked.search.verdict, names)}.")
+    return " ".join([*said, asked.reason])
+
+
+def _answer(verdict: Verdict, names: Sequence[str]) -> str:
+    return f"{verdict.value} ({enumerated(list(names))})" if names else verdict.value
 
 
 def unnamed(d: Diagnosis) -> UnnamedForce | None:

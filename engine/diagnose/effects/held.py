@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from engine.diagnose.effects.effect import Effect, Split, identifier, on_base
 from engine.diagnose.effects.setting import Kind, Setting
 from engine.diagnose.effects.traits import Traits
@@ -14,10 +16,11 @@ from engine.statespace.model import Array, MixedModel, Parameter
 def _held(setting: Setting, channel: str) -> Effect | None:
     """``parameter -> parameter + size``, within the parameter's own bounds."""
     model = setting.model
-    if channel not in setting.held or setting.record is None:
+    if channel not in model.parameter_names:
         return None
     index = model.index(channel)
-    parameter, value = model.parameters[index], float(setting.record.theta[index])
+    parameter = model.parameters[index]
+    value = parameter.default if setting.record is None else float(setting.record.theta[index])
     name = identifier("held", channel)
     low, high = parameter.bounds
 
@@ -44,10 +47,18 @@ def _held(setting: Setting, channel: str) -> Effect | None:
         channel,
         "parameter",
         f"the parameter {channel}, held at {value:g} {parameter.unit}".rstrip(),
-        f"{channel} = {value:g} + {name}",
-        (Parameter(name, 0.0, parameter.unit, (low - value, high - value), parameter.description),),
+        f"{channel} -> {channel} + {name}",
+        (
+            Parameter(
+                name,
+                0.0,
+                parameter.unit,
+                setting.limits(low - value, high - value, -np.inf),
+                parameter.description,
+            ),
+        ),
         extend,
-        one_sided=value <= low,
+        one_sided=setting.record is not None and value <= low,
         traits=Traits(plainness=0),
     )
 

@@ -87,6 +87,11 @@ class FreeRound:
     level: float
 
     @property
+    def held_out(self) -> float:
+        """Error of the model without more on rows left out, as of :class:`Candidate`."""
+        return float(np.exp(0.5 * np.nanmean(self.losses)))
+
+    @property
     def alarmed(self) -> bool:
         """Whether the free run is further off than noise explains."""
         return self.alarm.p_value <= self.level
@@ -118,7 +123,9 @@ def one_round(
     if seen.p_value > alpha or not linear.columns:
         return FreeRound(fit, own, seen, tuple(singles), (), (), alpha)
     found = refits(fit, linear, effects, rivals, progress)
-    judged = _judged(fit, own, _worth_judging(found, len(fit.effects)), folds, progress)
+    answers = [frozenset(pick.effect.name for pick in picks) for picks in rivals]
+    worth = _worth_judging(found, len(fit.effects), answers)
+    judged = _judged(fit, own, worth, folds, progress)
     left = survivors(own, judged, setting)
     return FreeRound(fit, own, seen, tuple(singles), tuple(judged), left, alpha)
 
@@ -213,12 +220,14 @@ def alike(one: Fitted, other: Fitted) -> bool:
     return bool(np.linalg.norm(one.e - other.e) <= APART * np.linalg.norm(other.e))
 
 
-def _worth_judging(found: Sequence[Fitted], known: int) -> list[Fitted]:
-    """The best fits, and what they are made of: effects beyond the ``known`` ones, each alone."""
+def _worth_judging(
+    found: Sequence[Fitted], known: int, answers: Sequence[frozenset[str]]
+) -> list[Fitted]:
+    """The best fits, what they are made of (effects beyond the ``known`` ones, each alone), and ``answers``."""
     best = list(found[:JUDGED])
     parts = {name for fit in best[:LEADS] for name in fit.names[known:]}
-    alone = [f for f in found[JUDGED:] if len(f.effects) == known + 1]
-    return best + [f for f in alone if f.names[-1] in parts]
+    wanted = {frozenset((name,)) for name in parts} | set(answers)
+    return best + [f for f in found[JUDGED:] if frozenset(f.names[known:]) in wanted]
 
 
 def _judged(
@@ -248,7 +257,7 @@ def survivors(
     if not gaining:
         return ()
     level = NOT_WORSE / len(judged)  # the best of so many is better than it will be again
-    near = gaining[0].held_out + NEAR * np.exp(0.5 * np.nanmean(own))
+    near = gaining[0].held_out + NEAR * float(np.exp(0.5 * np.nanmean(own)))
     left = [
         c
         for c in gaining

@@ -54,6 +54,7 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
     if d["unnamed"]:
         parts += [tag("h3", "An unnamed force"), tag("p", prose(d["unnamed"]["sentence"]))]
         parts.append(grid(force_figures(d["unnamed"], draw)))
+    parts += two_criteria(d.get("free_run"), draw)
     ranked = rankings(d["rounds"], draw)
     if ranked:
         parts += [
@@ -78,6 +79,38 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
             folded("All that were not testable", tag("p", ", ".join(untestable)) if rest else Html("")),
         ]  # fmt: skip
     return parts
+
+
+def two_criteria(asked: Document | None, draw: Drawer) -> list[object]:
+    """What the likelihood and the free run say, which one decides, and the free run's candidates."""
+    if not asked:
+        return []
+    rows = [("likelihood, one step ahead", asked["likelihood"], not asked["decides"])]
+    if asked["free_run"]:
+        rows.append(("free run, on rows left out", asked["free_run"], asked["decides"]))
+    body = [
+        (name, said["verdict"], ", ".join(said["effects"]), "decides" if decides else "")
+        for name, said, decides in rows
+    ]
+    pictures = [
+        Ranking(
+            f"Round {k}: what is left of the free run's error on rows left out",
+            "per cent of the error without",
+            [
+                (" + ".join(c["effects"]), 100.0 * c["held_out"] / one["held_out"],
+                 "after" if c["survives"] else "data")
+                for c in one["judged"][:RANKED_CANDIDATES]
+            ],
+        )
+        for k, one in enumerate(asked["rounds"], 1)
+        if one["judged"]
+    ]  # fmt: skip
+    return [
+        tag("h3", "Two criteria"),
+        table(("criterion", "verdict", "effects", ""), body, "words"),
+        tag("p", asked["reason"], class_="hint"),
+        grid([draw(picture) for picture in pictures]),
+    ]
 
 
 def _look_alikes(found: list[dict[str, Any]]) -> Html:

@@ -20,7 +20,7 @@ from engine.estimation.quasi_ml import log_likelihoods
 from engine.filters.sigma_point import moment_filter, moment_path
 from tests.engine.hidden_effects import CASES, DRIVE, DT, T, case, hidden, levels, smooth
 
-BY_NAME_ONLY = {"offset"}  # another word for bias
+BY_NAME_ONLY = {"offset", "held"}  # another word for bias; for parameters that are not estimated
 QUICK = {  # some of each family; the others are looked for in make test-all
     "force", "quadratic", "mode", "bias", "gain", "quantisation", "variance", "colored",
     "input-offset", "extra-input", "step", "pulse", "parameter-step", "time-step",

@@ -1,0 +1,58 @@
+"""Blocks, folds and the comparison of losses."""
+
+import numpy as np
+import pytest
+from scipy.stats import ttest_rel
+
+from engine.data.series import Series
+from engine.diagnose.free_run.folds import BLOCKS, FOLDS, folds_of, p_better
+from engine.diagnose.free_run.windows import windows
+
+
+def _record(T, seed=0, gap=slice(0, 0)):
+    rng = np.random.default_rng(seed)
+    y = rng.standard_normal(T)
+    y[3 * T // 4 : 3 * T // 4 + 20] *= 30.0
+    y[gap] = np.nan
+    return Series(y, rng.standard_normal(T), dt=1.0)
+
+
+def test_every_reading_is_left_out_once_and_the_extreme_ones_together():
+    record = _record(800, gap=slice(100, 140))
+    folds = folds_of([record])
+    assert folds.blocks == BLOCKS
+    assert len(folds.block) == record.observed.sum()
+    assert np.sum([folds.out(k) for k in range(FOLDS)], axis=0).tolist() == [1] * len(folds.block)
+    rows = np.flatnonzero(record.observed[:, 0])
+    assert folds.out(0)[rows == 605].all()
+    sizes = np.bincount(folds.fold, minlength=FOLDS)
+    assert sizes.min() >= BLOCKS // FOLDS
+
+
+def test_folds_do_not_depend_on_units_nor_on_a_shift():
+    record = _record(500)
+    other = record.replace(y=1e9 * record.y + 3.0, u=1e-6 * record.u - 5.0)
+    np.testing.assert_array_equal(folds_of([record]).fold, folds_of([other]).fold)
+
+
+def test_several_records_share_the_blocks():
+    folds = folds_of([_record(600), _record(200, 1)])
+    assert folds.blocks == BLOCKS
+    assert set(np.unique(folds.block[:600])) == set(range(12))
+
+
+def test_losses_are_compared_as_pairs():
+    rng = np.random.default_rng(5)
+    a, b = rng.standard_normal((2, 16))
+    assert p_better(a, b + 0.4) == pytest.approx(ttest_rel(a, b + 0.4, alternative="less").pvalue)
+    assert p_better(a, a) == 0.5
+    a[3] = np.nan
+    assert 0.0 < p_better(a, b) < 1.0
+
+
+def test_a_long_record_is_searched_on_windows_that_differ():
+    record = _record(40_000)
+    parts = windows([record], 4000)
+    assert [len(part) for part in parts] == [1000] * 4
+    assert any(part.t[0] <= 30_005.0 <= part.t[-1] for part in parts)  # where it moves most
+    assert windows([record], 50_000) == [record]
