@@ -2,8 +2,9 @@
 
 p = (free parameters that change the run, first states of each series). A run and all its derivatives are
 found at once where that converges, see :mod:`engine.simulation.whole_record` and
-:mod:`engine.simulation.sensitivities`; else by differences of perturbed runs, which are one pass over time
-where the model's functions take arrays of parameters, as plain NumPy ones do.
+:mod:`engine.simulation.sensitivities`; else the run by a loop over time. Where derivatives along the run are not
+those of differences of runs (a model that jumps), these are taken, in one pass over time where the model's
+functions take arrays of parameters, as plain NumPy ones do.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from engine.data.series import Series
 from engine.errors import ModelError
 from engine.simulation.free_run import first_state, free_run, output_scale, run_rows
 from engine.simulation.sensitivities import sensitivities
+from engine.simulation.simulate import propagate
 from engine.simulation.steps import observations, tested
-from engine.simulation.whole_record import whole_record
+from engine.simulation.whole_record import SHORTEST, whole_record
 from engine.statespace.model import Array, MixedModel, Theta
 
 STEP = 1e-5  # finite-difference step as a share of a parameter's scale
@@ -211,7 +213,12 @@ class FreeRunProblem:
         model.observations.look_again()
         x = whole_record(model, record, one, x1, self._runs[s])
         if len(x) < len(one):
-            return None
+            if len(one) < SHORTEST:  # differences of short runs cost no more
+                return None
+            _, a, z = propagate(model, record, one, x1[None, : model.na], x1[None, model.na :])
+            x = np.concatenate((a[:, 0], z[:, 0]), axis=1)
+            if not np.isfinite(x).all():
+                return None
         self._runs[s] = x
         with np.errstate(all="ignore"):
             seen = tested(model, observations(model, record, one), x)

@@ -26,12 +26,8 @@ from engine.diagnose.search.likeness import unnatural
 from engine.statespace.model import Array
 
 FAMILIES = ("state", "measurement", "input", "parameter")  # of effects that a free run shows
-SINGLES, LEADS, BESIDE, PAIRS = (
-    10,
-    3,
-    6,
-    8,
-)  # refitted: alone; led by them; beside each of these; in pairs
+SINGLES, PAIRS = 10, 6  # refitted at most: effects alone, and in pairs
+LEADS, BESIDE = 3, 4  # refits beside which others are looked for; how many beside each
 LEAST = 0.02  # of the squared error: what an effect takes to first order, to be refitted
 JUDGED = 16  # refits that are judged on rows left out
 SIZES = (1.0, 0.2)  # of the first-order size, from which a refit starts

@@ -8,7 +8,7 @@ import numpy as np
 
 from engine.data.series import Series
 
-MOST_ROWS = 6000  # of all windows together, steps between samples counted
+MOST_ROWS = 4000  # of all windows together, steps between samples counted
 WINDOWS = 4
 
 
