@@ -276,8 +276,8 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
     def begin(own: Any) -> tuple[float, float]:
         return float(own[2]), variance
 
-    unit = setting.unit(channel)
-    return add_memory(model, split, f"last_{channel}", unit, step, observe, begin)
+    states = {f"last_{channel}": setting.unit(channel)}
+    return add_memory(model, split, states, step, observe, begin)
 
 
 def _delay(setting: Setting, channel: str) -> Effect | None:
