@@ -71,22 +71,23 @@ def _begin(own: Any) -> tuple[float, float]:
 
 def _of_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     split, index = Split(model), list(model.inputs).index(channel)
+    held = setting.hold == "zoh"  # then nothing moves between samples, and no moments are taken again
 
-    def driven(last: Array, u: Any, own: Any) -> list[Any]:
-        rows = list(u)
-        rows[index] = _played(last, u[index], own[0])
+    def driven(last: Array, u: Any, t: Any, own: Any) -> list[Any]:
+        rows, played = list(u), _played(last, u[index], own[0])
+        rows[index] = np.where(setting.at_sample(t), played, last) if held else played
         return rows
 
     def step(
         a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
     ) -> tuple[Array, Array, Array, Array]:
-        rows = driven(last, u, own)
+        rows = driven(last, u, t, own)
         return *model.transition(a, rows, t, dt, record), rows[index]
 
     def observe(
         a: Array, last: Array, u: Any, t: Any, record: Any, own: Any
     ) -> tuple[Array, Array, Array]:
-        return model.observation(a, driven(last, u, own), t, record)
+        return model.observation(a, driven(last, u, t, own), t, record)
 
     states = {f"played_{channel}": setting.unit(channel)}
     return add_memory(model, split, states, step, observe, _begin)
