@@ -37,6 +37,7 @@ def _lag(setting: Setting, channel: str, name: str) -> Effect:
         look_alikes={
             "delay": "delays the input, or the reading by several samples",
             "colored": "is not driven by y",
+            "slow-sensor": "goes on fading after one sample",
         },
     )
 

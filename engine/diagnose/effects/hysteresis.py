@@ -43,7 +43,8 @@ def _bouc_wen(
         Parameter(f"{name}_width", width, unit, setting.limits(width / 100, width * 100)),
     ]
     probes: list[tuple[float, ...]] = [(width,), (10.0 * width,)]
-    kind, shape, more = "hysteresis", "", {"coupling": "has no loop"}
+    kind, shape = "hysteresis", ""
+    more = {"coupling": "has no loop", "boucwen": "differs on the way out and on the way back"}
     traits = Traits(suits="rate")
     if shaped:
         own_parameters.append(

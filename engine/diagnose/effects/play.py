@@ -71,7 +71,9 @@ def _begin(own: Any) -> tuple[float, float]:
 
 def _of_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     split, index = Split(model), list(model.inputs).index(channel)
-    held = setting.hold == "zoh"  # then nothing moves between samples, and no moments are taken again
+    held = (
+        setting.hold == "zoh"
+    )  # then nothing moves between samples, and no moments are taken again
 
     def driven(last: Array, u: Any, t: Any, own: Any) -> list[Any]:
         rows, played = list(u), _played(last, u[index], own[0])
