@@ -301,3 +301,26 @@ def test_a_slow_sensor_sees_linear_states_too_and_is_a_lag_in_hours():
         at = np.asarray(extended.theta({"slow_sensor_y": 0.8 * seconds}))[None]
         values.append(moment_filter(extended, at, one).log_likelihood[0])
     assert values[0] == pytest.approx(values[1], rel=1e-9)
+
+
+def bent_drive():
+    """The drive, its force through a curve: it does not simply add."""
+    return replace(
+        DRIVE,
+        dynamics=lambda a, u, t, dt, theta: DRIVE.dynamics(
+            a, [np.tanh(u[0]) * (1.0 + 0.1 * a[:, 0])], t, dt, theta
+        ),
+    )
+
+
+@pytest.mark.parametrize(("model", "late"), [(DRIVE, 4), (DRIVE, 11), (bent_drive(), 3)])
+def test_a_dead_time_of_many_samples_is_that_of_the_input(model, late):
+    force = smooth(np.random.default_rng(8), 100)
+    series = engine.Series(np.zeros(100), force, dt=DT)
+    own = {"delay_force": late, "delay_force_samples": late, "delay_force_before": 0.5}
+    extended = extend(model, ["delay:force"])
+    before = {name: 0.5 for name in [*extended.nonlinear, *extended.linear] if "last" in name}
+    y, _ = run(model, "delay:force", own, series, before)
+    shifted = engine.Series(np.zeros(100), np.append(np.full(late, 0.5), force)[:100], dt=DT)
+    by_hand, _ = noise_free(model, np.asarray(model.theta()), shifted, np.zeros(2))
+    np.testing.assert_allclose(y, by_hand, atol=1e-9)
