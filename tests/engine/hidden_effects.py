@@ -125,7 +125,7 @@ CASES = {
     ),
     "hold": ("force", {"hold_force": 1.0}),
     "direct": ("force->reading", {"direct_force__reading": 0.1}),
-    "path": ("force->reading", {"path_force__reading": 0.4, "path_force__reading_time": 5.0}),
+    "path": ("force->speed", {"path_force__speed": 3.0, "path_force__speed_time": 0.5}),
     "extra-input": ("temperature->speed", {"extra_input_temperature_speed": 0.3}),
     "step": ("reading", {"step_reading": 0.4, "step_reading_time": 16.0}),
     "pulse": (
