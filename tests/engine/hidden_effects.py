@@ -80,7 +80,7 @@ CASES = {
     "cogging": (
         "angle->speed",
         {
-            "cogging_angle__speed": 1.0,
+            "cogging_angle__speed": 0.4,
             "cogging_angle__speed_period": 0.25,
             "cogging_angle__speed_offset": 0.05,
         },
