@@ -20,6 +20,8 @@ from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 
+MOST_GROWTH = 100.0  # logarithm of a growth within a step beyond which a run is lost anyway
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -217,7 +219,7 @@ def add_linear_coupling(
         f, A, Q = model.transition(a, u, t, dt, own_base)
         A, f, size = per_point(A, len(a), dt, own[0]), f.copy(), dt * own[0]
         if model.continuous and target == source:
-            size = np.expm1(size)
+            size = np.expm1(np.minimum(size, MOST_GROWTH))
         f[:, row] -= size * zero(own)
         if model.continuous:
             f[:, row] += size * f[:, model.na + column]
