@@ -2,9 +2,9 @@
 
 p = (free parameters that change the run, first states of each series). A run and all its derivatives are
 found at once where that converges, see :mod:`engine.simulation.whole_record` and
-:mod:`engine.simulation.sensitivities`; else the run by a loop over time. Where derivatives along the run are not
-those of differences of runs (a model that jumps), these are taken, in one pass over time where the model's
-functions take arrays of parameters, as plain NumPy ones do.
+:mod:`engine.simulation.sensitivities`; else the run by a loop over time. Where derivatives along the run
+are not those of differences of runs (a model that jumps), these are taken, in one pass over time where the
+model's functions take arrays of parameters, as plain NumPy ones do.
 """
 
 from __future__ import annotations

@@ -72,12 +72,27 @@ CASES = {
     "pole": ("speed", {"pole_speed": 4.0, "pole_speed_time": 0.5}),
     "mode": ("speed", {"mode_speed": 3.0, "mode_speed_frequency": 0.4, "mode_speed_damping": 0.2}),
     "hysteresis": ("speed", {"hysteresis_speed": -4.0, "hysteresis_speed_width": 0.2}),
+    "overflow": ("speed", {"overflow_speed": 4.0, "overflow_speed_limit": 0.5}),
+    "boucwen": (
+        "speed",
+        {"boucwen_speed": -4.0, "boucwen_speed_width": 0.3, "boucwen_speed_delta": -0.8},
+    ),
+    "cogging": (
+        "angle->speed",
+        {
+            "cogging_angle__speed": 0.4,
+            "cogging_angle__speed_period": 0.25,
+            "cogging_angle__speed_offset": 0.05,
+        },
+    ),
     "bias": ("reading", {"bias_reading": 0.5}),
     "offset": ("reading", {"bias_reading": 0.5}),
     "drift": ("reading", {"drift_reading": 0.015}),
     "gain": ("reading", {"gain_reading": 0.5}),
     "lag": ("reading", {"lag_reading": 0.6}),
     "delay": ("reading", {"delay_reading": 1.0, "delay_reading_samples": 3.0}),
+    "slow-sensor": ("reading", {"slow_sensor_reading": 0.3}),
+    "play": ("force", {"play_force": 0.4}),
     "cubic-sensor": ("reading", {"cubic_sensor_reading": 0.2}),
     "saturation-sensor": (
         "reading",
@@ -109,6 +124,8 @@ CASES = {
         {"input_saturation_force": 1.0, "input_saturation_force_limit": 1.0},
     ),
     "hold": ("force", {"hold_force": 1.0}),
+    "direct": ("force->reading", {"direct_force__reading": 0.1}),
+    "path": ("force->speed", {"path_force__speed": 3.0, "path_force__speed_time": 0.5}),
     "extra-input": ("temperature->speed", {"extra_input_temperature_speed": 0.3}),
     "step": ("reading", {"step_reading": 0.4, "step_reading_time": 16.0}),
     "pulse": (
@@ -149,6 +166,8 @@ SWING = engine.MixedModel(
 )
 
 
+ON_SWING = {"time-step", "cogging"}  # kinds that need a real time step, or a position
+
 LONGER = {"correlation": 1200}  # samples, where an effect shows little in each
 
 
@@ -156,7 +175,7 @@ def case(kind, seed):
     """(model, series, name) of a kind's case; extra channels are inputs of the model already."""
     channel, values = CASES[kind]
     name = f"{kind}:{channel}"
-    if kind == "time-step":
+    if kind in ON_SWING:
         rng = np.random.default_rng(seed)
         return SWING, hide(SWING, [name], values, T, rng, u=levels(rng), dt=DT).series, name
     if kind != "extra-input":

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from engine.diagnose.effects.effect import Split, on_base
+from engine.diagnose.effects.effect import Parts, Split, on_base
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.promotion import product
 
@@ -19,7 +19,7 @@ Begin: TypeAlias = Callable[[Array, Any, Any], tuple[Array, Array, Any]]
 
 def add_linear_states(
     model: MixedModel,
-    split: Split,
+    split: Parts,
     states: Mapping[str, str],
     dynamics: Any,
     begin: Begin | None = None,
@@ -108,40 +108,43 @@ def _zeros(matrix: Array, M: int, shape: tuple[int, int], entries: Sequence[Any]
 def add_memory(
     model: MixedModel,
     split: Split,
-    name: str,
-    unit: str,
+    states: Mapping[str, str],
     step: Callable[..., tuple[Array, Array, Array, Array]],
     observe: Callable[..., tuple[Array, Array, Array]],
     begin: Callable[[Any], tuple[Any, Any]],
 ) -> MixedModel:
-    """The model with one more nonlinear state, without noise of its own.
+    """The model with more nonlinear states, name -> unit, without noise of their own.
 
-    ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory
-    (M,); ``observe(a, memory, u, t, base, own)`` returns h, C, R; ``begin(own)`` the memory's mean and
-    variance at first, independent of x_1. p(a_1) may be any density.
+    ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory;
+    ``observe(a, memory, u, t, base, own)`` returns h, C, R; ``begin(own)`` the memory's mean and variance at
+    first, independent of x_1. A memory of one state is (M,), of k states (k, M), so that it unpacks. p(a_1)
+    may be any density.
     """
-    na, nx = model.na, model.nx
-    order = np.array([*range(na), nx, *range(na, nx)])
+    na, nx, k = model.na, model.nx, len(states)
+    order = np.array([*range(na), *range(nx, nx + k), *range(na, nx)])
     rows = order[:, None]
 
+    def own_states(a: Array) -> tuple[Array, Array]:
+        return a[:, :na], a[:, na] if k == 1 else a[:, na:].T
+
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-        f, A, Q, memory = step(a[:, :na], a[:, na], u, t, dt, *split(theta))
-        f = np.concatenate([f, memory[:, None]], axis=1)
-        A = np.concatenate([A, np.zeros((*A.shape[:-2], 1, model.nz))], axis=-2)
-        Q_all = np.zeros((*Q.shape[:-2], nx + 1, nx + 1))
+        f, A, Q, memory = step(*own_states(a), u, t, dt, *split(theta))
+        f = np.concatenate([f, np.reshape(memory, (k, -1)).T], axis=1)
+        A = np.concatenate([A, np.zeros((*A.shape[:-2], k, model.nz))], axis=-2)
+        Q_all = np.zeros((*Q.shape[:-2], nx + k, nx + k))
         Q_all[..., :nx, :nx] = Q
         return f[:, order], A[..., order, :], Q_all[..., rows, order]
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-        return observe(a[:, :na], a[:, na], u, t, *split(theta))
+        return observe(*own_states(a), u, t, *split(theta))
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
         start = model.start(own_base)
-        mean, variance = begin(own)
+        mean, variance = (np.broadcast_to(np.asarray(x, dtype=float), (k,)) for x in begin(own))
 
         def memory(a: Array) -> tuple[Array, Array]:
-            return np.full((len(a), 1), float(mean)), np.array([[float(variance)]])
+            return np.tile(mean, (len(a), 1)), np.diag(variance)
 
         def of_base(function: Any) -> Any:
             return (lambda a: function(a[:, :na])) if callable(function) else function
@@ -151,7 +154,7 @@ def add_memory(
 
     return replace(
         model,
-        nonlinear={**model.nonlinear, name: unit},
+        nonlinear={**model.nonlinear, **states},
         dynamics=dynamics,
         measurement=measurement,
         initial=initial,

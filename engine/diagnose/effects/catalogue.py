@@ -10,15 +10,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from engine.diagnose.effects.cogging import KINDS as COGGING
 from engine.diagnose.effects.colored import KINDS as COLORED
 from engine.diagnose.effects.delays import KINDS as LATE
 from engine.diagnose.effects.dynamic import KINDS as MEMORY
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.held import KINDS as HELD
+from engine.diagnose.effects.hysteresis import KINDS as HYSTERESIS
 from engine.diagnose.effects.inputs import KINDS as INPUT
 from engine.diagnose.effects.measurement import KINDS as MEASUREMENT
 from engine.diagnose.effects.noise import KINDS as NOISE
+from engine.diagnose.effects.overflow import KINDS as OVERFLOW
+from engine.diagnose.effects.paths import KINDS as PATHS
+from engine.diagnose.effects.play import KINDS as PLAY
 from engine.diagnose.effects.setting import Channels, Kind, Maker, Setting
+from engine.diagnose.effects.slow_sensor import KINDS as SLOW_SENSOR
 from engine.diagnose.effects.state import KINDS as STATE
 from engine.diagnose.effects.tails import KINDS as TAILS
 from engine.diagnose.effects.time import KINDS as TIME
@@ -28,13 +34,19 @@ from engine.statespace.model import MixedModel
 
 SHIPPED: tuple[Kind, ...] = (
     *STATE,
+    *OVERFLOW,
+    *COGGING,
     *MEMORY,
+    *HYSTERESIS,
     *MEASUREMENT,
     *LATE,
+    *SLOW_SENSOR,
+    *PLAY,
     *NOISE,
     *COLORED,
     *TAILS,
     *INPUT,
+    *PATHS,
     *TIME,
     *TIME_STEP,
     *HELD,

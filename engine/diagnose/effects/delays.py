@@ -19,7 +19,8 @@ from engine.diagnose.effects.setting import (
 )
 from engine.statespace.model import Array, MixedModel, Parameter
 
-LONGEST_DELAY = 4  # samples
+LONGEST_DELAY = 12  # samples
+LONGEST_BY_MEMORY = 4  # of an input that does not simply add: nonlinear states cost more
 AFFINE = 1e-9  # share of its change by which a function may bend and count as straight
 
 
@@ -37,6 +38,7 @@ def _lag(setting: Setting, channel: str, name: str) -> Effect:
         look_alikes={
             "delay": "delays the input, or the reading by several samples",
             "colored": "is not driven by y",
+            "slow-sensor": "goes on fading after one sample",
         },
     )
 
@@ -116,8 +118,7 @@ def _late_reading(
             C[..., row, nz + k] = weight
         return h, C, R
 
-    names = [f"last_{channel}", *(f"last_{channel}_{k}" for k in range(2, depth + 1))]
-    states = dict.fromkeys(names, setting.unit(channel))
+    states = _register(setting, channel, depth)
     return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
 
 
@@ -135,7 +136,7 @@ def _blocks(now: Any, shift: Array, hold: Array) -> list[list[Any]]:
 def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
     """An input that arrives some samples late, or a part of it does."""
     unit, before = setting.unit(channel), setting.first(channel)
-    latest = LONGEST_DELAY if _adds(setting, setting.model, channel) else 1
+    latest = LONGEST_DELAY if _adds(setting, setting.model, channel) else LONGEST_BY_MEMORY
 
     def extend(model: MixedModel) -> MixedModel:
         late = _late_input if _adds(setting, model, channel) else _late_input_by_memory
@@ -148,10 +149,8 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
         f"delay of the input {channel}",
         f"{channel} -> {channel}_t + {name} / d ({channel}_(t-d) - {channel}_t),  d = {name}_samples",
         (
-            Parameter(name, 0.0, "samples", (0.0, float(LONGEST_DELAY)), "mean delay"),
-            Parameter(
-                f"{name}_samples", 1.0, "samples", (1.0, float(LONGEST_DELAY)), "latest part"
-            ),
+            Parameter(name, 0.0, "samples", (0.0, float(latest)), "mean delay"),
+            Parameter(f"{name}_samples", 1.0, "samples", (1.0, float(latest)), "latest part"),
             Parameter(f"{name}_before", before, unit, description="input before the first sample"),
         ),
         extend,
@@ -193,10 +192,10 @@ def _adds(setting: Setting, model: MixedModel, channel: str) -> bool:
     return True
 
 
-def _parts(own: Any) -> list[Any]:
+def _parts(own: Any, depth: int) -> list[Any]:
     """What share comes k = 1, 2, ... samples late: size / d in all, at k = d, linear in between."""
     share = own[0] / own[1]
-    return [share * np.maximum(1.0 - np.abs(own[1] - k), 0.0) for k in range(1, LONGEST_DELAY + 1)]
+    return [share * np.maximum(1.0 - np.abs(own[1] - k), 0.0) for k in range(1, depth + 1)]
 
 
 def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
@@ -219,7 +218,7 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
 
     def moved(f: Array, A: Array, g: Array, u: Any, own: Any) -> None:
         """Puts g sum w_k (u_(t-k) - u_t) into the first rows of f + A z, in place."""
-        parts, rows = _parts(own), g.shape[1]
+        parts, rows = _parts(own, depth), g.shape[1]
         f[:, :rows] -= g * np.reshape(sum(parts) * u[index], (-1, 1))
         for k, part in enumerate(parts):
             A[..., :rows, nz + k] = g * np.reshape(part, (-1, 1))
@@ -246,27 +245,34 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
             moved(h, C, g, u, own)
         return h, C, R
 
-    names = [f"last_{channel}", *(f"last_{channel}_{k}" for k in range(2, depth + 1))]
-    states = dict.fromkeys(names, setting.unit(channel))
+    states = _register(setting, channel, depth)
     return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
 
 
+def _register(setting: Setting, channel: str, depth: int) -> dict[str, str]:
+    """States for the last values of a channel, with their unit."""
+    names = [f"last_{channel}", *(f"last_{channel}_{k}" for k in range(2, depth + 1))]
+    return dict.fromkeys(names, setting.unit(channel))
+
+
 def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
-    """For an input that does not simply add: the last one as a nonlinear state."""
-    split, index = Split(model), list(model.inputs).index(channel)
+    """For an input that does not simply add: the last ones as nonlinear states."""
+    split, index, depth = Split(model), list(model.inputs).index(channel), LONGEST_BY_MEMORY
     variance = float(setting.scale.get(channel, 0.0)) ** 2
 
     def driven(last: Array, u: Any, own: Any) -> list[Any]:
-        rows = list(u)
-        rows[index] = u[index] + _parts(own)[0] * (last - u[index])
+        rows, parts = list(u), _parts(own, depth)
+        late = [part * (one - u[index]) for part, one in zip(parts, last, strict=True)]
+        rows[index] = u[index] + sum(late)
         return rows
 
     def step(
         a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
     ) -> tuple[Array, Array, Array, Array]:
         f, A, Q = model.transition(a, driven(last, u, own), t, dt, record)
-        ends = setting.at_sample(t + dt)
-        return f, A, Q, np.where(ends, np.broadcast_to(u[index], (len(a),)), last)
+        now = np.broadcast_to(u[index], (1, len(a)))
+        shifted = np.concatenate([now, last[:-1]])
+        return f, A, Q, np.where(setting.at_sample(t + dt), shifted, last)
 
     def observe(
         a: Array, last: Array, u: Any, t: Any, record: Any, own: Any
@@ -276,8 +282,8 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
     def begin(own: Any) -> tuple[float, float]:
         return float(own[2]), variance
 
-    unit = setting.unit(channel)
-    return add_memory(model, split, f"last_{channel}", unit, step, observe, begin)
+    states = _register(setting, channel, depth)
+    return add_memory(model, split, states, step, observe, begin)
 
 
 def _delay(setting: Setting, channel: str) -> Effect | None:

@@ -1,4 +1,4 @@
-"""Effects in the state equation that remember: a missing pole or mode, hysteresis."""
+"""Effects in the state equation that remember: a missing pole or mode."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.augmentation import Begin, add_linear_states, add_memory, beside
-from engine.diagnose.effects.effect import Effect, Split, pushed
-from engine.diagnose.effects.origin import Origin
+from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
+from engine.diagnose.effects.effect import Effect, Split
 from engine.diagnose.effects.setting import Kind, Setting, at_pairs, each_moved, each_state
 from engine.diagnose.effects.traits import Traits
-from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
-from engine.statespace.promotion import promote
 
 
 class _Following:
@@ -144,56 +141,7 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
     )
 
 
-def _hysteresis(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
-    """Bouc-Wen with n = 1: h' = h + dt (v - |v| h / w), a force that remembers (Wen 1976)."""
-    unit = product(setting.unit(source), "s")
-    width = setting.distance(source, 0.7) * 5.0 * setting.dt
-    origin = Origin(setting, name, source)
-
-    def extend(model: MixedModel) -> MixedModel:
-        base = promote(model, (source,))
-        split = Split(model)
-        column = list(base.nonlinear).index(source)
-        row = [*base.nonlinear, *base.linear].index(target)
-
-        def step(
-            a: Array, memory: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
-        ) -> tuple[Array, Array, Array, Array]:
-            push = dt * own[0] * memory
-            f, A, Q = pushed(base, row, push, a, u, t, dt, record)
-            speed = a[:, column] - origin.of(own)
-            keep = np.exp(-dt * np.abs(speed) / own[1])
-            return f, A, Q, keep * memory + (1.0 - keep) * own[1] * np.sign(speed)
-
-        def observe(
-            a: Array, memory: Array, u: Any, t: Any, record: Any, own: Any
-        ) -> tuple[Array, Array, Array]:
-            return base.observation(a, u, t, record)
-
-        def begin(own: Any) -> tuple[float, float]:
-            return 0.0, float(own[1]) ** 2 / 3.0  # anywhere within its limits +- w
-
-        return add_memory(base, split, f"memory_{source}", unit, step, observe, begin)
-
-    return Effect(
-        "hysteresis",
-        channel,
-        "state",
-        f"hysteresis (Bouc-Wen) driven by {source}" + ("" if source == target else f" on {target}"),
-        f"m' = m + dt (v - |v| m / w),  v = {origin.text(source)},  {target}' = ... + dt * {name} * m",
-        extend=extend,
-        look_alikes={"coulomb": "has no memory beyond the sign", "coupling": "has no loop"},
-        traits=Traits(suits="rate"),
-        **origin.counted(
-            Parameter(name, 0.0, setting.rate(target, unit)),
-            Parameter(f"{name}_width", width, unit, setting.limits(width / 100, width * 100)),
-            probes=((width,), (10.0 * width,)),
-        ),
-    )
-
-
 KINDS: list[Kind] = [
     at_pairs("pole", _pole, each_state),
     at_pairs("mode", _mode, each_moved),
-    at_pairs("hysteresis", _hysteresis, each_state),
 ]

@@ -8,9 +8,9 @@ the difference of two filters, its size is an estimated parameter, its gain a li
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from engine.errors import OptionError
 from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
+
+MOST_GROWTH = 100.0  # logarithm of a growth within a step beyond which a run is lost anyway
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,10 @@ class Split:
         return record, own
 
 
+# theta -> what the model's own functions take, and the effect's own values, as :class:`Split`
+Parts: TypeAlias = Callable[[Any], tuple[Any, Any]]
+
+
 def identifier(*parts: str) -> str:
     """A parameter name from an effect's kind and channel."""
     text = "_".join(parts)
@@ -167,30 +173,30 @@ def add_to_state(
             half = a.copy()
             half[:, row] += 0.5 * push
             push = dt * term(Values(signals(base, half, u), t, dt), own)
-        return pushed(base, row, push, a, u, t, dt, own_base)
+        return pushed(base, {row: push}, a, u, t, dt, own_base)
 
     return on_base(base, split, dynamics=dynamics)
 
 
 def pushed(
-    model: MixedModel, row: int, push: Any, a: Array, u: Any, t: Any, dt: Any, record: Any
+    model: MixedModel, pushes: Mapping[int, Any], a: Array, u: Any, t: Any, dt: Any, record: Any
 ) -> tuple[Array, Array, Array]:
-    """One step of ``model`` with ``push`` (a number or (M,)) added to state ``row``.
+    """One step of ``model`` with ``pushes``, row -> a number or (M,), added to its states.
 
-    After the step; of a continuous model before it, so that it moves the other states within the step. A
+    After the step; of a continuous model before it, so that they move the other states within the step. A
     chain of such steps is Strang's splitting, of second order, seen half a push early (Strang 1968).
     """
-    if model.continuous and row < model.na:
-        a = a.copy()
-        a[:, row] += push
-    f, A, Q = model.transition(a, u, t, dt, record)
-    if model.continuous and row < model.na:
-        return f, A, Q
-    f = f.copy()
     if model.continuous:
-        f += A[..., row - model.na] * np.reshape(push, (-1, 1))
-    else:
-        f[:, row] += push
+        a = a.copy()
+        for row in (row for row in pushes if row < model.na):
+            a[:, row] += pushes[row]
+    f, A, Q = model.transition(a, u, t, dt, record)
+    f = f.copy()
+    for row, push in pushes.items():
+        if not model.continuous:
+            f[:, row] += push
+        elif row >= model.na:
+            f += A[..., row - model.na] * np.reshape(push, (-1, 1))
     return f, A, Q
 
 
@@ -213,7 +219,7 @@ def add_linear_coupling(
         f, A, Q = model.transition(a, u, t, dt, own_base)
         A, f, size = per_point(A, len(a), dt, own[0]), f.copy(), dt * own[0]
         if model.continuous and target == source:
-            size = np.expm1(size)
+            size = np.expm1(np.minimum(size, MOST_GROWTH))
         f[:, row] -= size * zero(own)
         if model.continuous:
             f[:, row] += size * f[:, model.na + column]
@@ -290,7 +296,7 @@ def change_inputs(
     return on_base(model, split, dynamics=dynamics, measurement=measurement)
 
 
-def on_base(model: MixedModel, split: Split, **functions: Any) -> MixedModel:
+def on_base(model: MixedModel, split: Parts, **functions: Any) -> MixedModel:
     """``model`` with some functions replaced; the others see the base's part of theta only."""
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:

@@ -57,7 +57,10 @@ def _input_dead_zone(setting: Setting, channel: str, name: str) -> Effect:
         f"dead zone of the input {channel}",
         f"v = {origin.text(channel)} -> (|v| - {name})+ sign(v)",
         extend=lambda model: change_inputs(model, channel, change),
-        look_alikes={"coulomb": "acts on the sign of the velocity, not of the input"},
+        look_alikes={
+            "coulomb": "acts on the sign of the velocity, not of the input",
+            "play": "acts at each turn of the input, not about its zero",
+        },
         one_sided=True,
         **origin.counted(Parameter(name, 0.0, setting.unit(channel), bounds, "half width")),
     )

@@ -19,7 +19,7 @@ from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 
 
-def _observers(setting: Setting, model: MixedModel, output: str) -> list[str]:
+def observers(setting: Setting, model: MixedModel, output: str) -> list[str]:
     """The linear states that this output sees, somewhere on the record."""
     row, seen = list(model.outputs).index(output), np.zeros(model.nz, dtype=bool)
     points, theta = setting.points(model)
@@ -69,7 +69,7 @@ def _bend(
     bent: Callable[[Any, Sequence[Any]], Any],
 ) -> MixedModel:
     """The reading y + bent(y, own values), y the noise-free output."""
-    base = promote(model, _observers(setting, model, channel))
+    base = promote(model, observers(setting, model, channel))
     row = list(base.outputs).index(channel)
 
     def change(a: Array, u: Any, t: Any, h: Array, C: Array, R: Array, own: Any) -> Any:

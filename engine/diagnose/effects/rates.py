@@ -68,9 +68,9 @@ def state_scale(model: MixedModel, theta: Array, dt: float) -> tuple[Array, Arra
 def feeding(
     model: MixedModel, theta: Array, points: Points
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which state (column) feeds which (row), (nx, nx); which states some input moves at once (nx,)."""
+    """Which state (column) feeds which (row), (nx, nx); which input (column) moves it at once, (nx, nu)."""
     nx = model.nx
-    change, moved = np.zeros((nx, nx)), np.zeros(nx)
+    change, moved = np.zeros((nx, nx)), np.zeros((nx, model.nu))
     size = points.scale.copy()
     for k in range(len(points.t)):
         here = _next(model, theta, points, k, points.x[k][None], points.u[k])[0]
@@ -81,9 +81,9 @@ def feeding(
             u = points.u[k].copy()
             u[i] += step
             more = _next(model, theta, points, k, points.x[k][None], u)[0]
-            moved = np.fmax(moved, np.abs(more - here))
+            moved[:, i] = np.fmax(moved[:, i], np.abs(more - here))
         size = np.fmax(size, SMALL_SHARE * np.abs(here))
-    return change > FELT_SHARE * size[:, None], moved > FELT_SHARE * size
+    return change > FELT_SHARE * size[:, None], moved > FELT_SHARE * size[:, None]
 
 
 def _next(model: MixedModel, theta: Array, points: Points, k: int, x: Array, u: Array) -> Array:

@@ -134,6 +134,10 @@ class Setting:
         """Whether the state is the rate of another one: friction and drag suit it, stiffness does not."""
         return state in self._rates
 
+    def is_rate_of(self, state: str, position: str) -> bool:
+        """Whether the state is the rate of that one, as far as the equations tell."""
+        return state in self._rates and position in self._rates[state].of
+
     # ---- time ---------------------------------------------------------------------------------
 
     def at_sample(self, t: Any) -> Any:
@@ -203,7 +207,7 @@ class Setting:
 
     @cached_property
     def feeds(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Which state (column) feeds which (row), (nx, nx); which states inputs move at once (nx,)."""
+        """Which state (column) feeds which (row), (nx, nx); which input (column) moves it at once (nx, nu)."""
         points, theta = self.points(self.model)
         return feeding(self.model, theta, points)
 
@@ -244,7 +248,7 @@ def each_moved(setting: Setting) -> Iterator[str]:
     """Every state that an input or another state moves: not a disturbance of its own."""
     feeds, moved = setting.feeds
     for i, name in enumerate(setting.states):
-        if name in setting.targets and (moved[i] or np.delete(feeds[i], i).any()):
+        if name in setting.targets and (moved[i].any() or np.delete(feeds[i], i).any()):
             yield name
 
 
@@ -257,6 +261,16 @@ def each_pair(setting: Setting) -> Iterator[str]:
             yield source
         for j, target in enumerate(states):
             if i != j and target in setting.targets and (feeds[j, i] or feeds[i, j]):
+                yield f"{source}->{target}"
+
+
+def each_path(setting: Setting) -> Iterator[str]:
+    """``input->state`` where the input moves the state at once."""
+    _, moved = setting.feeds
+    inputs = list(setting.model.inputs)
+    for i, target in enumerate(setting.states):
+        for j, source in enumerate(inputs):
+            if moved[i, j] and target in setting.targets and source not in setting.extra:
                 yield f"{source}->{target}"
 
 
@@ -289,7 +303,7 @@ def at_signals(
 
 
 def at_pairs(
-    kind: str, make: Callable[[Setting, str, str, str, str], Effect], channels: Channels
+    kind: str, make: Callable[[Setting, str, str, str, str], Effect | None], channels: Channels
 ) -> Kind:
     """A kind by which one state acts on another, or on itself: ``source->target``, or the state.
 

@@ -235,7 +235,7 @@ KINDS: list[Kind] = [
         "(|{x}| - w)+ sign({x})",
         lambda x, own: np.sign(x) * np.maximum(np.abs(x) - own[0], 0.0),
         1,
-        {"cubic": ODD, "deadzone": ODD},
+        {"cubic": ODD, "deadzone": ODD, "overflow": "acts on large values of one sign only"},
         width=True,
         traits=replace(STIFFNESS, contains=BENT),
     ),

@@ -29,9 +29,10 @@ class Traits:
     ``swallowed``: a fitted process noise can hide it from the screen, so that it is refitted all the same.
     ``unnamed``: it stands for whatever has no name. ``outliers``: judged by a filter that knows outliers.
     ``noise_level``: it changes the size of a channel's noise. ``plainness``: of effects that say the same,
-    the one with the least is said. ``suits``: "rate" (friction) or "position" (stiffness), where the kind is
-    natural. ``says_hold``: what a series would say instead, see :class:`engine.Series`. ``contains``: plainer
-    kinds that it becomes at the end of the range of its own parameters.
+    the one with the least is said. ``suits``: "rate" (friction), "position" (stiffness) or "store" (overflow:
+    neither of these), where the kind is natural. ``says_hold``: what a series would say instead, see
+    :class:`engine.Series`. ``contains``: plainer kinds that it becomes at the end of the range of its own
+    parameters.
     """
 
     course: Course | None = None

@@ -22,9 +22,8 @@ STARTS = 4  # random ones beside each that is known
 ROUNDS = 3
 LATER = 0.2  # of alpha, for rounds after the first: small patches go on being significant
 SHOWN = 5  # look-alikes listed at most
-UNEXPLAINED = (
-    0.5  # of the free run's error before: with so much left beyond noise, no name settles it
-)
+LEFT = 0.05  # of the free run's error before: so little is not worth another round
+UNEXPLAINED = 0.5  # of the same: with so much left beyond noise, no name settles it
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +99,8 @@ def search_free_runs(
             break
         fit = one.chosen.fit
         after = noise_fit(fit)
+        if fit.rms <= LEFT * done[0].fit.rms:
+            break
     return FreeRunSearch(tuple(done), before, after)
 
 

@@ -49,12 +49,11 @@ def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
 
 def unnatural(effect: Effect, setting: Setting) -> int:
     """0 where the kind is natural for the channel, 2 where it is for the other sort, 1 where unknown."""
-    source = effect.channel.partition("->")[0]
-    friction, stiffness = (effect.traits.suits == sort for sort in ("rate", "position"))
-    if not (friction or stiffness):
+    source, suits = effect.channel.partition("->")[0], effect.traits.suits
+    if not suits or source not in setting.states:
         return 1
     if setting.is_rate(source):
-        return 0 if friction else 2
+        return 0 if suits == "rate" else 2
     if setting.has_rate(source):
-        return 2 if friction else 0
-    return 1
+        return 0 if suits == "position" else 2
+    return 0 if suits == "store" else 1

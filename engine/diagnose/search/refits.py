@@ -73,10 +73,10 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
     start = np.concatenate([fit.theta, [score.size], score.at])
     null = start.copy()
     null[n] = 0.0
-    start = np.clip(start, extended.lower, extended.upper)
     sought = effect.sought
     free = [*fit.free, *free_parameters(effect)]
-    start, zero = _best_start(extended, series, start, null, n)
+    starts = np.clip(_places(effect, start, n), extended.lower, extended.upper)
+    start, zero = _best_start(extended, series, starts, null, n)
     if sought:
         start = _best_row(extended, series, start, sought[0], effect)
     target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
@@ -143,13 +143,27 @@ def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Se
     return Refit(effect, found, gain, gain - cost(effect, series))
 
 
+def _places(effect: Effect, start: Array, n: int) -> Array:
+    """Starts (k, .): at every probe where these differ in what is held, as a delay's samples, else at one.
+
+    No slope leads from one to the next, and a large effect bends the scores by which they were compared.
+    """
+    held = [i for i, p in enumerate(effect.parameters[1:]) if p.name in effect.held]
+    if len({tuple(probe[i] for i in held) for probe in effect.probes}) == 1:
+        return start[None]
+    starts = np.repeat(start[None], len(effect.probes), axis=0)
+    starts[:, n + 1 :] = effect.probes
+    return starts
+
+
 def _best_start(
-    extended: MixedModel, series: Series, start: Array, null: Array, n: int
+    extended: MixedModel, series: Series, places: Array, null: Array, n: int
 ) -> tuple[Array, float]:
     """The best of a few sizes around the one-step estimate, which may overshoot; log-likelihood at null."""
-    sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01]) * start[n]
-    starts = np.repeat(start[None], len(sizes), axis=0)
-    starts[:, n] = np.clip(sizes, extended.lower[n], extended.upper[n])
+    sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01])
+    starts = np.repeat(places, len(sizes), axis=0)
+    starts[:, n] *= np.tile(sizes, len(places))
+    starts = np.clip(starts, extended.lower, extended.upper)
     values = log_likelihoods(extended, [series], np.concatenate([null[None], starts]))
     return np.asarray(starts[int(np.argmax(values[1:]))]), float(values[0])
 

@@ -24,7 +24,7 @@ from engine.estimation.quasi_ml import QuasiFit
 
 REFITS = 12  # effects refitted in a round
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
-AT_LEAST = 6  # ... unless it is among the first few: large effects bend the scores of others
+AT_LEAST = 8  # ... unless it is among the first few: large effects bend the scores of others
 AGAIN = (
     0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
 )

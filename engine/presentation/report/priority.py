@@ -11,7 +11,8 @@ FIRST_EFFECTS = 12  # effects that are listed; the rest is a click or an option 
 _KINDS = (
     "coulomb", "bias", "drag", "gain", "delay", "input-offset", "cubic", "lag", "input-deadzone",
     "saturation", "step", "heavy-tails", "drift", "harmonic", "input-saturation", "deadzone", "stribeck",
-    "extra-input", "parameter-step", "colored", "hysteresis", "linear",
+    "slow-sensor", "overflow", "play", "direct", "path", "extra-input", "parameter-step", "colored",
+    "hysteresis", "boucwen", "cogging", "linear",
 )  # fmt: skip
 
 

@@ -18,14 +18,13 @@ from engine.diagnose.search.verdict import set_of
 from engine.diagnose.symptoms.runs import noise_free
 from engine.estimation.quasi_ml import log_likelihoods
 from engine.filters.sigma_point import moment_filter, moment_path
-from tests.engine.hidden_effects import CASES, DRIVE, DT, T, case, hidden, levels, smooth
+from tests.engine.hidden_effects import CASES, DRIVE, DT, ON_SWING, T, case, hidden, levels, smooth
 
 BY_NAME_ONLY = {"offset", "held"}  # another word for bias; for parameters that are not estimated
 QUICK = {  # some of each family; the others are looked for in make test-all
     "force", "quadratic", "mode", "bias", "gain", "quantisation", "variance", "colored",
-    "input-offset", "extra-input", "step", "pulse", "parameter-step", "time-step",
+    "input-offset", "extra-input", "step", "pulse", "parameter-step", "time-step", "direct",
 }  # fmt: skip
-NOT_OF_DRIVE = {"time-step"}  # its load decays from step to step, however long one is
 
 
 def test_every_kind_has_a_case():
@@ -53,7 +52,7 @@ def test_at_size_zero_the_extended_model_is_the_model():
     y, _ = noise_free(model, np.asarray(model.theta()), series, x1)
     base = moment_filter(model, np.asarray(model.theta())[None], series).log_likelihood[0]
     effects = all_effects(setting)
-    assert {e.kind for e in effects} == set(effect_kinds()) - BY_NAME_ONLY - NOT_OF_DRIVE
+    assert {e.kind for e in effects} == set(effect_kinds()) - BY_NAME_ONLY - ON_SWING
     for effect in effects:
         extended = effect.apply(model)
         theta = np.asarray(extended.theta())

@@ -1,7 +1,7 @@
-"""Effects that no kind of the catalogue describes: a chirp, a random telegraph force, play.
+"""Effects that no kind of the catalogue described when they were chosen: a chirp, a telegraph force, play.
 
 Chirp and telegraph are forces on one state with a course over time; play is backlash in the first
-sensor, whose reading only moves once the play is taken up.
+sensor, whose reading only moves once the play is taken up; the catalogue has it now (``play``).
 """
 
 from __future__ import annotations

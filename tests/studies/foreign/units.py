@@ -132,6 +132,8 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         return parameter_scales(model)[model.parameter_names.index(channel)]
     if kind in ("step", "pulse", "harmonic") and source in model.outputs:
         return x
+    if kind == "path":
+        return y / x if target in model.outputs else y / x / k
     known = {
         "bias": x,
         "input-offset": x,
@@ -157,6 +159,12 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "quadratic": y / x**2 / k,
         "cubic": y / x**3 / k,
         "hysteresis": y / x / k**2,
+        "boucwen": y / x / k**2,
+        "cogging": y / k,
+        "direct": y / x,
+        "overflow": 1.0 / k,
+        "play": x,
+        "slow-sensor": k,
     }
     plain = ("gain", "lag", "delay", "rectification", "saturation-sensor", "input-saturation")
     if kind in plain or kind in ("heavy-tails", "level", "variance", "correlation", "hold"):

@@ -1,0 +1,75 @@
+"""Cogging: a force that repeats itself along a position, as of magnets, teeth or a ball screw."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.diagnose.effects.effect import Effect, Values, add_to_state
+from engine.diagnose.effects.setting import POSITIVE, Kind, Setting, at_pairs
+from engine.diagnose.effects.traits import Traits
+from engine.statespace.model import Parameter
+
+CYCLES = np.arange(1.0, 8.5, 0.5)  # periods over the way travelled at which the screen looks
+MOST_CYCLES = 50.0
+WAY = 0.02  # share of the record on either side of the way travelled
+
+
+def _cogging(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect | None:
+    """size sin(2 pi (x - o) / p); the offset o takes the place of a phase and of a zero."""
+    if source == target:
+        return None
+    unit = setting.unit(source)
+    low, middle, high = (setting.quantile(source, q) for q in (WAY, 0.5, 1.0 - WAY))
+    way = high - low if high > low else setting.size(source)
+    periods = [way / float(cycles) for cycles in CYCLES]
+
+    def term(v: Values, own: Sequence[Any]) -> Any:
+        return own[0] * np.sin(2.0 * np.pi * (v[source] - own[2]) / own[1])
+
+    return Effect(
+        "cogging",
+        channel,
+        "state",
+        f"cogging: a force on {target} that repeats itself along {source}",
+        f"{target}' = ... + dt * {name} * sin(2 pi ({source} - {name}_offset) / {name}_period)",
+        (
+            Parameter(name, 0.0, setting.rate(target), description="amplitude"),
+            Parameter(
+                f"{name}_period",
+                periods[2],
+                unit,
+                setting.limits(way / MOST_CYCLES, 2.0 * way, POSITIVE),
+                "way after which it repeats itself",
+            ),
+            Parameter(
+                f"{name}_offset",
+                middle,
+                unit,
+                setting.limits(middle - 2.0 * way, middle + 2.0 * way, -np.inf),
+                "where it is zero",
+            ),
+        ),
+        lambda model: add_to_state(
+            model, target, term, (source,) if source in model.linear else ()
+        ),
+        probes=tuple((p, middle + shift * p) for p in periods for shift in (0.0, 0.25)),
+        look_alikes={
+            "harmonic": "repeats itself in time, not along the way",
+            "cubic": "does not repeat itself",
+        },
+        traits=Traits(suits="position"),
+    )
+
+
+def _each_position(setting: Setting) -> Iterator[str]:
+    """From a position to its rate."""
+    for source in setting.states:
+        for target in setting.targets:
+            if setting.is_rate_of(target, source):
+                yield f"{source}->{target}"
+
+
+KINDS: list[Kind] = [at_pairs("cogging", _cogging, _each_position)]
