@@ -2,8 +2,9 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-# Two processes, each of which runs whole files with one thread.
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+# Three processes on two cores, for tests of the service often wait; each runs whole files with one thread.
+# In the order of the folders: the files with the most tests, which xdist starts with, are not the longest.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: setup demo serve test test-all lint tables bench warm load large-bodies chaos bench-dask bench-free-run
 

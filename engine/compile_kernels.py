@@ -51,9 +51,10 @@ def warm() -> dict[str, set[Any]]:
     """Call every kernel that estimations use; return :func:`compiled_kernels` afterwards."""
     rng = np.random.default_rng(0)
     model = get_model("mixed-4")
-    series = simulate(model, None, 8, rng).series
+    series, free = simulate(model, None, 8, rng).series, model.parameter_names[0]
     for smoother in ("exact", "algorithm-3"):
-        rbps_em(model, series, n_particles=4, n_iterations=1, smoother=smoother)
+        # of one parameter, for kernels are compiled for types and the search for a start is long
+        rbps_em(model, series, free=[free], n_particles=4, n_iterations=1, smoother=smoother)
     for resampling in RESAMPLING:
         rbpf(model, None, series, 4, rng, "bootstrap", resampling, 1.0)
     walk = get_model("linear-2")
@@ -67,7 +68,7 @@ def warm() -> dict[str, set[Any]]:
     rb_ffbsi_linear(rbpf(walk, None, short, 4, rng), 4, rng)
     tanks = get_model("tanks")
     measured = simulate(tanks, None, SHORTEST, rng, u=np.ones(SHORTEST), dt=4.0).series
-    fit_simulation(tanks, measured, free=[tanks.parameter_names[0]])
+    fit_simulation(tanks, measured, free=[tanks.parameter_names[0]], n_starts=1)
     discretize(np.eye(1), dt=1.0)
     run = free_run(walk, None, Series(np.zeros(SHORTEST)))
     first, x = np.arange(1), np.hstack((run.a, run.z))

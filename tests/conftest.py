@@ -42,7 +42,7 @@ def nile_diagnosis() -> Any:
     import engine
     from engine.data import nile
 
-    effects = ["step", "pulse", "ramp", "latent"]
+    effects = ["step", "pulse"]
     return engine.diagnose(engine.get_model("local-level"), nile(), effects=effects, seed=1)
 
 

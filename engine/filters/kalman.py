@@ -61,20 +61,45 @@ class KalmanSmoothed:
 
 
 def transition_matrices(
-    model: MixedModel, record: Any, u: Array, t: float, dt: float, points: Array
+    model: MixedModel, record: Any, u: Array, t: Any, dt: Any, points: Array
 ) -> tuple[Array, Array, Array]:
     """f (nx,), F (nx, nx), Q (nx, nx) of x' = f + F x + w, w ~ N(0, Q), x = (a, z).
 
     ``points`` (n, na) of a from :func:`probes`. Raises ModelError where the model is not linear there.
+    With times of their own, u (nu, M), t (M,) or dt (M,), f and F and what is not common to all are of
+    each: f (M, nx), F (M, nx, nx).
     """
-    return _matrices(model, "fAQ", model.transition(points, u, t, dt, record), points)
+    a, u, t, dt = _at_each(points, u, t, dt)
+    at = model.transition(a, u, t, dt, record)
+    return _matrices(model, "fAQ", _by_time(at, len(points)), points)
 
 
 def observation_matrices(
-    model: MixedModel, record: Any, u: Array, t: float, points: Array
+    model: MixedModel, record: Any, u: Array, t: Any, points: Array
 ) -> tuple[Array, Array, Array]:
     """h (ny,), H (ny, nx), R (ny, ny) of y = h + H x + e, e ~ N(0, R); as transition_matrices."""
-    return _matrices(model, "hCR", model.observation(points, u, t, record), points)
+    a, u, t, _ = _at_each(points, u, t, 0.0)
+    at = model.observation(a, u, t, record)
+    return _matrices(model, "hCR", _by_time(at, len(points)), points)
+
+
+def _at_each(points: Array, u: Any, t: Any, dt: Any) -> tuple[Array, Any, Any, Any]:
+    """All points at the first time, then all at the next; as they are where there is one time."""
+    times = [(u, np.ndim(u) > 1), (t, np.ndim(t) > 0), (dt, np.ndim(dt) > 0)]
+    numbers = [np.shape(x)[-1] for x, many in times if many]
+    if not numbers:
+        return points, u, t, dt
+    u, t, dt = (np.repeat(x, len(points), axis=-1) if many else x for x, many in times)
+    return np.tile(points, (numbers[0], 1)), u, t, dt
+
+
+def _by_time(at: tuple[Array, Array, Array], n: int) -> tuple[Array, Array, Array]:
+    """What a model returned for n points at each of M times, as (M, n, ...); for one time as it is."""
+    value, matrix, cov = at
+    if len(value) == n:
+        return at
+    matrix, cov = (m if m.ndim == 2 else m.reshape(-1, n, *m.shape[1:]) for m in (matrix, cov))
+    return value.reshape(-1, n, value.shape[1]), matrix, cov
 
 
 def probes(centre: Array, sd: Array, typical: Array) -> Array:
@@ -104,28 +129,31 @@ def _matrices(
     value, matrix, cov = at
     common = []
     for name, m in ((names[1], matrix), (names[2], cov)):
-        if m.ndim == 3:
-            if (np.abs(m - m[:1]) > SAME * np.abs(m).max(axis=0)).any():
+        if m.ndim > 2:
+            first = m[..., 0, :, :]
+            if (np.abs(m - m[..., :1, :, :]) > SAME * np.abs(m).max(axis=-3, keepdims=True)).any():
                 raise _not_linear(model, f"{name} depends on a")
-            m = m[0]
+            m = first
         common.append(m)
     slope = _slope(value, points)
     if slope is None:
         raise _not_linear(model, f"{names[0]} is not affine in a")
-    full = np.concatenate([slope, common[0]], axis=1)
-    return value[0] - slope @ points[0], full, common[1]
+    shared = np.broadcast_to(common[0], (*slope.shape[:-2], *common[0].shape[-2:]))
+    full = np.concatenate([slope, shared], axis=-1)
+    return value[..., 0, :] - slope @ points[0], full, common[1]
 
 
 def _slope(value: Array, points: Array) -> Array | None:
-    """J (n, na) with value = value_0 + (a - a_0) J' at all points, None where there is none."""
+    """J (..., n, na) with value = value_0 + (a - a_0) J' at all points, None where there is none."""
     na = points.shape[1]
     moved = points - points[0]
-    change = value - value[0]
+    change = value - value[..., :1, :]
     with np.errstate(invalid="ignore"):
-        J = (change[1 : na + 1] / np.diagonal(moved[1 : na + 1])[:, None]).T
-        off = np.abs(change - moved @ J.T)
-        limit = SAME * np.abs(change).max(axis=0) + ROUNDING * np.abs(value).max(axis=0)
-    return J if (off <= limit).all() else None
+        Jt = change[..., 1 : na + 1, :] / np.diagonal(moved[1 : na + 1])[:, None]
+        off = np.abs(change - moved @ Jt)
+        limit = SAME * np.abs(change).max(axis=-2, keepdims=True)
+        limit = limit + ROUNDING * np.abs(value).max(axis=-2, keepdims=True)
+    return np.swapaxes(Jt, -1, -2) if (off <= limit).all() else None
 
 
 def _not_linear(model: MixedModel, why: str) -> ModelError:
@@ -222,10 +250,11 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
             x = f + F[t] @ x
             P = F[t] @ P @ F[t].T + Q
     x_s, P_s, M = x_f.copy(), P_f.copy(), np.empty((T - 1, nx, nx))
+    scale = _scale(P_p)
+    units = scale[:, :, None] * scale[:, None, :]
+    ahead = np.linalg.pinv(P_p / units, rcond=SINGULAR, hermitian=True) / units
     for t in range(T - 2, -1, -1):
-        scale = _scale(P_p[t + 1])
-        ahead = np.linalg.pinv(P_p[t + 1] / np.outer(scale, scale), rcond=SINGULAR, hermitian=True)
-        G = P_f[t] @ F[t].T @ (ahead / np.outer(scale, scale))
+        G = P_f[t] @ F[t].T @ ahead[t + 1]
         x_s[t] = x_f[t] + G @ (x_s[t + 1] - x_p[t + 1])
         P_s[t] = P_f[t] + G @ (P_s[t + 1] - P_p[t + 1]) @ G.T
         M[t] = G @ P_s[t + 1]
@@ -233,6 +262,6 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
 
 
 def _scale(S: Array) -> Array:
-    """Standard deviations (n,), 1 where zero: without units, small channels are not lost beside large."""
-    d = np.diagonal(S)
+    """Standard deviations (..., n), 1 where zero: without units, small channels are not lost beside large."""
+    d = np.diagonal(S, axis1=-2, axis2=-1)
     return np.sqrt(np.where(d > 0.0, d, 1.0))

@@ -193,12 +193,12 @@ class InMemory:
 
 def test_starts_and_bootstrap_are_the_services(rbps, flows):
     result = rbps("fit", flows, "-m", "local-level", "--set", "q=3000", "--free", "q,r", "--method",
-                  "rts-em", "-n", 15, "--starts", 3, "--bootstrap", 4, "--seed", 2, "-o", "a.json")  # fmt: skip
+                  "rts-em", "-n", 5, "--starts", 3, "--bootstrap", 4, "--seed", 2, "-o", "a.json")  # fmt: skip
     assert result.exit_code == 0, result.stderr
     job = load({
         "kind": "estimate", "model": "local-level", "series": [{"y": nile().y.tolist()}],
         "parameters": {"start": {"q": 3000.0}, "free": ["q", "r"]},
-        "options": {"method": "rts-em", "iterations": 15, "starts": 3, "bootstrap": 4, "seed": 2},
+        "options": {"method": "rts-em", "iterations": 5, "starts": 3, "bootstrap": 4, "seed": 2},
     })  # fmt: skip
     there = InMemory()
     for task in range(3 + 1 + 4 + 1):

@@ -26,7 +26,7 @@ FIT = (
 def data(tmp_path_factory):
     path = tmp_path_factory.mktemp("data") / "data.csv"
     model = engine.get_model("mixed-4")
-    write_series(engine.simulate(model, None, 80, np.random.default_rng(1)).series, path)
+    write_series(engine.simulate(model, None, 60, np.random.default_rng(1)).series, path)
     return path
 
 
@@ -59,7 +59,7 @@ def test_a_bar_with_the_time_that_is_left(folder, terminal):
     run.until(r"━+.* \d+/30 +\d+:\d\d +log-likelihood -?\d+\.\d\d")
     code, shouted = run.end()
     assert code == 0
-    assert "data.csv: 80 samples every 1 s; y1, y2\r\n" in run.shown
+    assert "data.csv: 60 samples every 1 s; y1, y2\r\n" in run.shown
     assert shouted == quiet
     assert "theta_2" in shouted
 

@@ -1,5 +1,7 @@
 """A small drive, and one case per kind of effect of the catalogue: where it is hidden, and how large."""
 
+from dataclasses import replace
+
 import numpy as np
 
 import engine
@@ -168,7 +170,8 @@ SWING = engine.MixedModel(
 
 ON_SWING = {"time-step", "cogging"}  # kinds that need a real time step, or a position
 
-LONGER = {"correlation": 1200}  # samples, where an effect shows little in each
+# by a sensor a hundred times as precise, through which one sees how its noises go together
+PRECISE = replace(DRIVE, measurement=lambda a, u, t, theta: ([a[:, 0]], [[0.0]], [[1e-5]]))
 
 
 def case(kind, seed):
@@ -178,9 +181,12 @@ def case(kind, seed):
     if kind in ON_SWING:
         rng = np.random.default_rng(seed)
         return SWING, hide(SWING, [name], values, T, rng, u=levels(rng), dt=DT).series, name
+    if kind == "correlation":
+        rng = np.random.default_rng(seed)
+        return PRECISE, hide(PRECISE, [name], values, T, rng, u=levels(rng), dt=DT).series, name
     if kind != "extra-input":
         force = smooth if kind == "hold" else levels
-        return DRIVE, hidden([name], values, seed, LONGER.get(kind, T), force), name
+        return DRIVE, hidden([name], values, seed, T, force), name
     rng = np.random.default_rng(seed)
     force = levels(rng)
     warm = np.convolve(rng.standard_normal(T + 40), np.ones(41) / np.sqrt(41.0), "valid")

@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,22 @@ def test_there_are_three_blocks_and_all_are_run_here():
     assert len(BLOCKS) == 3
 
 
+def test_the_glider_in_short(capsys, monkeypatch):
+    """The block runs as it stands, on fewer samples, with fewer iterations and few effects."""
+    (block,) = (one for one in BLOCKS if "glider" in one)
+    for long, short in (("400", "100"), ("n_iterations=100", "n_iterations=5")):
+        assert long in block
+        block = block.replace(long, short)
+    few = partial(engine.diagnose, effects=["bias"])
+    monkeypatch.setattr(engine, "diagnose", few)
+    names: dict = {}
+    exec(compile(block, "README.md", "exec"), names)
+    printed = capsys.readouterr().out
+    assert "(100, 2) (100, 2)" in printed
+    assert printed.rstrip().endswith(names["looked"].verdict.value)
+
+
+@pytest.mark.slow
 def test_the_glider(capsys):
     """The truth is within all intervals: c as simulated, q and r at their defaults."""
     names, printed = run("glider", capsys)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
 
 from engine.data.series import Series
 from engine.diagnose.free_run.fitted import Fitted, on_rows
+from engine.distributions import student_sf
 from engine.statespace.model import Array
 
 BLOCKS, FOLDS = 16, 4
@@ -88,4 +88,4 @@ def p_better(better: Array, worse: Array) -> float:
     if len(d) < 2 or not np.ptp(d) > 0.0:
         return 0.5 if not len(d) or d[0] == 0.0 else float(d[0] < 0.0)
     error = d.std(ddof=1) / np.sqrt(len(d))
-    return float(student_t.sf(d.mean() / error, len(d) - 1))
+    return float(student_sf(d.mean() / error, len(d) - 1))

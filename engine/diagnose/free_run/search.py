@@ -33,10 +33,8 @@ JUDGED = 16  # refits that are judged on rows left out
 SIZES = (1.0, 0.2)  # of the first-order size, from which a refit starts
 ENOUGH = 1.2  # of the squared error expected to first order: so near it another start is not tried
 APART = 0.05  # of the residuals: two refits that differ less run alike
-GAINED, NOT_WORSE = (
-    0.05,
-    0.10,
-)  # p-values of a gain over the model without; of being no worse than the best, all together
+GAINED = 0.05  # p-value of a gain over the model without
+NOT_WORSE = 0.10  # p-value of being no worse than the best, for all together
 NEAR = 0.05  # of the error before: parameters that the model has survive where they lose no more
 WORTH = 0.1  # of the error on rows left out: less is not worth an effect
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
 
 from engine.data.series import Series
 from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
@@ -25,6 +24,7 @@ from engine.diagnose.gain.simulation_gain import (
     output_gains,
 )
 from engine.diagnose.symptoms.error_localization import newey_west
+from engine.distributions import student_sf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.statespace.model import Array
@@ -237,7 +237,7 @@ def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, fl
     error = newey_west(deviations, n, lags_for(deviations)) * float(np.sqrt(n / (n - 1.0)))
     if not error > 0.0:
         return mean, error, 0.5 if mean == 0.0 else float(mean < 0.0)
-    return mean, error, float(student_t.sf(mean / error, n - 1))
+    return mean, error, student_sf(mean / error, n - 1)
 
 
 def lags_for(d: Array) -> int:

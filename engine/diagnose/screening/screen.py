@@ -22,10 +22,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.screening.score_columns import UNTESTABLE, Column, Projection
+from engine.distributions import chi2_isf, chi2_sf
 from engine.statespace.model import Array
 
 MULTIPLIER_DRAWS = 499  # multiplier draws
@@ -54,7 +54,7 @@ class Score:
 
     def p_of(self, value: float) -> float:
         """The p-value of a value of this statistic, such as a refitted likelihood ratio."""
-        p_value = min(1.0, self.tests * float(chi2.sf(value, self.degrees)))
+        p_value = min(1.0, self.tests * float(chi2_sf(value, self.degrees)))
         return float(p_value ** (1.0 / self.boldness))
 
 
@@ -158,19 +158,19 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
             observed.append(test.known[1])
             drawn.append(rng.random(MULTIPLIER_DRAWS))
         elif test.tries > 1:  # the best of many places, nearly independent: Bonferroni
-            observed.append(min(1.0, test.tries * float(chi2.sf(found.max(), test.degrees))))
+            observed.append(min(1.0, test.tries * float(chi2_sf(found.max(), test.degrees))))
             drawn.append(rng.random(MULTIPLIER_DRAWS))
         elif single:  # the limiting distribution resolves smaller p-values than the draws
             factor = tail * _heavier(draws, test, tail)
-            observed.append(min(1.0, factor * float(chi2.sf(found.max(), test.degrees))))
-            drawn.append(np.minimum(1.0, factor * chi2.sf(draws, test.degrees)))
+            observed.append(min(1.0, factor * float(chi2_sf(found.max(), test.degrees))))
+            drawn.append(np.minimum(1.0, factor * chi2_sf(draws, test.degrees)))
         else:
             maxima = np.concatenate([[found.max()], draws])
             p_values = _family_p(maxima, draws, test.degrees, effective[-1])
             observed.append(float(p_values[0]))
             drawn.append(p_values[1:])
     lowest = np.min(drawn, axis=0)
-    threshold = float(chi2.isf(max(float(np.quantile(lowest, alpha)), 1e-12), 1))
+    threshold = float(chi2_isf(max(float(np.quantile(lowest, alpha)), 1e-12), 1))
     order = sorted(range(len(tests)), key=lambda i: observed[i])
     scores, vectors = [], []
     for i in order:
@@ -214,7 +214,7 @@ def _family_p(values: Array, draws: Array, degrees: int, effective: float) -> Ar
     Data and draws go by the same rule, so that its error is in both.
     """
     count = (draws >= values[:, None]).sum(axis=1)
-    beyond = np.minimum(1.0, effective * chi2.sf(values, degrees))
+    beyond = np.minimum(1.0, effective * chi2_sf(values, degrees))
     return np.asarray(np.where(count >= COUNTED_DRAWS, (1.0 + count) / (len(draws) + 1.0), beyond))
 
 
@@ -229,9 +229,9 @@ def _heavier(draws: Array, test: Test, tail: float) -> float:
 
 
 def _effective(draws: Array, test: Test) -> float:
-    """n such that n chi2.sf is the tail of the family's maximum at the draws' 95 % point."""
+    """n such that n chi2_sf is the tail of the family's maximum at the draws' 95 % point."""
     edge = float(np.quantile(draws, 0.95))
-    return 0.05 / max(float(chi2.sf(edge, test.degrees)), 1e-300)
+    return 0.05 / max(float(chi2_sf(edge, test.degrees)), 1e-300)
 
 
 def make_test(

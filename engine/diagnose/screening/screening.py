@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
@@ -17,6 +16,7 @@ from engine.diagnose.screening.score_columns import Projection, effect_columns, 
 from engine.diagnose.screening.screen import Screen, Test, make_test, screen
 from engine.diagnose.screening.tails import fit_tails, pit_of, standardised_errors, tail_test
 from engine.diagnose.screening.time_scan import family_test, is_timed
+from engine.distributions import chi2_sf
 from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import moment_path
@@ -96,4 +96,4 @@ def _confirmed(test: Test, fit: QuasiFit, series: Series) -> Test:
     ratio = max(gain, 0.0)
     if ratio >= test.known[0]:
         return test
-    return replace(test, known=(ratio, 0.5 * float(chi2.sf(ratio, 1))))
+    return replace(test, known=(ratio, 0.5 * float(chi2_sf(ratio, 1))))

@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
-from scipy.stats import kurtosistest, norm
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.screening.screen import Test
+from engine.distributions import kurtosis_z, normal_sf
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.gaussian_sum import outlier_log_terms
 from engine.filters.rbpf import Filtered, rbpf
@@ -54,7 +54,7 @@ def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array
     r = r[np.isfinite(r)]
     if len(r) < LEAST or float(r.std()) == 0.0:
         return None
-    z = float(kurtosistest(r).statistic)
+    z = kurtosis_z(r)
     n = path.innovations.shape[0]
     width = path.innovations.size * (1 + path.innovations.shape[1])
     # the size is a share; to first order the excess kurtosis is 3 share (ratio^2 - 1)^2
@@ -67,7 +67,7 @@ def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array
         np.ones(1),
         ((USUAL,),),
         np.zeros(width),
-        known=(max(z, 0.0) ** 2, float(norm.sf(z))),
+        known=(max(z, 0.0) ** 2, float(normal_sf(z))),
     )
 
 

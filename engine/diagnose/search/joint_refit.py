@@ -45,11 +45,13 @@ def look_back(
             without = _together(base, final, [*before, *after], {}, series, here)
         except (EngineError, np.linalg.LinAlgError):
             continue
-        again = [r for r in found.refits if r.effect.traits.outliers]  # by another filter
+        again = []  # without outliers: they were no choice, and this filter does not see them
         for effect, own in _rivals(found, [other.name for other in (*before, *after)]):
+            # the choice starts where it is beside the others, and so is never lost on the way there
+            start = {} if effect.name == effects[i].name else own
             try:
                 among = [*before, effect, *after]
-                fit = _together(base, final, among, own, series, here)
+                fit = _together(base, final, among, start, series, here)
             except (EngineError, np.linalg.LinAlgError):
                 continue
             gain = 2.0 * (fit.log_likelihood - without.log_likelihood)

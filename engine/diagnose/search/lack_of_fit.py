@@ -14,7 +14,6 @@ from itertools import chain, combinations_with_replacement
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect, Values, add_to_state
@@ -24,6 +23,7 @@ from engine.diagnose.screening.score_columns import (
     parameter_columns,
     static_column,
 )
+from engine.distributions import chi2_sf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import MomentPath, moment_path
@@ -133,7 +133,7 @@ def _of_target(
     drawn = ((signs @ scores.T) ** 2).sum(axis=1)
     by_draws = (1.0 + float((drawn >= statistic).sum())) / (DRAWS + 1.0)
     k = int(new.sum())
-    p_value = max(by_draws, float(chi2.sf(statistic, k)))
+    p_value = max(by_draws, float(chi2_sf(statistic, k)))
     largest = np.flatnonzero(told)[int(np.argmax(np.abs(s.sum(axis=1))))]
     return LackOfFit(target, statistic, k, p_value, terms[largest])
 

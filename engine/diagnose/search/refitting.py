@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
@@ -19,6 +18,7 @@ from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import Refit, cost, refit, taken_up
 from engine.diagnose.search.rounds import Round, settle
+from engine.distributions import chi2_isf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 
@@ -56,7 +56,7 @@ def refit_swallowed(
 
 def _alarming(score: Score, families: int, series: Series) -> float:
     """Half the score from which such a refit would be an alarm at ALARM: below it, it is left half-way."""
-    ratio = chi2.isf(ALARM * REFITTED / (families * max(score.tests, 1.0)), score.degrees)
+    ratio = chi2_isf(ALARM * REFITTED / (families * max(score.tests, 1.0)), score.degrees)
     return 0.5 * float(ratio) - cost(score.effect, series)
 
 

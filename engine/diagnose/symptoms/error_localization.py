@@ -19,8 +19,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
 
+from engine.distributions import chi2_sf, normal_isf
 from engine.statespace.model import Array
 
 # Standard errors: by chance about one in 20 among all intervals of ten signals. Free runs get by with
@@ -176,7 +176,7 @@ def by_frequency(errors: Errors, dt: float, n_bands: int, expected: float = 1.0)
         here = float(power[inside].sum())
         if drawn is None:
             level = expected * seen / T * n / len(power)
-            score = float(norm.isf(np.clip(chi2.sf(2 * n * here / level, 2 * n), 1e-300, 1.0)))
+            score = float(normal_isf(np.clip(chi2_sf(2 * n * here / level, 2 * n), 1e-300, 1.0)))
         else:
             tiny = float(np.finfo(float).tiny)
             logs = np.log(np.maximum(drawn[:, inside].sum(axis=1), tiny))

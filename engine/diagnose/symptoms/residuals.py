@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from engine.data.series import Series
 from engine.diagnose.screening.disturbances import backward
+from engine.distributions import chi2_sf
 from engine.estimation.quasi_ml import whitening
 from engine.filters.sigma_point import MomentPath
 from engine.statespace.model import Array
@@ -47,7 +47,7 @@ def whiteness(z: Array, names: tuple[str, ...]) -> tuple[Whiteness, ...]:
         r, pairs = autocorrelation(column, lags)
         Q = float(np.sum(r**2 * pairs)) * (n + 2.0) / n
         mean_square = float(np.mean(column[seen] ** 2))
-        out.append(Whiteness(name, Q, lags, float(chi2.sf(Q, lags)), mean_square))
+        out.append(Whiteness(name, Q, lags, float(chi2_sf(Q, lags)), mean_square))
     return tuple(out)
 
 

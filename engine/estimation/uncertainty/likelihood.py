@@ -34,9 +34,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.stats import chi2
 
 from engine.data.series import Series, as_series_list
+from engine.distributions import chi2_quantile
 from engine.errors import ModelError, NotSettledWarning, OptionError
 from engine.estimation.uncertainty.observed import StandardErrors, standard_errors
 from engine.estimation.uncertainty.score import Score
@@ -170,7 +170,7 @@ def likelihood_intervals(
     score = Score.of(model, theta, all_series, indices, n_particles, n_trajectories, exact)
     seeds = np.random.SeedSequence(seed, spawn_key=(1,))
     march = _March(score, errors.covariance, 1 if exact else replicates, seeds)
-    fall = 0.5 * float(chi2.ppf(level, 1))
+    fall = 0.5 * float(chi2_quantile(level, 1))
     values, spread = (np.full((len(theta), 2), np.nan) for _ in range(2))
     maximum = np.array(theta)
     for k, index in enumerate(indices):

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from engine.data.series import Series, as_series_list
+from engine.distributions import chi2_quantile, normal_quantile
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.uncertainty.score import Score, inside
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
@@ -92,7 +92,7 @@ class StandardErrors:
 
     def interval(self, level: float = 0.95) -> Array:
         """Symmetric confidence intervals (n_theta, 2), NaN for parameters held fixed."""
-        half = float(norm.ppf(0.5 + level / 2.0)) * self.values
+        half = float(normal_quantile(0.5 + level / 2.0)) * self.values
         return np.stack([np.asarray(self.theta) - half, np.asarray(self.theta) + half], axis=1)
 
     def _repr_html_(self) -> str:
@@ -225,7 +225,7 @@ def _decrement(covariance: Array, scores: Array) -> tuple[float, float]:
         return decrement, 0.0
     variance = (scores - mean).T @ (scores - mean) / (R - 1) / R
     # a sum of squares with this mean has its largest quantiles where it is a single square
-    return decrement, float(np.trace(covariance @ variance) * chi2.ppf(0.95, 1))
+    return decrement, float(np.trace(covariance @ variance) * chi2_quantile(0.95, 1))
 
 
 def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:

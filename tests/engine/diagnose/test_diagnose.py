@@ -57,7 +57,7 @@ def test_a_hidden_effect_is_found(name, sizes, family):
         assert found.extended.parameter_names[: len(DRIVE.parameters)] == DRIVE.parameter_names
 
 
-@open_to("coulomb", "drag", "bias")
+@open_to("coulomb:speed", "bias:reading")
 def test_two_effects_are_found_in_turn(effects):
     names = ["coulomb:speed", "bias:reading"]
     series = hidden(names, {"coulomb_speed": 0.6, "bias_reading": 0.6}, seed=7)

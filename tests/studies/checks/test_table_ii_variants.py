@@ -144,8 +144,11 @@ def test_curvature_at_the_maximum_is_that_of_the_standard_errors():
     model = model_named("mixed-4")
     row = estimate("all-five", "rbps", {"n_iterations": 60}, True, False, False, 0, 3)
     theta = model.theta({name: row[f"average.{name}"] for name in ALL_FIVE})
-    found = curvature(model, theta, realisation(model, 0, 3).series, np.random.SeedSequence(1))
-    assert found["curvature"] > 0.5
-    assert 0.0 < found["curvature_se"] < 0.3
-    assert found["gain"] < 2.0
-    assert 0.005 < found["se.theta_5"] < 0.04
+    series = realisation(model, 0, 3).series
+    found = [curvature(model, theta, series, np.random.SeedSequence(seed)) for seed in range(1, 5)]
+    # one is off by 0.2, their mean by 0.1, and the least of five noisy eigenvalues is below one
+    assert 0.25 < np.mean([one["curvature"] for one in found]) < 1.25
+    for one in found:
+        assert 0.0 < one["curvature_se"] < 0.4
+        assert one["gain"] < 2.0
+        assert 0.005 < one["se.theta_5"] < 0.04
