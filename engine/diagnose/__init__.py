@@ -36,6 +36,7 @@ from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.free_run.answer import causes_of
 from engine.diagnose.free_run.second_opinion import second_opinion
+from engine.diagnose.free_run.windows import MOST_ONE_STEP, stretch
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -176,9 +177,16 @@ def diagnose(
     theta = theta if fine.theta is None else fine.theta
     train, held_out = _split(fine.series, None if test is None else test.refined(fine.k))
 
+    begin, end = stretch(train, MOST_ONE_STEP)
+    searched = train if end - begin == len(train) else train.part(begin, end)
+    if searched is not train:
+        notes.append(
+            f"The likelihood searched {len(searched.samples)} of {len(train.samples)} samples, those that "
+            f"move most: from t = {searched.t[0]:g} s to {searched.t[-1]:g} s."
+        )
     causes = find_causes(
         model,
-        train,
+        searched,
         theta,
         free=free,
         alpha=alpha,
@@ -214,7 +222,7 @@ def diagnose(
         clock.start(STAGE)
         p_bootstrap = first_round_p(
             base,
-            train,
+            searched,
             causes.setting,
             found,
             bootstrap,
@@ -240,7 +248,7 @@ def diagnose(
             gain = measure_gain(before, after, held_out, history, seed)
         gain = gain.every(fine.k)
         if model.na and not asked.decides:
-            text, contradicts = _particle_word(base, found, train, seed)
+            text, contradicts = _particle_word(base, found, searched, seed)
             notes.append(text)
             verdict = Verdict.UNKNOWN if contradicts else verdict
     clock.stop()

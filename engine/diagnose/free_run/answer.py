@@ -16,6 +16,7 @@ from engine.diagnose.free_run.search import Candidate, FreeRound, Progress, one_
 from engine.diagnose.search.findings import Cause, LookAlike, Verdict
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.simulation.fit import fit_simulation
+from engine.simulation.free_run import first_state
 from engine.statespace.model import Array, MixedModel, Theta
 
 STARTS = 4  # random ones beside each that is known
@@ -77,10 +78,12 @@ def search_free_runs(
     seed: int,
     progress: Progress,
     rounds: int = ROUNDS,
+    whole: Sequence[Series] = (),
 ) -> FreeRunSearch:
     """Search for what the free run of ``base`` gets wrong; ``theta`` is another start of its fit.
 
-    ``rivals`` are answers of others, which are judged beside its own in the first round.
+    ``rivals`` are answers of others, which are judged beside its own in the first round. ``records`` may be
+    windows of the ``whole`` ones; to these both models are fitted in the end.
     """
     fit = best_runs(base.model, records, [base.theta, theta], base.free, seed)
     before = after = noise_fit(fit)
@@ -101,7 +104,19 @@ def search_free_runs(
         after = noise_fit(fit)
         if fit.rms <= LEFT * done[0].fit.rms:
             break
+    if whole and len(done[0].survivors):
+        before, after = on_whole(done[0].fit, before, whole), on_whole(fit, after, whole)
     return FreeRunSearch(tuple(done), before, after)
+
+
+def on_whole(fit: Fitted, noise: QuasiFit, whole: Sequence[Series]) -> QuasiFit:
+    """The fit of windows, gone on with on whole records; the noise is that of the windows."""
+    mean, _ = first_state(fit.model, fit.theta)
+    found = fit_runs(fit.model, whole, noise.theta, fit.free, np.tile(mean, (len(whole), 1)))
+    theta = np.asarray(noise.theta).copy()
+    theta[found.problem.active] = np.asarray(found.theta)[found.problem.active]
+    here = replace(noise, theta=fit.model.theta(theta))
+    return replace(here, information=information(found, here))
 
 
 def best_runs(

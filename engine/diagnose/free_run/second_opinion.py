@@ -87,6 +87,7 @@ def second_opinion(
             rivals=lambda setting: _rivals(named),
             seed=seed,
             progress=progress,
+            whole=() if records[0] is series else [series],
         )
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")

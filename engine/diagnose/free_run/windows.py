@@ -10,6 +10,7 @@ from engine.data.series import Series
 
 MOST_ROWS = 4000  # of all windows together, steps between samples counted
 WINDOWS = 4
+MOST_ONE_STEP = 8000  # rows on which the likelihood searches
 
 
 def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
@@ -27,6 +28,18 @@ def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
     order = sorted(range(len(parts)), key=lambda k: activity(parts[k], longest))
     chosen = {order[i] for i in np.linspace(0, len(order) - 1, WINDOWS).round().astype(int)}
     return [parts[k] for k in sorted(chosen)]
+
+
+def stretch(series: Series, most: int) -> tuple[int, int]:
+    """First row and end of the stretch of at most so many rows that moves most; samples stay whole."""
+    length = most // series.substeps * series.substeps
+    if len(series) <= most or not length:
+        return 0, len(series)
+    firsts = range(
+        0, len(series) - length + 1, max(length // 2, 1) // series.substeps * series.substeps
+    )
+    best = max(firsts, key=lambda first: activity(series.part(first, first + length), series))
+    return best, best + length
 
 
 def activity(part: Series, whole: Series) -> float:
