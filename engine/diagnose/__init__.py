@@ -163,16 +163,18 @@ def diagnose(
         clock.spent,
     )
     plain = _split(series, test)[0]
+    part = plain.part(*stretch(plain, MOST_ONE_STEP))
     clock.start("fit")
     fine = prepare(
         model,
         series,
         lambda: np.asarray(
             done.within("one step a sample")
-            .fit(model, partial(fit_base, model, plain, theta, free))
+            .fit(model, partial(fit_base, model, part, theta, free))
             .theta
         ),
         test,
+        part,
     )
     theta = theta if fine.theta is None else fine.theta
     train, held_out = _split(fine.series, None if test is None else test.refined(fine.k))

@@ -28,6 +28,8 @@ REFINED = 4  # random starts that are followed
 TRIALS = 8  # sizes tried for a parameter of unknown scale
 PRECISE = 1e-7  # relative change of the cost or of p at which the search ends
 SILENT = 1e-9  # a derivative below this share of the largest one is no influence
+AWAY = 1e6  # times the largest reading: a run so far off is lost, and squares of it overflow
+TOO_STEEP = 1e100  # derivatives from there on are none
 LOOKED_AT = 1000  # rows of a record on which derivatives of both kinds are compared
 ALIKE = 0.01  # share by which a column of derivatives may differ from differences of runs ...
 WEAK = 1e-6  # ... of the largest column: what differences of runs resolve
@@ -128,8 +130,11 @@ class FreeRunProblem:
         kept = slice(None) if rows is None else rows
         low, high = self.bounds()
 
+        most = AWAY * self.reach()
+
         def residuals(p: Array) -> Array:
-            return self.evaluate(p)[0][kept]
+            e = self.evaluate(p)[0][kept]
+            return e if np.abs(e).max(initial=0.0) < most else np.full_like(e, np.inf)
 
         def jacobian(p: Array) -> Array:
             return self.evaluate(p)[1][kept]
@@ -184,8 +189,13 @@ class FreeRunProblem:
             free_run(self.model, theta, one, x[: self.model.na], x[self.model.na :])
         raise ModelError(f"model '{self.model.name}': the run from theta0 is too large to fit")
 
+    def reach(self) -> float:
+        """The largest reading, weighed as the residuals; 1 where all are zero."""
+        values = [np.abs(one.y / self.scale)[one.observed] for one in self.series]
+        return max((float(y.max(initial=0.0)) for y in values), default=0.0) or 1.0
+
     def evaluate(self, p: Array) -> tuple[Array, Array]:
-        """Residuals (n,) and their derivatives (n, n_p); 0 where these are not finite."""
+        """Residuals (n,) and their derivatives (n, n_p); 0 where these are not finite or as good as."""
         key = p.tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1], self._last[2]
@@ -200,7 +210,7 @@ class FreeRunProblem:
             block[:, :k] = slope[:, :k]
             block[:, k + s * m : k + (s + 1) * m] = slope[:, k:]
             blocks.append(((one.y - y) / self.scale)[one.observed])
-            derivatives.append(np.where(np.isfinite(block), block, 0.0))
+            derivatives.append(np.where(np.abs(block) < TOO_STEEP, block, 0.0))
         out = np.concatenate(blocks), np.concatenate(derivatives)
         self._last = (key, *out)
         return out

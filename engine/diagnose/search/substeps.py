@@ -50,11 +50,16 @@ class Prepared:
 
 
 def prepare(
-    model: MixedModel, series: Series, fitted: Callable[[], Array], test: Series | None = None
+    model: MixedModel,
+    series: Series,
+    fitted: Callable[[], Array],
+    test: Series | None = None,
+    part: Series | None = None,
 ) -> Prepared:
     """The series with as many steps a sample as a continuous model needs for its effects.
 
-    ``fitted`` estimates the model's theta (n_theta,) on the series as it is. A lag or a delay counts
+    ``fitted`` estimates the model's theta (n_theta,) on the series as it is, or on a ``part`` of it that is
+    looked at. A lag or a delay counts
     samples, so all series, ``test`` too, must be sampled at one common step; else one step a sample is kept.
     """
     if not model.continuous:
@@ -63,14 +68,15 @@ def prepare(
         text = "Samples are not at one common step: the model makes one step a sample."
         return Prepared(series, notes=(text,))
     theta = fitted()
-    setting = setting_for(model, series, theta)
+    part = series if part is None else part
+    setting = setting_for(model, part, theta)
     if not is_consistent(model, theta, _points(setting)):
         text = (
             f"Model '{model.name}' declares a real time step (continuous=True), but two half-steps do not "
             "agree with one: one step a sample is kept."
         )
         return Prepared(series, notes=(text,), theta=theta)
-    k = choose(setting, series, theta)
+    k = choose(setting, part, theta)
     notes = (f"The model makes {k} steps a sample, so that effects act within it.",)
     return Prepared(series.refined(k), k, notes if k > 1 else (), theta)
 
