@@ -36,7 +36,7 @@ from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.free_run.answer import causes_of
 from engine.diagnose.free_run.second_opinion import second_opinion
-from engine.diagnose.free_run.windows import MOST_ONE_STEP, stretch
+from engine.diagnose.free_run.windows import stretch
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -163,7 +163,7 @@ def diagnose(
         clock.spent,
     )
     plain = _split(series, test)[0]
-    part = plain.part(*stretch(plain, MOST_ONE_STEP))
+    part = plain.part(*stretch(plain))
     clock.start("fit")
     fine = prepare(
         model,
@@ -179,7 +179,7 @@ def diagnose(
     theta = theta if fine.theta is None else fine.theta
     train, held_out = _split(fine.series, None if test is None else test.refined(fine.k))
 
-    begin, end = stretch(train, MOST_ONE_STEP)
+    begin, end = stretch(train)
     searched = train if end - begin == len(train) else train.part(begin, end)
     if searched is not train:
         notes.append(

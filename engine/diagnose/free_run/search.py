@@ -2,8 +2,8 @@
 
 In each round effects are screened to first order, alone and in pairs; the best are refitted, others beside
 the leading refits, and those compared on rows that each fit has not seen (:mod:`.folds`). What is not worse
-than the best, at ``NOT_WORSE`` for all of them together, survives; of these the fewest parameters. Survivors
-that run alike say the same in other words, and one name stands for them; others are a set.
+than the best, at ``NOT_WORSE`` for all of them together, survives. Survivors that run alike say the same in
+other words, and one name stands for them; others are a set.
 """
 
 from __future__ import annotations
@@ -245,7 +245,11 @@ def _judged(
 def survivors(
     own: Array, judged: Sequence[Candidate], setting: Setting
 ) -> tuple[tuple[Candidate, ...], ...]:
-    """Of those that gain, and are not worse than the best: the fewest parameters, in groups that run alike."""
+    """Of those that gain, what is not worse than the best, in groups that run alike; the first one is chosen.
+
+    That is the one with the fewest parameters of those near the best: further parameters must earn their
+    place. Others survive where they have no more parameters.
+    """
     worth = np.nanmean(own) + np.log1p(-WORTH)
     gaining = [c for c in judged if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth]
     if not gaining:
@@ -258,9 +262,12 @@ def survivors(
         if p_better(gaining[0].losses, c.losses) > level
         or (_of_the_model(c) and c.held_out <= near)
     ]
-    fewest = min(c.fit.n_parameters for c in left)
+    close = [c for c in left if c.held_out <= (1.0 + WORTH) * gaining[0].held_out]
+    fewest = min(c.fit.n_parameters for c in close)
+    left = [c for c in left if c.fit.n_parameters <= fewest]
+    left.sort(key=lambda c: (c not in close, -c.fit.n_parameters))
     groups: list[list[Candidate]] = []
-    for candidate in (_to_its_end(c) for c in left if c.fit.n_parameters == fewest):
+    for candidate in map(_to_its_end, left):
         for group in groups:
             if alike(candidate.fit, group[0].fit):
                 group.append(candidate)

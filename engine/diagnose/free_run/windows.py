@@ -10,7 +10,7 @@ from engine.data.series import Series
 
 MOST_ROWS = 4000  # of all windows together, steps between samples counted
 WINDOWS = 4
-MOST_ONE_STEP = 8000  # rows on which the likelihood searches
+LONG, STRETCH = 10_000, 3000  # rows from which on the likelihood searches a stretch, and its length
 
 
 def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
@@ -30,10 +30,10 @@ def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
     return [parts[k] for k in sorted(chosen)]
 
 
-def stretch(series: Series, most: int) -> tuple[int, int]:
-    """First row and end of the stretch of at most so many rows that moves most; samples stay whole."""
-    length = most // series.substeps * series.substeps
-    if len(series) <= most or not length:
+def stretch(series: Series, long: int = LONG, rows: int = STRETCH) -> tuple[int, int]:
+    """First row and end of the stretch of a long series that moves most; samples stay whole."""
+    length = rows // series.substeps * series.substeps
+    if len(series) <= long or not length:
         return 0, len(series)
     firsts = range(
         0, len(series) - length + 1, max(length // 2, 1) // series.substeps * series.substeps
