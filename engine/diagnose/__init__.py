@@ -262,6 +262,7 @@ def diagnose(
         series=series,
         p_bootstrap=p_bootstrap,
         free_run=asked,
+        substeps=fine.k,
     )
 
 
