@@ -69,8 +69,8 @@ KNOWN = {
         "a voltage that relaxes for minutes after a step of the current: one pair of R and C, R1 2.4 mOhm, "
         "tau 109 s; a second one hardly pays.",
         "q' = I / Q, V = ocv(q) + R0 I + e (`cell`), ocv a table of 15 knots whose values are parameters, "
-        "Q held at 32 Ah; I in A is the mean since the row before (hold = past). Odd pulses are fitted, even "
-        "ones judge, all in one run.",
+        "Q held at 32 Ah; I in A is the mean since the row before (hold = past). Odd pulses and all that "
+        "is between pulses are fitted, even pulses judge, all in one run.",
         "none with this split; in the README's fit to all rows 13.4 mV, with one pair 6.2 mV.",
     ),
     "tanks": Known(

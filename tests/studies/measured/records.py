@@ -31,8 +31,8 @@ EMPS_THINNED = 40  # samples of 1 ms that become one
 BOUCWEN_DT = 1.0 / 750.0  # s
 BOUCWEN_PERIOD = 8192  # rows; the first period is not settled
 BOUCWEN_ROWS = 1500
-CELL_THINNED = 20  # readings of the long discharges that become one
-FIRST_PULSE, DISCHARGE, PULSE_OF_CHARGE = 6, 9, 8  # what the tester did
+PULSE, REST, CHARGED, DISCHARGE = 6, 7, 8, 9  # what the tester did
+CELL_THINNED = {PULSE: 3, REST: 2, CHARGED: 10, DISCHARGE: 60}  # readings that become one
 
 
 @dataclass(frozen=True)
@@ -131,24 +131,27 @@ def _gzipped(path: Path) -> Array:
 
 
 def _cell(folder: Path) -> Data:
-    """One continuous run; readings of even pulses are left out of the fit and judge."""
+    """One continuous run; readings of even pulses are left out of the fit and judge.
+
+    The discharges between them stay in, as they alone tell the open-circuit voltage at their charges.
+    """
     table = np.genfromtxt(folder / "hppc_25C.csv", delimiter=",", names=True)
     step = table["step"].astype(int)
-    first = int(np.flatnonzero(step == FIRST_PULSE)[0])
+    first = int(np.flatnonzero(step == PULSE)[0])
     step = step[first:]
     t, voltage, current = (table[name][first:] for name in ("t_s", "voltage_V", "current_A"))
-    pulse = np.cumsum(np.diff(step == FIRST_PULSE, prepend=False) & (step == FIRST_PULSE))
+    pulse = np.cumsum(np.diff(step == PULSE, prepend=False) & (step == PULSE))
     kept = kept_rows(step, CELL_THINNED)
     t, voltage, current = fewer(t, voltage, current, kept)
     whole = Series(voltage, current, t=t, y_names=["voltage"], hold="past")
-    even = pulse[kept] % 2 == 0
+    even = (pulse[kept] % 2 == 0) & (step[kept] <= CHARGED)
     free = [name for name in CELL.parameter_names if name != "Q"]
     return Data(CELL, whole.masked(even), {"even pulses": whole.masked(~even)}, {"free": free}, 0)
 
 
-def kept_rows(step: Array, n: int) -> Array:
-    """Of the long discharges every n-th row, of the pulses of charge every fifth; the last row of each."""
-    every = np.select([step == DISCHARGE, step == PULSE_OF_CHARGE], [n, 5], 1)
+def kept_rows(step: Array, thinned: Mapping[int, int]) -> Array:
+    """Every n-th row of what the tester did, all where no n is told; the first and last row of each."""
+    every = np.select([step == key for key in thinned], list(thinned.values()), 1)
     begins = np.flatnonzero(np.diff(step, prepend=-1))
     place = np.arange(len(step)) - np.repeat(begins, np.diff(np.append(begins, len(step))))
     last = np.diff(step, append=-1) != 0
@@ -206,8 +209,7 @@ RECORDS = {
             "battery",
             "battery_leaf_hppc",
             _cell,
-            f"from the first pulse on, 1 reading in {CELL_THINNED} of the discharges, "
-            "1 in 5 of the pulses of charge",
+            "from the first pulse on, 1 reading in 60 of the discharges, in 2 to 10 of the pulses",
             "mV",
             1e3,
         ),
