@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
@@ -41,7 +42,8 @@ class Fitted:
 
     ``theta`` with ``x1`` (S, nx) first states of each record; ``e`` (n,) measured minus simulated at all
     measured values, outputs weighed as in :func:`engine.simulation.free_run.output_scale`, ``J`` its
-    derivatives (n, n_p) by the ``problem``'s p; ``effects`` those added so far.
+    derivatives (n, n_p) by the ``problem``'s p; ``effects`` those added so far; ``ended`` whether the search
+    came to its end, see :func:`finished`.
     """
 
     problem: FreeRunProblem
@@ -52,6 +54,7 @@ class Fitted:
     J: Array
     free: tuple[str, ...]
     effects: tuple[Effect, ...] = ()
+    ended: bool = True
 
     @property
     def model(self) -> MixedModel:
@@ -102,9 +105,23 @@ def fit_runs(
     end = problem.descend(problem.start(), SHORT, precise=PRECISE)
     if end.status == 0 and 2.0 * end.cost < HOPELESS * best:
         end = problem.descend(end.x, EVALUATIONS - SHORT, precise=PRECISE)
-    found, first = problem.split(end.x)
+    return _fitted(problem, end, tuple(free), effects)
+
+
+def finished(fit: Fitted) -> Fitted:
+    """One that was left early, followed to its end: what is judged must be the best of its kind."""
+    if fit.ended:
+        return fit
+    end = fit.problem.descend(fit.p, EVALUATIONS, precise=PRECISE)
+    return _fitted(fit.problem, end, fit.free, fit.effects)
+
+
+def _fitted(
+    problem: FreeRunProblem, end: OptimizeResult, free: tuple[str, ...], effects: tuple[Effect, ...]
+) -> Fitted:
+    theta, x1 = problem.split(end.x)
     e, J = problem.evaluate(end.x)
-    return Fitted(problem, found, first, end.x, e, J, tuple(free), effects)
+    return Fitted(problem, theta, x1, end.x, e, J, free, effects, end.status > 0)
 
 
 def with_effects(fit: Fitted, picks: Sequence[Pick], best: float = np.inf) -> Fitted:

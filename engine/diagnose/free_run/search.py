@@ -18,7 +18,7 @@ from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.columns import CANNOT, columns
-from engine.diagnose.free_run.fitted import Fitted, Pick, with_effects
+from engine.diagnose.free_run.fitted import Fitted, Pick, finished, with_effects
 from engine.diagnose.free_run.folds import Folds, folds_of, losses, p_better
 from engine.diagnose.free_run.linear import Linear, Share
 from engine.diagnose.free_run.null import Alarm, alarm
@@ -229,7 +229,8 @@ def _judged(
     for i, fit in enumerate(found):
         progress("free run", 0.8 + 0.2 * i / len(found))
         try:
-            rows.append((fit, losses(fit, folds)))
+            full = finished(fit)
+            rows.append((full, losses(full, folds)))
         except CANNOT:
             continue
     rows.sort(key=lambda row: float(np.nanmean(row[1])))

@@ -1,0 +1,24 @@
+"""Refits of the second criterion."""
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.free_run.fitted import finished, fit_runs
+from engine.models.registry import get_model
+from engine.simulation.free_run import free_run
+
+
+def test_a_refit_that_was_left_early_is_followed_to_its_end_before_it_is_judged():
+    model = get_model("oscillator")
+    u = np.sign(np.sin(0.7 * np.arange(300.0)))
+    told = {"omega": 6.0, "zeta": 0.05, "gain": 1.0}
+    y = free_run(model, told, Series(np.full(300, np.nan), u, dt=0.05)).y
+    record = Series(y, u, dt=0.05)
+    start = model.theta({"omega": 4.0, "zeta": 0.4, "gain": 0.3})
+    left = fit_runs(model, [record], start, ("omega", "zeta", "gain"), np.zeros((1, 2)), best=1e-12)
+    assert not left.ended
+    whole = finished(left)
+    assert whole.ended
+    assert whole.cost < 1e-3 * left.cost
+    np.testing.assert_allclose([whole.theta[name] for name in told], list(told.values()), rtol=1e-3)
+    assert finished(whole) is whole
