@@ -109,7 +109,7 @@ def fit_runs(
 
 
 def finished(fit: Fitted) -> Fitted:
-    """One that was left early, followed to its end: what is judged must be the best of its kind."""
+    """One that was left early, followed to its end: what is gone on with must be the best of its kind."""
     if fit.ended:
         return fit
     end = fit.problem.descend(fit.p, EVALUATIONS, precise=PRECISE)

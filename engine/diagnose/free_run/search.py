@@ -9,7 +9,7 @@ that run alike say the same in other words, and one name stands for them; others
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -229,8 +229,7 @@ def _judged(
     for i, fit in enumerate(found):
         progress("free run", 0.8 + 0.2 * i / len(found))
         try:
-            full = finished(fit)
-            rows.append((full, losses(full, folds)))
+            rows.append((fit, losses(fit, folds)))
         except CANNOT:
             continue
     rows.sort(key=lambda row: float(np.nanmean(row[1])))
@@ -258,7 +257,7 @@ def survivors(
     ]
     fewest = min(c.fit.n_parameters for c in left)
     groups: list[list[Candidate]] = []
-    for candidate in (c for c in left if c.fit.n_parameters == fewest):
+    for candidate in (_to_its_end(c) for c in left if c.fit.n_parameters == fewest):
         for group in groups:
             if alike(candidate.fit, group[0].fit):
                 group.append(candidate)
@@ -269,6 +268,11 @@ def survivors(
         group.sort(key=lambda c: plainness(c, setting))
     groups.sort(key=lambda group: not _of_the_model(group[0]))
     return tuple(map(tuple, groups))
+
+
+def _to_its_end(candidate: Candidate) -> Candidate:
+    """One that survives, its fit no longer where it was left: fits without a fold have gone on from there."""
+    return replace(candidate, fit=finished(candidate.fit))
 
 
 def _of_the_model(candidate: Candidate) -> bool:

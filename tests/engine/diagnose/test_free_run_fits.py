@@ -8,7 +8,7 @@ from engine.models.registry import get_model
 from engine.simulation.free_run import free_run
 
 
-def test_a_refit_that_was_left_early_is_followed_to_its_end_before_it_is_judged():
+def test_a_refit_that_was_left_early_is_followed_to_its_end():
     model = get_model("oscillator")
     u = np.sign(np.sin(0.7 * np.arange(300.0)))
     told = {"omega": 6.0, "zeta": 0.05, "gain": 1.0}
