@@ -25,7 +25,7 @@ DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[4] / "shared" 
 SETTLED = 50  # rows of a test part from which the first state is estimated, not scored
 
 SILVERBOX_DT = 2**14 / 1e7  # s
-SILVERBOX_ROWS = slice(1000, 2500)  # of estimation rows 0 ... 65061; 2.5 s, 170 periods
+SILVERBOX_ROWS = slice(1000, 1800)  # of estimation rows 0 ... 65061; 1.3 s, 90 periods
 SILVERBOX_TEST, SILVERBOX_PLAIN = 65062, 32000
 # One step ahead, records nearly free of noise are explained by one patch after the other. Where a search takes
 # many minutes one is enough: the free run is asked all the same.
@@ -34,7 +34,7 @@ ONE = "one round one step ahead"
 EMPS_THINNED = 40  # samples of 1 ms that become one
 BOUCWEN_DT = 1.0 / 750.0  # s
 BOUCWEN_PERIOD = 8192  # rows; the first period is not settled
-BOUCWEN_ROWS = 1000
+BOUCWEN_ROWS = 500
 PULSE, REST, CHARGED, DISCHARGE = 6, 7, 8, 9  # what the tester did
 CELL_THINNED = {PULSE: 3, REST: 2, CHARGED: 10, DISCHARGE: 60}  # readings that become one
 
