@@ -17,4 +17,10 @@ noise that depends on the position wins; the free run overrules it. It is a `set
 friction of the catalogue and the model's own Fc are the same law, discretised differently; their runs differ by
 more than 5 % of what is left and so count as two. And a force on the square of the velocity runs as well as the
 offset on a record that repeats one movement: only another movement parts them, as the test record does.""",
+    "silverbox": """\
+As documented: the cubic spring, k3 / k1 = 4.0 V^-2, and an offset, which is the smaller second term. A constant
+force and an offset of the input run alike, and are one answer. What is left, about 1.1 mV, is three times the
+reference, which fits a free discrete core: between its samples the input is not quite a straight line either.
+The second round sees a pattern in it (p = 0.09) but not at its level. Its null is too wide: the likelihood's
+process noise alone would make free runs 4 times as wrong as this one is.""",
 }

@@ -114,7 +114,7 @@ def _gain(gained: dict[str, Any] | None, scale: float) -> str:
 def page(record: Record, row: Row) -> str:
     """One record."""
     known = KNOWN[record.name]
-    document = _read(row, "document") or {}
+    text = str(_read(row, "page") or "").rstrip()
     looked = LOOKED_AT.get(record.name, "")
     parts = [
         f"## {record.name}",
@@ -124,7 +124,7 @@ def page(record: Record, row: Row) -> str:
         looked,
         f"![held-out data](measured-{record.name}.png)" if _read(row, "curves") else "",
         judged(row),
-        f"```\n{document.get('page', '').rstrip()}\n```",
+        f"```\n{text}\n```" if text else "",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 

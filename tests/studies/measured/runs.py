@@ -20,7 +20,7 @@ from tests.studies.study import Row
 
 POINTS = 400  # of each curve that is kept for the picture
 LISTED = 12  # candidates of a round of the free run that are kept
-COLUMNS = ("verdict", "decided", "causes", "errors", "gain", "rounds", "document", "curves")
+COLUMNS = ("verdict", "decided", "causes", "errors", "gain", "rounds", "page", "curves")
 
 
 def work(name: str, seed: int, run: int) -> Row:
@@ -36,8 +36,6 @@ def work(name: str, seed: int, run: int) -> Row:
         seconds = time.perf_counter() - began
         return row | {"verdict": "error", "causes": json.dumps(str(error)), "seconds": seconds}
     seconds = time.perf_counter() - began
-    document = found.to_dict()
-    del document["rounds"]
     runs = simulated(found, data)
     return (
         row
@@ -49,7 +47,7 @@ def work(name: str, seed: int, run: int) -> Row:
                 "errors": {part: errors(*both, data.settled) for part, both in runs.items()},
                 "gain": gain(found),
                 "rounds": rounds(found),
-                "document": document,
+                "page": str(found),
                 "curves": curves(runs, data),
             }.items()
         }
