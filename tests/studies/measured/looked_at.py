@@ -16,7 +16,7 @@ As documented: both causes in one round, their sizes, and the test error of the 
 noise of the reading that changes with the velocity wins; the free run overrules it. It is a `set` for two
 reasons. Coulomb friction of the catalogue and the model's own Fc are the same law, discretised differently;
 their runs differ by more than 5 % of what is left and so count as two. And a force on the square of the
-velocity runs as well as the offset on a record that repeats one movement: only another movement can part them.""",
+velocity runs as well as the offset on a record that repeats one movement: only another one can part them.""",
     "silverbox": """\
 As documented: the cubic spring, k3 / k1 = 4.0 V^-2, and an offset, which is the smaller second term. A constant
 force and an offset of the input run alike, and are one answer. What is left, about 1.1 mV, is three times the
