@@ -6,7 +6,7 @@ BIN := .venv/bin
 # In the order of the folders: the files with the most tests, which xdist starts with, are not the longest.
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo serve test test-all lint tables bench warm load large-bodies chaos bench-dask bench-free-run
+.PHONY: setup demo serve test test-all lint tables measured bench warm load large-bodies chaos bench-dask bench-free-run
 
 setup: .venv/ready
 
@@ -39,6 +39,10 @@ lint: setup
 # resumable; a short version: make tables RUNS=8
 tables: setup
 	$(BIN)/python -m tests.studies all $(if $(RUNS),--runs $(RUNS))
+
+# Measured records with documented effects; they are not part of the repository: RBPS_DATA=folder.
+measured: setup
+	$(BIN)/python -m tests.studies measured
 
 bench: setup
 	$(BIN)/python -m tests.benchmarks.bench_em

@@ -271,6 +271,7 @@ def diagnose(
         series=series,
         p_bootstrap=p_bootstrap,
         free_run=asked,
+        substeps=fine.k,
     )
 
 

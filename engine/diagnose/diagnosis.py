@@ -58,6 +58,8 @@ class Diagnosis:
         The first round's p-value from simulated series, where it was asked for.
     free_run : SecondOpinion or None
         What the free run says of the same question, and whether it decided.
+    substeps : int
+        Steps a sample that the models made: refine a series by it to run ``extended`` on it.
     """
 
     model: MixedModel
@@ -76,6 +78,7 @@ class Diagnosis:
     series: Series  # what was given, the held-out part included
     p_bootstrap: float | None = None  # of the first round, where it was asked for
     free_run: SecondOpinion | None = None
+    substeps: int = 1  # steps a sample
 
     @property
     def decided_by(self) -> str:

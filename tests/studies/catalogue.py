@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from tests.studies import (
-    diagnose_measured,
     estimates,
     lost,
     poster,
@@ -15,6 +14,7 @@ from tests.studies import (
 )
 from tests.studies.blind.report import BLIND
 from tests.studies.foreign.report import FOREIGN, FOREIGN_DEVELOPMENT
+from tests.studies.measured.report import MEASURED
 from tests.studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -31,7 +31,7 @@ STUDIES: dict[str, Study] = {
         poster.POSTER_LINEAR,
         poster.POSTER_NONLINEAR,
         uncertainty.STANDARD_ERRORS,
-        diagnose_measured.MEASURED,
+        MEASURED,
         BLIND,
         FOREIGN,
         FOREIGN_DEVELOPMENT,
@@ -41,7 +41,7 @@ STUDIES: dict[str, Study] = {
 # not asked for by ``all``
 BESIDE = (
     "table-II-tried",
-    "diagnose-measured",
+    "measured",
     "blind",
     "foreign",
     "foreign-dev",
