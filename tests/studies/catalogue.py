@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tests.studies import (
     estimates,
+    free_run_clean,
     lost,
     poster,
     sindy,
@@ -32,6 +33,7 @@ STUDIES: dict[str, Study] = {
         poster.POSTER_NONLINEAR,
         uncertainty.STANDARD_ERRORS,
         MEASURED,
+        free_run_clean.FREE_RUN_CLEAN,
         BLIND,
         FOREIGN,
         FOREIGN_DEVELOPMENT,
@@ -42,6 +44,7 @@ STUDIES: dict[str, Study] = {
 BESIDE = (
     "table-II-tried",
     "measured",
+    "free-run-clean",
     "blind",
     "foreign",
     "foreign-dev",
