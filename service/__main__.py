@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 
-import uvicorn
 from sqlalchemy import make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from service.app import create_app
 from service.logs import configure
-from service.server import server_config
+from service.server import Server, server_config
 from service.settings import Settings
 
 # How long a thread that works on a large body may go on while the event loop waits for its turn, which it
@@ -34,7 +33,7 @@ def main(env: Mapping[str, str] | None = None) -> None:
         reason = str(error.__cause__ or error).splitlines()[0]
         sys.exit(f"rbps: the store {make_url(settings.store_url)!r} cannot be used: {reason}")
     try:
-        uvicorn.Server(server_config(app, settings)).run()
+        Server(server_config(app, settings)).run()
     except KeyboardInterrupt:  # passed on by uvicorn, which at the second one has not stopped all
         app.state.supervisor.stop()
         sys.exit(130)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import math
 import resource
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -24,6 +25,19 @@ BACKLOG_CONNECTIONS = 32
 # Descriptors that are no connections: the store's, the workers' and those accepted but not looked at.
 OTHER_FILES = 100
 STOP_SECONDS = 10  # how long answers on their way may take when the service stops
+
+
+class Server(uvicorn.Server):
+    """A server that ends once, however often it is told to.
+
+    It raises the signals it was sent again when it has ended; a second one would interrupt the end of the
+    event loop, with a traceback in the log.
+    """
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Remember the signal, the first one for its end."""
+        super().handle_exit(sig, frame)
+        del self._captured_signals[1:]
 
 
 def server_config(app: ASGIApp, settings: Settings, **more: Any) -> uvicorn.Config:

@@ -118,7 +118,7 @@ class Watched:
     def check(self):
         for context in self.contexts:
             context.close()
-        assert self.errors == []
+        assert not self.errors, self.errors
         assert self.asked
         foreign = re.compile(r"(?!http://127\.0\.0\.1:|data:|blob:|file:)")
         assert [url for url in self.asked if foreign.match(url)] == []

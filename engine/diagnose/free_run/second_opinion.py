@@ -31,8 +31,9 @@ from engine.estimation.quasi_ml import QuasiFit
 from engine.simulation.free_run import first_state
 from engine.statespace.model import Theta
 
-SETTLED = (
-    0.2  # of alpha: level of the free run's alarm where the likelihood has an answer without it
+SETTLED = 0.2  # of alpha: level of the free run's alarm where the likelihood has an answer
+READ_OTHERWISE = (
+    "The likelihood decides: the free run has nothing to say before the record is read otherwise."
 )
 FAR_BETTER = 0.5  # of its error on rows left out: so much less displaces the likelihood's answer
 
@@ -69,9 +70,11 @@ def second_opinion(
     named = [r.refits[0] for r in causes.search.rounds if r.equivalent]
     patches = any(refit.effect.family == "noise" for refit in named)
     settled = causes.verdict is not Verdict.UNKNOWN and not patches
-    level = SETTLED * alpha if settled else alpha
+    level = alpha if causes.verdict is Verdict.UNKNOWN else SETTLED * alpha
     base, said = causes.base, (causes.verdict, tuple(refit.effect.name for refit in named))
     held = tuple(name for name in base.model.parameter_names if name not in base.free)
+    if any(refit.effect.traits.says_hold for refit in named):
+        return SecondOpinion(*said, False, READ_OTHERWISE)
     try:
         start = causes.search.final if settled else base
         seen = _alarm_of(start, records, held, kinds, seed)

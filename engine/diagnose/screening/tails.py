@@ -108,8 +108,9 @@ def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
     if fit.model.na == 0:
         return None
     rng = np.random.default_rng([seed, 77])
-    filtered = rbpf(fit.model, fit.theta, series, PARTICLES, rng, proposal="bootstrap")
-    return prediction_pit(filtered, rng)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a particle that runs away, and has no weight
+        filtered = rbpf(fit.model, fit.theta, series, PARTICLES, rng, proposal="bootstrap")
+        return prediction_pit(filtered, rng)
 
 
 def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Array]:
