@@ -403,6 +403,7 @@ def judge(run: dict[str, Any], expected: dict[str, Any]) -> list[dict[str, Any]]
                 + (one["status"] != "dismissed")
                 * sum("was computed to its end, but" in text for text in said),
                 "same_bits": one["left"] == expected[one["name"]]["left"],
+                "last_words": said[-1] if said else "",
             }
         )
     return rows
@@ -513,7 +514,7 @@ def wrong_ends(rows: list[dict[str, Any]]) -> list[str]:
     """A paragraph on jobs that did not end as they should, if there are any."""
     found = [
         f"Job {row['number']} ('{row['job']}') ended as {row['status']} after {row['attempts']} attempts, "
-        f"the last from iteration {row['resumed_at']}."
+        f"the last from iteration {row['resumed_at']}: {row['last_words']}."
         for row in rows
         if not row["right"] and not row["given_up"]
     ]
