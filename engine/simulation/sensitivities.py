@@ -69,23 +69,53 @@ def sensitivities(
         Where a function of the model fails beside the run.
 
     """
-    record, k = model.record(theta), len(parameters)
-    ends = [_ends(model, theta, i, h) for i, h in zip(parameters, steps, strict=True)]
-    first = np.zeros((model.nx, k + len(states)))
-    first[states, k + np.arange(len(states))] = 1.0
-    with np.errstate(all="ignore"):
-        F = _in_rows(model, transitions(model, record, series), x[:-1])
-        G = _in_rows(model, observations(model, record, series), x)
-        at = F(x[:-1])
-        size = sizes(np.abs(x - x[0]).max(axis=0), np.abs(x[0]), deviations(at.Q))
-        size = np.tile(size, (len(x), 1))
-        J, b = _slopes(F, x[:-1], at, size[:-1], ends)
-        H, d = _slopes(G, x, G(x), size, ends)
-        still = np.zeros((*b.shape[:2], len(states)))
-        xi = carry(J, np.concatenate((b, still), axis=2), first)
-        dy = H @ xi
-        dy[:, :, :k] += d
-    return dy, xi
+    return Along(model, theta, series, x).by(parameters, states, steps)
+
+
+class Along:
+    """A run x (T, nx) with J = dF/dx (T-1, nx, nx) and H = dG/dx (T, ny, nx), which all columns share.
+
+    ``slopes`` are J and H where they are known, as of the same model with an effect of size 0 in it.
+    """
+
+    def __init__(
+        self,
+        model: MixedModel,
+        theta: Array,
+        series: Series,
+        x: Array,
+        slopes: tuple[Array, Array] | None = None,
+    ) -> None:
+        self.model, self.theta, self.x = model, theta, x
+        record = model.record(theta)
+        with np.errstate(all="ignore"):
+            self.F = _in_rows(model, transitions(model, record, series), x[:-1])
+            self.G = _in_rows(model, observations(model, record, series), x)
+            self.ahead, self.seen = self.F(x[:-1]), self.G(x)
+            if slopes is None:
+                moved = np.abs(x - x[0]).max(axis=0)
+                size = sizes(moved, np.abs(x[0]), deviations(self.ahead.Q))
+                size = np.tile(size, (len(x), 1))
+                J = self.F.slopes(x[:-1], self.ahead, size[:-1], central=True)
+                slopes = J, self.G.slopes(x, self.seen, size, central=True)
+        self.J, self.H = slopes
+
+    def by(
+        self, parameters: NDArray[np.intp], states: NDArray[np.intp], steps: Array
+    ) -> tuple[Array, Array]:
+        """dy and dx, arguments as of :func:`sensitivities`."""
+        k = len(parameters)
+        ends = [_ends(self.model, self.theta, i, h) for i, h in zip(parameters, steps, strict=True)]
+        first = np.zeros((self.model.nx, k + len(states)))
+        first[states, k + np.arange(len(states))] = 1.0
+        with np.errstate(all="ignore"):
+            b = _slopes(self.F, self.x[:-1], self.ahead, ends)
+            d = _slopes(self.G, self.x, self.seen, ends)
+            still = np.zeros((*b.shape[:2], len(states)))
+            xi = carry(self.J, np.concatenate((b, still), axis=2), first)
+            dy = self.H @ xi
+            dy[:, :, :k] += d
+        return dy, xi
 
 
 def _in_rows(model: MixedModel, steps: Steps, x: Array) -> Steps:
@@ -103,10 +133,9 @@ def _ends(
     return records, float(low[i] - theta[i]), float(high[i] - theta[i])
 
 
-def _slopes(F: Steps, x: Array, at: Values, size: Array, ends: list[Any]) -> tuple[Array, Array]:
-    """dF/dx (n, m, nx) and dF/dtheta (n, m, k) at x (n, nx)."""
-    J = F.slopes(x, at, size, central=True)
+def _slopes(F: Steps, x: Array, at: Values, ends: list[Any]) -> Array:
+    """dF/dtheta (n, m, k) at x (n, nx)."""
     b = np.empty((*at.value.shape, len(ends)))
     for i, end in enumerate(ends):
         b[:, :, i] = F.slope_between(x, at, *end)
-    return J, b
+    return b

@@ -9,14 +9,14 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.free_run.fitted import Fitted, first_states
+from engine.diagnose.free_run.fitted import Fitted, first_states, state_names
 from engine.errors import EngineError
-from engine.simulation.sensitivities import sensitivities
+from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import propagate
-from engine.statespace.model import Array, MixedModel
+from engine.statespace.model import Array, MixedModel, Theta
 
 SMALL = 0.01  # of the residuals: what the effect does over the distance of its differences
-NEAR = 10.0  # that distance may be off by so much
+LONGEST, SHORTEST = 0.1, 1e4  # that distance may be ten times as long, or be much shorter
 TRIALS = 6  # distances tried
 CANNOT = (EngineError, ValueError, ArithmeticError, np.linalg.LinAlgError)  # a candidate drops out
 
@@ -32,31 +32,50 @@ class Column:
 
 def columns(fit: Fitted, effects: Iterable[Effect]) -> list[Column]:
     """Of every effect at every probe; an effect whose run cannot be had is left out."""
+    theta, base = np.asarray(fit.theta), []
+    for one, x1 in zip(fit.records, fit.x1, strict=True):
+        run = _run(fit.model, theta, one, x1)
+        if not np.isfinite(run).all():
+            return []
+        base.append(Along(fit.model, theta, one, run))
     out = []
     for effect in effects:
         try:
-            out.extend(_of(fit, effect))
+            out.extend(_of(fit, base, effect))
         except CANNOT:
             continue
     return out
 
 
-def _of(fit: Fitted, effect: Effect) -> list[Column]:
+def _of(fit: Fitted, base: list[Along], effect: Effect) -> list[Column]:
     model = effect.apply(fit.model)
     size, out = len(fit.theta), []
     for probe in effect.probes:
         values = np.array([*fit.theta, *(p.default for p in effect.parameters)])
         values[size + 1 : size + 1 + len(probe)] = probe
         theta = model.theta(values)
-        x1 = first_states(model, theta, fit)
-        runs = [
-            _run(model, np.asarray(theta), one, x) for one, x in zip(fit.records, x1, strict=True)
-        ]
-        if not all(np.isfinite(run).all() for run in runs):
-            continue
-        g = _slope(fit, model, np.asarray(theta), runs)
+        along = _along(fit, base, model, theta)
+        g = None if along is None else _slope(fit, model, along)
         if g is not None:
             out.append(Column(effect, probe, g))
+    return out
+
+
+def _along(fit: Fitted, base: list[Along], model: MixedModel, theta: Theta) -> list[Along] | None:
+    """The runs with the effect of size 0: those of the base where it has no states of its own."""
+    names, known = state_names(model), state_names(fit.model)
+    vector, out = np.asarray(theta), []
+    if set(names) == set(known):
+        at = [known.index(name) for name in names]
+        for one, own in zip(fit.records, base, strict=True):
+            slopes = own.J[:, at][:, :, at], own.H[:, :, at]
+            out.append(Along(model, vector, one, own.x[:, at], slopes))
+        return out
+    for one, x1 in zip(fit.records, first_states(model, theta, fit), strict=True):
+        run = _run(model, vector, one, x1)
+        if not np.isfinite(run).all():
+            return None
+        out.append(Along(model, vector, one, run))
     return out
 
 
@@ -66,15 +85,15 @@ def _run(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
     return np.concatenate((a[:, 0], z[:, 0]), axis=1)
 
 
-def _slope(fit: Fitted, model: MixedModel, theta: Array, runs: list[Array]) -> Array | None:
-    """The column, by differences over a distance that does about ``SMALL`` of what is wrong."""
+def _slope(fit: Fitted, model: MixedModel, along: list[Along]) -> Array | None:
+    """The column, by differences over a distance that does a small part of what is wrong."""
     size = len(fit.theta)
     h = model.parameters[size].scale or 1.0
     place = np.array([size]), np.array([], dtype=np.intp)
     for _ in range(TRIALS):
         parts = []
-        for one, run in zip(fit.records, runs, strict=True):
-            dy, _ = sensitivities(model, theta, one, run, *place, np.array([h]))
+        for one, own in zip(fit.records, along, strict=True):
+            dy, _ = own.by(*place, np.array([h]))
             parts.append((dy[:, :, 0] / fit.problem.scale)[one.observed])
         g = np.concatenate(parts)
         level = float(np.sqrt(np.mean(g**2)))
@@ -85,7 +104,7 @@ def _slope(fit: Fitted, model: MixedModel, theta: Array, runs: list[Array]) -> A
             h *= 1e3
             continue
         wanted = SMALL * fit.rms / level
-        if not wanted > 0.0 or 1.0 / NEAR < wanted / h < NEAR:
+        if not wanted > 0.0 or LONGEST < wanted / h < SHORTEST:
             return g
         h = wanted
     return g if np.isfinite(g).all() and level > 0.0 else None

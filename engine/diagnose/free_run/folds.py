@@ -55,9 +55,14 @@ def folds_of(records: Sequence[Series]) -> Folds:
             )
         block.append((first + np.repeat(place[:, None], one.y.shape[1], axis=1))[one.observed])
         first += m
-    order = np.argsort(-np.array(extreme), kind="stable")
+    owner = np.repeat(np.arange(len(parts)), parts)
+    chosen: list[int] = []
+    for k in np.argsort(-np.array(extreme), kind="stable").tolist():
+        left = parts[owner[k]] - sum(owner[i] == owner[k] for i in chosen)
+        if len(chosen) < max(first // FOLDS, 1) and (2 * left > parts[owner[k]] or len(parts) == 1):
+            chosen.append(k)  # a record left out as a whole would leave its first state open
     fold = np.zeros(first, dtype=np.intp)
-    rest = np.sort(order[max(first // FOLDS, 1) :])
+    rest = np.setdiff1d(np.arange(first), chosen)
     fold[rest] = 1 + np.arange(len(rest)) % (FOLDS - 1)
     return Folds(np.concatenate(block), fold)
 

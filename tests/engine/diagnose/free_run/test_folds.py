@@ -41,6 +41,18 @@ def test_several_records_share_the_blocks():
     assert set(np.unique(folds.block[:600])) == set(range(12))
 
 
+def test_no_record_is_left_out_as_a_whole():
+    """Its first state would be told by nothing."""
+    loud = _record(300, 2)
+    records = [_record(300), loud.replace(y=40.0 * loud.y), _record(300, 3)]
+    folds = folds_of(records)
+    begin = 0
+    for record in records:
+        own = folds.fold[folds.block[begin : begin + len(record)]]
+        assert len(set(own)) > 1
+        begin += len(record)
+
+
 def test_losses_are_compared_as_pairs():
     rng = np.random.default_rng(5)
     a, b = rng.standard_normal((2, 16))
