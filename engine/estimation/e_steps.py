@@ -37,15 +37,13 @@ RETRIES = (4, 16)  # ... with this many times the particles
 class EStep:
     """The Q-function at theta_k with the log-likelihood and health of the filter behind it.
 
-    ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left,
-    ``lost_at`` the first of them in words.
+    ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left.
     """
 
     q: Objective
     log_likelihood: float
     ess: float
     collapsed: float
-    lost_at: str = ""
 
 
 Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
@@ -68,21 +66,18 @@ class ParticleStep:
 
     def __call__(self, theta: Theta, rng: np.random.Generator) -> EStep:
         """Q(., theta) with random numbers of ``rng``."""
-        smoothed, log_likelihood, ess, lost, lost_at = [], 0.0, 0.0, 0, ""
-        for i, one in enumerate(self.all_series):
+        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
+        for one in self.all_series:
             for times in (1, *RETRIES) if self.recover else (1,):
                 filtered = self.run(theta, one, times * self.n_particles, rng)
                 if len(filtered.collapsed) <= LOST_SHARE * len(one):
                     break
-            if len(filtered.collapsed) and not lost_at:
-                row = int(filtered.collapsed[0])
-                lost_at = f"row {row} (t = {one.t[row]:g} s)" + (f" of series {i}" if i else "")
             smoothed.append(self.smooth(filtered, one, rng))
             log_likelihood += filtered.log_likelihood
             ess += float(filtered.ess.sum())
             lost += len(filtered.collapsed)
         n = sum(map(len, self.all_series))
-        return EStep(self.objective(theta, smoothed), log_likelihood, ess / n, lost / n, lost_at)
+        return EStep(self.objective(theta, smoothed), log_likelihood, ess / n, lost / n)
 
 
 def rbps_step(

@@ -187,7 +187,6 @@ class _Log:
 
     def __init__(self, model: BaseModel, loop: Loop) -> None:
         self.model, self.loop = model, loop
-        self.lost_at = ""
         resume = loop.resume
         if resume is None:
             self.trace = [model.theta(loop.theta0)]
@@ -215,7 +214,6 @@ class _Log:
     def add(self, k: int, done: _Maximized, seconds: float) -> Iteration:
         step, n = done.seen, self.loop.n_iterations
         self.trace.append(done.theta)
-        self.lost_at = step.lost_at or self.lost_at
         self.rows.append((step.log_likelihood, step.ess, seconds, step.collapsed))
         return Iteration(k, n, done.theta, step.log_likelihood, step.ess, seconds, step.collapsed)
 
@@ -239,8 +237,7 @@ class _Log:
             outcome = Outcome.COLLAPSED
         message = outcome.value
         if lost > 0.0:
-            message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows"
-            message += f", first at {self.lost_at}." if self.lost_at else "."
+            message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows."
         stuck: tuple[str, ...] = ()
         if last is not None and outcome is not Outcome.DIVERGED:
             stuck = last.not_moved([self.model.index(name) for name in names])

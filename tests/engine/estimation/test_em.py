@@ -22,6 +22,7 @@ def same_bits(one, other):
     np.testing.assert_array_equal(one.log_likelihood, other.log_likelihood)
     np.testing.assert_array_equal(one.ess, other.ess)
     np.testing.assert_array_equal(np.asarray(one.theta), np.asarray(other.theta))
+    assert (one.outcome, one.message) == (other.outcome, other.message)
 
 
 def test_agrees_with_exact_em_on_linear_2():
@@ -55,6 +56,18 @@ def test_resumed_runs_give_the_same_bits():
             )
         )
         same_bits(whole, rbps_em(MODEL, series, n_iterations=8, resume=copy, **SHORT))
+
+
+def test_a_run_stopped_after_its_last_iteration_says_the_same():
+    """Also where filters were left with one particle: what is said comes from what is kept."""
+    y = np.array(SERIES.y[:60])
+    y[30] += 40.0
+    series, options = Series(y, dt=1.0), SHORT | {"recover": False, "proposal": "bootstrap"}
+    whole = rbps_em(MODEL, series, [0.4], n_iterations=4, **options)
+    assert "one particle" in whole.message
+    for k in (3, 4):
+        part = rbps_em(MODEL, series, [0.4], n_iterations=k, **options)
+        same_bits(whole, rbps_em(MODEL, series, n_iterations=4, resume=part.checkpoint, **options))
 
 
 def test_another_seed_gives_other_numbers():
