@@ -341,9 +341,18 @@ def test_a_body_that_stops_halfway(make_client):
 
 
 def test_a_body_that_trickles(make_client):
-    """No pause is too long, but all together are."""
+    """No pause is too long, but all together are; where this process was kept waiting, it tries again."""
     client = make_client(body_seconds=0.3)
-    with socket.create_connection(("127.0.0.1", client.port)) as slow:
+    for _ in range(20):
+        answer = _trickled(client.port)
+        if b"paused" not in answer:
+            break
+    assert b"longer than 6 s" in answer
+
+
+def _trickled(port):
+    """What a client is answered that sends a blank twenty times a second."""
+    with socket.create_connection(("127.0.0.1", port)) as slow:
         slow.sendall(
             b"POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
         )
@@ -358,10 +367,9 @@ def test_a_body_that_trickles(make_client):
                 answer = slow.recv(1000)
         assert answer.startswith(b"HTTP/1.1 408")
         slow.settimeout(60.0)
-        while b"longer than 6 s" not in answer:
-            more = slow.recv(1000)
-            assert more, answer
+        while more := slow.recv(1000):
             answer += more
+        return answer
 
 
 def test_metrics_and_readiness(client, finished):
