@@ -79,11 +79,13 @@ def search_free_runs(
     progress: Progress,
     rounds: int = ROUNDS,
     whole: Sequence[Series] = (),
+    later: float | None = None,
 ) -> FreeRunSearch:
     """Search for what the free run of ``base`` gets wrong; ``theta`` is another start of its fit.
 
     ``rivals`` are answers of others, which are judged beside its own in the first round. ``records`` may be
-    windows of the ``whole`` ones; to these both models are fitted in the end.
+    windows of the ``whole`` ones; to these both models are fitted in the end. ``later`` is the level of rounds
+    after the first, a fifth of ``alpha`` by default.
     """
     fit = best_runs(base.model, records, [base.theta, theta], base.free, seed)
     before = after = noise_fit(fit)
@@ -93,7 +95,7 @@ def search_free_runs(
         released = {effect.channel for effect in fit.effects if effect.family == "parameter"}
         setting = replace(setting, held=tuple(name for name in held if name not in released))
         others = rivals(setting) if k == 0 else ()
-        level = alpha if k == 0 else LATER * alpha
+        level = alpha if k == 0 else LATER * alpha if later is None else later
         one = one_round(
             fit, setting, np.asarray(after.theta), kinds, others, level, seed + k, progress
         )

@@ -91,6 +91,7 @@ def second_opinion(
             seed=seed,
             progress=progress,
             whole=() if records[0] is series else [series],
+            later=SETTLED * alpha,
         )
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")
