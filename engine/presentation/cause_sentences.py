@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import Cause
-from engine.words import estimate, number, probability
+from engine.words import enumerated, estimate, number, probability
 
 
 def headline(cause: Cause) -> str:
@@ -14,6 +14,7 @@ def headline(cause: Cause) -> str:
     return (
         f"{name} [{cause.effect}]: {size}{when(cause)}, {probability(cause.p_value)}, "
         f"2 x log-likelihood gained {number(cause.gain)}"
+        + (f" together with {enumerated(list(cause.together))}" if cause.together else "")
     )
 
 

@@ -139,9 +139,12 @@ class FreeRunProblem:
         def jacobian(p: Array) -> Array:
             return self.evaluate(p)[1][kept]
 
+        start = np.clip(start, low, high)
+        if not np.isfinite(residuals(start)).all():
+            raise ModelError(f"model '{self.model.name}': the run from these values runs away")
         return least_squares(
             residuals,
-            np.clip(start, low, high),
+            start,
             jacobian,
             bounds=(low, high),
             x_scale=self.scales(),

@@ -68,7 +68,7 @@ def work(case: str, seed: int, run: int) -> Row:
             held,
             alpha=ALPHA,
             kinds=None,
-            rivals=lambda setting: (),
+            later=ALPHA / 5.0,
             seed=run,
             progress=lambda stage, fraction: None,
         )

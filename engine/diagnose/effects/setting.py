@@ -211,6 +211,16 @@ class Setting:
         points, theta = self.points(self.model)
         return feeding(self.model, theta, points)
 
+    @cached_property
+    def moved(self) -> tuple[str, ...]:
+        """States that an input or another state moves: not disturbances of their own."""
+        feeds, by_inputs = self.feeds
+        return tuple(
+            name
+            for i, name in enumerate(self.states)
+            if by_inputs[i].any() or np.delete(feeds[i], i).any()
+        )
+
 
 # A maker: (setting, channel) -> the effect, or None where the channel is not of its sort.
 Maker: TypeAlias = Callable[[Setting, str], Effect | None]
@@ -245,11 +255,8 @@ def each_parameter(setting: Setting) -> Iterator[str]:
 
 
 def each_moved(setting: Setting) -> Iterator[str]:
-    """Every state that an input or another state moves: not a disturbance of its own."""
-    feeds, moved = setting.feeds
-    for i, name in enumerate(setting.states):
-        if name in setting.targets and (moved[i].any() or np.delete(feeds[i], i).any()):
-            yield name
+    """Every state that is no disturbance of its own and whose equation may be wrong."""
+    yield from (name for name in setting.moved if name in setting.targets)
 
 
 def each_pair(setting: Setting) -> Iterator[str]:

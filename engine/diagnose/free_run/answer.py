@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.free_run.folds import folds_of
 from engine.diagnose.free_run.search import Candidate, FreeRound, Progress, one_round
@@ -21,7 +21,6 @@ from engine.statespace.model import Array, MixedModel, Theta
 
 STARTS = 4  # random ones beside each that is known
 ROUNDS = 3
-LATER = 0.2  # of alpha, for rounds after the first: small patches go on being significant
 SHOWN = 5  # look-alikes listed at most
 LEFT = 0.05  # of the free run's error before: so little is not worth another round
 UNEXPLAINED = 0.5  # of the same: with so much left beyond noise, no name settles it
@@ -32,12 +31,14 @@ class FreeRunSearch:
     """All rounds of the second criterion.
 
     ``before`` and ``after`` are the fits of the free run without and with what was found, as maxima of the
-    likelihood over the noise alone: parameters that a noise-free run shows are those of the free run.
+    likelihood over the noise alone: parameters that a noise-free run shows are those of the free run. ``gains``
+    are 2 x the log-likelihood that each round gained so.
     """
 
     rounds: tuple[FreeRound, ...]
     before: QuasiFit
     after: QuasiFit
+    gains: tuple[float, ...]
 
     @property
     def found(self) -> tuple[Candidate, ...]:
@@ -74,41 +75,40 @@ def search_free_runs(
     *,
     alpha: float,
     kinds: Sequence[str] | None,
-    rivals: Callable[[Setting], Sequence[Sequence[Pick]]],
     seed: int,
     progress: Progress,
-    rounds: int = ROUNDS,
+    later: float,
+    rivals: Sequence[Sequence[Pick]] = (),
     whole: Sequence[Series] = (),
-    later: float | None = None,
 ) -> FreeRunSearch:
     """Search for what the free run of ``base`` gets wrong; ``theta`` is another start of its fit.
 
     ``rivals`` are answers of others, which are judged beside its own in the first round. ``records`` may be
-    windows of the ``whole`` ones; to these both models are fitted in the end. ``later`` is the level of rounds
-    after the first, a fifth of ``alpha`` by default.
+    windows of the ``whole`` ones; to these both models are fitted in the end. ``alpha`` is the level of the
+    first round's alarm, ``later`` that of the others: small patches go on being significant.
     """
     fit = best_runs(base.model, records, [base.theta, theta], base.free, seed)
-    before = after = noise_fit(fit)
+    noise = [noise_fit(fit)]
     done: list[FreeRound] = []
-    for k in range(rounds):
+    for k in range(ROUNDS):
         setting = setting_for(fit.model, records[0], np.asarray(fit.theta))
         released = {effect.channel for effect in fit.effects if effect.family == "parameter"}
         setting = replace(setting, held=tuple(name for name in held if name not in released))
-        others = rivals(setting) if k == 0 else ()
-        level = alpha if k == 0 else LATER * alpha if later is None else later
-        one = one_round(
-            fit, setting, np.asarray(after.theta), kinds, others, level, seed + k, progress
-        )
+        others, level = (rivals, alpha) if k == 0 else ((), later)
+        theta = noise[-1].theta
+        one = one_round(fit, setting, np.asarray(theta), kinds, others, level, seed + k, progress)
         done.append(one)
         if one.chosen is None:
             break
         fit = one.chosen.fit
-        after = noise_fit(fit)
+        noise.append(noise_fit(fit))
         if fit.rms <= LEFT * done[0].fit.rms:
             break
-    if whole and len(done[0].survivors):
+    before, after = noise[0], noise[-1]
+    if whole and done[0].survivors:
         before, after = on_whole(done[0].fit, before, whole), on_whole(fit, after, whole)
-    return FreeRunSearch(tuple(done), before, after)
+    values = [one.log_likelihood for one in noise]
+    return FreeRunSearch(tuple(done), before, after, tuple(2.0 * np.diff(values)))
 
 
 def on_whole(fit: Fitted, noise: QuasiFit, whole: Sequence[Series]) -> QuasiFit:
@@ -191,13 +191,13 @@ def run_covariance(fit: Fitted) -> Array:
 
 def causes_of(found: FreeRunSearch) -> tuple[Cause, ...]:
     """What was chosen, effect by effect, with what cannot be told from it."""
-    out = []
-    gain = 2.0 * (found.after.log_likelihood - found.before.log_likelihood)
-    n = sum(len(candidate.added) for candidate in found.found)
-    for one in found.rounds:
-        if one.chosen is not None:
-            out += [_cause(found, one, effect, gain / n) for effect in one.chosen.added]
-    return tuple(out)
+    rounds = zip((r for r in found.rounds if r.chosen is not None), found.gains, strict=True)
+    return tuple(
+        _cause(found, one, effect, gain)
+        for one, gain in rounds
+        if one.chosen is not None
+        for effect in one.chosen.added
+    )
 
 
 def _cause(found: FreeRunSearch, one: FreeRound, effect: Effect, gain: float) -> Cause:
@@ -218,6 +218,7 @@ def _cause(found: FreeRunSearch, one: FreeRound, effect: Effect, gain: float) ->
         gain,
         (effect.name, *_in_its_place(one, effect)),
         tuple(_look_alikes(one, effect)),
+        tuple(name for name in one.chosen.names if name != effect.name) if one.chosen else (),
     )
 
 

@@ -18,7 +18,10 @@ from engine.statespace.model import Array, MixedModel, Theta
 SMALL = 0.01  # of the residuals: what the effect does over the distance of its differences
 LONGEST, SHORTEST = 0.1, 1e4  # that distance may be ten times as long, or be much shorter
 TRIALS = 6  # distances tried
-CANNOT = (EngineError, ValueError, ArithmeticError, np.linalg.LinAlgError)  # a candidate drops out
+CANNOT = (
+    EngineError,
+    np.linalg.LinAlgError,
+)  # a candidate drops out; what a model raises is the first
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,10 @@ APART = 0.05  # of the residuals: two refits that differ less run alike
 GAINED = 0.05  # p-value of a gain over the model without
 NOT_WORSE = 0.10  # p-value of being no worse than the best, for all together
 NEAR = 0.05  # of the error before: parameters that the model has survive where they lose no more
-WORTH = 0.1  # of the error on rows left out: less is not worth an effect
+WORTH = (
+    0.1  # of the error on rows left out: less is not worth an extension, nor a further parameter
+)
+EARNED = 0.25  # of the same: what a second effect must take beside the first
 
 Progress = Callable[[str, float], Any]
 
@@ -126,17 +129,13 @@ def one_round(
 
 def candidates(fit: Fitted, setting: Setting, kinds: Sequence[str] | None) -> list[Effect]:
     """Effects that a noise-free run can show; those on a state that only noise moves have no meaning here."""
-    feeds, moved = setting.feeds
-    driven = {
-        name
-        for i, name in enumerate(setting.states)
-        if not (moved[i] or np.delete(feeds[i], i).any())
-    }
+    disturbances = set(setting.states) - set(setting.moved)
+    known = set(fit.model.parameter_names)
     out = []
     for effect in all_effects(setting, kinds):
         source, _, target = effect.channel.partition("->")
         shown = effect.family in FAMILIES and not effect.traits.unnamed and effect.readings is None
-        if shown and effect.name not in fit.names and not {source, target} & driven:
+        if shown and effect.size.name not in known and not {source, target} & disturbances:
             out.append(effect)
     return out
 
@@ -247,8 +246,9 @@ def survivors(
 ) -> tuple[tuple[Candidate, ...], ...]:
     """Of those that gain, what is not worse than the best, in groups that run alike; the first one is chosen.
 
-    That is the one with the fewest parameters of those near the best: further parameters must earn their
-    place. Others survive where they have no more parameters.
+    Effects must earn their place, and so must parameters: of what is within ``EARNED`` of the best the fewest
+    effects, of these what is within ``WORTH`` of their best, of these the fewest parameters. Others survive
+    where they have no more of either.
     """
     worth = np.nanmean(own) + np.log1p(-WORTH)
     gaining = [c for c in judged if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth]
@@ -262,7 +262,9 @@ def survivors(
         if p_better(gaining[0].losses, c.losses) > level
         or (_of_the_model(c) and c.held_out <= near)
     ]
-    close = [c for c in left if c.held_out <= (1.0 + WORTH) * gaining[0].held_out]
+    few = min(len(c.added) for c in _within(EARNED, left))
+    left = [c for c in left if len(c.added) <= few]
+    close = _within(WORTH, left)
     fewest = min(c.fit.n_parameters for c in close)
     left = [c for c in left if c.fit.n_parameters <= fewest]
     left.sort(key=lambda c: (c not in close, -c.fit.n_parameters))
@@ -278,6 +280,12 @@ def survivors(
         group.sort(key=lambda c: plainness(c, setting))
     groups.sort(key=lambda group: not _of_the_model(group[0]))
     return tuple(map(tuple, groups))
+
+
+def _within(share: float, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those whose error on rows left out is at most that much larger than the least."""
+    most = (1.0 + share) * min(c.held_out for c in candidates)
+    return [c for c in candidates if c.held_out <= most]
 
 
 def _to_its_end(candidate: Candidate) -> Candidate:

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.answer import FreeRunSearch, noise_fit, search_free_runs
 from engine.diagnose.free_run.columns import CANNOT, columns
-from engine.diagnose.free_run.fitted import Fitted, Pick, fit_runs
+from engine.diagnose.free_run.fitted import Pick, fit_runs
 from engine.diagnose.free_run.folds import folds_of
 from engine.diagnose.free_run.linear import Linear
 from engine.diagnose.free_run.null import Alarm, alarm
@@ -79,7 +78,9 @@ def second_opinion(
         start = causes.search.final if settled else base
         seen = _alarm_of(start, records, held, kinds, seed)
         if seen.p_value > level:
-            return SecondOpinion(*said, False, _noise_explains(seen), seen)
+            return SecondOpinion(
+                *said, False, f"{_noise_explains(seen)}{_part(records, series)}", seen
+            )
         found = search_free_runs(
             base,
             records,
@@ -87,7 +88,7 @@ def second_opinion(
             held,
             alpha=level,
             kinds=kinds,
-            rivals=lambda setting: _rivals(named),
+            rivals=_rivals(named),
             seed=seed,
             progress=progress,
             whole=() if records[0] is series else [series],
@@ -96,7 +97,7 @@ def second_opinion(
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")
     decides, reason = _decided(causes.verdict, settled, named, found)
-    return SecondOpinion(*said, decides, reason, seen, found)
+    return SecondOpinion(*said, decides, f"{reason}{_part(records, series)}", seen, found)
 
 
 def _alarm_of(
@@ -110,13 +111,8 @@ def _alarm_of(
     mean, _ = first_state(start.model, start.theta)
     fit = fit_runs(start.model, records, start.theta, start.free, np.tile(mean, (len(records), 1)))
     setting = replace(setting_for(fit.model, records[0], np.asarray(fit.theta)), held=held)
-    linear = Linear(fit, columns(fit, _beside(fit, setting, kinds)))
+    linear = Linear(fit, columns(fit, candidates(fit, setting, kinds)))
     return alarm(linear, np.asarray(noise_fit(fit).theta), folds_of(fit.records), seed)
-
-
-def _beside(fit: Fitted, setting: Setting, kinds: Sequence[str] | None) -> list[Effect]:
-    known = set(fit.model.parameter_names)
-    return [e for e in candidates(fit, setting, kinds) if e.size.name not in known]
 
 
 def _rivals(named: Sequence[Refit]) -> list[list[Pick]]:
@@ -137,25 +133,30 @@ def _decided(
     first = found.rounds[0]
     if not first.alarmed:
         return False, _noise_explains(first.alarm)
-    off = (
-        f"{first.alarm.rms / first.alarm.rms_noise:.1f} times"
-        if first.alarm.rms_noise
-        else "more than"
-    )
     if settled and verdict is not Verdict.NOTHING and not _displaced(named, first):
         return False, (
             "The likelihood decides: noise does not explain all that its extension gets wrong in free run, "
             "but no other cause does far better on rows left out."
         )
-    why = (
-        "its one-step answer does not run free as well on rows left out"
-        if settled and verdict is not Verdict.NOTHING
-        else "one step ahead, noise hides it"
-    )
-    return True, (
-        f"The free run decides: what it gets wrong ({off} what noise makes of it) has a pattern that noise "
-        f"does not have (p = {first.alarm.p_value:.2g}), and {why}."
-    )
+    return True, f"The free run decides: {_too_far(first.alarm)}, and {_why(verdict, settled)}."
+
+
+def _too_far(seen: Alarm) -> str:
+    """What of the free run's error noise does not explain."""
+    if seen.p_size < seen.p_gain:
+        return f"it is further off than noise makes it (p = {seen.p_value:.2g})"
+    return f"what it gets wrong has a pattern that noise does not have (p = {seen.p_value:.2g})"
+
+
+def _why(verdict: Verdict, settled: bool) -> str:
+    """What speaks against the likelihood's answer."""
+    if verdict is Verdict.UNKNOWN:
+        return "one step ahead nothing is settled"
+    if verdict is Verdict.NOTHING:
+        return "one step ahead noise hides it"
+    if not settled:
+        return "one step ahead it is taken for noise"
+    return "the answer one step ahead runs free far worse on rows left out"
 
 
 def _displaced(named: Sequence[Refit], first: FreeRound) -> bool:
@@ -164,6 +165,14 @@ def _displaced(named: Sequence[Refit], first: FreeRound) -> bool:
     own = [c for c in first.candidates if set(c.names) == answer]
     chosen = first.chosen
     return bool(own) and chosen is not None and chosen.held_out < FAR_BETTER * own[0].held_out
+
+
+def _part(records: Sequence[Series], series: Series) -> str:
+    """Which part of a long record was looked at, as a further sentence."""
+    seen, every = sum(len(one.samples) for one in records), len(series.samples)
+    if seen == every:
+        return ""
+    return f" It was looked at on {seen} of {every} samples, in {len(records)} stretches."
 
 
 def _noise_explains(seen: Alarm) -> str:

@@ -22,7 +22,7 @@ def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
     length = most // WINDOWS // longest.substeps * longest.substeps
     n = len(longest) // length
     if n <= WINDOWS:
-        return [longest.part(0, min(most, len(longest)))]
+        return [longest.part(*stretch(longest, 0, most))]
     parts = [longest.part(k * length, (k + 1) * length) for k in range(n)]
     parts = [part for part in parts if part.observed.any()]
     order = sorted(range(len(parts)), key=lambda k: activity(parts[k], longest))

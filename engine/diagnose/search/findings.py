@@ -46,7 +46,8 @@ class Cause:
 
     ``where`` is the family (state, measurement, noise, input, time); ``size`` with ``unit`` and
     ``standard_error``; ``p_value`` family-wise; ``gain`` = 2 (log-likelihood gained); ``equivalent`` the
-    names of all effects the data cannot tell from it, itself first.
+    names of all effects the data cannot tell from it, itself first; ``together`` names that were chosen with
+    it: the gain is that of all of them.
     """
 
     effect: str
@@ -61,6 +62,7 @@ class Cause:
     gain: float
     equivalent: tuple[str, ...]
     look_alikes: tuple[LookAlike, ...]
+    together: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

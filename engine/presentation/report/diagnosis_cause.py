@@ -39,7 +39,7 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
                     ("effect", tag("code", cause["effect"])),
                     ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
                     ("p-value, all effects together", p_value(cause["p_value"])),
-                    ("2 × log-likelihood gained", number(cause["gain"])),
+                    ("2 × log-likelihood gained", _gained(cause)),
                     ("enters through", cause["where"]),
                 ]
             )
@@ -79,6 +79,11 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
             folded("All that were not testable", tag("p", ", ".join(untestable)) if rest else Html("")),
         ]  # fmt: skip
     return parts
+
+
+def _gained(cause: Document) -> str:
+    others = cause.get("together")
+    return number(cause["gain"]) + (f" together with {', '.join(others)}" if others else "")
 
 
 def two_criteria(asked: Document | None, draw: Drawer) -> list[object]:

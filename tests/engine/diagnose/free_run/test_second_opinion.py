@@ -53,7 +53,7 @@ def _searched(series):
         (),
         alpha=0.05,
         kinds=KINDS,
-        rivals=lambda setting: (),
+        later=0.01,
         seed=1,
         progress=lambda stage, fraction: None,
     )
