@@ -21,10 +21,13 @@ from engine.filters.heavy_tails import with_mixture, with_student_t
 from engine.filters.kalman import kalman_smoother
 from engine.filters.particle import ParticleFiltered, particle_filter
 from engine.filters.rbpf import Filtered, rbpf
-from engine.models.registry import model_names, plugin_errors, register
+from engine.models.files import model_from
+from engine.models.registry import model_names, plugin_errors, register, register_files
 from engine.presentation.examination import Examination, examine
+from engine.presentation.model_check import model_check
 from engine.presentation.report import write_report
-from engine.simulation.fit import fit_simulation
+from engine.saved import load, save
+from engine.simulation.fit import SimulationFit, fit_simulation
 from engine.simulation.free_run import free_run
 from engine.simulation.simulate import Simulation, simulate
 from engine.smoothers.exact_conditional import condition_on_trajectories
@@ -62,6 +65,7 @@ __all__ = [
     "Series",
     "SeriesError",
     "Simulation",
+    "SimulationFit",
     "Smoothed",
     "SpecialCase",
     "StandardErrors",
@@ -81,6 +85,9 @@ __all__ = [
     "get_model",
     "kalman_smoother",
     "likelihood_intervals",
+    "load",
+    "model_check",
+    "model_from",
     "model_names",
     "particle_filter",
     "plugin_errors",
@@ -93,7 +100,9 @@ __all__ = [
     "rbps_em",
     "register",
     "register_effect",
+    "register_files",
     "rts_em",
+    "save",
     "simulate",
     "smooth_general",
     "standard_errors",

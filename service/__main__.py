@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from sqlalchemy import make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
+from engine.errors import EngineError
 from service.app import create_app
 from service.logs import configure
 from service.server import Server, server_config
@@ -25,7 +26,7 @@ def main(env: Mapping[str, str] | None = None) -> None:
     try:
         settings = Settings.from_env(env)
         app = create_app(settings)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, EngineError) as error:
         sys.exit(f"rbps: {error}")
     except ArgumentError as error:  # it may hold a password, so it is not shown
         sys.exit(f"rbps: RBPS_DATABASE_URL cannot be used: {error}")

@@ -12,6 +12,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 import engine
 from engine.diagnose.effects.setting import Setting
 from engine.errors import OptionError
+from engine.models.registry import source_of
 from service import metrics, serializers, stages
 from service.auth import Keys
 from service.bodies import json_route
@@ -60,6 +61,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     def put(request: Request, caller: str, key: str | None) -> Response:
         check_limits(request, settings)
         job = prepare(request)
+        request.model.source = source_of(request.model.name)
         try:
             job_id = store.create(
                 request.kind,

@@ -10,6 +10,7 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
+from engine.models.registry import register_files
 from service import job_pages, pages, problems
 from service.api import router
 from service.auth import KeyFirst, Keys, check_exposure
@@ -32,6 +33,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             f"{GUARD}"
         )
     settings = settings or Settings.from_env()
+    register_files(settings.own_models)
     keys = Keys(settings.keys_file)
     check_exposure(settings, keys)
     store = Store(settings.store_url)

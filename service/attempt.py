@@ -16,6 +16,7 @@ import signal
 import threading
 import time
 import traceback
+from collections.abc import Sequence
 from importlib.metadata import version
 from multiprocessing import connection, parent_process
 from pathlib import Path
@@ -26,6 +27,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from engine.diagnose.search.checkpoint import ASKED
 from engine.errors import EngineError
+from engine.models.registry import register_files
 from engine.statespace.model import Array, Theta
 from service import stages
 from service.logs import configure
@@ -45,8 +47,11 @@ STORE_FAILED = 75  # exit code: the store could not be used; another attempt may
 FLUSH_SECONDS = 0.1  # iterations faster than this are written several at a time
 
 
-def main(url: str, attempt: Attempt, memory: int = 0) -> None:
-    """Entry point of the worker process, which may use so many bytes of memory (0: any)."""
+def main(url: str, attempt: Attempt, memory: int = 0, models: Sequence[str] = ()) -> None:
+    """Entry point of the worker process, which may use so many bytes of memory (0: any).
+
+    ``models`` are files of models, see :func:`engine.models.registry.register_files`.
+    """
     configure()
     _die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the service's to handle
@@ -56,6 +61,9 @@ def main(url: str, attempt: Attempt, memory: int = 0) -> None:
         Path("/proc/self/oom_score_adj").write_text("500")
     if memory:
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    for one in models:  # the job's own is missed by its name, with the reason
+        with contextlib.suppress(EngineError):
+            register_files([one])
     try:
         run(Store(url), attempt)
     except SQLAlchemyError:

@@ -123,6 +123,8 @@ class ModelOut(BaseModel):
     inputs: dict[str, str]
     outputs: dict[str, str]
     parameters: list[ParameterOut]
+    own: bool = Field(description="whether it comes from a file of the user's own")
+    check: list[str] = Field(description="what the check of its functions says")
     example: dict[str, Any] = Field(description="a request for POST /jobs")
     links: list[Link]
 

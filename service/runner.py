@@ -47,6 +47,7 @@ class Terms:
     run_seconds: float
     losses_allowed: int
     memory: int
+    models: tuple[str, ...] = ()  # files of models, see engine.models.registry.register_files
 
     @classmethod
     def of(cls, settings: Settings) -> Terms:
@@ -56,6 +57,7 @@ class Terms:
             settings.run_seconds,
             settings.losses_allowed,
             settings.worker_memory,
+            settings.own_models,
         )
 
 
@@ -171,7 +173,7 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
 def _started(store: Store, attempt: Attempt, terms: Terms) -> BaseProcess:
     """Spawn; the heartbeat goes on meanwhile, for a new forkserver has to load the engine first."""
     with ThreadPoolExecutor(1) as pool:
-        process = pool.submit(spawn, store.url, attempt, terms.memory)
+        process = pool.submit(spawn, store.url, attempt, terms)
         while wait([process], terms.lease / 4).not_done:
             store.renew(attempt)
         return process.result()
@@ -195,9 +197,9 @@ def warm_up() -> None:
         log.error("no job will be computed: %s", _cause_of_end(process))
 
 
-def spawn(url: str, attempt: Attempt, memory: int) -> BaseProcess:
+def spawn(url: str, attempt: Attempt, terms: Terms) -> BaseProcess:
     """A fresh process that works on an attempt."""
-    return _start(main, (url, attempt, memory))
+    return _start(main, (url, attempt, terms.memory, terms.models))
 
 
 def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:

@@ -116,6 +116,12 @@ class ModelReference(_Strict):
     setting: SettingIn | None = Field(
         default=None, description="null means the span and time step of the first series"
     )
+    source: str | None = Field(
+        default=None,
+        max_length=64,
+        description="SHA-256 of the file of a model of one's own; the service puts it in, and refuses to "
+        "compute with another version of the file",
+    )
 
 
 def _model_reference(value: Any) -> Any:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 import engine
+from engine.models.registry import source_of
+from engine.presentation.model_check import model_check
 from engine.statespace.model import Array, MixedModel
 from service.responses import JobStatus, Link, ModelOut, Trace
 from service.schemas import ModelReference
@@ -83,7 +85,21 @@ def model(model: MixedModel, reference: ModelReference | None = None) -> ModelOu
     with_effects = {"model": reference.model_dump()} if reference else {}
     link = Link(href=f"/models/{name}", rel="self" if reference is None else "base")
     example = _example(name) | with_effects
-    return ModelOut(**{**members(model), "name": name}, example=example, links=[link])
+    return ModelOut(
+        **{**members(model), "name": name},
+        own=source_of(name) is not None,
+        check=list(_check(model)),
+        example=example,
+        links=[link],
+    )
+
+
+def _check(model: MixedModel) -> Sequence[str]:
+    """What the check of the model says, looked at once."""
+    if "check" not in model.derived:
+        model.derived["check"] = model_check(model)
+    found: Sequence[str] = model.derived["check"]
+    return found
 
 
 def members(model: MixedModel) -> dict[str, Any]:
@@ -109,20 +125,22 @@ def members(model: MixedModel) -> dict[str, Any]:
     }
 
 
-@cache
 def _example(name: str) -> dict[str, Any]:
-    """An estimation on simulated data."""
+    """An estimation on simulated data, made once."""
     model, T = engine.get_model(name), 20
+    if "example" in model.derived:
+        return dict(model.derived["example"])
     u = np.ones((T, model.nu)) if model.nu else None
     try:
         y = engine.simulate(model, None, T, np.random.default_rng(0), u=u).y
     except Exception:  # noqa: BLE001 - a stranger's model; its document is shown all the same
         y = np.zeros((T, model.ny))
     series = {"y": np.round(y, 6).tolist(), "dt": 1.0}
-    return {
+    model.derived["example"] = {
         "kind": "estimate",
         "model": name,
         "series": [series | ({"u": u.tolist()} if u is not None else {})],
         "parameters": {"start": model.theta().asdict()},
         "options": {"particles": 50, "iterations": 20, "seed": 1},
     }
+    return dict(model.derived["example"])

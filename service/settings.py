@@ -32,6 +32,8 @@ class Settings:
     open_network: bool = False  # listen beyond loopback without keys
     hosts: str = ""  # without keys: further names to answer to, with commas between
 
+    models: str = ""  # own models, with commas between: file.py:name, file.py, or a folder of files
+
     dask_scheduler: str = ""  # address of a Dask scheduler; without it, attempts run here
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)  # attempts at once
     lease_seconds: float = 15.0  # an attempt whose heartbeat stands still so long is started again
@@ -74,6 +76,11 @@ class Settings:
     def queue_per_key(self) -> int:
         """How many jobs of one key may wait or run."""
         return self.max_queue_per_key or max(1, self.max_queue // 4)
+
+    @property
+    def own_models(self) -> tuple[str, ...]:
+        """The references in ``models``, as they are understood from any folder."""
+        return tuple(os.path.abspath(one.strip()) for one in self.models.split(",") if one.strip())
 
     @property
     def store_url(self) -> str:

@@ -15,7 +15,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import effect_kinds, extend
 from engine.diagnose.effects.setting import Setting
 from engine.errors import EngineError, OptionError, SeriesError
-from engine.models.registry import get_model
+from engine.models.registry import get_model, source_of
 from engine.statespace.model import Array, MixedModel, Theta
 from service.problems import Problem, invalid
 from service.schemas import (
@@ -139,6 +139,12 @@ def find_model(
         model = get_model(reference.name)
     except OptionError as error:
         raise invalid("model", str(error)) from None
+    if reference.source is not None and reference.source != source_of(reference.name):
+        raise invalid(
+            "model.source",
+            f"the file of model '{reference.name}' is not the one this job was made with; send the job "
+            "again, without source, to use the file as it is now",
+        )
     if not reference.effects:
         return model
     try:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
+from engine.data.clock import index_of, seconds
 from engine.errors import OptionError, SeriesError
-from engine.views import html, tables
+from engine.views import Shown, View, frame, sheet, tables
 
 if TYPE_CHECKING:
     from engine.statespace.base import BaseModel
@@ -23,19 +24,20 @@ HOLDS = ("zoh", "foh", "past")  # what an input does between its samples
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class Series(Shown):
     """One experiment: measured outputs and inputs, times in seconds, channel names.
 
     Parameters
     ----------
     y : array (T, ny) or (T,)
-        Outputs; NaN is a missing value, of a whole row or a single channel.
+        Outputs; NaN is a missing value, of a whole row or a single channel. Columns of a pandas table bring
+        their names along, and an index of dates, durations or decimal numbers the times.
     u : array (T, nu) or (T,), optional
         Inputs.
-    dt : float
-        Time step, s, of a regularly sampled series.
+    dt : float, optional
+        Time step, s, of a regularly sampled series; 1 where nothing says when rows were measured.
     t : array (T,), optional
-        Time stamps, s, one per row, instead of ``dt``.
+        Time stamps, s, one per row, instead of ``dt``. Dates become seconds from the first of them.
     y_names, u_names : sequence of str, optional
         Names of the channels.
     extra : array (T, n), optional
@@ -72,8 +74,8 @@ class Series:
         self,
         y: ArrayLike,
         u: ArrayLike | None = None,
-        dt: float = 1.0,
-        t: ArrayLike | None = None,
+        dt: float | None = None,
+        t: Any = None,
         y_names: Sequence[str] | None = None,
         u_names: Sequence[str] | None = None,
         extra: ArrayLike | None = None,
@@ -81,6 +83,12 @@ class Series:
         substeps: int = 1,
         hold: str = "zoh",
     ) -> None:
+        if t is None and dt is None:
+            t = index_of((y, u))
+        y_names, u_names, extra_names = (
+            _own_names(values) if names is None else names
+            for values, names in ((y, y_names), (u, u_names), (extra, extra_names))
+        )
         y_ = _columns(y, "y")
         T = y_.shape[0]
         u_ = np.zeros((T, 0)) if u is None else _columns(u, "u")
@@ -115,7 +123,7 @@ class Series:
         set_(self, "y", y_)
         set_(self, "u", u_)
         set_(self, "extra", extra_)
-        set_(self, "t", _times(t, dt, T))
+        set_(self, "t", _times(t, 1.0 if dt is None else dt, T))
         set_(self, "substeps", int(substeps))
         set_(self, "hold", hold)
         for array in (self.y, self.u, self.extra, self.t):
@@ -245,6 +253,15 @@ class Series:
             u=np.hstack([self.u, self.extra]), u_names=(*self.u_names, *self.extra_names)
         )
 
+    def to_frame(self) -> Any:
+        """A pandas table of y, u and extra channels over the times in seconds; needs pandas."""
+        columns = zip(
+            (*self.y_names, *self.u_names, *self.extra_names),
+            np.hstack([self.y, self.u, self.extra]).T,
+            strict=True,
+        )
+        return frame(dict(columns), {"t": self.t})
+
     def check(self, model: BaseModel, measured: bool = True) -> Series:
         """Return self if its widths fit the model and, unless not ``measured``, y has a value.
 
@@ -263,7 +280,7 @@ class Series:
             raise SeriesError("every value of y is missing; at least one measurement is needed")
         return self
 
-    def _repr_html_(self) -> str:
+    def _view(self) -> View:
         every = f"every {self.dt:g} s" if self.dt is not None else "irregularly"
         rows = []
         for kind, names, values in (("y", self.y_names, self.y), ("u", self.u_names, self.u)):
@@ -273,7 +290,7 @@ class Series:
                     float(f(there)) if there.size else "" for f in (np.min, np.mean, np.max)
                 )
                 rows.append((kind, name, len(column) - there.size, least, mean, most))
-        return html(
+        return sheet(
             f"{len(self)} samples, {every}, t = {self.t[0]:g} ... {self.t[-1]:g} s",
             tables().table(("", "channel", "missing", "least", "mean", "most"), rows),
         )
@@ -323,12 +340,21 @@ def _names(names: Sequence[str] | None, n: int, prefix: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _times(t: ArrayLike | None, dt: float, T: int) -> Array:
+def _own_names(values: Any) -> tuple[str, ...] | None:
+    """Names of a pandas table's columns, or of the one column it is, where it has any."""
+    columns = getattr(values, "columns", None)
+    if columns is not None:
+        return tuple(map(str, columns))
+    name = getattr(values, "name", None) if hasattr(values, "index") else None
+    return None if name is None else (str(name),)
+
+
+def _times(t: Any, dt: float, T: int) -> Array:
     if t is None:
         if not (np.isfinite(dt) and dt > 0):
             raise SeriesError(f"dt = {dt} s; a positive time step is needed")
         return float(dt) * np.arange(T, dtype=np.float64)
-    times = np.array(t, dtype=float).ravel()
+    times = seconds(t)
     if times.size != T:
         raise SeriesError(f"t has {times.size} time stamps and y has {T} rows")
     bad = np.flatnonzero(~np.isfinite(times))

@@ -16,13 +16,14 @@ turn is then weighed again, each beside the others. Its verdict is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.diagnosis import Diagnosis
+from engine.diagnose.diagnosis import Asked, Diagnosis
 from engine.diagnose.effects.catalogue import (
     all_effects,
     effect_kinds,
@@ -142,26 +143,22 @@ def diagnose(
     _check_options(series, alpha, max_effects, effects)
     if bootstrap < 0:
         raise OptionError(f"bootstrap = {bootstrap}; 0 or more is needed", "bootstrap")
+    options = {
+        "theta": None if theta is None else model.theta(theta).tolist(),
+        "seed": seed,
+        "alpha": alpha,
+        "effects": None if effects is None else list(effects),
+        "max_effects": max_effects,
+        "free": None if free is None else list(free),
+    }
+    given = (model, series, test, {**options, "bootstrap": bootstrap})
+    parts = {} if kept is None else kept
     model, series = with_inputs(model, series.extra_names), series.with_extra_inputs()
     if test is not None:
         test = test.with_extra_inputs().check(model)
     notes = list(check_data(model, series))
     clock = Clock(callback)
-    done = kept_of(
-        kept,
-        model,
-        series,
-        test,
-        {
-            "theta": None if theta is None else model.theta(theta).tolist(),
-            "seed": seed,
-            "alpha": alpha,
-            "effects": None if effects is None else list(effects),
-            "max_effects": max_effects,
-            "free": None if free is None else list(free),
-        },
-        clock.spent,
-    )
+    done = kept_of(parts, model, series, test, options, clock.spent)
     plain = _split(series, test)[0]
     part = plain.part(*stretch(plain))
     clock.start("fit")
@@ -272,7 +269,19 @@ def diagnose(
         p_bootstrap=p_bootstrap,
         free_run=asked,
         substeps=fine.k,
+        asked=Asked(*given, parts=dict(parts)),
     )
+
+
+def again(
+    model: MixedModel,
+    series: Series,
+    test: Series | None,
+    options: Mapping[str, Any],
+    parts: Mapping[str, Any],
+) -> Diagnosis:
+    """The diagnosis that was asked so before; ``parts`` that it finished are not computed again."""
+    return diagnose(model, series, test=test, **options, kept=dict(parts))
 
 
 def _split(series: Series, test: Series | None) -> tuple[Series, Series]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,37 @@ from engine.diagnose.search.search import Search
 from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
-from engine.views import Figures, html, plots, tables, view
+from engine.views import Figures, Shown, View, plots, save, sheet, tables, view
 from engine.words import probability, tidy
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Asked:
+    """What :func:`engine.diagnose` was asked, and the parts that it finished.
+
+    Attributes
+    ----------
+    model : MixedModel
+        As it was given.
+    series : Series
+        As it was given.
+    test : Series or None
+        As it was given.
+    options : dict
+        The other arguments that change the answer, as JSON values.
+    parts : mapping
+        What ``kept`` holds: finished parts as JSON values.
+    """
+
+    model: MixedModel
+    series: Series
+    test: Series | None
+    options: dict[str, Any]
+    parts: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis(Shown):
     """The answer of :func:`engine.diagnose`; print it for a page a person can read.
 
     Attributes
@@ -60,6 +87,8 @@ class Diagnosis:
         What the free run says of the same question, and whether it decided.
     substeps : int
         Steps a sample that the models made: refine a series by it to run ``extended`` on it.
+    asked : Asked or None
+        What was asked and the parts that were finished, by which it can be kept.
     """
 
     model: MixedModel
@@ -79,6 +108,16 @@ class Diagnosis:
     p_bootstrap: float | None = None  # of the first round, where it was asked for
     free_run: SecondOpinion | None = None
     substeps: int = 1  # steps a sample
+    asked: Asked | None = None  # what was asked, by which it can be kept
+
+    def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot
+        if self.asked is None:
+            raise TypeError(
+                "a diagnosis is pickled by what was asked, which this one does not know"
+            )
+        asked = self.asked
+        arguments = (asked.model, asked.series, asked.test, asked.options, dict(asked.parts))
+        return import_module("engine.diagnose").again, arguments
 
     @property
     def decided_by(self) -> str:
@@ -131,13 +170,17 @@ class Diagnosis:
         made: Figures = plots().of_document({"diagnosis": self.to_dict()})
         return made
 
-    def _repr_html_(self) -> str:
+    def save(self, path: str | Path) -> Path:
+        """Write it with its model; :func:`engine.load` reads it."""
+        return save(self, path)
+
+    def _view(self) -> View:
         causes = [
             (c.effect, c.title, c.size, c.standard_error, tidy(c.unit), probability(c.p_value))
             for c in self.causes
         ]
         head = ("effect", "cause", "size", "standard error", "unit", "")
-        return html(
+        return sheet(
             f"{self.model.name}: {self.verdict.value}",
             tables().line(self.verdict.sentence),
             tables().table(head, causes),

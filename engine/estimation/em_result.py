@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Array, BaseModel, Theta
-from engine.views import Figures, figures, html, plots, tables
+from engine.views import Figures, Shown, View, figures, frame, plots, save, sheet, tables
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ class Checkpoint:
 
 
 @dataclass(frozen=True, eq=False)
-class EmResult:
+class EmResult(Shown):
     """The estimate and how it came about in K iterations.
 
     Attributes
@@ -118,18 +122,34 @@ class EmResult:
         """
         return figures(convergence=plots().convergence(self, intervals))
 
-    def _repr_html_(self) -> str:
+    def to_frame(self) -> Any:
+        """A pandas table of the iterations, the start first: parameters, log-likelihood; needs pandas."""
+        columns = dict(zip(self.theta.names, self.trace.T, strict=True))
+        columns["log_likelihood"] = np.append(self.log_likelihood, np.nan)
+        return frame(columns, {"iteration": np.arange(len(self.trace))})
+
+    def save(self, path: str | Path) -> Path:
+        """Write it with its model; :func:`engine.load` reads it."""
+        return save(self, path)
+
+    def _view(self) -> View:
         rows = [
             (p.name, value, p.unit, start, self._remark(p.name))
             for p, value, start in zip(
                 self.model.parameters, self.theta.tolist(), self.trace[0].tolist(), strict=True
             )
         ]
-        return html(
+        return sheet(
             f"{self.model.name}: {len(self.log_likelihood)} iterations of EM",
             tables().line(self.message),
+            tables().line(self._likelihood()),
             tables().table(("parameter", "estimate", "unit", "start", ""), rows),
         )
+
+    def _likelihood(self) -> str:
+        if not len(self.log_likelihood):
+            return ""
+        return f"Log-likelihood before the last iteration: {self.log_likelihood[-1]:.2f}."
 
     def _remark(self, name: str) -> str:
         if name in self.not_estimated:

@@ -15,7 +15,7 @@ from engine.data.series import Series
 from engine.errors import ModelError
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike
-from engine.views import Figures, figures, plots
+from engine.views import Figures, Shown, figures, plots
 
 SAME = 1e-9  # share of its largest value by which what should not depend on a may do so
 ROUNDING = 1e-12  # of the values from whose difference a slope is taken
@@ -24,7 +24,7 @@ LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
-class KalmanSmoothed:
+class KalmanSmoothed(Shown):
     """Exact moments of x = (a, z).
 
     ``x`` (T, nx) and ``P`` (T, nx, nx) smoothed; ``M`` (T-1, nx, nx) = Cov(x_t, x_{t+1} | y_{1:T});

@@ -17,10 +17,11 @@ from engine.filters.proposals import Proposal
 from engine.filters.rbpf import Filtered, rbpf
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.promotion import as_nonlinear
+from engine.views import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class ParticleFiltered:
+class ParticleFiltered(Shown):
     """What a particle filter leaves behind.
 
     ``x`` (T, M, nx) are the particles of x = (a, z), ``weights`` (T, M) theirs before resampling;

@@ -18,6 +18,7 @@ from engine.kernels.gaussian import psd_cholesky
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.statespace.refutation import repeated_if_refuted
+from engine.views import Shown
 
 RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
     "multinomial": schemes.multinomial,
@@ -30,7 +31,7 @@ COLLAPSED = 1.5  # an effective sample size below this means that one particle i
 
 
 @dataclass(frozen=True, eq=False)
-class Filtered:
+class Filtered(Shown):
     """What a RBPF pass leaves behind, for reading and for the backward pass.
 
     B is 1 where a matrix is common to all particles, and M otherwise.

@@ -28,12 +28,13 @@ from engine.kernels.moments import (
 )
 from engine.statespace.model import Array, Gaussian, MixedModel, stacked
 from engine.statespace.refutation import repeated_if_refuted
+from engine.views import Shown
 
 NEAR_SHARE = 1e-4  # of a state's size: over this, slopes are taken where the state has no variance
 
 
 @dataclass(frozen=True, eq=False)
-class MomentFiltered:
+class MomentFiltered(Shown):
     """One-step predictions of K filters: ``innovations`` (T, K, ny), their covariance ``S``, ...
 
     ``log_likelihood`` (K,) is -inf where a filter was lost; missing values are NaN in

@@ -2,23 +2,42 @@
 
 A package offers models through the entry-point group ``engine.models``; an entry point is a
 MixedModel, or a function that returns one or several. A broken one is reported by
-``plugin_errors()`` and stops nothing.
+``plugin_errors()`` and stops nothing. Models of files (:func:`register_files`) are read again when their
+files change.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
+from pathlib import Path
 from threading import RLock
 
-from engine.errors import ModelError, OptionError
+from engine.errors import EngineError, ModelError, OptionError
+from engine.models.files import ModelFile, files_of, in_file, read_models
 from engine.statespace.checks import check_model
 from engine.statespace.model import MixedModel
 
 GROUP = "engine.models"
+OF_A_FOLDER = (
+    "*"  # in place of a model's name: all there are, which may be none in a file of helpers
+)
+
+
+@dataclass
+class Own:
+    """What :func:`register_files` was given, and what was read of it."""
+
+    references: list[str] = field(default_factory=list)
+    read: dict[Path, ModelFile] = field(default_factory=dict)
+    names: dict[Path, list[str]] = field(default_factory=dict)  # of the models of each file
+    errors: dict[Path, str] = field(default_factory=dict)  # why a file cannot be used
+
 
 _models: dict[str, MixedModel] = {}
 _plugin_errors: dict[str, str] = {}
+_own = Own()
 _lock = RLock()
 _loaded = False
 
@@ -52,9 +71,11 @@ def get_model(name: str) -> MixedModel:
     """The registered model of that name. Raises OptionError naming those there are."""
     with _lock:
         _load()
+        _read_files()
         if name not in _models:
+            broken = "".join(f". {text}" for text in _own.errors.values())
             raise OptionError(
-                f"no model is registered as '{name}'; there are {', '.join(sorted(_models))}",
+                f"no model is registered as '{name}'; there are {', '.join(sorted(_models))}{broken}",
                 "model",
             )
         return _models[name]
@@ -70,11 +91,12 @@ def model_names() -> list[str]:
     """
     with _lock:
         _load()
+        _read_files()
         return sorted(_models)
 
 
 def plugin_errors() -> dict[str, str]:
-    """Entry points that could not be used.
+    """Entry points, and files of a registered folder, that could not be used.
 
     Returns
     -------
@@ -83,7 +105,107 @@ def plugin_errors() -> dict[str, str]:
     """
     with _lock:
         _load()
-        return dict(_plugin_errors)
+        _read_files()
+        own = {path.name: text.replace(str(path), path.name) for path, text in _own.errors.items()}
+        return {**_plugin_errors, **own}
+
+
+def register_files(references: Sequence[str]) -> list[str]:
+    """Make models of Python files known by their names, and read the files again where they change.
+
+    Parameters
+    ----------
+    references : sequence of str
+        Each ``path/to/file.py:name``, a file with all its models, or a folder with all its files.
+
+    Returns
+    -------
+    list of str
+        The models' names.
+
+    Raises
+    ------
+    OptionError
+        There is no such file or folder, or no such model in it.
+    ModelError
+        A file that was named cannot be used. One of a folder is told by :func:`plugin_errors`.
+    """
+    with _lock:
+        _load()
+        before = list(_own.references)
+        try:
+            _own.references += [one for one in references if files_of(one)]
+            _read_files()
+            for reference in references:
+                parts = in_file(reference)
+                if parts is not None and (error := _own.errors.get(parts[0].absolute())):
+                    raise ModelError(error)
+        except EngineError:
+            _own.references = before
+            _read_files()
+            raise
+        return [name for names in _own.names.values() for name in names]
+
+
+def source_of(name: str) -> str | None:
+    """SHA-256 of the file that a registered model comes from; None for one of an installed package.
+
+    Parameters
+    ----------
+    name : str
+        The model's name.
+
+    Returns
+    -------
+    str or None
+        The digest.
+    """
+    with _lock:
+        for path, names in _own.names.items():
+            if name in names:
+                return _own.read[path].digest
+    return None
+
+
+def _read_files() -> None:
+    """Read the files that are new or not what they were, and forget those that have gone."""
+    wanted: dict[Path, set[str]] = {}
+    for reference in _own.references:
+        parts = in_file(reference)
+        try:
+            for file in files_of(reference):
+                wanted.setdefault(file, set()).add(parts[1] if parts else OF_A_FOLDER)
+        except OptionError as error:  # it has been there
+            _own.errors[(parts[0] if parts else Path(reference)).absolute()] = str(error)
+    for path in [*_own.read]:
+        if path not in wanted or _own.read[path].changed:
+            _forget(path)
+    for path, names in wanted.items():
+        if path not in _own.read:
+            _read_file(path, names)
+
+
+def _read_file(path: Path, names: set[str]) -> None:
+    """Register a file's models; why that cannot be is kept."""
+    _own.errors.pop(path, None)
+    _own.names[path] = []
+    try:
+        found = read_models(path)
+        every = [*found.models] if names & {"", OF_A_FOLDER} else []
+        named = sorted(names.difference(every, {OF_A_FOLDER}, {""} if every else ()))
+        for name in [*every, *named]:
+            model = _register(found.model(name), replace=False)
+            _own.names[path].append(model.name)
+        _own.read[path] = found
+    except EngineError as error:
+        _forget(path)
+        _own.errors[path] = str(error)
+
+
+def _forget(path: Path) -> None:
+    for name in _own.names.pop(path, ()):
+        _models.pop(name, None)
+    _own.read.pop(path, None)
 
 
 def _register(model: MixedModel, replace: bool) -> MixedModel:

@@ -25,12 +25,13 @@ from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.rb_ffbsi import rb_ffbsi
 from engine.statespace.base import BaseModel
 from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.views import Shown
 
 AFTER_START = ("log_likelihood", "ess", "seconds")  # of a trace
 
 
 @dataclass(frozen=True, eq=False)
-class Examination:
+class Examination(Shown):
     """What :func:`examine` found.
 
     Attributes

@@ -7,8 +7,10 @@ within the bounds (scipy.optimize.least_squares), see :mod:`engine.simulation.pr
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import OptimizeResult
@@ -19,20 +21,45 @@ from engine.simulation.problem import FreeRunProblem
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
-from engine.views import Figures, figures, html, tables
+from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
 
 SHORT = 12  # evaluations that each start gets before the best one is followed to its end
 
 
 @dataclass(frozen=True, eq=False)
-class SimulationFit:
+class SimulationFit(Shown):
     """Estimate by simulation error.
 
-    ``theta`` holds every parameter, ``rmse`` the root mean square of all residuals in the outputs'
-    unit. ``runs`` are the free runs of each series, ``a1`` (S, na), ``z1`` (S, nz) their estimated
-    first states. ``silent`` parameters were free and cannot change a noise-free run (variances of
-    noise, say); they keep their start. ``covariance`` (n_theta, n_theta) takes the residuals for
-    white; they hardly ever are, so read it as a lower bound. Zero for parameters not estimated.
+    Attributes
+    ----------
+    model : MixedModel
+        The model.
+    theta : Theta
+        Every parameter.
+    rmse : float
+        Root mean square of all residuals, in the outputs' unit.
+    runs : list of FreeRun
+        The free run of each series.
+    a1 : array (S, na)
+        Estimated first nonlinear states.
+    z1 : array (S, nz)
+        Estimated first linear states.
+    estimated : tuple of str
+        The parameters that were estimated.
+    silent : tuple of str
+        Those that were free and cannot change a noise-free run (variances of noise, say); they keep
+        their start.
+    covariance : array (n_theta, n_theta)
+        Takes the residuals for white; they hardly ever are, so read it as a lower bound. Zero for
+        parameters not estimated.
+    evaluations : int
+        Runs of the model.
+    seconds : float
+        What it took.
+    success : bool
+        Whether the search converged.
+    message : str
+        The same in a sentence, with the particulars.
     """
 
     model: MixedModel
@@ -71,17 +98,34 @@ class SimulationFit:
             }
         )
 
-    def _repr_html_(self) -> str:
+    def to_frame(self) -> Any:
+        """A pandas table of the parameters: estimate, standard error, unit; needs pandas."""
+        errors = self.standard_errors
+        columns = {
+            "estimate": self.theta.tolist(),
+            "standard_error": [errors.get(name, np.nan) for name in self.theta.names],
+            "unit": [p.unit for p in self.model.parameters],
+        }
+        return frame(columns, {"parameter": list(self.theta.names)})
+
+    def save(self, path: str | Path) -> Path:
+        """Write it with its model; :func:`engine.load` reads it."""
+        return save(self, path)
+
+    def _view(self) -> View:
         errors = self.standard_errors
         rows = [
-            (p.name, value, errors.get(p.name, "held"), p.unit)
+            (p.name, value, errors.get(p.name, self._remark(p.name)), p.unit)
             for p, value in zip(self.model.parameters, self.theta.tolist(), strict=True)
         ]
-        return html(
+        return sheet(
             f"{self.model.name}: simulation-error fit, rms error {self.rmse:.4g}",
             tables().line(self.message),
             tables().table(("parameter", "estimate", "standard error", "unit"), rows),
         )
+
+    def _remark(self, name: str) -> str:
+        return "no influence" if name in self.silent else "held"
 
 
 @repeated_if_refuted
@@ -143,10 +187,7 @@ def fit_simulation(
     ]
     best = problem.descend(min(tried, key=lambda end: float(end.cost)).x, max_evaluations)
     theta, x1 = problem.split(best.x)
-    runs = [
-        free_run(model, theta, one, x[: model.na], x[model.na :])
-        for one, x in zip(listed, x1, strict=True)
-    ]
+    runs = _runs(model, theta, listed, x1)
     left = np.concatenate([run.residuals[run.series.observed] for run in runs])
     covariance, flat = problem.covariance(best)
     return SimulationFit(
@@ -164,6 +205,38 @@ def fit_simulation(
         success=bool(best.status > 0),
         message=_message(best, problem.names(problem.silent), flat),
     )
+
+
+def with_runs(
+    model: MixedModel, series: Sequence[Series], content: Mapping[str, Any]
+) -> SimulationFit:
+    """The fit of which ``content`` holds everything but the free runs, which are made again."""
+    theta = model.theta(content["theta"])
+    S = len(series)
+    a1, z1 = (
+        np.array(content[name], dtype=float).reshape(S, n)
+        for name, n in (("a1", model.na), ("z1", model.nz))
+    )
+    other: dict[str, Any] = {name: tuple(content[name]) for name in ("estimated", "silent")}
+    for name in ("rmse", "evaluations", "seconds", "success", "message"):
+        other[name] = content[name]
+    return SimulationFit(
+        model=model,
+        theta=theta,
+        runs=_runs(model, theta, series, np.hstack([a1, z1])),
+        a1=a1,
+        z1=z1,
+        covariance=np.array(content["covariance"], dtype=float),
+        **other,
+    )
+
+
+def _runs(model: MixedModel, theta: Theta, series: Sequence[Series], x1: Array) -> list[FreeRun]:
+    """The free run of each series from its first state x1 (S, nx)."""
+    return [
+        free_run(model, theta, one, x[: model.na], x[model.na :])
+        for one, x in zip(series, x1, strict=True)
+    ]
 
 
 def _message(best: OptimizeResult, silent: tuple[str, ...], flat: tuple[str, ...]) -> str:

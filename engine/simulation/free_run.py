@@ -13,7 +13,7 @@ from engine.errors import OptionError, SeriesError
 from engine.simulation.simulate import check_finite, noise, propagate
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
-from engine.views import Figures, figures, html, plots, tables
+from engine.views import Figures, Shown, View, figures, plots, sheet, tables
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Bands:
 
 
 @dataclass(frozen=True, eq=False)
-class FreeRun:
+class FreeRun(Shown):
     """A noise-free run: y (T, ny), a (T, na), z (T, nz); bands lower, upper (T, ny) or None."""
 
     model: MixedModel
@@ -79,11 +79,11 @@ class FreeRun:
         x = np.concatenate([self.a, self.z], axis=1)
         return figures(outputs=outputs, states=plots().states(t, units, x))
 
-    def _repr_html_(self) -> str:
+    def _view(self) -> View:
         rows = [
             (name, value, self.model.outputs[name]) for name, value in self.rmse_by_output.items()
         ]
-        return html(
+        return sheet(
             f"{self.model.name}: free run over {len(self.series)} samples",
             tables().table(("output", "rms error", "unit"), rows),
         )

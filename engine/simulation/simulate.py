@@ -17,11 +17,11 @@ from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import through
-from engine.views import Figures, figures, plots
+from engine.views import Figures, Shown, View, figures, plots
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
+class Simulation(Shown):
     """A run of a model.
 
     Attributes
@@ -53,8 +53,8 @@ class Simulation:
             states=plots().states(self.series.t, units, x),
         )
 
-    def _repr_html_(self) -> str:
-        return self.series._repr_html_()
+    def _view(self) -> View:
+        return self.series._view()
 
 
 def simulate(

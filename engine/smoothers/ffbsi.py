@@ -14,10 +14,11 @@ from engine.filters.particle import ParticleFiltered
 from engine.smoothers.moments import Moments
 from engine.smoothers.rb_ffbsi import rb_ffbsi
 from engine.statespace.model import Array
+from engine.views import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class ParticleSmoothed:
+class ParticleSmoothed(Shown):
     """N equally weighted draws of x_{1:T} given y_{1:T}; ``a`` (T, N, na) and ``z`` (T, N, nz) are their parts.
 
     Attributes

@@ -15,10 +15,11 @@ from engine.kernels.categorical import pick_each
 from engine.statespace.base import Theta, ThetaLike
 from engine.statespace.general import NonlinearModel, check_general
 from engine.statespace.model import Array
+from engine.views import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class GeneralFiltered:
+class GeneralFiltered(Shown):
     """``x`` (T, M, nx), ``weights`` (T, M) before resampling, ``log_likelihood``, ``ess`` (T,).
 
     ``ancestors`` (T, M): the particle at t-1 from which each one at t was drawn.

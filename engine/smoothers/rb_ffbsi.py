@@ -13,11 +13,11 @@ from engine.kernels.backward import backward_simulation
 from engine.kernels.resampling import stratified
 from engine.statespace.model import Array
 from engine.statespace.points import Points
-from engine.views import Figures, figures, html, plots, tables
+from engine.views import Figures, Shown, View, figures, plots, sheet, tables
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class Smoothed(Shown):
     """N backward trajectories, each of weight 1/N.
 
     ``cov`` and ``cross`` are moments of z given the trajectory, with an axis of length 1 in place of N where
@@ -91,7 +91,7 @@ class Smoothed:
             ),
         )
 
-    def _repr_html_(self) -> str:
+    def _view(self) -> View:
         model = self.filtered.model
         units = {**model.nonlinear, **model.linear}
         numbers = zip(
@@ -104,7 +104,7 @@ class Smoothed:
         rows = [
             (name, *row, unit) for (name, unit), row in zip(units.items(), numbers, strict=True)
         ]
-        return html(
+        return sheet(
             f"{model.name}: {len(self.a)} samples smoothed by {self.a.shape[1]} trajectories",
             tables().line(f"Log-likelihood of the filter {self.filtered.log_likelihood:.2f}"),
             tables().table(("state", "least", "most", "mean sd", "unit"), rows),

@@ -29,10 +29,11 @@ from engine.kernels.rts import gains, log_pairs
 from engine.smoothers.rb_ffbsi import Smoothed
 from engine.statespace.model import Array, MixedModel, ThetaLike, stacked
 from engine.statespace.shapes import through
+from engine.views import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class SpecialCase:
+class SpecialCase(Shown):
     """A model of eq. (63).
 
     Parameters

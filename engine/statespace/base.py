@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array as Array
 from engine.errors import OptionError
-from engine.views import html, tables
+from engine.views import Shown, View, sheet, tables
 
 ThetaLike: TypeAlias = "Mapping[str, float] | ArrayLike | None"
 
@@ -84,7 +84,7 @@ class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):
         return dict(zip(self.names, self.tolist(), strict=True))
 
 
-class BaseModel:
+class BaseModel(Shown):
     """Names and parameters; a model adds its functions."""
 
     name: str
@@ -194,7 +194,7 @@ class BaseModel:
             return np.arange(len(self.parameters))
         return np.array(sorted({self.index(name) for name in free}), dtype=np.intp)
 
-    def _repr_html_(self) -> str:
+    def _view(self) -> View:
         kinds = (
             ("nonlinear state", "nonlinear"),
             ("linear state", "linear"),
@@ -211,7 +211,7 @@ class BaseModel:
             (p.name, float(p.default), p.unit, *map(float, p.bounds), p.description)
             for p in self.parameters
         ]
-        return html(
+        return sheet(
             self.name,
             tables().line(getattr(self, "description", "")),
             tables().lines(getattr(self, "equations", ())),

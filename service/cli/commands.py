@@ -414,12 +414,38 @@ def serve(
         int | None,
         typer.Option(metavar="N", min=1, max=65535, help="Port to listen on.  [RBPS_PORT or 8000]"),
     ] = None,
+    models: Annotated[
+        list[str],
+        typer.Option(
+            "--model",
+            "-m",
+            metavar="MODEL",
+            help="Models of your own: path/to/file.py:name, a file, or a folder of files; again for more. "
+            "They are read again when their files change.",
+        ),
+    ] = [],  # noqa: B006
 ) -> None:
     """Serve the HTTP interface and its pages, as 'python -m service' does."""
     with guarded(False):
         from service.cli.serve import run
 
-        run(host, port)
+        run(host, port, models)
+
+
+@app.command(epilog=CODES, short_help="Write a model of your own to begin with.")
+def new(
+    file: Annotated[Path, typer.Argument(metavar="FILE.py", help="The file to write.")],
+    as_json: Json = False,
+) -> None:
+    """Write a commented model that runs, to be changed into your own.
+
+    It is a pendulum, from its differential equation to a model. 'rbps models FILE.py' shows it with what
+    its check says, 'rbps serve --model FILE.py' has it on the pages.
+    """
+    with guarded(as_json):
+        from service.cli.new import write
+
+        write(file, as_json)
 
 
 def main() -> None:

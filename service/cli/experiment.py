@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from engine.models.files import in_file
 from service.cli.meter import Meter
-from service.cli.references import absolute, in_file
+from service.cli.references import absolute
 from service.cli.state_file import Sealed, StateFile, keep_old
 from service.cli.values import names, numbers, pairs
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Iterator, Sequence
 
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting
 from engine.models.registry import get_model, model_names, plugin_errors
+from engine.presentation.model_check import model_check
 from engine.statespace.model import MixedModel
 from engine.words import number, tidy
 from service import strict_json
@@ -24,14 +26,16 @@ def show_all(as_json: bool) -> None:
         width = max(len(model.name) for model in models) + 2
         for model in models:
             print(f"{model.name:<{width}}{model.description}")
-        print("\nOne of them: rbps models NAME. Your own: path/to/file.py:name")
+        print(
+            "\nOne of them: rbps models NAME. Your own: path/to/file.py:name; 'rbps new FILE.py' writes one"
+        )
     for plugin, error in plugin_errors().items():
         print(f"rbps: the plug-in '{plugin}' could not be loaded: {error}", file=sys.stderr)
 
 
 def show_one(reference: str, effects: Sequence[str], list_effects: bool, as_json: bool) -> None:
     """One model in full, or what can be added to it."""
-    model = with_effects(model_of(reference, "MODEL"), effects, None)
+    model = with_effects(model_of(reference), effects, None)
     if list_effects:
         found = all_effects(Setting(model))
         if as_json:
@@ -73,3 +77,6 @@ def page(model: MixedModel) -> Iterator[str]:
         bounds = f"[{number(p.bounds[0])}, {number(p.bounds[1])}]"
         text = f"  {p.name:<16}{number(p.default, 5):>10}  {bounds:<22}{tidy(p.unit):<14}"
         yield f"{text}{p.description}".rstrip()
+    yield "\nWhat its check says"
+    for sentence in model_check(model):
+        yield from textwrap.wrap(sentence, 96, initial_indent="  ", subsequent_indent="    ")

@@ -125,7 +125,7 @@ def test_displays_are_tables(cell):
         (errors, ["mine: standard errors", "c"]),
         (run, ["mine: free run over 120 samples", "reading"]),
         (smoothed, ["mine: 120 samples smoothed by 20 trajectories", "speed"]),
-        (fit, ["c", "held"]),
+        (fit, ["c", "no influence"]),
         (
             engine.simulate(mine, None, 5, rng, u=np.ones(5)),
             ["5 samples, every 1 s, t = 0 ... 4 s"],

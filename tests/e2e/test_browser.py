@@ -10,8 +10,9 @@ import engine
 from engine.data import nile
 from engine.data.tables import read_csv
 from service.auth import digest_of
+from service.cli.new import write as write_model
 from service.columns import counts, match
-from tests.e2e.browser import eventually, ready, service
+from tests.e2e.browser import Watched, eventually, ready, service
 from tests.service.test_columns import CASES, text
 
 
@@ -395,3 +396,23 @@ def test_columns_are_matched_as_the_service_does(visit):
         asked,
     )
     assert found == expected
+
+
+def test_a_model_of_ones_own_with_its_equations_and_what_its_check_says(chrome, tmp_path):
+    models = tmp_path / "models"
+    models.mkdir()
+    write_model(models / "pendulum.py", as_json=True)
+    (models / "broken.py").write_text("import nowhere_at_all\n")
+    with service(tmp_path, models=models) as address:
+        watched = Watched(chrome, address)
+        page = watched("/?model=pendulum")
+        ready(page)
+        assert page.input_value("#model") == "pendulum"
+        assert "(your own)" in page.inner_text("#model option:checked")
+        assert "sin" in page.inner_text("#model-equations")
+        assert page.input_value('tr[data-name="w2"] .value') == "30"
+        assert "gravity over length" in page.inner_text("#parameters")
+        page.click("#model-check summary")
+        assert "Shapes, values and covariances are right" in page.inner_text("#model-check")
+        assert "broken.py cannot be used" in page.inner_text("#broken")
+        watched.check()

@@ -41,7 +41,7 @@ from engine.errors import ModelError, NotSettledWarning, OptionError
 from engine.estimation.uncertainty.observed import StandardErrors, standard_errors
 from engine.estimation.uncertainty.score import Score
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
-from engine.views import html, tables
+from engine.views import Shown, View, sheet, tables
 
 STEP_ERRORS = 0.7  # between the values of theta_k, in standard errors ...
 GROWTH = 1.25  # ... and by how much it grows from one to the next
@@ -58,7 +58,7 @@ STEP_PARTS = 64  # parts of each step on which the curve is searched
 
 
 @dataclass(frozen=True, eq=False)
-class LikelihoodIntervals:
+class LikelihoodIntervals(Shown):
     """Intervals of the free parameters by the likelihood ratio.
 
     Attributes
@@ -88,7 +88,7 @@ class LikelihoodIntervals:
     maximum: Array
     warning: str = ""
 
-    def _repr_html_(self) -> str:
+    def _view(self) -> View:
         rows = [
             (p.name, value, low, high, p.unit)
             for p, value, (low, high) in zip(
@@ -98,7 +98,7 @@ class LikelihoodIntervals:
         ]
         head = ("parameter", "estimate", f"{100 * self.level:g} % from", "to", "unit")
         title = f"{self.model.name}: intervals by the likelihood ratio"
-        return html(title, tables().line(self.warning), tables().table(head, rows))
+        return sheet(title, tables().line(self.warning), tables().table(head, rows))
 
 
 def likelihood_intervals(

@@ -23,9 +23,12 @@ export class ModelCard {
   }
 
   async load() {
-    const { models } = await get("/models");
+    const { models, broken_plugins } = await get("/models");
+    const broken = document.getElementById("broken");
+    broken.replaceChildren(...Object.entries(broken_plugins).map(([name, text]) => element("li", {}, `${name} cannot be used: ${text}`)));
+    broken.hidden = !broken.childElementCount;
     this.models = new Map(models.map((one) => [one.name, one]));
-    const choices = models.map((one) => element("option", { value: one.name }, `${one.name} - ${firstSentence(one.description)}`));
+    const choices = models.map((one) => element("option", { value: one.name }, `${one.name}${one.own ? " (your own)" : ""} - ${firstSentence(one.description)}`));
     select.replaceChildren(element("option", { value: "" }, "choose ..."), ...choices);
   }
 
@@ -74,7 +77,8 @@ export class ModelCard {
   show() {
     document.getElementById("model-card").hidden = !this.document;
     if (!this.document) return;
-    const { description, equations: lines, nonlinear, linear, inputs, outputs } = this.document;
+    const { description, equations: lines, nonlinear, linear, inputs, outputs, check } = this.document;
+    document.getElementById("model-check-list").replaceChildren(...check.map((text) => element("li", {}, text)));
     document.getElementById("model-text").textContent = description;
     document.getElementById("model-equations").replaceChildren(equations(lines));
     const rows = [

@@ -1,0 +1,77 @@
+"""What the check of a model says, in sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.errors import EngineError
+from engine.filters.linearity import why_not_linear
+from engine.statespace.checks import check_model
+from engine.statespace.model import MixedModel
+from engine.words import enumerated
+
+TRIED_ROWS = 2  # parameter vectors, and times, that a function is asked about at once
+
+
+def model_check(model: MixedModel) -> list[str]:
+    """What can be said of a model at its default parameters, with inputs of 0 and dt = 1 s.
+
+    Parameters
+    ----------
+    model : MixedModel
+        The model, paper, eq. (1).
+
+    Returns
+    -------
+    list of str
+        Sentences: whether its functions can be used, which methods fit it, what is missing.
+    """
+    try:
+        check_model(model)
+    except EngineError as error:
+        return [f"Cannot be used: {error}"]
+    said = [
+        "Shapes, values and covariances are right at the default parameters, with inputs of 0 and a "
+        "step of 1 s.",
+        _method(model),
+        *_calls(model),
+    ]
+    if not model.continuous:
+        said.append(
+            "Its step is taken as it is: a diagnosis runs it once a sample. A model of differential "
+            "equations (engine.continuous) is run as finely as its effects need."
+        )
+    endless = [p.name for p in model.parameters if not np.isfinite(p.bounds).all()]
+    if endless:
+        said.append(f"Without bounds on both sides: {enumerated(endless)}.")
+    if not model.equations:
+        said.append(
+            "It lists no equations: MixedModel(equations=[...]) shows them on pages and reports."
+        )
+    return said
+
+
+def _method(model: MixedModel) -> str:
+    why = why_not_linear(model)
+    if not why:
+        return "Linear and Gaussian: the method rts-em is exact."
+    return f"Not linear and Gaussian ({why.partition('Gaussian: ')[2] or why}): the method rbps-em fits."
+
+
+def _calls(model: MixedModel) -> list[str]:
+    """Which functions need a call for each parameter vector."""
+    theta = model.theta()
+    second = np.where(theta == 0.0, 0.5, 0.9 * theta).clip(model.lower, model.upper)
+    record = model.records(np.array([theta, second]))
+    start = model.start(model.record(theta))
+    a = np.asarray(start.density.sample(np.random.default_rng(0), TRIED_ROWS), dtype=float)
+    u, slow = np.zeros(model.nu), []
+    for name, function in (("dynamics", model.transitions), ("measurement", model.observations)):
+        try:
+            if not function.takes(a, u, 0.0, 1.0, record):
+                slow.append(name)
+        except EngineError:  # at the second vector it cannot be calculated
+            continue
+    if not slow:
+        return []
+    return [f"{enumerated(slow)} takes one parameter vector in a call: as right, and slower."]

@@ -1,0 +1,291 @@
+"""Results kept in files: estimates and diagnoses with their model, by its name or its file.
+
+A file is one JSON document. Functions are not in it: a registered model is found again by its name, one of a
+user's file by that file, which must be the same to the last byte. The text of the file is kept too, and is run
+only where that is asked for; what it imports from beside it is not. A diagnosis is kept as what was asked with
+the parts that it has finished, and goes through them again in seconds when it is loaded.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose import Diagnosis, again
+from engine.diagnose.extended import get_model
+from engine.errors import EngineError, OptionError
+from engine.estimation.em_result import EmResult
+from engine.estimation.outcome import Outcome
+from engine.models.files import ModelFile, read_models
+from engine.models.registry import model_names
+from engine.simulation.fit import SimulationFit, with_runs
+from engine.statespace.model import MixedModel
+
+FORMAT = 1
+ARRAYS = ("trace", "log_likelihood", "ess", "seconds", "collapsed")  # of an EmResult
+Kept = EmResult | SimulationFit | Diagnosis
+
+
+def save(found: Kept, path: str | Path) -> Path:
+    """Write a result and how its model is found again.
+
+    Parameters
+    ----------
+    found : EmResult, SimulationFit or Diagnosis
+        The result.
+    path : str or Path
+        The file to write.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    OptionError
+        The result is of another kind.
+    OSError
+        The file cannot be written.
+    """
+    kind, content = _content(found)
+    document = {
+        "rbps": FORMAT,
+        "version": version("rbps"),
+        "kind": kind,
+        "model": _reference(found.model),
+        "result": content,
+    }
+    path = Path(path)
+    path.write_text(json.dumps(document) + "\n", encoding="utf-8")
+    return path
+
+
+def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
+    """Read a result that was written by ``save``.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    model : MixedModel, optional
+        The model, where it is not found by itself, such as one of a notebook.
+    run_source : bool
+        Where the model's own file has gone, run the text of it that was kept. It may do anything that you may:
+        only for files of people you trust.
+
+    Returns
+    -------
+    EmResult, SimulationFit or Diagnosis
+        What was saved.
+
+    Raises
+    ------
+    OptionError
+        The file is none that ``save`` wrote, or its model is not found or not the same.
+    """
+    path = Path(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        kind, reference, content = (document[key] for key in ("kind", "model", "result"))
+    except (ValueError, KeyError, TypeError) as error:
+        raise OptionError(f"{path}: this is not a saved result of rbps ({error})", "path") from None
+    if document.get("rbps") != FORMAT:
+        raise OptionError(
+            f"{path}: it was saved by rbps {document.get('version')}, which has another format"
+        )
+    found = _model(path, reference, run_source) if model is None else model
+    if [p.name for p in found.parameters] != reference["parameters"]:
+        raise OptionError(
+            f"{path}: the result has the parameters {', '.join(reference['parameters'])}; model "
+            f"'{found.name}' has {', '.join(found.parameter_names)}",
+            "model",
+        )
+    if kind == "em":
+        return _em(found, content)
+    series = [_series(one) for one in content["series"]]
+    if kind == "simulation":
+        return with_runs(found, series, content)
+    parts = content["parts"] if document["version"] == version("rbps") else {}
+    test = None if content["test"] is None else _series(content["test"])
+    return again(found, series[0], test, content["options"], parts)
+
+
+# ---- contents -----------------------------------------------------------------------------------
+
+
+def _content(found: Kept) -> tuple[str, dict[str, Any]]:
+    if isinstance(found, EmResult):
+        out: dict[str, Any] = {name: getattr(found, name).tolist() for name in ARRAYS}
+        out |= {name: list(getattr(found, name)) for name in ("free", "not_estimated", "theta")}
+        return "em", out | {"outcome": found.outcome.name, "message": found.message}
+    if isinstance(found, SimulationFit):
+        return "simulation", {
+            "series": [_arrays(run.series) for run in found.runs],
+            "theta": found.theta.tolist(),
+            "a1": found.a1.tolist(),
+            "z1": found.z1.tolist(),
+            "covariance": found.covariance.tolist(),
+            **{name: list(getattr(found, name)) for name in ("estimated", "silent")},
+            **{
+                n: getattr(found, n)
+                for n in ("rmse", "evaluations", "seconds", "success", "message")
+            },
+        }
+    if isinstance(found, Diagnosis) and found.asked is not None:
+        asked = found.asked
+        test = None if asked.test is None else _arrays(asked.test)
+        return "diagnosis", {
+            "series": [_arrays(asked.series)],
+            "test": test,
+            "options": dict(asked.options),
+            "parts": dict(asked.parts),
+        }
+    raise OptionError(f"a {type(found).__name__} cannot be saved", "found")
+
+
+def _em(model: Any, content: Mapping[str, Any]) -> EmResult:
+    arrays = {name: np.array(content[name], dtype=float) for name in ARRAYS}
+    arrays["trace"] = arrays["trace"].reshape(-1, len(model.parameters))
+    return EmResult(
+        model=model,
+        theta=model.theta(content["theta"]),
+        outcome=Outcome[content["outcome"]],
+        message=content["message"],
+        free=tuple(content["free"]),
+        not_estimated=tuple(content["not_estimated"]),
+        **arrays,
+    )
+
+
+def _arrays(series: Series) -> dict[str, Any]:
+    """A series as JSON values; a missing reading is None."""
+    out = {name: getattr(series, name).tolist() for name in ("u", "t", "extra")}
+    out["y"] = [[None if v != v else v for v in row] for row in series.y.tolist()]
+    names = ("y_names", "u_names", "extra_names")
+    out |= {name: list(getattr(series, name)) for name in names}
+    return out | {"substeps": series.substeps, "hold": series.hold}
+
+
+def _series(content: Mapping[str, Any]) -> Series:
+    T = len(content["t"])
+    tables = {
+        name: np.array(content[name], dtype=float).reshape(T, -1) for name in ("y", "u", "extra")
+    }
+    return Series(**{**content, **tables})
+
+
+# ---- models -------------------------------------------------------------------------------------
+
+
+def _reference(model: Any) -> dict[str, Any]:
+    """How the model is found again: by name with effects, by file, or not at all."""
+    out: dict[str, Any] = {"name": model.name, "parameters": list(model.parameter_names)}
+    if not isinstance(model, MixedModel):
+        return out
+    name, *effects = model.name.split("+")
+    if name in model_names():
+        try:
+            known = get_model(name, effects)
+        except EngineError:
+            known = None
+        if known is not None and (known.dynamics is model.dynamics or _agree(known, model)):
+            return out | {"registered": {"name": name, "effects": effects}}
+    if (own := _file_of(model)) is not None:
+        file, variable = own
+        text = file.path.read_text(encoding="utf-8")
+        out["file"] = {
+            "path": str(file.path),
+            "variable": variable,
+            "sha256": file.digest,
+            "source": text,
+        }
+    return out
+
+
+def _agree(one: MixedModel, other: MixedModel) -> bool:
+    """Whether two models give the same numbers at some points: effects know the data they were made for."""
+    if one.parameters != other.parameters:
+        return False
+    rng = np.random.default_rng(0)
+    theta = np.clip(one.theta() + 0.1, one.lower, one.upper)
+    record = one.record(theta)
+    try:
+        a = np.asarray(one.start(record).density.sample(rng, 4), dtype=float)
+        for t in (0.0, 1.0, 37.0):
+            u = rng.standard_normal(one.nu)
+            pairs = zip(
+                (*one.transition(a, u, t, 0.1, record), *one.observation(a, u, t, record)),
+                (*other.transition(a, u, t, 0.1, record), *other.observation(a, u, t, record)),
+                strict=True,
+            )
+            if not all(np.array_equal(x, y, equal_nan=True) for x, y in pairs):
+                return False
+    except EngineError:
+        return False
+    return True
+
+
+def _file_of(model: MixedModel) -> tuple[ModelFile, str] | None:
+    """The file that a model comes from and its name there, if importing the file gives it again."""
+    function = getattr(model.dynamics, "drift", model.dynamics)
+    name = getattr(getattr(function, "__code__", None), "co_filename", "")
+    path = Path(name)
+    if path.suffix != ".py" or not path.is_file():
+        return None
+    modules = [one for one in list(sys.modules.values()) if _is_of(one, path)]
+    variables = [key for one in modules for key, value in vars(one).items() if value is model]
+    try:
+        file = read_models(path)
+    except EngineError:
+        return None
+    found = file.models
+    for key in variables or [key for key, one in found.items() if one.name == model.name]:
+        if key in found and _agree(found[key], model):
+            return file, key
+    return None
+
+
+def _is_of(module: ModuleType | None, path: Path) -> bool:
+    file = getattr(module, "__file__", None)
+    return bool(file) and Path(str(file)).absolute() == path.absolute()
+
+
+def _model(path: Path, reference: Mapping[str, Any], run_source: bool) -> MixedModel:
+    """The model of a saved result. Raises OptionError that says what to do where it is not found."""
+    name = reference["name"]
+    if registered := reference.get("registered"):
+        return get_model(registered["name"], registered["effects"])
+    own = reference.get("file")
+    if own is None:
+        raise OptionError(
+            f"{path}: model '{name}' is neither registered nor from a file; load(path, model=...) takes it",
+            "model",
+        )
+    file = Path(own["path"])
+    if file.is_file():
+        found = read_models(file)
+        if found.digest == own["sha256"]:
+            return found.model(own["variable"])
+        raise OptionError(
+            f"{path}: {file} is not what it was when this was saved; load(path, model=...) takes a model "
+            "that you know to be the same",
+            "model",
+        )
+    if not run_source:
+        raise OptionError(
+            f"{path}: {file}, where model '{name}' comes from, has gone; load(path, model=...) takes it from "
+            "elsewhere, load(path, run_source=True) runs the text of the file that was kept",
+            "model",
+        )
+    module = ModuleType(file.stem)
+    exec(compile(own["source"], str(file), "exec"), vars(module))
+    return ModelFile(file, module, (), ()).model(own["variable"])

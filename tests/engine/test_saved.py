@@ -1,0 +1,109 @@
+"""Results kept in files and pickled, with their models by name, by file, by text, or as told."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data import nile
+from engine.errors import OptionError
+from tests.engine.models.test_model_files import write
+
+SERIES = engine.Series(np.sin(np.arange(30.0)) * 0.1)
+
+
+@pytest.fixture(scope="module")
+def level():
+    model = engine.get_model("local-level")
+    return engine.rbps_em(model, nile(), free=["q"], n_particles=10, n_iterations=2, seed=1)
+
+
+def same(one, other):
+    assert str(one) == str(other)
+    for name in ("trace", "log_likelihood", "ess", "seconds", "collapsed", "theta"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert (one.free, one.outcome, one.not_estimated) == (
+        other.free,
+        other.outcome,
+        other.not_estimated,
+    )
+
+
+def test_an_estimate_of_a_registered_model_and_going_on_with_it(level, tmp_path):
+    found = engine.load(level.save(tmp_path / "fit.json"))
+    same(found, level)
+    assert found.model is level.model
+    same(pickle.loads(pickle.dumps(level)), level)
+    options = {"free": ["q"], "n_particles": 10, "n_iterations": 3, "seed": 1}
+    on = [engine.rbps_em(f.model, nile(), resume=f.checkpoint, **options) for f in (level, found)]
+    np.testing.assert_array_equal(on[0].trace, on[1].trace)
+
+
+def test_an_extended_model_by_name_and_effects(tmp_path):
+    model = engine.get_model("local-level", effects=["step:flow"])
+    found = engine.rbps_em(model, nile(), free=["q"], n_particles=10, n_iterations=1)
+    document = json.loads(found.save(tmp_path / "fit.json").read_text())
+    assert document["model"]["registered"] == {"name": "local-level", "effects": ["step:flow"]}
+    again = engine.load(tmp_path / "fit.json")
+    same(again, found)
+
+
+def test_a_model_of_a_file(tmp_path):
+    path = write(tmp_path, "valve")
+    fit = engine.fit_simulation(engine.model_from(str(path)), SERIES)
+    saved = fit.save(tmp_path / "fit.json")
+    again = engine.load(saved)
+    assert str(again) == str(fit)
+    np.testing.assert_array_equal(again.runs[0].y, fit.runs[0].y)
+    np.testing.assert_array_equal(again.covariance, fit.covariance)
+    path.unlink()
+    with pytest.raises(OptionError, match=r"valve.py, where model 'valve' comes from, has gone"):
+        engine.load(saved)
+    np.testing.assert_array_equal(engine.load(saved, run_source=True).runs[0].y, fit.runs[0].y)
+    write(tmp_path, "valve", ("0.01", "0.02"))
+    with pytest.raises(OptionError, match="is not what it was when this was saved"):
+        engine.load(saved)
+    assert engine.load(saved, model=fit.model).model is fit.model
+    with pytest.raises(OptionError, match="the result has the parameters c; model 'servo' has"):
+        engine.load(saved, model=engine.get_model("servo"))
+
+
+def test_a_model_that_nobody_can_find_is_asked_for(level, tmp_path):
+    model = engine.get_model("local-level")
+    names: dict = {"engine": engine, "known": model}
+    cell = """
+def dynamics(*arguments):
+    return known.dynamics(*arguments)
+mine = engine.MixedModel(
+    name="mine", dynamics=dynamics, measurement=known.measurement, initial=known.initial,
+    linear=known.linear, outputs=known.outputs, parameters=known.parameters)
+"""
+    exec(compile(cell, "<cell 1>", "exec"), names)
+    found = engine.rbps_em(names["mine"], nile(), n_particles=10, n_iterations=1)
+    saved = found.save(tmp_path / "fit.json")
+    with pytest.raises(OptionError, match="neither registered nor from a file"):
+        engine.load(saved)
+    same(engine.load(saved, model=names["mine"]), found)
+
+
+def test_a_diagnosis_in_a_file_and_pickled(nile_diagnosis, tmp_path):
+    def told(found):
+        document = found.to_dict()
+        return {key: document[key] for key in document if key not in ("seconds", "page")}
+
+    saved = nile_diagnosis.save(tmp_path / "diagnosis.json")
+    for again in (engine.load(saved), pickle.loads(pickle.dumps(nile_diagnosis))):
+        assert again.verdict is nile_diagnosis.verdict
+        assert again.causes == nile_diagnosis.causes
+        assert told(again) == told(nile_diagnosis)
+
+
+@pytest.mark.parametrize("text", ["no JSON", "{}", '{"kind": 1}', "[]"])
+def test_another_file_is_refused(tmp_path, text):
+    (tmp_path / "other.json").write_text(text)
+    with pytest.raises(OptionError, match=r"other.json: this is not a saved result of rbps"):
+        engine.load(tmp_path / "other.json")
+    with pytest.raises(OptionError, match="a Series cannot be saved"):
+        engine.save(SERIES, tmp_path / "other.json")
