@@ -14,6 +14,7 @@ from engine.data.series import Series
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.uncertainty import LikelihoodIntervals, StandardErrors
 from engine.presentation.examination import (
+    estimate_document,
     estimation_document,
     model_document,
     smoothed,
@@ -25,6 +26,7 @@ from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
 from service.validation import Prepared
 
+NORMAL = 1.959964  # standard errors to either side of a 95 % interval
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
 WIDE_NATS = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
 LOGNORMAL_DRAWS = 4000  # of that mean, to know its error to about one per cent
@@ -52,10 +54,60 @@ class Progress(Protocol):
 # ---- estimate -------------------------------------------------------------------------------
 
 
+def fit_simulation(
+    job: Prepared, options: EstimateOptions, progress: Progress
+) -> engine.SimulationFit:
+    """Least squares on the free run, from the job's start and others around it."""
+    said = "fitting the simulation by least squares"
+
+    def tell(done: int, steps: int) -> None:
+        progress.step(0 if options.method != "simulation" else done, f"{said}, {done} of {steps}")
+
+    progress.step(0, said)
+    return engine.fit_simulation(
+        job.model, job.series, job.theta, free=job.free, seed=options.seed, callback=tell
+    )
+
+
+def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) -> dict[str, Any]:
+    """The result document of a fit of the free run."""
+    found, model = fit_simulation(job, options, progress), job.model
+    errors = found.standard_errors
+    estimate = estimate_document(model, found.theta, found.estimated, None)
+    for name, error in errors.items():
+        value = estimate[name]["value"]
+        estimate[name]["standard_error"] = error
+        estimate[name]["interval"] = [value - NORMAL * error, value + NORMAL * error]
+    for name in found.silent:
+        estimate[name]["silent"] = True
+    return {
+        "model": model_document(model),
+        "method": "simulation",
+        "estimate": estimate,
+        "outcome": "converged" if found.success else "evaluations-used-up",
+        "message": found.message,
+        "warning": "Standard errors take the errors of the simulation for white noise, which they hardly "
+        "ever are: read them as lower bounds. Maximum likelihood (rbps-em) gives others.",
+        "rmse": found.rmse,
+        "simulation": {
+            "units": _units(model),
+            "series": [_run_document(model, run.series, run) for run in found.runs],
+        },
+    }
+
+
 def fit(
-    job: Prepared, options: EstimateOptions, theta0: Theta, seed: int, progress: Progress
+    job: Prepared,
+    options: EstimateOptions,
+    theta0: Theta,
+    seed: int,
+    progress: Progress,
+    simulation_first: bool = False,
 ) -> dict[str, Any]:
-    """EM from theta0, going on where an earlier attempt was; rows as in ``db_schema.iterations``."""
+    """EM from theta0, going on where an earlier attempt was; rows as in ``db_schema.iterations``.
+
+    With ``simulation_first`` it leaves from the fit of the simulation.
+    """
     method = getattr(engine, options.method.replace("-", "_"))
     arguments: dict[str, Any] = {"n_iterations": options.iterations}
     if options.method != "rts-em":
@@ -66,10 +118,13 @@ def fit(
         trace, columns = np.split(rows, [len(job.model.parameters)], axis=1)
         arguments["resume"] = engine.Checkpoint(trace, *columns[1:].T)
     else:
+        if simulation_first:
+            theta0 = fit_simulation(job, options, progress).theta
         progress.start(theta0)
     found = method(
         job.model, job.series, theta0, free=job.free, callback=progress.iteration, **arguments
     )
+    note = " EM left from the fit of the simulation." if simulation_first else ""
     return {
         "theta": found.theta.tolist(),
         "trace": found.trace.tolist(),
@@ -79,7 +134,7 @@ def fit(
         "free": list(found.free),
         "outcome": found.outcome.name.lower().replace("_", "-"),
         "success": found.outcome.success,
-        "message": found.message,
+        "message": found.message + note,
     }
 
 
@@ -228,22 +283,30 @@ def simulate(job: Prepared, request: SimulateRequest, progress: Progress) -> dic
     rng = np.random.default_rng(request.options.seed)
     for i, series in enumerate(job.series):
         run = _simulate(model, job.theta, series, request, rng)
-        document = {
-            "t": series.t.tolist(),
-            "y": _columns(run.y, tuple(model.outputs)),
-            "states": _columns(np.concatenate([run.a, run.z], axis=1), _state_names(model)),
-        }
-        if series.observed.any():
-            document["measured"] = _columns(series.y, tuple(model.outputs))
-            document["rmse"] = float(np.sqrt(np.nanmean((series.y - run.y) ** 2)))
-        out.append(document)
+        out.append(_run_document(model, series, run))
         progress.step(i + 1)
-    units = {**model.outputs, **model.nonlinear, **model.linear}
     return {
         "model": model_document(model),
         "parameters": job.theta.asdict(),
-        "simulation": {"units": units, "series": out},
+        "simulation": {"units": _units(model), "series": out},
     }
+
+
+def _run_document(model: MixedModel, series: Series, run: Any) -> dict[str, Any]:
+    """Outputs and states of a run, beside what was measured where something was."""
+    document: dict[str, Any] = {
+        "t": series.t.tolist(),
+        "y": _columns(run.y, tuple(model.outputs)),
+        "states": _columns(np.concatenate([run.a, run.z], axis=1), _state_names(model)),
+    }
+    if series.observed.any():
+        document["measured"] = _columns(series.y, tuple(model.outputs))
+        document["rmse"] = float(np.sqrt(np.nanmean((series.y - run.y) ** 2)))
+    return document
+
+
+def _units(model: MixedModel) -> dict[str, str]:
+    return {**model.outputs, **model.nonlinear, **model.linear}
 
 
 def _simulate(

@@ -197,6 +197,9 @@ class Estimated(BaseModel):
     )
     unit: str
     fixed: bool = Field(default=False, description="true for a parameter that was not free")
+    silent: bool = Field(
+        default=False, description="true for one that was free and has no influence on a simulation"
+    )
 
 
 class Uncertain(BaseModel):
@@ -261,6 +264,8 @@ class Results(BaseModel):
     )
     estimate: dict[str, Estimated] | None = None
     parameters: dict[str, float] | None = None
+    method: str | None = Field(default=None, description="simulation: least squares on it")
+    rmse: float | None = Field(default=None, description="of a fit of the simulation")
     outcome: str | None = None
     message: str | None = None
     warning: str | None = Field(

@@ -227,7 +227,15 @@ Trajectories = Annotated[Particles | None, Field(description="null means as many
 class EstimateOptions(_Strict):
     """How to estimate."""
 
-    method: Literal["rbps-em", "ps-em", "rts-em"] = "rbps-em"
+    method: Literal["simulation", "rbps-em", "ps-em", "rts-em"] = Field(
+        default="rbps-em",
+        description="simulation: least squares on the simulation without noise; the others are maximum "
+        "likelihood",
+    )
+    first: Literal["none", "simulation"] = Field(
+        default="none",
+        description="simulation: EM leaves from the least-squares fit of the simulation",
+    )
     particles: Particles = 50
     trajectories: Trajectories = None
     iterations: int = Field(default=100, ge=1)

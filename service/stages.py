@@ -19,6 +19,7 @@ import numpy as np
 import engine
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
+from engine.simulation.problem import REFINED
 from engine.statespace.model import Theta
 from service import computations, diagnoses
 from service.computations import Progress
@@ -26,6 +27,9 @@ from service.problems import Problem
 from service.schemas import DiagnoseRequest, EstimateRequest, SimulateRequest, SmoothRequest
 from service.validation import Prepared, Request
 
+SIMULATION_STEPS = (
+    REFINED + 2
+)  # of a fit of the simulation: its starts, and the best one to its end
 START_SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
 START_KEY, BOOTSTRAP_KEY = 1 << 40, 1 << 41  # spawn keys far from those of iterations
 
@@ -41,7 +45,7 @@ ROLES = {
 
 def plan(request: Request) -> list[int]:
     """How many tasks each stage has."""
-    if not isinstance(request, EstimateRequest):
+    if not isinstance(request, EstimateRequest) or request.options.method == "simulation":
         return [1]
     options = request.options
     stages = [1] if options.starts == 1 else [options.starts, 1]
@@ -57,6 +61,8 @@ def steps(job: Prepared) -> int:
     """How many steps of progress a job will make at most."""
     if isinstance(job.request, EstimateRequest):
         options = job.request.options
+        if options.method == "simulation":
+            return SIMULATION_STEPS
         return options.iterations * (options.starts + options.bootstrap)
     return diagnoses.PROGRESS_STEPS if isinstance(job.request, DiagnoseRequest) else len(job.series)
 
@@ -88,7 +94,10 @@ def run(
             return _summarize(job, job.request, range(first, task), first - 1, progress)
         case _:
             options = job.request.options
-            found = computations.fit(job, options, job.theta, options.seed, progress)
+            if options.method == "simulation":
+                return computations.simulation_fit(job, options, progress)
+            first = options.first == "simulation"
+            found = computations.fit(job, options, job.theta, options.seed, progress, first)
             return computations.describe(job, options, found, progress)
 
 
@@ -97,7 +106,9 @@ def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) ->
     options, theta0 = request.options, _start(job, request, i)
     start = {"start": theta0.asdict()}
     try:
-        found = computations.fit(job, options, theta0, options.seed, progress)
+        first = i == 0 and options.first == "simulation"
+        found = computations.fit(job, options, theta0, options.seed, progress, first)
+        start = {"start": dict(zip(job.model.parameter_names, found["trace"][0], strict=True))}
     except ModelError as error:
         return start | {"success": False, "outcome": "failed", "message": str(error)}
     if found["success"]:

@@ -66,6 +66,7 @@ def prepare(request: Request) -> Prepared:
         if request.test is not None:
             test = _series(request.test, model, "test")
     if isinstance(request, EstimateRequest):
+        check_method(request.options)
         with _at("parameters.ranges"):
             for name, (low, high) in request.parameters.ranges.items():
                 model.theta({name: low})
@@ -173,6 +174,22 @@ def _times(request: Request, model: MixedModel) -> Setting | None:
     if not (np.isfinite(one.t).all() and (steps > 0.0).all()):
         return None  # the series is refused next, with the row
     return Setting(model, {}, (one.t[0], one.t[-1]), float(np.median(steps)))
+
+
+def check_method(options: EstimateOptions) -> None:
+    """Raise Problem 422 for options that the method has no use for."""
+    if options.method != "simulation":
+        return
+    if options.first == "simulation":
+        raise invalid(
+            "options.first", "the method is the fit of the simulation itself; leave it out"
+        )
+    for name, value, none in (("starts", options.starts, 1), ("bootstrap", options.bootstrap, 0)):
+        if value != none:
+            raise invalid(
+                f"options.{name}",
+                f"the method simulation tries starts of its own and has no bootstrap; leave {name} out",
+            )
 
 
 def check_effects(effects: Sequence[str] | None) -> None:

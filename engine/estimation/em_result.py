@@ -11,6 +11,7 @@ import numpy as np
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Array, BaseModel, Theta
 from engine.views import Figures, Shown, View, figures, frame, plots, save, sheet, tables
+from engine.words import tidy
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ class EmResult(Shown):
 
     def _view(self) -> View:
         rows = [
-            (p.name, value, p.unit, start, self._remark(p.name))
+            (p.name, value, tidy(p.unit), start, self._remark(p.name))
             for p, value, start in zip(
                 self.model.parameters, self.theta.tolist(), self.trace[0].tolist(), strict=True
             )

@@ -103,7 +103,7 @@ def of_document(document: Document) -> Figures:
     groups: Iterator[Group] = iter(())
     if diagnosis := document.get("diagnosis"):
         groups = _of_diagnosis(diagnosis)
-    elif document.get("estimate"):
+    elif document.get("examination"):
         groups = _of_estimate(document)
     elif simulation := document.get("simulation"):
         groups = (

@@ -7,7 +7,7 @@ within the bounds (scipy.optimize.least_squares), see :mod:`engine.simulation.pr
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
+from engine.words import tidy
 
 SHORT = 12  # evaluations that each start gets before the best one is followed to its end
 
@@ -115,7 +116,7 @@ class SimulationFit(Shown):
     def _view(self) -> View:
         errors = self.standard_errors
         rows = [
-            (p.name, value, errors.get(p.name, self._remark(p.name)), p.unit)
+            (p.name, value, errors.get(p.name, self._remark(p.name)), tidy(p.unit))
             for p, value in zip(self.model.parameters, self.theta.tolist(), strict=True)
         ]
         return sheet(
@@ -137,6 +138,7 @@ def fit_simulation(
     n_starts: int = 32,
     seed: int = 0,
     max_evaluations: int = 200,
+    callback: Callable[[int, int], object] | None = None,
 ) -> SimulationFit:
     """Fit the free run to one or several series by least squares.
 
@@ -162,6 +164,9 @@ def fit_simulation(
         The same seed gives the same bits.
     max_evaluations : int
         Evaluations at most of the start that is followed to its end.
+    callback : callable, optional
+        ``callback(done, steps)`` after each start that is tried and at the end; stops the fit by returning
+        True or raising StopIteration, at the best start so far.
 
     Returns
     -------
@@ -181,11 +186,16 @@ def fit_simulation(
         check_start(model, model.theta(theta0), one)
     problem = FreeRunProblem(model, listed, model.theta(theta0), model.free_indices(free))
     problem.look_for_silent()
-    tried = [
-        problem.descend(start, SHORT)
-        for start in problem.starts(n_starts, np.random.default_rng(seed))
-    ]
-    best = problem.descend(min(tried, key=lambda end: float(end.cost)).x, max_evaluations)
+    starts = problem.starts(n_starts, np.random.default_rng(seed))
+    tried, stopped = [], False
+    for k, start in enumerate(starts, 1):
+        tried.append(problem.descend(start, SHORT))
+        if stopped := _stops(callback, k, len(starts) + 1):
+            break
+    best = min(tried, key=lambda end: float(end.cost))
+    if not stopped:
+        best = problem.descend(best.x, max_evaluations)
+        _stops(callback, len(starts) + 1, len(starts) + 1)
     theta, x1 = problem.split(best.x)
     runs = _runs(model, theta, listed, x1)
     left = np.concatenate([run.residuals[run.series.observed] for run in runs])
@@ -202,8 +212,8 @@ def fit_simulation(
         covariance=covariance,
         evaluations=problem.evaluations,
         seconds=time.perf_counter() - began,
-        success=bool(best.status > 0),
-        message=_message(best, problem.names(problem.silent), flat),
+        success=bool(best.status > 0) and not stopped,
+        message=_message(best, problem.names(problem.silent), flat, len(tried) if stopped else 0),
     )
 
 
@@ -239,10 +249,24 @@ def _runs(model: MixedModel, theta: Theta, series: Sequence[Series], x1: Array) 
     ]
 
 
-def _message(best: OptimizeResult, silent: tuple[str, ...], flat: tuple[str, ...]) -> str:
-    parts = [
-        "Converged." if best.status > 0 else "All evaluations were used up before convergence."
-    ]
+def _stops(callback: Callable[[int, int], object] | None, done: int, steps: int) -> bool:
+    """Tell how far it is; whether that stops it."""
+    try:
+        return callback is not None and callback(done, steps) is True
+    except StopIteration:
+        return True
+
+
+def _message(
+    best: OptimizeResult, silent: tuple[str, ...], flat: tuple[str, ...], stopped: int
+) -> str:
+    """How it ended; ``stopped`` is after how many starts, 0 where it was not."""
+    if stopped:
+        parts = [f"Stopped after {stopped} of its starts, at the best of them."]
+    elif best.status > 0:
+        parts = ["Converged."]
+    else:
+        parts = ["All evaluations were used up before convergence."]
     if silent:
         parts.append(f"No influence on a noise-free run, left at the start: {', '.join(silent)}.")
     if flat:

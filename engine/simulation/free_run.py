@@ -14,6 +14,7 @@ from engine.simulation.simulate import check_finite, noise, propagate
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.views import Figures, Shown, View, figures, plots, sheet, tables
+from engine.words import tidy
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ class FreeRun(Shown):
 
     def _view(self) -> View:
         rows = [
-            (name, value, self.model.outputs[name]) for name, value in self.rmse_by_output.items()
+            (name, value, tidy(self.model.outputs[name]))
+            for name, value in self.rmse_by_output.items()
         ]
         return sheet(
             f"{self.model.name}: free run over {len(self.series)} samples",

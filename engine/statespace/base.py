@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from engine.arrays import Array as Array
 from engine.errors import OptionError
 from engine.views import Shown, View, sheet, tables
+from engine.words import tidy
 
 ThetaLike: TypeAlias = "Mapping[str, float] | ArrayLike | None"
 
@@ -203,12 +204,12 @@ class BaseModel(Shown):
             ("output", "outputs"),
         )
         channels = [
-            (kind, name, unit)
+            (kind, name, tidy(unit))
             for kind, field in kinds
             for name, unit in getattr(self, field, {}).items()
         ]
         parameters = [
-            (p.name, float(p.default), p.unit, *map(float, p.bounds), p.description)
+            (p.name, float(p.default), tidy(p.unit), *map(float, p.bounds), p.description)
             for p in self.parameters
         ]
         return sheet(

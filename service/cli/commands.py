@@ -113,9 +113,16 @@ def fit(
         str,
         typer.Option(
             metavar="METHOD",
-            help="rbps-em; ps-em, without Rao-Blackwellization; rts-em, exact for linear models.",
+            help="rbps-em; ps-em, without Rao-Blackwellization; rts-em, exact for linear models; "
+            "simulation, least squares on the simulation without noise.",
         ),
     ] = "rbps-em",
+    first: Annotated[
+        str,
+        typer.Option(
+            metavar="none|simulation", help="Let EM leave from the fit of the simulation."
+        ),
+    ] = "none",
     iterations: Annotated[
         int, typer.Option("--iterations", "-n", metavar="N", min=1, help="At most.")
     ] = 100,
@@ -192,12 +199,27 @@ def fit(
             return
         if not data:
             raise wrong("DATA is missing: name one or more data files")
-        one_of("--method", method, ("rbps-em", "ps-em", "rts-em"))
+        one_of("--method", method, ("rbps-em", "ps-em", "rts-em", "simulation"))
+        one_of("--first", first, ("none", "simulation"))
+        if method == "simulation":
+            for option, name in (
+                ("--first", "first"),
+                ("--starts", "starts"),
+                ("--bootstrap", "bootstrap"),
+                ("--iterations", "iterations"),
+                ("--particles", "particles"),
+                ("--trajectories", "trajectories"),
+            ):
+                if given(ctx, name):
+                    raise wrong(
+                        f"{option} is not for --method simulation, which has starts of its own"
+                    )
         model = model_named(model)
         asked = Asked(
             data=[str(path.absolute()) for path in data],
             **parsed(model, effects, values, fixed, free, columns, time, dt, hold, seed, paths),
             method=method,
+            first=first,
             particles=particles,
             trajectories=trajectories,
             iterations=iterations,

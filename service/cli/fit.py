@@ -9,6 +9,7 @@ from typing import Any
 
 from engine import words
 from engine.data.series import Series
+from engine.filters.linearity import why_not_linear
 from engine.statespace.model import MixedModel
 from service import stages, strict_json
 from service.cli import references
@@ -78,6 +79,8 @@ def _prepare(asked: Asked, shown: Meter) -> Prepared:
     model = references.with_effects(base, asked.effects, series[0])
     theta = theta_of(model, asked.start, asked.fixed)
     free = free_of(model, asked.free, list(asked.fixed))
+    if asked.method == "rts-em" and (why := why_not_linear(model, theta, series[0])):
+        raise wrong(f"--method rts-em: {why}; use rbps-em")
     for _, line in both:
         shown.note(line)
     request = EstimateRequest.model_construct(
@@ -156,7 +159,7 @@ def _tell(
 ) -> None:
     """Write the files and print the estimate; then remove a state that nothing can be resumed from."""
     one_run = asked.starts == 1 and not asked.bootstrap
-    more = one_run and document["outcome"] == "iterations-used-up"
+    more = one_run and document["outcome"] == "iterations-used-up" and "trace" in document
     written = write_outputs(asked, document, asked.data, recorder)
     if not more:
         _tidy(asked, recorder.file)
@@ -177,16 +180,18 @@ def _tidy(asked: Asked, state: StateFile) -> None:
 
 def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any]) -> list[str]:
     """The estimate for people."""
-    done = document["trace"]["iteration"][-1]
     samples = sum(map(len, series))
-    likelihood = document["log_likelihood"]
-    lines = [f"{model.name}: {samples} samples, {done} iterations. {document['message']}"]
+    how = (
+        f"{document['trace']['iteration'][-1]} iterations" if "trace" in document else "simulation"
+    )
+    lines = [f"{model.name}: {samples} samples, {how}. {document['message']}"]
     intervals = any(one.get("interval") for one in document["estimate"].values())
     between = f"{'95 % interval':>26}" if intervals else ""
     lines.append(f"{'':<16}{'estimate':>12}{'std. error':>12}{between}  unit")
     for name, one in document["estimate"].items():
         error = one["standard_error"]
-        shown = "fixed" if one.get("fixed") else "-" if error is None else words.number(error, 3)
+        held = "no effect" if one.get("silent") else "fixed" if one.get("fixed") else ""
+        shown = held or ("-" if error is None else words.number(error, 3))
         value = words.number(one["value"], 5)
         if intervals:
             ends = [words.number(v, 4) for v in one.get("interval") or ()]
@@ -194,10 +199,15 @@ def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any])
         lines.append(f"{name:<16}{value:>12}{shown:>12}  {words.tidy(one['unit'])}".rstrip())
     if document.get("warning"):
         lines.append(document["warning"])
-    error = likelihood["standard_error"]
-    lines.append(
-        f"log-likelihood {likelihood['value']:.2f}" + (f" +- {error:.2f}" if error else "")
-    )
+    if likelihood := document.get("log_likelihood"):
+        error = likelihood["standard_error"]
+        lines.append(
+            f"log-likelihood {likelihood['value']:.2f}" + (f" +- {error:.2f}" if error else "")
+        )
+    if "rmse" in document:
+        units = set(model.outputs.values())
+        unit = units.pop() if len(units) == 1 else ""
+        lines.append(f"simulation wrong by {words.with_unit(document['rmse'], unit)} rms")
     if bootstrap := document.get("bootstrap"):
         lines.append(
             f"standard errors and intervals from {bootstrap['runs'] - bootstrap['failed']} estimations on "

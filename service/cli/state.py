@@ -29,6 +29,7 @@ class Asked(Experiment):
     result: ClassVar[str] = "estimation"
     data: list[str]
     method: str = "rbps-em"
+    first: str = "none"
     particles: int = 50
     trajectories: int | None = None
     iterations: int = 100

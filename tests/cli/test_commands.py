@@ -496,3 +496,59 @@ def test_serve_with_a_wrong_setting(rbps, monkeypatch):
     result = rbps("serve", "--port", "9999")
     assert result.exit_code == 2
     assert "RBPS_WORKERS='many' is not of type int" in result.stderr
+
+
+# ---- the fit of the simulation ------------------------------------------------------------------
+
+
+@pytest.fixture
+def run(rbps, tmp_path):
+    command = "simulate -m oscillator --excite drive=steps:1:2 -n 300 --dt 0.02 -o run.csv"
+    assert rbps(*command.split()).exit_code == 0
+    return tmp_path / "run.csv"
+
+
+def test_the_simulation_is_fitted_first(rbps, run, tmp_path):
+    asked = ("fit", run, "-m", "oscillator", "--free", "omega,zeta", "--set", "omega=7")
+    found = rbps(
+        *asked,
+        "--method",
+        "simulation",
+        "-o",
+        "fit.json",
+        "--report",
+        "fit.html",
+        "--plot",
+        "figures",
+    )
+    assert found.exit_code == 0, found.output
+    document = json.loads((tmp_path / "fit.json").read_text())
+    model = engine.get_model("oscillator")
+    series = read_series(run)
+    least = engine.fit_simulation(model, series, {"omega": 7.0}, free=["omega", "zeta"])
+    assert document["estimate"]["omega"]["value"] == least.theta["omega"]
+    assert f"simulation wrong by {words.with_unit(least.rmse, '1')} rms" in found.stdout
+    assert "lower bounds" in found.stdout
+    assert "Simulation" in (tmp_path / "fit.html").read_text()
+    assert list((tmp_path / "figures").glob("outputs*.svg"))
+    assert not list(tmp_path.glob("*.state"))
+    em = rbps(*asked, "--first", "simulation", *QUICK, "--json").json()
+    assert em["trace"]["theta"]["omega"][0] == least.theta["omega"]
+    assert "EM left from the fit of the simulation" in em["message"]
+
+
+@pytest.mark.parametrize("option", [("--starts", 2), ("--first", "simulation"), ("-n", 5)])
+def test_what_the_fit_of_the_simulation_has_no_use_for(rbps, run, option):
+    result = rbps("fit", run, "-m", "oscillator", "--method", "simulation", *option)
+    assert result.exit_code == 2
+    assert "is not for --method simulation" in result.stderr
+
+
+def test_an_exact_method_for_a_model_that_is_not_linear_is_wrong_usage(rbps, tmp_path):
+    assert rbps("new", "pendulum.py").exit_code == 0
+    command = "simulate -m pendulum.py --excite torque=steps:1:2 -n 100 --dt 0.02 -o run.csv"
+    assert rbps(*command.split()).exit_code == 0
+    result = rbps("fit", "run.csv", "-m", "pendulum.py", "--method", "rts-em")
+    assert result.exit_code == 2
+    assert "--method rts-em: model 'pendulum' is not linear Gaussian" in result.stderr
+    assert "use rbps-em" in result.stderr

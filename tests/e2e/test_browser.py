@@ -8,6 +8,7 @@ import pytest
 
 import engine
 from engine.data import nile
+from engine.data.files import write_series
 from engine.data.tables import read_csv
 from service.auth import digest_of
 from service.cli.new import write as write_model
@@ -416,3 +417,32 @@ def test_a_model_of_ones_own_with_its_equations_and_what_its_check_says(chrome, 
         assert "Shapes, values and covariances are right" in page.inner_text("#model-check")
         assert "broken.py cannot be used" in page.inner_text("#broken")
         watched.check()
+
+
+def test_the_simulation_is_fitted_first(visit, tmp_path):
+    model = engine.get_model("oscillator")
+    u = np.repeat(np.random.default_rng(0).uniform(-2, 2, 20), 10)
+    run = engine.simulate(model, {"omega": 7.0}, 200, np.random.default_rng(1), u=u, dt=0.05)
+    write_series(run.series, tmp_path / "run.csv")
+    page = visit("/?model=oscillator")
+    ready(page)
+    page.set_input_files("#file", tmp_path / "run.csv")
+    page.wait_for_selector("#channels .u-wrap canvas")
+    page.click("#options summary")
+    assert page.is_visible("#estimate-iterations")
+    page.select_option("#estimate-method", "simulation")
+    for name in ("iterations", "particles", "starts", "bootstrap", "first"):
+        assert page.is_hidden(f"#estimate-{name}"), name
+    page.click("#go")
+    page.wait_for_url("**/jobs/*")
+    page.wait_for_selector("#status.successful")
+    page.wait_for_selector("#results table")
+    shown = page.inner_text("#results")
+    assert "no influence" in shown  # of the noise
+    assert "read them as lower bounds" in shown
+    page.wait_for_selector("#results .u-wrap canvas")
+    found = httpx.get(page.url + "/results").json()
+    assert found["estimate"]["omega"]["value"] == pytest.approx(7.0, rel=0.05)
+    page.click("#repeat")
+    ready(page)
+    assert page.input_value("#estimate-method") == "simulation"

@@ -56,6 +56,7 @@ def estimate_report(document: Document, draw: Drawer) -> Report:
         (
             *section("convergence", "Convergence", grid(convergence_figures(document, draw))),
             *_states(document, draw),
+            *_simulated(document, draw),
             *_examined(document, model, draw),
             *section("attempts", "Attempts", _starts(document), _bootstrap(document, draw)),
             *section(
@@ -77,16 +78,23 @@ def states_report(document: Document, draw: Drawer) -> Report:
 
 def simulation_report(document: Document, draw: Drawer) -> Report:
     """Simulated outputs and states, outputs beside what was measured."""
-    simulation = document["simulation"]
-    parts = []
+    values = document.get("parameters") or {}
+    shown = facts((k, number(v, 6)) for k, v in values.items())
+    return Report("Simulation", shown, tuple(_simulated(document, draw)))
+
+
+def _simulated(document: Document, draw: Drawer) -> list[Section]:
+    simulation = document.get("simulation")
+    if not simulation:
+        return []
+    parts: list[Section] = []
     for i, series in enumerate(simulation["series"]):
         rmse = series.get("rmse")
         said = "" if rmse is None else tag("p", f"Wrong by {number(rmse)} rms against the data.")
         figures = [simulated_figures(series, simulation["units"], k, draw) for k in ("y", "states")]
         shown = grid(chain(*figures))
         parts += section(f"series-{i}", _nth("Simulation", i, simulation), said, shown)
-    values = document.get("parameters") or {}
-    return Report("Simulation", facts((k, number(v, 6)) for k, v in values.items()), tuple(parts))
+    return parts
 
 
 def simulated_figures(
@@ -145,13 +153,12 @@ def estimates(document: Document) -> Html:
     rows = []
     start = {k: v[0] for k, v in (document.get("trace") or {}).get("theta", {}).items() if v}
     for name, found in document["estimate"].items():
-        error, fixed = found["standard_error"], found.get("fixed", False)
         low, high = found.get("interval") or (None, None)
         rows.append(
             (
                 tag("code", name),
                 number(found["value"], 5),
-                "held" if fixed else (number(error, 2) if error is not None else "not known"),
+                _error(found),
                 "" if low is None else f"{number(low, 4)} to {number(high, 4)}",
                 pretty(found["unit"]),
                 number(start.get(name), 4) if name in start else "",
@@ -159,6 +166,16 @@ def estimates(document: Document) -> Html:
         )
     head = ("parameter", "estimate", "standard error", "95 % interval", "unit", "start")
     return table(head, rows, "numbers")
+
+
+def _error(found: Document) -> str:
+    """A standard error, or why there is none."""
+    if found.get("silent"):
+        return "no influence"
+    if found.get("fixed"):
+        return "held"
+    error = found["standard_error"]
+    return "not known" if error is None else number(error, 2)
 
 
 # ---- convergence ------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 // Step 3: the question, and how to answer it.
 
 const kinds = [...document.querySelectorAll('input[name="kind"]')];
+const ONLY_EM = ["first", "iterations", "particles", "starts", "bootstrap"];
 const details = document.getElementById("options");
 
 export class TaskCard {
@@ -21,6 +22,9 @@ export class TaskCard {
 
   show() {
     for (const box of details.querySelectorAll("[data-kind]")) box.hidden = box.dataset.kind !== this.kind;
+    // the fit of the simulation has starts of its own and no iterations of EM
+    const simulation = document.getElementById("estimate-method").value === "simulation";
+    for (const name of ONLY_EM) document.querySelector(`[data-kind="estimate"] [data-field="options.${name}"]`).hidden = simulation;
     const text = this.inputs().filter((input) => input.dataset.type !== "bool" && input.value !== "").slice(0, 3)
       .map((input) => `${label(input)} ${input.selectedOptions?.[0].textContent.split(",")[0] ?? input.value}`);
     document.getElementById("options-text").textContent = text.join(", ");
@@ -28,7 +32,7 @@ export class TaskCard {
   }
 
   inputs() {
-    return [...details.querySelectorAll(`[data-kind="${this.kind}"] [data-option]`)];
+    return [...details.querySelectorAll(`[data-kind="${this.kind}"] [data-option]`)].filter((input) => !input.closest("[hidden]"));
   }
 
   get testFile() {
