@@ -30,6 +30,7 @@ from engine.errors import EngineError
 from engine.models.registry import register_files
 from engine.statespace.model import Array, Theta
 from service import stages
+from service.db_schema import ITERATIONS
 from service.logs import configure
 from service.orphans import die_with_parent
 from service.problems import Problem
@@ -95,7 +96,7 @@ class StoredProgress:
 
     def __init__(self, store: Store, attempt: Attempt) -> None:
         self.store, self.attempt = store, attempt
-        self.k = 0
+        self.k, self._stage = 0, ""
         self._pending: dict[int, Array] = {}
         self._latest: Any = None
         self._written, self._begun = 0.0, time.monotonic()
@@ -111,7 +112,7 @@ class StoredProgress:
     def start(self, theta: Theta) -> None:
         """Row 0: where the estimation starts."""
         self._pending[0] = np.append(theta, [np.nan] * 4)
-        self.flush()
+        self.flush(stage=ITERATIONS)
 
     def iteration(self, it: Any) -> None:
         """The engine's callback."""
@@ -119,19 +120,26 @@ class StoredProgress:
         self._pending[it.k] = np.append(it.theta, numbers)
         self.k, self._latest = it.k, it
         if time.monotonic() - self._written > FLUSH_SECONDS:
-            self.flush(ran=time.monotonic() - self._begun)
+            self.flush(ran=time.monotonic() - self._begun, stage=ITERATIONS)
 
-    def step(self, k: int, message: str = "") -> None:
+    def step(self, k: int, message: str = "", share: float | None = None) -> None:
         """Progress without a checkpoint."""
         self.k = k
-        self.flush(message)
+        self.flush(message, stage=message.partition(",")[0][:60], share=share)
 
     def left(self, task: int) -> Any:
         """What a task of an earlier stage left."""
         return json.loads(self.store.document(self.attempt.job, f"task-{task}") or b"null")
 
-    def flush(self, message: str = "", ran: float | None = None) -> None:
+    def flush(
+        self,
+        message: str = "",
+        ran: float | None = None,
+        stage: str | None = None,
+        share: float | None = None,
+    ) -> None:
         """Write what is pending; leaves the process if the task is not ours any more."""
+        self._stage = self._stage if stage is None else stage
         latest = self._latest
         mine = self.store.record(
             self.attempt,
@@ -141,6 +149,8 @@ class StoredProgress:
             latest and latest.log_likelihood,
             message,
             ran,
+            self._stage,
+            share,
         )
         if not mine:
             _leave(self.attempt)

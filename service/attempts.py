@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import and_, delete, func, insert, select, text
 
 from engine.statespace.model import Array
-from service.db_schema import connect, documents, iterations, jobs, tasks, turns
+from service.db_schema import ITERATIONS, connect, documents, iterations, jobs, tasks, turns
 from service.reserve import Reserve
 from service.strict_json import dumps, finite
 from service.transitions import (
@@ -155,13 +155,17 @@ class Attempts:
         log_likelihood: float | None = None,
         message: str = "",
         ran: float | None = None,
+        stage: str = ITERATIONS,
+        share: float | None = None,
     ) -> bool:
         """Write progress, with the iterations {k: row} done since the last time.
+
+        ``share`` of the ``stage`` is done; of the iterations it is known by their number.
 
         An attempt that says how many seconds it ``ran`` may have to leave here, for others.
         """
         with self._engine.begin() as sql:
-            locked(sql, attempt.job)
+            before = locked(sql, attempt.job)
             if not mine(sql, attempt, iteration=iteration):
                 return False
             key = {"job": attempt.job, "task": attempt.task}
@@ -170,7 +174,11 @@ class Attempts:
                     key | {"k": k, "row": row.astype(float).tobytes()} for k, row in rows.items()
                 ]
                 sql.execute(insert(iterations), new)
-            progress: dict[str, Any] = {"updated": time.time()}
+            progress: dict[str, Any] = {"updated": time.time(), "stage_share": share}
+            if before.stage != stage:
+                share = before.iteration / before.iterations if stage == ITERATIONS else share
+                progress |= {"stage": stage, "stage_begun": time.time(), "stage_from": share or 0.0}
+                progress["message"] = ""
             if message:
                 progress["message"] = message
             progress["iteration"] = (

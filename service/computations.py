@@ -44,8 +44,8 @@ class Progress(Protocol):
     def iteration(self, it: Any) -> None:
         """One more iteration; an engine.Iteration."""
 
-    def step(self, k: int, message: str = "") -> None:
-        """Progress of a computation without iterations."""
+    def step(self, k: int, message: str = "", share: float | None = None) -> None:
+        """Progress of what has no iterations; ``share`` of the message's stage, before its comma, is done."""
 
     def left(self, task: int) -> Any:
         """What a task of an earlier stage left."""
@@ -61,7 +61,8 @@ def fit_simulation(
     said = "fitting the simulation by least squares"
 
     def tell(done: int, steps: int) -> None:
-        progress.step(0 if options.method != "simulation" else done, f"{said}, {done} of {steps}")
+        k = done if options.method == "simulation" else 0
+        progress.step(k, f"{said}, {done} of {steps}", done / steps)
 
     progress.step(0, said)
     return engine.fit_simulation(
@@ -163,7 +164,8 @@ def describe(
         names = list(errors.names)
 
         def sought(name: str) -> None:
-            progress.step(done, f"intervals, {names.index(name) + 1} of {len(names)}: {name}")
+            k, n = names.index(name), len(names)
+            progress.step(done, f"intervals, {k + 1} of {n}: {name}", k / n)
 
         sides = partial(engine.likelihood_intervals, *at, errors=errors, callback=sought)
         intervals, why = _tried(partial(sides, seed=options.seed, exact=exact))

@@ -30,6 +30,7 @@ from sqlalchemy import (
 from sqlalchemy.schema import CreateColumn
 
 metadata = MetaData()
+ITERATIONS = "iterations"  # the stage of a job in which EM iterates
 BESIDE = ("-wal", "-shm", "-journal", "-reserve")  # ends of names of what lies beside a SQLite file
 
 # A job, as its status document shows it. ``seq`` is the order of the queue and of the list.
@@ -57,6 +58,11 @@ jobs = Table(
     Column("owner", String(64), nullable=False, default=""),  # name of the API key
     Column("idempotency_key", String(200)),
     Column("digest", String(64)),  # of the request, to compare repeats of an idempotency key
+    # what is being done, which share of that is done (null: not known), since when, and from which share
+    Column("stage", String(60), nullable=False, server_default=""),
+    Column("stage_share", Double),
+    Column("stage_begun", Double),
+    Column("stage_from", Double),
     # 1: its data are no longer there
     Column("removed", Integer, nullable=False, server_default="0"),
     Index("jobs_status", "status", "seq"),

@@ -25,14 +25,20 @@ class JobStatus(BaseModel):
     kind: Kind
     model: str
     status: Status
-    progress: int = Field(description="per cent", examples=[37])
+    progress: int = Field(description="per cent of all stages", examples=[37])
     iteration: int
     iterations: int
     created: str = Field(examples=["2026-03-01T08:30:00.000Z"])
     started: str | None
     updated: str
     finished: str | None
-    estimated_end: str | None = Field(description="where a running job will be done, by its rate")
+    stage: str = Field(
+        description="what a running job is doing, such as iterations, standard errors"
+    )
+    estimated_end: str | None = Field(
+        description="when its present stage will be done at the latest, by its rate; null where that is "
+        "not known"
+    )
     message: str
     estimate: dict[str, float] | None = Field(description="latest estimate")
     log_likelihood: float | None

@@ -13,9 +13,12 @@ import engine
 from engine.models.registry import source_of
 from engine.presentation.model_check import model_check
 from engine.statespace.model import Array, MixedModel
+from service.db_schema import ITERATIONS
 from service.responses import JobStatus, Link, ModelOut, Trace
 from service.schemas import ModelReference
 from service.strict_json import finite
+
+AFTER_ITERATIONS = 70  # per cent
 
 
 def job_status(row: Any) -> JobStatus:
@@ -27,13 +30,13 @@ def job_status(row: Any) -> JobStatus:
         links.append(Link(href=f"{here}/report", rel="report"))
     if row.status in ("failed", "dismissed") and not row.removed:
         links.append(Link(href=f"{here}/resume", rel="resume"))
-    progress = 100 if row.status == "successful" else 100 * row.iteration // max(row.iterations, 1)
     return JobStatus(
         jobID=row.id,
         kind=row.kind,
         model=row.model,
         status=row.status,
-        progress=min(progress, 100),
+        progress=_progress(row),
+        stage=row.stage if row.status == "running" else "",
         iteration=row.iteration,
         iterations=row.iterations,
         created=_time(row.created),
@@ -48,11 +51,41 @@ def job_status(row: Any) -> JobStatus:
     )
 
 
+# Of an estimation: per cent at which what follows the iterations begins, and how much of it there is.
+AFTER = {
+    "smoothing the states at the estimate": (70, 5),
+    "standard errors": (75, 10),
+    "intervals": (85, 10),
+    "comparing simulation and prediction with the data": (95, 5),
+}
+
+
+def _progress(row: Any) -> int:
+    """Per cent; 100 only of what has succeeded."""
+    if row.status == "successful":
+        return 100
+    done = row.iteration / max(row.iterations, 1)
+    if row.kind != "estimate" or row.stage.startswith("fitting"):
+        return min(int(100 * done), 99)
+    if len(json.loads(row.stages)) > 2:  # with a bootstrap: most of it are iterations
+        return min(int(95 * done), 99)
+    begin, width = AFTER.get(row.stage, (0, 0))
+    if not width:
+        return int(AFTER_ITERATIONS * min(done, 1.0))
+    return min(int(begin + width * (row.stage_share or 0.0)), 99)
+
+
 def _estimated_end(row: Any) -> str | None:
-    if row.status != "running" or not row.iteration:
+    """When the present stage will be done by its rate since it began; None where that is not known."""
+    share = row.stage_share
+    if row.stage == ITERATIONS:
+        share = row.iteration / max(row.iterations, 1)
+    if row.status != "running" or share is None or row.stage_from is None:
         return None
-    rate = (row.updated - row.started) / row.iteration
-    return _time(row.updated + rate * (row.iterations - row.iteration))
+    gone, since = share - row.stage_from, row.updated - row.stage_begun
+    if gone <= 0.0 or since <= 0.0:
+        return None
+    return _time(row.updated + since / gone * max(1.0 - share, 0.0))
 
 
 def _time(seconds: float) -> str:

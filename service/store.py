@@ -16,6 +16,7 @@ write of an attempt that is no longer the task's own changes nothing and returns
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 import uuid
 import zlib
@@ -232,8 +233,7 @@ class Store(Attempts):
                 gone = "its data were removed by the client"
                 forget(sql, job.seq, status="dismissed", message=gone, problem=None)
             else:
-                kept = "stopped by the client; what it had computed is kept, and it can be resumed"
-                end(sql, job.seq, "dismissed", message=kept, problem=None)
+                end(sql, job.seq, "dismissed", message=_stopped(job), problem=None)
             return self._locked(sql, job_id)
 
     def resume(self, job_id: str, most: Most = ()) -> Row[Any] | None:
@@ -274,6 +274,22 @@ class Store(Attempts):
     def _locked(sql: Connection, job_id: str) -> Row[Any] | None:
         query = select(jobs).where(jobs.c.id == job_id).with_for_update(key_share=True)
         return sql.execute(query).one_or_none()
+
+
+def _stopped(job: Row[Any]) -> str:
+    """What is said of a job that was stopped."""
+    if job.status == "accepted" and not job.iteration:
+        return "stopped by you before it began; it can go on"
+    runs = sum(json.loads(job.stages)) > 1
+    where = {
+        "estimate": f"after {job.iteration} iterations in all"
+        if runs
+        else f"at iteration {job.iteration}",
+        "diagnose": f"at {job.iteration} %",
+    }.get(job.kind, f"after {job.iteration} of {job.iterations} series")
+    if job.stage.startswith("fitting"):
+        where = "while it fitted the simulation"
+    return f"stopped by you {where}; what it had computed is kept, and it can go on"
 
 
 def _by_key(sql: Connection, owner: str, key: str | None) -> Row[Any] | None:

@@ -153,7 +153,14 @@ def resume(sql: Connection, seq: int) -> None:
     """Queue what was stopped of an ended job; its losses and its time are counted anew."""
     stopped = and_(tasks.c.job == seq, tasks.c.state == "stopped")
     change_tasks(sql, stopped, state="queued", token=None, futile=0, taken=0, spent=0.0)
-    values = {"status": "accepted", "finished": None, "problem": None, "cause": None}
+    values = {
+        "stage": "",
+        "stage_share": None,
+        "status": "accepted",
+        "finished": None,
+        "problem": None,
+        "cause": None,
+    }
     message = "taken up again; goes on where it was"
     change_job(sql, seq, updated=time.time(), message=message, **values)
 

@@ -73,7 +73,7 @@ class Kept(dict[str, Any]):
             self.save()
         self.interrupt.check()
 
-    def step(self, k: int, message: str = "") -> None:
+    def step(self, k: int, message: str = "", share: float | None = None) -> None:
         """Per cent done; fewer than before while what was kept is gone through."""
         self.percent = max(self.percent, k)
         self.shown.at(self.percent, message)
@@ -151,7 +151,7 @@ def _prepare(asked: Asked, shown: Meter) -> Job:
 
 def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str, Any]]:
     """The diagnosis and its document; when it is interrupted, what is done is saved."""
-    kept.shown.begin(diagnoses.PROGRESS_STEPS, kept.percent)
+    kept.shown.begin(diagnoses.PROGRESS_STEPS, kept.percent, timed=False)
     try:
         with kept.interrupt.held():
             found = engine.diagnose(

@@ -41,6 +41,7 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
             job = _prepare(asked, shown)
             begun.append(Recorder(asked.begin(path, asked.data, shown), asked, shown))
             _name_tasks(job, begun[0])
+            begun[0].parameters = job.model.parameter_names
             document = _run(job, asked, begun[0], shown)
         _tell(job, asked, document, begun[0], as_json)
 
@@ -63,6 +64,7 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
             if asked.iterations < recorder.k:
                 raise wrong(f"--iterations {asked.iterations}: {recorder.k} are done already")
             _name_tasks(job, recorder)
+            recorder.parameters = job.model.parameter_names
             within = f" of {recorder.name}" if recorder.name else ""
             shown.note(f"going on after iteration {recorder.k}{within}")
             begun.append(recorder)
@@ -117,11 +119,28 @@ def _resumable(asked: Asked) -> Iterator[list[Recorder]]:
         where = f"in {recorder.name}, " if recorder.name else ""
         raise Ending(
             Code.INTERRUPTED,
-            f"interrupted {where}after {recorder.k} of {asked.iterations} iterations. Go on with\n"
-            f"  {recorder.file.again}",
+            f"interrupted {where}{_how_far(recorder)}. Go on with\n"
+            f"  {recorder.file.again}{_so_far(recorder)}",
             state=str(recorder.file.path),
             iteration=recorder.k,
         ) from None
+
+
+def _how_far(recorder: Recorder) -> str:
+    if recorder.asked.method == "simulation" or not recorder.done:
+        return (
+            "before the first iteration" if recorder.asked.method != "simulation" else "in its fit"
+        )
+    return f"after {recorder.k} of {recorder.asked.iterations} iterations"
+
+
+def _so_far(recorder: Recorder) -> str:
+    """The values that the iterations have reached."""
+    if not recorder.k:
+        return ""
+    values = dict(zip(recorder.parameters, recorder.done[-1].tolist(), strict=False))
+    said = ", ".join(f"{name} = {words.number(value, 4)}" for name, value in values.items())
+    return f"\nSo far: {said}"
 
 
 def _name_tasks(job: Prepared, recorder: Recorder) -> None:

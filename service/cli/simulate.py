@@ -46,7 +46,7 @@ class Wanted:
 class Steps:
     """The part of ``computations.Progress`` that a simulation uses; it takes no time to speak of."""
 
-    def step(self, k: int, message: str = "") -> None:
+    def step(self, k: int, message: str = "", share: float | None = None) -> None:
         """Nothing to show."""
 
 

@@ -53,6 +53,7 @@ class Recorder:
         self.done: list[Array] = [] if rows is None else list(rows)
         self.finished = list(finished)  # what the tasks before this one left
         self.names: list[str] = []  # of the tasks, where there are several
+        self.parameters: Sequence[str] = ()  # what the first numbers of a row are
         self.interrupt = Interrupt()
 
     @property
@@ -99,12 +100,13 @@ class Recorder:
         self.meter.at(self.steps, f"{self.name}, {said}" if self.names else said)
         self.interrupt.check()
 
-    def step(self, k: int, message: str = "") -> None:
-        """What follows the iterations."""
-        if self.interrupt.holding:
+    def step(self, k: int, message: str = "", share: float | None = None) -> None:
+        """What follows the iterations, or goes before them."""
+        if self.interrupt.holding and self.done:
             self.save()
             self.interrupt.let_go()
-        self.meter.say(message)
+        self.interrupt.check()
+        self.meter.stage(message, share)
 
     def left(self, task: int) -> Any:
         """What an earlier task left."""

@@ -1,6 +1,6 @@
 // One job: live while it runs, then its report.
 
-import { announce, duration, element, get, number, poll, post, Problem, remove, when } from "/static/api.js";
+import { announce, duration, element, get, number, poll, post, Problem, remove, unit, when } from "/static/api.js";
 import { Convergence } from "/static/job/convergence.js";
 import { showReport } from "/static/job/results.js";
 import { download } from "/static/job/download.js";
@@ -60,6 +60,7 @@ function show(job) {
   by("repeat").href = `/?job=${id}`;
   by("progress").hidden = !going;
   if (going) {
+    by("reached")?.remove();
     if (job.status === "accepted") by("bar").removeAttribute("value");
     else by("bar").value = job.progress;
     by("message").textContent = job.message || (job.status === "accepted" ? "Waiting for a worker." : "Computing.");
@@ -78,10 +79,11 @@ function facts(job) {
   if (job.kind === "estimate") items.push(["iteration", `${job.iteration} of ${job.iterations} at most`]);
   if (job.started) {
     const spent = (new Date(job.updated) - new Date(job.started)) / 1000;
-    items.push(["running for", duration(spent)]);
-    if (job.kind === "estimate" && job.iteration && spent > 0) items.push(["rate", rate(job.iteration / spent)]);
+    items.push(["running for", duration((Date.now() - new Date(job.started)) / 1000)]);
+    if (job.stage === "iterations" && job.iteration && spent > 0) items.push(["rate", rate(job.iteration / spent)]);
   }
-  if (job.estimated_end) items.push(["at most left", duration(Math.max(0, (new Date(job.estimated_end) - Date.now()) / 1000))]);
+  if (job.stage) items.push(["doing", job.stage]);
+  if (job.estimated_end) items.push(["at most left of it", duration(Math.max(0, (new Date(job.estimated_end) - Date.now()) / 1000))]);
   if (job.log_likelihood !== null) items.push(["log-likelihood", number(job.log_likelihood, 6)]);
   if (convergence.ess !== null) items.push(["effective sample size", number(convergence.ess, 3)]);
   return items.map(([name, value]) => element("div", {}, element("dt", {}, name), element("dd", {}, value)));
@@ -122,8 +124,7 @@ async function end(job) {
   if (job.status === "failed") return failed(job);
   if (job.status === "dismissed") {
     by("problem").hidden = false;
-    by("problem").textContent = resumable(job) ? "This job was stopped; what it had computed is kept."
-      : "This job was dismissed; its data are gone.";
+    by("problem").textContent = `This job was ${job.message || "stopped"}.`;
     if (resumable(job)) await showHowFar(job);
     return undefined;
   }
@@ -162,6 +163,21 @@ async function showHowFar(job) {
   await convergence.update(tasks, job.model);
   by("live").hidden = convergence.empty;
   by("live-title").textContent = "How far it came";
+  if (job.kind === "estimate" && job.status === "dismissed") await showReached();
+}
+
+// The values that a stopped estimation has reached.
+async function showReached() {
+  try {
+    const { estimate } = await get(`${here}/results?points=2`);
+    const rows = Object.entries(estimate).map(([name, one]) => element("tr", {}, element("th", { scope: "row" }, name),
+      element("td", {}, number(one.value, 5)), element("td", {}, unit(one.unit === "1" ? "" : one.unit)), element("td", {}, one.fixed ? "held" : "")));
+    const head = element("tr", {}, ["parameter", "value", "unit", ""].map((text) => element("th", { scope: "col" }, text)));
+    by("results").replaceChildren(element("section", { class: "card", id: "reached" }, element("h2", {}, "Values so far"),
+      element("div", { class: "scroll" }, element("table", { class: "numbers" }, element("thead", {}, head), element("tbody", {}, rows)))));
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error; // it had not begun
+  }
 }
 
 function onClick(button, action) {

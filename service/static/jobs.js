@@ -72,7 +72,7 @@ function progress(job, name) {
     const left = job.estimated_end ? (new Date(job.estimated_end) - Date.now()) / 1000 : null;
     return [
       element("progress", { max: 100, value: job.progress, "aria-label": `Progress of ${name}` }),
-      element("span", { class: "small muted" }, `${job.progress} %${left > 0 ? `, ${duration(left)} left` : ""}`),
+      element("span", { class: "small muted" }, `${job.progress} %${job.stage && !["iterations"].includes(job.stage) ? `, ${job.stage}` : left > 0 ? `, iterations ${duration(left)} more at most` : ""}`),
     ];
   }
   if (job.status === "accepted") return [element("span", { class: "muted" }, "waits")];

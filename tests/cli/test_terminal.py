@@ -125,6 +125,19 @@ def test_ctrl_c_after_the_iterations_loses_none(folder, terminal, uninterrupted)
     assert same_numbers(json.loads(again.stdout), uninterrupted)
 
 
+def test_what_follows_the_iterations_claims_no_time(folder, terminal):
+    """The bar of the iterations is full or gone, and nobody says how long standard errors take."""
+    run = terminal("fit", *FIT[:-1])  # with standard errors
+    run.until(r"━ +standard errors")
+    shown = re.findall(r"[━╸╺]+([^━╸╺\r\n]*?) *standard errors", run.shown)
+    assert shown
+    assert all(text.strip() == "" for text in shown), shown
+    run.type(b"\x03")
+    code, _ = run.end()
+    assert code == 130
+    assert re.search(r"So far: theta_1 = [\d.]+, theta_2 = [\d.]+", run.shown), run.shown
+
+
 def test_a_killed_run_leaves_its_iterations(folder, uninterrupted):
     run = subprocess.Popen([*RBPS, "fit", *FIT, "-n", "100000", "-q"], cwd=folder)
     path, end = folder / "data.state", time.monotonic() + 60

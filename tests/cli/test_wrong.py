@@ -25,7 +25,7 @@ WRONG = {
     "a folder": (("fit", ".", *LEVEL), "'.'"),
     "no model": (("fit", "flows.csv"), "--model is missing: 'rbps models'"),
     "no such model": (("fit", "flows.csv", "-m", "nile"), "Registered are linear-2, local-level"),
-    "no such file of a model": (("fit", "flows.csv", "-m", "his.py:x"), "his.py:x: there is no such"),
+    "no such file of a model": (("fit", "flows.csv", "-m", "his.py:x"), "his.py: there is no such"),
     "no such model in a file": (("models", "mine.py:his"), "no 'his'; its models are mine"),
     "not a model": (("models", "mine.py:np"), "'np' is a module; a MixedModel is needed"),
     "a broken file of a model": (("models", "broken.py"), "NameError: name 'oops' is not defined (line 2)"),

@@ -91,8 +91,13 @@ def test_watch_a_job_and_stop_it(visit, long):
     page.on("dialog", lambda asked: asked.accept())
     page.click("#stop")
     page.wait_for_selector("#status.dismissed")
-    assert "was stopped" in page.inner_text("#problem")
+    assert re.search(
+        r"was stopped by you (at iteration \d|before it began)", page.inner_text("#problem")
+    )
     assert not page.is_visible("#stop")
+    page.wait_for_selector("#reached td")  # the values that it had reached
+    assert "theta" in page.inner_text("#reached")
+    assert page.locator("#traces canvas").count() >= 2  # and their curves
 
 
 def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
@@ -106,6 +111,7 @@ def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
     at = httpx.get(f"{address}/jobs/{long}").json()["iteration"]
     page.click("#resume")
     page.wait_for_selector("#status.running")
+    assert not page.is_visible("#reached")
     eventually(page, lambda: page.is_visible("#stop") and iteration(page) > at)
     assert not page.is_visible("#resume")
     trace = httpx.get(f"{address}/jobs/{long}/trace").json()["iteration"]

@@ -8,7 +8,7 @@ import pytest
 
 FIELDS = {
     "jobID", "kind", "model", "status", "progress", "iteration", "iterations", "created", "started",
-    "updated", "finished", "estimated_end", "message", "estimate", "log_likelihood", "links",
+    "updated", "finished", "stage", "estimated_end", "message", "estimate", "log_likelihood", "links",
 }  # fmt: skip
 
 
