@@ -57,6 +57,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
     yield f"Diagnosis of model '{d.model.name}' on {len(series)} samples of {outputs}"
     yield "=" * WIDTH
     yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")
+    if d.verdict.value == "unknown" and (known := _known(d)):
+        yield from _wrapped(known, "  ")
     for k, cause in enumerate(d.causes):
         closest = "Closest: " if d.verdict.value == "unknown" and k == 0 else ""
         yield from _wrapped(f"{closest}{_marker(d, k)}{headline(cause)}", "  ")
@@ -76,6 +78,14 @@ def _head(d: Diagnosis) -> Iterator[str]:
 
 def _marker(d: Diagnosis, k: int) -> str:
     return "" if len(d.causes) == 1 else f"{k + 1}. "
+
+
+def _known(d: Diagnosis) -> str:
+    """What is known of something that has no name: where it acts and how large it is."""
+    force = unnamed(d)
+    if force is not None:
+        return force.sentence
+    return d.symptoms.sentences[0] if d.symptoms.sentences else ""
 
 
 def _no_cause(d: Diagnosis) -> str:
@@ -109,7 +119,7 @@ def _wrong(d: Diagnosis) -> Iterator[str]:
     for w in d.symptoms.whiteness:
         yield from _wrapped(
             f"Standardised innovations of {w.output}: variance {number(w.variance)}, Ljung-Box "
-            f"{probability(w.p_value)} over {w.lags} lags (pictures, not verdicts: a fitted noise hides much).",
+            f"{probability(w.p_value)} over {w.lags} lags (no verdict rests on this: fitted noise hides much)",
             "  - ",
         )
 

@@ -30,6 +30,7 @@ from service.cli.options import (
     absolute_paths,
     given,
     model_named,
+    model_names,
     only_output,
 )
 
@@ -51,7 +52,6 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
@@ -92,6 +92,34 @@ def models(
             show_all(as_json)
         else:
             show_one(name, effects, list_effects, as_json)
+
+
+@app.command(epilog=CODES, short_help="List the effects that a diagnosis looks for.")
+def effects(
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            "-m",
+            metavar="MODEL",
+            autocompletion=model_names,
+            help="Those of a model, with its channels and units: a registered one, or path/to/file.py:name.",
+        ),
+    ] = None,
+    kind: Annotated[
+        list[str], typer.Option(metavar="KIND,...", help="Of these kinds only, such as coulomb.")
+    ] = [],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """List the effects that a diagnosis looks for: equation, units, and what each may be taken for.
+
+    Without a model, every kind once, as it enters one of the shipped models.
+    """
+    with guarded(as_json):
+        from service.cli.effects import show
+        from service.cli.values import names
+
+        show(model, names(kind), as_json)
 
 
 @app.command(epilog=CODES, short_help="Estimate a model's parameters by maximum likelihood.")
@@ -164,7 +192,7 @@ def fit(
         Path | None,
         typer.Option(
             metavar="FILE.state",
-            help="Keep the iterations here.  [beside --out, until the estimation has ended]",
+            help="Keep the iterations here.  [in .rbps/ beside --out, until the estimation has ended]",
         ),
     ] = None,
     resume: Annotated[
@@ -300,7 +328,7 @@ def diagnose(
         Path | None,
         typer.Option(
             metavar="FILE.state",
-            help="Keep what is finished here.  [beside --out, until the diagnosis has ended]",
+            help="Keep what is finished here.  [in .rbps/ beside --out, until the diagnosis has ended]",
         ),
     ] = None,
     resume: Annotated[

@@ -24,7 +24,7 @@ from service.cli.experiment import Experiment
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
 from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
-from service.cli.state_file import StateFile, beside, read
+from service.cli.state_file import StateFile, beside, can_be, read
 from service.cli.values import free_of, theta_of
 
 
@@ -89,7 +89,7 @@ def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> No
     path = state or beside(asked.out, f"{Path(asked.data).stem}-diagnosis")
     asked.keep = state is not None
     _check(asked)
-    output_path("--state", path)
+    output_path("--state", can_be(state, path))
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
         files = [name for name in (asked.data, asked.test) if name]

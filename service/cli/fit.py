@@ -18,7 +18,7 @@ from service.cli.files import Columns, series_of
 from service.cli.meter import Meter, meter
 from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
 from service.cli.state import Asked, Recorder
-from service.cli.state_file import StateFile, beside, read
+from service.cli.state_file import StateFile, beside, can_be, read
 from service.cli.values import free_of, theta_of
 from service.problems import Problem
 from service.schemas import (
@@ -35,7 +35,7 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     path = state or beside(asked.out, Path(asked.data[0]).stem)
     asked.keep = state is not None
     check_outputs(asked)
-    output_path("--state", path)
+    output_path("--state", can_be(state, path))
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)

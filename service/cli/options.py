@@ -14,10 +14,18 @@ KINDS = ".csv with a line of column names, .mat or .npz."
 DATA = f"Data files: {KINDS} Several are several experiments."
 MAY_CHANGE = frozenset({"out", "report", "plot", "resume", "as_json", "quiet"})
 
+
+def model_names(incomplete: str) -> list[str]:
+    """Registered models that begin so, for the shell's completion; it completes files by itself."""
+    from engine.models.registry import model_names as registered
+
+    return [name for name in registered() if name.startswith(incomplete)]
+
+
 Model = Annotated[
     str,
     typer.Option(
-        "--model", "-m", metavar="MODEL",
+        "--model", "-m", metavar="MODEL", autocompletion=model_names,
         help="A registered model (see 'rbps models'), or path/to/file.py:name for your own.",
     ),
 ]  # fmt: skip

@@ -15,7 +15,7 @@ import signal
 import time
 import zipfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +27,7 @@ from engine.statespace.model import Array
 from service.cli.ending import wrong
 
 FORMAT = 2
+FOLDER = ".rbps"  # of state files that were given no name
 # At most so much work is lost to a kill, or so many times what it takes to save a large state; Ctrl-C
 # loses the running step only.
 SAVE_SECONDS, SAVE_TIMES = 1.0, 20.0
@@ -86,8 +87,11 @@ class StateFile:
         self._save_at = now + max(SAVE_SECONDS, SAVE_TIMES * (now - began))
 
     def remove(self) -> None:
-        """Remove a state that nobody can go on with."""
+        """Remove a state that nobody can go on with, and the folder of states if it was the last."""
         self.path.unlink(missing_ok=True)
+        if self.path.parent.name == FOLDER:
+            with suppress(OSError):  # others are in it
+                self.path.parent.rmdir()
 
     @property
     def again(self) -> str:
@@ -101,6 +105,8 @@ def write(path: Path, asked: Sealed, rows: Array, left: Sequence[Any] = ()) -> N
     packed_left = np.frombuffer(json.dumps(list(left)).encode(), dtype=np.uint8)
     packed = io.BytesIO()
     np.savez_compressed(packed, asked=np.array(text), rows=np.atleast_2d(rows), left=packed_left)
+    if path.parent.name == FOLDER:
+        path.parent.mkdir(exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         beside.write_bytes(packed.getvalue())
@@ -138,8 +144,14 @@ def read(path: Path, kind: type[Asked]) -> tuple[Asked, Array, list[Any]]:
 
 
 def beside(out: str | None, otherwise: str) -> Path:
-    """The state file's name where none is given: beside the output, or in this folder."""
-    return Path(out).with_suffix(".state") if out else Path(f"{otherwise}.state")
+    """The state file's name where none is given: in a folder of their own beside the output, or here."""
+    named = Path(out).with_suffix(".state") if out else Path(f"{otherwise}.state")
+    return named.parent / FOLDER / named.name
+
+
+def can_be(state: Path | None, path: Path) -> Path:
+    """The file to ask whether it can be written: that of a folder which there need not be yet."""
+    return path if state is not None else path.parent.parent / path.name
 
 
 def keep_old(path: Path) -> Path | None:

@@ -215,7 +215,7 @@ def test_starts_and_bootstrap_are_the_services(rbps, flows):
     assert reached == sorted(reached, reverse=True)
     low, high = mine["estimate"]["q"]["interval"]
     assert f"{words.number(low, 4)} to {words.number(high, 4)}" in result.stdout
-    assert not list(flows.parent.glob("*.state"))
+    assert not list(flows.parent.rglob("*.state"))
 
 
 def test_fit_writes_what_is_asked_for(rbps, flows, tmp_path):
@@ -234,23 +234,23 @@ def test_fit_writes_what_is_asked_for(rbps, flows, tmp_path):
         for name in ("convergence", "states", "free-run")
         for ending in ("svg", "png")
     }
-    assert not list(tmp_path.glob("*.state"))  # converged: nothing to go on with
+    assert not list(tmp_path.rglob("*.state"))  # converged: nothing to go on with
     assert not list(tmp_path.glob(".*"))
 
 
 def test_more_iterations_after_they_were_used_up(rbps, flows, tmp_path):
     options = (flows, "-m", "local-level", "--method", "rts-em", "--no-standard-errors", "--json")
     whole = rbps("fit", *options, "-n", "7").json()
-    (tmp_path / "flows.state").unlink()
+    (tmp_path / ".rbps" / "flows.state").unlink()
     assert rbps("fit", *options, "-n", "3", "-o", "three.json").exit_code == 0
-    more = rbps("fit", "--resume", "three.state", "-n", "7", "--json").json()
+    more = rbps("fit", "--resume", ".rbps/three.state", "-n", "7", "--json").json()
     assert more["trace"]["theta"] == whole["trace"]["theta"]
     assert more["log_likelihood"] == whole["log_likelihood"]
     assert (
         json.loads((tmp_path / "three.json").read_text())["trace"]["theta"]
         == (whole["trace"]["theta"])
     )
-    less = rbps("fit", "--resume", "three.state", "-n", "2")
+    less = rbps("fit", "--resume", ".rbps/three.state", "-n", "2")
     assert less.exit_code == 2
     assert "--iterations 2: 7 are done already" in less.stderr
 
@@ -258,8 +258,8 @@ def test_more_iterations_after_they_were_used_up(rbps, flows, tmp_path):
 def test_an_earlier_state_is_kept(rbps, flows, tmp_path):
     for seed in (1, 2):
         assert rbps("fit", flows, "-m", "local-level", "--seed", seed, *QUICK).exit_code == 0
-    assert (tmp_path / "flows.state").exists()
-    assert (tmp_path / "flows.state~").exists()
+    assert (tmp_path / ".rbps" / "flows.state").exists()
+    assert (tmp_path / ".rbps" / "flows.state~").exists()
 
 
 def test_several_files_and_columns_by_name(rbps, mine, tmp_path):
@@ -531,7 +531,7 @@ def test_the_simulation_is_fitted_first(rbps, run, tmp_path):
     assert "lower bounds" in found.stdout
     assert "Simulation" in (tmp_path / "fit.html").read_text()
     assert list((tmp_path / "figures").glob("outputs*.svg"))
-    assert not list(tmp_path.glob("*.state"))
+    assert not list(tmp_path.rglob("*.state"))
     em = rbps(*asked, "--first", "simulation", *QUICK, "--json").json()
     assert em["trace"]["theta"]["omega"][0] == least.theta["omega"]
     assert "EM left from the fit of the simulation" in em["message"]

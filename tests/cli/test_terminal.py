@@ -73,11 +73,11 @@ def test_ctrl_c_and_going_on_give_the_same_numbers(folder, terminal, uninterrupt
     assert printed == ""
     k = int(re.search(r"interrupted after (\d+) of 30 iterations. Go on with", run.shown)[1])
     assert 5 <= k < 30
-    assert "rbps fit --resume result.state" in run.shown
+    assert "rbps fit --resume .rbps/result.state" in run.shown
     assert "Traceback" not in run.shown
     assert not (folder / "result.json").exists()
 
-    run = terminal("fit", "--resume", "result.state")
+    run = terminal("fit", "--resume", ".rbps/result.state")
     run.until(rf"going on after iteration {k}\b")
     assert run.end()[0] == 0
     assert same_numbers(json.loads((folder / "result.json").read_text()), uninterrupted)
@@ -97,14 +97,14 @@ def test_ctrl_c_in_a_later_start(folder, terminal):
     assert run.end()[0] == 130
     told = re.search(r"interrupted in (start 2 of 2|choice), after (\d+) of 30 it", run.shown)
     assert told, run.shown
-    refused = terminal("fit", "--resume", "result.state", "-n", "40")
+    refused = terminal("fit", "--resume", ".rbps/result.state", "-n", "40")
     assert refused.end()[0] == 2
     assert "cannot be changed where there are several starts" in refused.shown
-    run = terminal("fit", "--resume", "result.state")
+    run = terminal("fit", "--resume", ".rbps/result.state")
     run.until(rf"going on after iteration {told[2]} of {told[1]}")
     assert run.end()[0] == 0
     assert same_numbers(json.loads((folder / "result.json").read_text()), expected)
-    assert not (folder / "result.state").exists()
+    assert not (folder / ".rbps" / "result.state").exists()
 
 
 def test_ctrl_c_after_the_iterations_loses_none(folder, terminal, uninterrupted):
@@ -140,7 +140,7 @@ def test_what_follows_the_iterations_claims_no_time(folder, terminal):
 
 def test_a_killed_run_leaves_its_iterations(folder, uninterrupted):
     run = subprocess.Popen([*RBPS, "fit", *FIT, "-n", "100000", "-q"], cwd=folder)
-    path, end = folder / "data.state", time.monotonic() + 60
+    path, end = folder / ".rbps" / "data.state", time.monotonic() + 60
     while not path.exists() and time.monotonic() < end:
         time.sleep(0.05)
     run.kill()
@@ -168,7 +168,7 @@ def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, ter
     whole = terminal(*DIAGNOSE)
     code, expected = whole.end()
     assert code == 0
-    assert not list(folder.glob("*.state"))
+    assert not list(folder.rglob("*.state"))
 
     stages = ("estimating the model", "screening", "estimating the best|comparing", "")
     at, command = 0, DIAGNOSE
@@ -187,13 +187,13 @@ def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, ter
         assert told, run.shown
         assert int(told[1]) >= at
         at, command = int(told[1]), told[2].split()
-        assert command[-1] == "data-diagnosis.state"
+        assert command[-1] == ".rbps/data-diagnosis.state"
     run.until(rf"going on at {at} %")
     code, page = run.end()
     assert code == 0
     assert at > 5
     assert without_times(page) == without_times(expected)
-    assert not list(folder.glob("*.state"))
+    assert not list(folder.rglob("*.state"))
 
 
 def test_a_killed_diagnosis_leaves_its_parts(folder):

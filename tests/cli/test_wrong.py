@@ -136,25 +136,25 @@ def test_an_estimation_that_diverges(rbps, folder):
     error = json.loads(result.stdout)["error"]
     assert error["code"] == 1
     assert error["message"]
-    assert not (folder / "data.state").exists()
+    assert not (folder / ".rbps" / "data.state").exists()
 
 
 def test_data_that_changed_since(rbps, folder):
     assert rbps("fit", "flows.csv", *LEVEL, *QUICK).exit_code == 0
     with (folder / "flows.csv").open("a") as stream:
         stream.write("40,5\n")
-    result = rbps("fit", "--resume", "flows.state", "-n", "5")
+    result = rbps("fit", "--resume", ".rbps/flows.state", "-n", "5")
     assert result.exit_code == 2
     assert "flows.csv has changed since the estimation began" in result.stderr
     (folder / "flows.csv").unlink()
-    assert "flows.csv is gone" in rbps("fit", "--resume", "flows.state").stderr
+    assert "flows.csv is gone" in rbps("fit", "--resume", ".rbps/flows.state").stderr
 
 
 def test_a_model_that_changed_since(rbps, folder):
     (folder / "data.csv").write_text("reading,push\n" + "1,2\n" * 10)
     assert rbps("fit", "data.csv", "-m", "mine.py", *QUICK).exit_code == 0
     (folder / "mine.py").write_text(MINE.replace("0.5", "0.6"))
-    result = rbps("fit", "--resume", "data.state")
+    result = rbps("fit", "--resume", ".rbps/data.state")
     assert result.exit_code == 2
     assert "mine.py has changed since the estimation began" in result.stderr
 
@@ -201,7 +201,7 @@ def test_a_diagnosis_whose_report_cannot_be_written_is_not_lost(rbps, folder, mo
     assert told.exit_code == 2
     assert "No space left on device. What was found is kept" in told.stderr
     command = told.stderr.splitlines()[-1].split()
-    assert command[1:] == ["diagnose", "--resume", "flows-diagnosis.state"]
+    assert command[1:] == ["diagnose", "--resume", ".rbps/flows-diagnosis.state"]
 
     def again(*arguments):
         raise AssertionError("this was done before")
@@ -209,7 +209,7 @@ def test_a_diagnosis_whose_report_cannot_be_written_is_not_lost(rbps, folder, mo
     monkeypatch.setattr(causes, "fit_base", again)
     assert rbps(*command[1:]).exit_code == 0
     assert (folder / "out.html").exists()
-    assert not (folder / "flows-diagnosis.state").exists()
+    assert not (folder / ".rbps" / "flows-diagnosis.state").exists()
 
 
 def test_an_estimation_whose_report_cannot_be_written_is_not_lost(rbps, folder, monkeypatch):
@@ -222,7 +222,7 @@ def test_an_estimation_whose_report_cannot_be_written_is_not_lost(rbps, folder, 
     assert told.exit_code == 2
     assert "No space left on device. What was found is kept" in told.stderr
     command = told.stderr.splitlines()[-1].split()
-    assert command[1:] == ["fit", "--resume", "flows.state"]
+    assert command[1:] == ["fit", "--resume", ".rbps/flows.state"]
     told = rbps(*command[1:])
     assert (told.exit_code, "going on after iteration" in told.stderr) == (0, True)
     assert (folder / "out.html").exists()

@@ -12,7 +12,11 @@ from engine.presentation.report.comparison import (
     where_it_is,
 )
 from engine.presentation.report.diagnosis_cause import cause_section
-from engine.presentation.report.diagnosis_gain import gain_section
+from engine.presentation.report.diagnosis_gain import (
+    before_and_after,
+    gain_section,
+    has_before_and_after,
+)
 from engine.presentation.report.diagnosis_summary import answers, verdict
 from engine.presentation.report.html import Html, bullets, join, table, tag
 from engine.presentation.report.parts import (
@@ -38,20 +42,21 @@ def diagnosis_report(d: Document, draw: Drawer) -> Report:
     symptoms = d["symptoms"]
     return Report(
         f"Diagnosis of the model {d['model']}",
-        join([verdict(d), answers(d), grid(_hero(symptoms, units, draw))]),
+        join([verdict(d), answers(d), grid(_hero(d, units, draw))]),
         (
             *section(
                 "wrong",
                 "1. What is wrong",
                 sentences(symptoms) or tag("p", "Nothing stands out."),
                 fits(symptoms),
+                grid(_simulation(d, units, draw)),
                 grid(errors_over_time(symptoms, units, draw)),
                 tag("h3", "Where the error lives"),
                 where_it_is(symptoms, units, draw),
                 tag("h3", "One-step predictions and their residuals"),
                 tag(
                     "p",
-                    "Pictures, not verdicts: a fitted process noise hides much from them.",
+                    "No verdict rests on these: process noise that was fitted hides much of an error.",
                     class_="hint",
                 ),
                 grid(against_data(symptoms["one_step"], "one_step", units, draw)),
@@ -67,7 +72,18 @@ def diagnosis_report(d: Document, draw: Drawer) -> Report:
     )
 
 
-def _hero(symptoms: Document, units: Document, draw: Drawer) -> list[Html]:
+def _simulation(d: Document, units: Document, draw: Drawer) -> list[Html]:
+    """The simulation and all the data, where the top shows something else."""
+    if not has_before_and_after(d["gain"]):
+        return []
+    return against_data(d["symptoms"]["free_run"], "free_run", units, draw, wide=True)
+
+
+def _hero(d: Document, units: Document, draw: Drawer) -> list[Html]:
+    """Measured, before and after on held-out data; where nothing was found, the simulation and the data."""
+    if found := before_and_after(d["gain"], units, draw):
+        return found
+    symptoms = d["symptoms"]
     figures = against_data(symptoms["free_run"], "free_run", units, draw, wide=True)
     return figures or against_data(symptoms["one_step"], "one_step", units, draw, wide=True)
 

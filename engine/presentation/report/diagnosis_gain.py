@@ -55,7 +55,10 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
         head = ("", "rms before", "rms after", "difference (95 %)", "fit")
         parts.append(table(head, rows, "numbers"))
     parts += [_budget(gain), adopted(gain, "in_full"), bullets(map(prose, gain["notes"]))]
-    parts.append(grid(held_out_figures(gain, units, draw)))
+    figures = (
+        _gained if has_before_and_after(gain) else held_out_figures
+    )  # the others are at the top
+    parts.append(grid(figures(gain, units, draw)))
     return parts
 
 
@@ -107,11 +110,36 @@ def _budget(gain: Document) -> Html:
     return join([tag("h3", "Error budget"), table(head, rows, "budget-table")])
 
 
+def before_and_after(gain: Document | None, units: Document, draw: Drawer) -> list[Html]:
+    """Measured and simulated before and after on held-out data, a figure per output; none without a gain."""
+    if gain is None or not has_before_and_after(gain):
+        return []
+    return [draw(chart) for chart in _simulated(gain["curves"], units)]
+
+
+def has_before_and_after(gain: Document | None) -> bool:
+    """Whether there are both curves."""
+    curves: Document = (gain or {}).get("curves") or {}
+    return all(curves.get(when) is not None for when in ("before", "after"))
+
+
 def held_out_figures(gain: Document, units: Document, draw: Drawer) -> list[Html]:
     """Measured, simulated before and after; then the log-density gained so far."""
     curves = gain.get("curves")
     if not curves:
         return []
+    return [draw(chart) for chart in _simulated(curves, units)] + _gained(gain, units, draw)
+
+
+def _gained(gain: Document, units: Document, draw: Drawer) -> list[Html]:
+    """The log-density gained so far."""
+    curves = gain["curves"]
+    gained = (Trace("log-density gained", curves["log_density"], "line", "after"),)
+    title, level = "Log-density gained so far", (0.0,)
+    return [draw(Chart(title, TIME, "log-density", curves["t"], gained, level=level, wide=True))]
+
+
+def _simulated(curves: Document, units: Document) -> list[Chart]:
     charts = []
     for name, unit in units.items():
         traces = [
@@ -122,7 +150,4 @@ def held_out_figures(gain: Document, units: Document, draw: Drawer) -> list[Html
         traces.append(Trace("measured, held out", curves["measured"][name], "points", "data"))
         title, y_label = f"Held-out data and simulation of {name}", label(name, unit)
         charts.append(Chart(title, TIME, y_label, curves["t"], tuple(traces), wide=True))
-    gained = (Trace("log-density gained", curves["log_density"], "line", "after"),)
-    title, level = "Log-density gained so far", (0.0,)
-    charts.append(Chart(title, TIME, "log-density", curves["t"], gained, level=level, wide=True))
-    return [draw(chart) for chart in charts]
+    return charts

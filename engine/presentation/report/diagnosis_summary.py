@@ -25,12 +25,11 @@ def verdict(d: Document) -> Html:
     said = tag("p", word, " ", d["sentence"], class_="said")
     names = [tag("p", _headline(cause), class_="cause") for cause in d["causes"]]
     if d["verdict"] == "unknown":
-        names = [
-            tag("p", "" if k else "Closest: ", _headline(cause))
+        said = tag("p", word, " ", _known(d), class_="said")
+        names = [tag("p", d["sentence"])] + [
+            tag("p", "" if k else "Nearest names: ", _headline(cause), class_="hint")
             for k, cause in enumerate(d["causes"])
         ]
-        if d["unnamed"]:
-            names.insert(0, tag("p", prose(d["unnamed"]["sentence"]), class_="cause"))
     if not names:
         tested, seen = len(d["detectable"]), sum(x["testable"] for x in d["detectable"])
         text = (
@@ -39,6 +38,22 @@ def verdict(d: Document) -> Html:
         )
         names = [tag("p", text)]
     return join([said, *names])
+
+
+def _known(d: Document) -> str:
+    """What is known of something that has no name: where it acts, how large it is, which curve shows it."""
+    if d["unnamed"]:
+        return f"{prose(d['unnamed']['sentence'])} Its course is drawn under the cause."
+    symptoms = d["symptoms"]
+    for what, said in (("free_run", "simulated"), ("one_step", "predicted")):
+        run = symptoms[what]
+        if run is not None and run["regions"]:
+            worst, fit = run["regions"][0], run["fits"][0]
+            return (
+                f"The {said} {fit['output']} is {measured(fit['rmse'], fit['unit'])} rms off the data, most of "
+                f"all {_place(worst)}; the curve below shows it."
+            )
+    return str(d["sentence"])
 
 
 def _headline(cause: Document) -> Html:
@@ -74,12 +89,20 @@ def _wrong_at_a_glance(symptoms: Document) -> Html:
     parts = []
     for f in run["fits"]:
         big = tag("b", measured(f["rmse"], f["unit"]))
-        expected = f["expected_rmse"]
-        more = f", where {measured(expected, f['unit'])} is expected" if expected else ""
-        parts.append(tag("p", f"Simulated {f['output']} is ", big, f" rms off the data{more}."))
+        parts.append(tag("p", f"Simulated {f['output']} is ", big, " rms off the data."))
+        if f["expected_rmse"]:
+            parts.append(tag("p", _expected(f), class_="hint"))
     if run["regions"]:
         parts.append(tag("p", f"Most telling: {_place(run['regions'][0])}.", class_="hint"))
     return join(parts)
+
+
+def _expected(f: Document) -> str:
+    """How much of the error is laid at the process noise, which says nothing for the model."""
+    room = measured(f["expected_rmse"], f["unit"])
+    if f["rmse"] <= f["expected_rmse"]:
+        return f"The model's process noise has room for {room}: that hides an error, and explains none."
+    return f"The model's process noise accounts for {room} only."
 
 
 def _place(region: Document) -> str:

@@ -129,7 +129,11 @@ p { margin: 0 0 .7rem; }
 a { color: var(--accent); }
 code { font-family: ui-monospace, "Cascadia Mono", Menlo, Consolas, "DejaVu Sans Mono", monospace;
   font-size: .9em; }
-.scroll { overflow-x: auto; }
+.scroll { overflow-x: auto; background:
+  linear-gradient(to right, var(--page) 40%, transparent) left / 2.4rem 100% no-repeat local,
+  linear-gradient(to left, var(--page) 40%, transparent) right / 2.4rem 100% no-repeat local,
+  linear-gradient(to right, var(--muted), transparent) left / .5rem 100% no-repeat scroll,
+  linear-gradient(to left, var(--muted), transparent) right / .5rem 100% no-repeat scroll; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: .38rem .7rem .38rem 0; border-bottom: 1px solid var(--grid); }
 th { font-size: .82rem; color: var(--muted); font-weight: 600; }

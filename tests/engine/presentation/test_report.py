@@ -150,8 +150,39 @@ def test_an_unknown_cause_is_no_name(diagnosis):
     page = check_alone(report_html(document))
     first = page.text[: page.text.index("1. What is wrong")]
     assert "A force of 3 × 10⁸ m³ ± 1 acts." in first
-    assert "Closest: Step of the reading flow" in first
+    assert "Nearest names: Step of the reading flow" in first
     assert any("unnamed force on level" in svg["aria-label"] for svg in page.all("svg"))
+    # what is known comes first, then that it has no name, then the names, small
+    places = [first.index(text) for text in ("A force of", "None explains it", "Nearest names")]
+    assert places == sorted(places)
+    without = document | {"unnamed": None}
+    first = check_alone(report_html(without)).text.partition("1. What is wrong")[0]
+    fit = document["symptoms"]["one_step"]["fits"][0]
+    assert f"The predicted flow is {fit['rmse']:.3g}" in first
+    assert "the curve below shows it" in first
+
+
+def test_the_first_picture_is_measured_before_and_after_on_held_out_data(diagnosis):
+    page = check_alone(report_html(diagnosis))
+    labels = [svg["aria-label"] for svg in page.all("svg")]
+    assert labels[0].startswith("Held-out data and simulation of flow")
+    for words in ("measured, held out", "simulated before the", "simulated after the"):
+        assert words in page.text.partition("1. What is wrong")[0]
+    without = copy.deepcopy(diagnosis)
+    without["gain"] = None
+    labels = [svg["aria-label"] for svg in check_alone(report_html(without)).all("svg")]
+    assert labels[0].startswith("Free-run simulation of flow and the data")
+
+
+def test_what_noise_has_room_for_does_not_read_as_fine(diagnosis):
+    document = copy.deepcopy(diagnosis)
+    (fit,) = document["symptoms"]["free_run"]["fits"]
+    fit["rmse"], fit["expected_rmse"] = 0.181, 0.46
+    page = check_alone(report_html(document)).text
+    assert "is expected" not in page
+    assert "has room for 0.46 × 10⁸ m³: that hides an error" in page
+    fit["rmse"] = 0.61
+    assert "accounts for 0.46 × 10⁸ m³ only" in check_alone(report_html(document)).text
 
 
 def test_nothing_found_is_said_plainly():
