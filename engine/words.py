@@ -48,7 +48,7 @@ def estimate(value: float | None, error: float | None, unit: str = "") -> str:
     if error is None or not math.isfinite(error) or not error > 0.0:
         return f"{with_unit(value, unit)}, its standard error not determined by these data"
     if abs(value) < error:
-        return f"not told from zero (standard error {with_unit(error, unit, 2)})"
+        return f"of no certain size (standard error {with_unit(error, unit, 2)})"
     digits = max(3, int(math.log10(abs(value) / error)) + 2)
     return f"{number(value, digits)} +- {with_unit(error, unit, 2)}"
 

@@ -21,6 +21,7 @@ from engine.presentation.equations import to_latex
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis
+    from engine.diagnose.free_run.missing_function import MissingFunction
     from engine.diagnose.free_run.null import Alarm
     from engine.diagnose.free_run.search import FreeRound
     from engine.diagnose.free_run.second_opinion import SecondOpinion
@@ -95,6 +96,22 @@ def _free_run(asked: SecondOpinion) -> dict[str, Any]:
         },
         "alarm": None if asked.alarm is None else _alarm(asked.alarm),
         "rounds": [] if found is None else [_free_round(one) for one in found.rounds],
+        "missing": None if asked.missing is None else _missing(asked.missing),
+    }
+
+
+def _missing(one: MissingFunction) -> dict[str, Any]:
+    """A force without a name, and its curve."""
+    curve = {"x": one.x, "mean": one.mean, "standard_deviation": one.sd}
+    return {
+        "source": one.source,
+        "target": one.target,
+        "source_unit": one.source_unit,
+        "unit": one.unit,
+        "left": one.left,
+        "p_value": one.p_value,
+        "sentence": one.sentence,
+        "curve": {name: rounded(values).tolist() for name, values in curve.items()},
     }
 
 

@@ -156,7 +156,10 @@ def criteria(asked: SecondOpinion) -> str:
     if asked.search is not None:
         names = [name for candidate in asked.search.found for name in candidate.names]
         said.append(f"By the free run: {_answer(asked.search.verdict, names)}.")
-    return " ".join([*said, asked.reason])
+    said.append(asked.reason)
+    if asked.missing is not None:
+        said.append(asked.missing.sentence)
+    return " ".join(said)
 
 
 def _answer(verdict: Verdict, names: Sequence[str]) -> str:

@@ -117,6 +117,15 @@ class Along:
             dy[:, :, :k] += d
         return dy, xi
 
+    def over_time(self, parameter: int, step: float, courses: Array) -> Array:
+        """dy (T, ny, n) where one parameter runs over time along each of the ``courses`` (T, n)."""
+        ends = [_ends(self.model, self.theta, parameter, step)]
+        first = np.zeros((self.model.nx, courses.shape[1]))
+        with np.errstate(all="ignore"):
+            b = _slopes(self.F, self.x[:-1], self.ahead, ends) * courses[:-1, None]
+            d = _slopes(self.G, self.x, self.seen, ends) * courses[:, None]
+            return np.asarray(self.H @ carry(self.J, b, first) + d)
+
 
 def _in_rows(model: MixedModel, steps: Steps, x: Array) -> Steps:
     return replace(steps, split=tested(model, steps, x) is None)

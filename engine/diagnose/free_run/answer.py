@@ -9,9 +9,10 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.free_run.covariance import run_covariance
 from engine.diagnose.free_run.fitted import Fitted, Pick, fit_runs
-from engine.diagnose.free_run.folds import folds_of
+from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.search import Candidate, FreeRound, Progress, one_round
 from engine.diagnose.search.findings import Cause, LookAlike, Verdict
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
@@ -32,13 +33,15 @@ class FreeRunSearch:
 
     ``before`` and ``after`` are the fits of the free run without and with what was found, as maxima of the
     likelihood over the noise alone: parameters that a noise-free run shows are those of the free run. ``gains``
-    are 2 x the log-likelihood that each round gained so.
+    are 2 x the log-likelihood that each round gained so. ``missing`` is a force without a name, where the last
+    round has an alarm that no name explains and some function of a signal would.
     """
 
     rounds: tuple[FreeRound, ...]
     before: QuasiFit
     after: QuasiFit
     gains: tuple[float, ...]
+    missing: MissingFunction | None = None
 
     @property
     def found(self) -> tuple[Candidate, ...]:
@@ -63,6 +66,8 @@ class FreeRunSearch:
         left = self.final.rms / self.rounds[0].fit.rms
         if self.alarm_left and left > UNEXPLAINED:
             return Verdict.UNKNOWN
+        if self.missing is not None and self.missing.left < UNEXPLAINED:
+            return Verdict.UNKNOWN  # a function does far better than all names
         several = any(len(r.survivors) > 1 for r in self.rounds)
         return Verdict.SET if several else Verdict.NAMED
 
@@ -90,13 +95,12 @@ def search_free_runs(
     fit = best_runs(base.model, records, [base.theta, theta], base.free, seed)
     noise = [noise_fit(fit)]
     done: list[FreeRound] = []
-    for k in range(ROUNDS):
-        setting = setting_for(fit.model, records[0], np.asarray(fit.theta))
-        released = {effect.channel for effect in fit.effects if effect.family == "parameter"}
-        setting = replace(setting, held=tuple(name for name in held if name not in released))
+    for k in range(ROUNDS + 1):  # the last one only asks whether noise explains the rest
+        setting = setting_of(fit, held)
         others, level = (rivals, alpha) if k == 0 else ((), later)
         theta = noise[-1].theta
-        one = one_round(fit, setting, np.asarray(theta), kinds, others, level, seed + k, progress)
+        noisy, more = np.asarray(theta), k < ROUNDS
+        one = one_round(fit, setting, noisy, kinds, others, level, seed + k, progress, more)
         done.append(one)
         if one.chosen is None:
             break
@@ -104,11 +108,21 @@ def search_free_runs(
         noise.append(noise_fit(fit))
         if fit.rms <= LEFT * done[0].fit.rms:
             break
+    last, missing = done[-1], None
+    if last.alarmed and last.chosen is None:
+        missing = missing_function(fit, last.losses, setting_of(fit, held))
     before, after = noise[0], noise[-1]
     if whole and done[0].survivors:
         before, after = on_whole(done[0].fit, before, whole), on_whole(fit, after, whole)
     values = [one.log_likelihood for one in noise]
-    return FreeRunSearch(tuple(done), before, after, tuple(2.0 * np.diff(values)))
+    return FreeRunSearch(tuple(done), before, after, tuple(2.0 * np.diff(values)), missing)
+
+
+def setting_of(fit: Fitted, held: tuple[str, ...]) -> Setting:
+    """For effects beside a fit; of the parameters that were ``held`` those that nothing has released."""
+    released = {effect.channel for effect in fit.effects if effect.family == "parameter"}
+    setting = setting_for(fit.model, fit.records[0], np.asarray(fit.theta))
+    return replace(setting, held=tuple(name for name in held if name not in released))
 
 
 def on_whole(fit: Fitted, noise: QuasiFit, whole: Sequence[Series]) -> QuasiFit:
@@ -169,24 +183,6 @@ def information(fit: Fitted, found: QuasiFit) -> Array:
             j = fit.free.index(name)
             out[j, j] = found.information[i, i]
     return out
-
-
-def run_covariance(fit: Fitted) -> Array:
-    """Covariance (n_p, n_p) of p from the free run: a sandwich over blocks of rows.
-
-    (J'J)^-1 (sum of s_b s_b') (J'J)^-1 with s_b = J_b' e_b; Liang and Zeger (1986), "Longitudinal data
-    analysis using generalized linear models", with blocks for subjects.
-    """
-    block = folds_of(fit.records).block
-    lengths = np.linalg.norm(fit.J, axis=0)
-    lengths[lengths == 0.0] = np.inf
-    J = fit.J / lengths
-    bread = np.linalg.pinv(J.T @ J, rcond=1e-10, hermitian=True)
-    scores = np.array([J[block == b].T @ fit.e[block == b] for b in np.unique(block)])
-    n = len(scores)
-    return np.asarray(
-        (n / max(n - 1, 1)) * (bread @ scores.T @ scores @ bread) / np.outer(lengths, lengths)
-    )
 
 
 def causes_of(found: FreeRunSearch) -> tuple[Cause, ...]:

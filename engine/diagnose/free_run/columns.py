@@ -37,7 +37,7 @@ def columns(fit: Fitted, effects: Iterable[Effect]) -> list[Column]:
     """Of every effect at every probe; an effect whose run cannot be had is left out."""
     theta, base = np.asarray(fit.theta), []
     for one, x1 in zip(fit.records, fit.x1, strict=True):
-        run = _run(fit.model, theta, one, x1)
+        run = run_of(fit.model, theta, one, x1)
         if not np.isfinite(run).all():
             return []
         base.append(Along(fit.model, theta, one, run))
@@ -75,14 +75,15 @@ def _along(fit: Fitted, base: list[Along], model: MixedModel, theta: Theta) -> l
             out.append(Along(model, vector, one, own.x[:, at], slopes))
         return out
     for one, x1 in zip(fit.records, first_states(model, theta, fit), strict=True):
-        run = _run(model, vector, one, x1)
+        run = run_of(model, vector, one, x1)
         if not np.isfinite(run).all():
             return None
         out.append(Along(model, vector, one, run))
     return out
 
 
-def _run(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
+def run_of(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
+    """The free run (T, nx) from a first state (nx,)."""
     na = model.na
     _, a, z = propagate(model, model.record(theta), series, x1[None, :na], x1[None, na:])
     return np.concatenate((a[:, 0], z[:, 0]), axis=1)

@@ -108,8 +108,12 @@ def one_round(
     alpha: float,
     seed: int,
     progress: Progress,
+    more: bool = True,
 ) -> FreeRound:
-    """One round beyond ``fit``; ``noisy`` its theta with the noise of the data, ``rivals`` answers to try."""
+    """One round beyond ``fit``; ``noisy`` its theta with the noise of the data, ``rivals`` answers to try.
+
+    Nothing is added unless ``more``.
+    """
     progress("free run", 0.0)
     effects = candidates(fit, setting, kinds)
     linear = Linear(fit, columns(fit, effects))
@@ -117,7 +121,7 @@ def one_round(
     seen = alarm(linear, noisy, folds, seed)
     singles = linear.singles()
     own = losses(fit, folds)
-    if seen.p_value > alpha or not linear.columns:
+    if seen.p_value > alpha or not linear.columns or not more:
         return FreeRound(fit, own, seen, tuple(singles), (), (), alpha)
     found = refits(fit, linear, effects, rivals, progress)
     answers = [frozenset(pick.effect.name for pick in picks) for picks in rivals]

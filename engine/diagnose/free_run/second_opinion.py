@@ -9,17 +9,23 @@ answer competes with those of the free run on rows left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.free_run.answer import FreeRunSearch, noise_fit, search_free_runs
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.free_run.answer import (
+    FreeRunSearch,
+    noise_fit,
+    search_free_runs,
+    setting_of,
+)
 from engine.diagnose.free_run.columns import CANNOT, columns
 from engine.diagnose.free_run.fitted import Pick, fit_runs
-from engine.diagnose.free_run.folds import folds_of
+from engine.diagnose.free_run.folds import Folds, folds_of, losses
 from engine.diagnose.free_run.linear import Linear
+from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.null import Alarm, alarm
 from engine.diagnose.free_run.search import FAMILIES, FreeRound, Progress, candidates
 from engine.diagnose.free_run.windows import windows
@@ -44,6 +50,7 @@ class SecondOpinion:
     ``likelihood`` is the verdict of the other criterion, with the ``names`` that it chose. ``decides`` whether
     the free run's answer is the diagnosis'; ``reason`` why, or why not, in a sentence; ``alarm`` of the model
     that the likelihood ended with, ``search`` where there was one; both None where no free run can be had.
+    ``missing`` is a force without a name, where no name settles it.
     """
 
     likelihood: Verdict
@@ -52,6 +59,7 @@ class SecondOpinion:
     reason: str
     alarm: Alarm | None = None
     search: FreeRunSearch | None = None
+    missing: MissingFunction | None = None
 
 
 def second_opinion(
@@ -76,11 +84,12 @@ def second_opinion(
         return SecondOpinion(*said, False, READ_OTHERWISE)
     try:
         start = causes.search.final if settled else base
-        seen = _alarm_of(start, records, held, kinds, seed)
+        beside = _beside(start, records, held, kinds)
+        seen = beside.alarm(seed)
         if seen.p_value > level:
-            return SecondOpinion(
-                *said, False, f"{_noise_explains(seen)}{_part(records, series)}", seen
-            )
+            reason = f"{_noise_explains(seen)}{_part(records, series)}"
+            missing = None if settled else beside.missing()
+            return SecondOpinion(*said, False, reason, seen, missing=missing)
         found = search_free_runs(
             base,
             records,
@@ -97,22 +106,36 @@ def second_opinion(
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")
     decides, reason = _decided(causes.verdict, settled, named, found)
-    return SecondOpinion(*said, decides, f"{reason}{_part(records, series)}", seen, found)
+    reason = f"{reason}{_part(records, series)}"
+    return SecondOpinion(*said, decides, reason, seen, found, found.missing)
 
 
-def _alarm_of(
-    start: QuasiFit,
-    records: Sequence[Series],
-    held: tuple[str, ...],
-    kinds: Sequence[str] | None,
-    seed: int,
-) -> Alarm:
-    """Whether noise explains what the free run of a fitted model gets wrong."""
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """The free run of a fitted model, with the effects that may be missing in it."""
+
+    linear: Linear
+    setting: Setting
+    folds: Folds
+
+    def alarm(self, seed: int) -> Alarm:
+        """Whether noise explains what it gets wrong."""
+        return alarm(self.linear, np.asarray(noise_fit(self.linear.fit).theta), self.folds, seed)
+
+    def missing(self) -> MissingFunction | None:
+        """A force without a name."""
+        fit = self.linear.fit
+        return missing_function(fit, losses(fit, self.folds), self.setting)
+
+
+def _beside(
+    start: QuasiFit, records: Sequence[Series], held: tuple[str, ...], kinds: Sequence[str] | None
+) -> _Beside:
     mean, _ = first_state(start.model, start.theta)
     fit = fit_runs(start.model, records, start.theta, start.free, np.tile(mean, (len(records), 1)))
-    setting = replace(setting_for(fit.model, records[0], np.asarray(fit.theta)), held=held)
+    setting = setting_of(fit, held)
     linear = Linear(fit, columns(fit, candidates(fit, setting, kinds)))
-    return alarm(linear, np.asarray(noise_fit(fit).theta), folds_of(fit.records), seed)
+    return _Beside(linear, setting, folds_of(fit.records))
 
 
 def _rivals(named: Sequence[Refit]) -> list[list[Pick]]:

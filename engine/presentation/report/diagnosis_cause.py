@@ -115,7 +115,28 @@ def two_criteria(asked: Document | None, draw: Drawer) -> list[object]:
         table(("criterion", "verdict", "effects", ""), body, "words"),
         tag("p", asked["reason"], class_="hint"),
         grid([draw(picture) for picture in pictures]),
+        *_missing(asked["missing"], draw),
     ]
+
+
+def _missing(one: Document | None, draw: Drawer) -> list[object]:
+    """The curve of a force that has no name."""
+    if not one:
+        return []
+    curve = one["curve"]
+    mean = curve["mean"]
+    pairs = list(zip(mean, curve["standard_deviation"], strict=True))
+    band = [m - 2.0 * s for m, s in pairs], [m + 2.0 * s for m, s in pairs]
+    chart = Chart(
+        f"A function of {one['source']} that acts on {one['target']}",
+        label(one["source"], one["source_unit"]),
+        label("force", one["unit"]),
+        curve["x"],
+        (Trace("force ± 2 standard deviations", mean, band=band, role="before"),),
+        level=(0.0,),
+    )
+    told = "What the model's own parameters can do as well, such as its straight part, is not in the curve."
+    return [tag("p", f"{one['sentence']} {told}"), grid([draw(chart)])]
 
 
 def _look_alikes(found: list[dict[str, Any]]) -> Html:
