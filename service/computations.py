@@ -295,14 +295,15 @@ def simulate(job: Prepared, request: SimulateRequest, progress: Progress) -> dic
 
 
 def _run_document(model: MixedModel, series: Series, run: Any) -> dict[str, Any]:
-    """Outputs and states of a run, beside what was measured where something was."""
+    """Outputs and states of a run at the samples, beside what was measured where something was."""
+    at, x = series.samples, np.concatenate([run.a, run.z], axis=1)
     document: dict[str, Any] = {
-        "t": series.t.tolist(),
-        "y": _columns(run.y, tuple(model.outputs)),
-        "states": _columns(np.concatenate([run.a, run.z], axis=1), _state_names(model)),
+        "t": series.t[at].tolist(),
+        "y": _columns(run.y[at], tuple(model.outputs)),
+        "states": _columns(x[at], _state_names(model)),
     }
     if series.observed.any():
-        document["measured"] = _columns(series.y, tuple(model.outputs))
+        document["measured"] = _columns(series.y[at], tuple(model.outputs))
         document["rmse"] = float(np.sqrt(np.nanmean((series.y - run.y) ** 2)))
     return document
 

@@ -93,11 +93,15 @@ Names = Annotated[list[Annotated[str, Field(max_length=200)]], _FIRST]
 
 
 class SettingIn(_Strict):
-    """What data told when effects were made: typical sizes by channel, first and last time, time step."""
+    """What data told when effects were made: typical sizes by channel, first and last time, time step.
+
+    `substeps` are the steps from one sample to the next that the model makes, where its time step is real.
+    """
 
     scale: Values = Field(default_factory=dict)
     span: list[Number] = Field(min_length=2, max_length=2)
     dt: float = Field(gt=0, allow_inf_nan=False)
+    substeps: int = Field(default=1, ge=1, le=64)
 
     @field_validator("span")
     @classmethod

@@ -75,7 +75,14 @@ def prepare(request: Request) -> Prepared:
         series = _inputs(request, model)
     else:
         series = [_series(one, model, f"series[{i}]") for i, one in enumerate(request.series)]
+    if not isinstance(request, DiagnoseRequest):  # a diagnosis finds its own
+        series = [one.refined(_substeps(request.model)) for one in series]
     return Prepared(request, model, series, theta, free, test)
+
+
+def _substeps(reference: ModelReference) -> int:
+    """Steps a sample that an extended model makes."""
+    return reference.setting.substeps if reference.effects and reference.setting else 1
 
 
 def load(document: Any) -> Prepared:
@@ -95,7 +102,8 @@ def check_limits(request: Request, settings: Settings) -> None:
     if isinstance(request, DiagnoseRequest) and request.test is not None:
         series = [*request.series, request.test]
     for i, one in enumerate(series):
-        samples += max((len(x) for x in (one.y, one.u) if x is not None), default=0)
+        rows = max((len(x) for x in (one.y, one.u) if x is not None), default=0)
+        samples += rows * _substeps(request.model)
         _limit(f"series[{i}]", "samples in all series", samples, settings.max_samples)
     _limit("series", "series", len(request.series), settings.max_series)
     options = request.options.model_dump()
@@ -158,7 +166,13 @@ def _given(reference: ModelReference, model: MixedModel) -> Setting | None:
     """What effects need to know of data, as a diagnosis gave it."""
     if (given := reference.setting) is None:
         return None
-    return Setting(model, given.scale, (given.span[0], given.span[1]), given.dt)
+    if given.substeps > 1 and not model.continuous:
+        raise invalid(
+            "model.setting.substeps",
+            f"{given.substeps}; model '{model.name}' does not declare a real time step and makes one a sample",
+        )
+    span = given.span[0], given.span[1]
+    return Setting(model, given.scale, span, given.dt, substeps=given.substeps)
 
 
 def _times(request: Request, model: MixedModel) -> Setting | None:

@@ -45,7 +45,7 @@ from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.search.pipeline import Callback, Clock, find_causes, fit_base, has_tails
 from engine.diagnose.search.search import Search
-from engine.diagnose.search.substeps import prepare
+from engine.diagnose.search.substeps import is_enough, prepare
 from engine.diagnose.search.verdict import cause_of, detectable_of
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
@@ -229,6 +229,13 @@ def diagnose(
             kinds=effects,
             progress=clock.progress,
             kept=done,
+        )
+
+    looked_at = model.continuous and named and plain.dt is not None
+    if looked_at and not is_enough(after.model, np.asarray(after.theta), plain, fine.k):
+        notes.append(
+            f"With what was found, the free run changes by more than a tenth of its error with {2 * fine.k} "
+            f"steps a sample: the sizes are those of {fine.k}."
         )
 
     clock.start("symptoms")

@@ -49,11 +49,12 @@ def at_bounds(fit: QuasiFit) -> list[str]:
 def in_the_library(d: Diagnosis) -> str:
     """How the extended model is got again: by its name if it is registered, else from the model itself."""
     effects = [cause.effect for cause in d.causes]
+    steps = f" Run it on series.refined({d.substeps})." if d.substeps > 1 else ""
     if is_registered(d):
-        return f"In the library: engine.get_model({d.model.name!r}, effects={effects!r})."
+        return f"In the library: engine.get_model({d.model.name!r}, effects={effects!r}).{steps}"
     return (
         "In the library: .extended and .theta of this diagnosis, or extend(model, "
-        f"{effects!r}) from engine.diagnose."
+        f"{effects!r}) from engine.diagnose.{steps}"
     )
 
 

@@ -153,7 +153,12 @@ def _reference(d: Diagnosis) -> dict[str, Any]:
     return {
         "name": d.model.name,
         "with": [cause.effect for cause in d.causes],
-        "setting": {"scale": dict(setting.scale), "span": setting.span, "dt": setting.dt},
+        "setting": {
+            "scale": dict(setting.scale),
+            "span": setting.span,
+            "dt": setting.dt,
+            "substeps": d.substeps,
+        },
     }
 
 

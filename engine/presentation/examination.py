@@ -201,16 +201,16 @@ def trace_document(names: Sequence[str], found: Mapping[str, Any]) -> dict[str, 
 def states_document(
     model: MixedModel, series: Sequence[Series], states: Sequence[tuple[Array, Array]]
 ) -> dict[str, Any]:
-    """Means and standard deviations (T, nx) of each series' states by name, with the states' units."""
+    """Means and standard deviations (T, nx) of each series' states by name, with units, at its samples."""
     names = [*model.nonlinear, *model.linear]
     out = []
     for one, (mean, sd) in zip(series, states, strict=True):
-        columns = {"mean": mean, "standard_deviation": sd}
+        columns = {"mean": mean[one.samples], "standard_deviation": sd[one.samples]}
         by_name = {
             key: {name: values[:, i].tolist() for i, name in enumerate(names)}
             for key, values in columns.items()
         }
-        out.append({"t": one.t.tolist(), **by_name})
+        out.append({"t": one.t[one.samples].tolist(), **by_name})
     return {"units": {**model.nonlinear, **model.linear}, "series": out}
 
 

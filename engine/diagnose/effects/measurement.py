@@ -173,7 +173,12 @@ KINDS: list[Kind] = [
     at_outputs("drift", _drift),
     at_outputs("gain", _gain),
     _curve(
-        "cubic-sensor", "cubic characteristic", "{y}^3", lambda y: y**3, -2, {"gain": "is linear"}
+        "cubic-sensor",
+        "cubic characteristic",
+        "{y}^3",
+        lambda y: y * y * y,
+        -2,
+        {"gain": "is linear"},
     ),
     at_outputs("saturation-sensor", _saturation),
     _curve(

@@ -194,7 +194,7 @@ KINDS: list[Kind] = [
         "cubic",
         "cubic stiffness",
         "{x}^3",
-        lambda x, own: x**3,
+        lambda x, own: x * x * x,  # np.power is twenty times slower
         3,
         {"drag": ODD, "deadzone": ODD},
         traits=STIFFNESS,

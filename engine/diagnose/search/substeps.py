@@ -155,6 +155,16 @@ def choose(setting: Setting, series: Series, theta: Array) -> int:
     return k
 
 
+def is_enough(model: MixedModel, theta: Array, series: Series, k: int) -> bool:
+    """Whether the free run of an extended model with k steps a sample is that with twice as many."""
+    try:
+        x1, _ = start_state(model, theta, series.refined(k))
+    except (EngineError, np.linalg.LinAlgError):
+        return True
+    one, other = (_run(model, theta, series.refined(n), x1) for n in (k, 2 * k))
+    return bool(np.isfinite([one, other]).all()) and _same_run(series, one, other)
+
+
 def _run(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
     """The noise-free run at the samples (T, ny), not finite where it is lost."""
     with np.errstate(all="ignore"):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.effects.catalogue import all_effects, make_effect
+from engine.diagnose.effects.catalogue import all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.rates import guessed_points
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.time_scan import grid
-from engine.diagnose.search.substeps import is_consistent, prepare
+from engine.diagnose.search.substeps import is_consistent, is_enough, prepare
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter
 from tests.engine.plain_models import pendulum
@@ -244,3 +244,16 @@ def test_what_is_hidden_in_a_continuous_model_acts_within_the_step():
             x += 1e-3 * v
     assert np.ptp(positions) > 1.0
     np.testing.assert_allclose(run.a[:, 0], positions, atol=0.02)
+
+
+def test_steps_enough_for_the_model_may_be_too_few_for_what_was_found():
+    base = engine.get_model("oscillator")
+    model = extend(base, ["cubic:position->velocity"])
+    theta = np.asarray(model.theta({"cubic_position__velocity": -30.0, "sigma_v": 1e-6}))
+    series = swings(dt=0.2)
+    fine = series.refined(32)
+    run = engine.free_run(model, model.theta(theta), fine, a1=np.zeros(1), z1=np.zeros(1))
+    noise = 0.03 * np.random.default_rng(1).standard_normal(len(series))
+    measured = series.replace(y=run.y[fine.samples] + noise[:, None])
+    assert not is_enough(model, theta, measured, 1)
+    assert is_enough(model, theta, measured, 16)
