@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -115,8 +115,8 @@ def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
     if kind == "simulation":
         return with_runs(found, series, content)
     parts = content["parts"] if document["version"] == version("rbps") else {}
-    test = None if content["test"] is None else _series(content["test"])
-    return again(found, series[0], test, content["options"], parts)
+    test = [_series(one) for one in content["test"]]
+    return again(found, series, test, content["options"], parts)
 
 
 # ---- contents -----------------------------------------------------------------------------------
@@ -142,10 +142,9 @@ def _content(found: Kept) -> tuple[str, dict[str, Any]]:
         }
     if isinstance(found, Diagnosis) and found.asked is not None:
         asked = found.asked
-        test = None if asked.test is None else _arrays(asked.test)
         return "diagnosis", {
-            "series": [_arrays(asked.series)],
-            "test": test,
+            "series": [_arrays(one) for one in _several(asked.series)],
+            "test": [_arrays(one) for one in _several(asked.test)],
             "options": dict(asked.options),
             "parts": dict(asked.parts),
         }
@@ -173,6 +172,10 @@ def _arrays(series: Series) -> dict[str, Any]:
     names = ("y_names", "u_names", "extra_names")
     out |= {name: list(getattr(series, name)) for name in names}
     return out | {"substeps": series.substeps, "hold": series.hold}
+
+
+def _several(series: Series | Sequence[Series] | None) -> list[Series]:
+    return [series] if isinstance(series, Series) else list(series or ())
 
 
 def _series(content: Mapping[str, Any]) -> Series:

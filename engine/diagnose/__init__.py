@@ -33,12 +33,12 @@ from engine.diagnose.effects.catalogue import (
 )
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.free_run.answer import causes_of
 from engine.diagnose.free_run.second_opinion import second_opinion
 from engine.diagnose.free_run.windows import stretch
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
+from engine.diagnose.records import records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
 from engine.diagnose.search.contradictions import particle_word
@@ -73,15 +73,14 @@ __all__ = [
     "register_effect",
 ]
 
-HELD_OUT = 0.2  # share of the series kept back where no test series is given
 LEAST = 30  # measured rows without which nothing can be said
 
 
 def diagnose(
     model: MixedModel,
-    series: Series,
+    series: Series | Sequence[Series],
     theta: ThetaLike = None,
-    test: Series | None = None,
+    test: Series | Sequence[Series] | None = None,
     seed: int = 0,
     alpha: float = 0.05,
     effects: Sequence[str] | None = None,
@@ -100,12 +99,13 @@ def diagnose(
     ----------
     model : MixedModel
         The model, paper, eq. (1).
-    series : Series
-        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+    series : Series or sequence of Series
+        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds. Of several records, each with
+        a first state of its own, the longest is searched by the likelihood; the free run is asked on all.
     theta : Theta, mapping, array or None
         Start values; where None, one is searched for.
-    test : Series, optional
-        Held-out data; the last fifth of ``series`` by default.
+    test : Series or sequence of Series, optional
+        Held-out data; the last fifth of the longest record by default.
     seed : int
         The same seed gives the same bits.
     alpha : float
@@ -139,10 +139,11 @@ def diagnose(
     OptionError
         An option is not known or out of its range.
     """
-    series.check(model)
-    _check_options(series, alpha, max_effects, effects)
+    _check_options(alpha, max_effects, effects)
     if bootstrap < 0:
         raise OptionError(f"bootstrap = {bootstrap}; 0 or more is needed", "bootstrap")
+    as_given = model
+    model, records = records_of(model, series, test)
     options = {
         "theta": None if theta is None else model.theta(theta).tolist(),
         "seed": seed,
@@ -151,30 +152,32 @@ def diagnose(
         "max_effects": max_effects,
         "free": None if free is None else list(free),
     }
-    given = (model, series, test, {**options, "bootstrap": bootstrap})
+    given = (as_given, series, test, {**options, "bootstrap": bootstrap})
     parts = {} if kept is None else kept
-    model, series = with_inputs(model, series.extra_names), series.with_extra_inputs()
-    if test is not None:
-        test = test.with_extra_inputs().check(model)
-    notes = list(check_data(model, series))
+    _check_data(records.main)
+    notes = list(check_data(model, records.main))
+    if records.others:
+        notes.append(
+            f"Of {1 + len(records.others)} records the likelihood searched one, the longest, with "
+            f"{len(records.main)} samples; what is wrong is shown on it. The free run was asked on all."
+        )
     clock = Clock(callback)
-    done = kept_of(parts, model, series, test, options, clock.spent)
-    plain = _split(series, test)[0]
+    done = kept_of(parts, model, records, options, clock.spent)
+    plain = records.train
     part = plain.part(*stretch(plain))
     clock.start("fit")
     fine = prepare(
         model,
-        series,
+        records,
         lambda: np.asarray(
             done.within("one step a sample")
             .fit(model, partial(fit_base, model, part, theta, free))
             .theta
         ),
-        test,
         part,
     )
     theta = theta if fine.theta is None else fine.theta
-    train, held_out = _split(fine.series, None if test is None else test.refined(fine.k))
+    train = fine.records.train
 
     begin, end = stretch(train)
     searched = train if end - begin == len(train) else train.part(begin, end)
@@ -201,7 +204,7 @@ def diagnose(
     clock.start("free run")
     asked = second_opinion(
         causes,
-        train,
+        [train, *fine.records.others],
         model.theta(theta),
         alpha=alpha,
         kinds=effects,
@@ -245,13 +248,14 @@ def diagnose(
     gain = None
     rounds = [r for r in found.rounds if r.equivalent]
     if named and after is not before:
-        history = None if test is not None else train
-        later = test is not None and test.t[0] > series.t[-1]  # else the test's clock is its own
+        history = None if records.tests else train
+        # else a test's clock is its own
+        later = bool(records.tests) and all(o.t[0] > records.main.t[-1] for o in records.tests)
         if not later and all(cause.where == "time" for cause in named):
             times = [name for r in rounds for name in r.refits[0].effect.sought]
-            gain = measure_gain_interleaved(before, after, fine.series, times, seed)
+            gain = measure_gain_interleaved(before, after, fine.records.main, times, seed)
         else:
-            gain = measure_gain(before, after, held_out, history, seed)
+            gain = measure_gain(before, after, fine.records.held_out, history, seed)
         gain = gain.every(fine.k)
         if model.na and not asked.decides:
             text, contradicts = _particle_word(base, found, searched, seed)
@@ -272,7 +276,8 @@ def diagnose(
         search=found,
         notes=tuple(notes),
         seconds=clock.seconds,
-        series=series,
+        series=records.main,
+        records=1 + len(records.others),
         p_bootstrap=p_bootstrap,
         free_run=asked,
         substeps=fine.k,
@@ -282,8 +287,8 @@ def diagnose(
 
 def again(
     model: MixedModel,
-    series: Series,
-    test: Series | None,
+    series: Series | Sequence[Series],
+    test: Series | Sequence[Series] | None,
     options: Mapping[str, Any],
     parts: Mapping[str, Any],
 ) -> Diagnosis:
@@ -291,17 +296,7 @@ def again(
     return diagnose(model, series, test=test, **options, kept=dict(parts))
 
 
-def _split(series: Series, test: Series | None) -> tuple[Series, Series]:
-    if test is not None:
-        return series, test
-    samples = len(series.samples)
-    cut = series.substeps * (samples - max(int(HELD_OUT * samples), 2))
-    return series.part(0, cut), series.part(cut, len(series))
-
-
-def _check_options(
-    series: Series, alpha: float, max_effects: int, effects: Sequence[str] | None
-) -> None:
+def _check_options(alpha: float, max_effects: int, effects: Sequence[str] | None) -> None:
     if not 0.0 < alpha < 1.0:
         raise OptionError(f"alpha = {alpha} is not within (0, 1)", "alpha")
     if max_effects < 1:
@@ -313,6 +308,9 @@ def _check_options(
                 f"effect '{unknown[0]}' is not known; kinds are {', '.join(effect_kinds())}",
                 "effects",
             )
+
+
+def _check_data(series: Series) -> None:
     for name, y in zip(series.y_names, series.y.T, strict=True):
         seen = y[~np.isnan(y)]
         if len(seen) > 1 and seen.min() == seen.max():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -30,9 +30,9 @@ class Asked:
     ----------
     model : MixedModel
         As it was given.
-    series : Series
+    series : Series or sequence of Series
         As it was given.
-    test : Series or None
+    test : Series, sequence of Series or None
         As it was given.
     options : dict
         The other arguments that change the answer, as JSON values.
@@ -41,8 +41,8 @@ class Asked:
     """
 
     model: MixedModel
-    series: Series
-    test: Series | None
+    series: Series | Sequence[Series]
+    test: Series | Sequence[Series] | None
     options: dict[str, Any]
     parts: Mapping[str, Any]
 
@@ -80,7 +80,9 @@ class Diagnosis(Shown):
     seconds : dict
         What each part took.
     series : Series
-        What was given, the held-out part included.
+        The record that the likelihood searched, the held-out part included.
+    records : int
+        How many records were given.
     p_bootstrap : float or None
         The first round's p-value from simulated series, where it was asked for.
     free_run : SecondOpinion or None
@@ -104,10 +106,11 @@ class Diagnosis(Shown):
     search: Search
     notes: tuple[str, ...]
     seconds: dict[str, float]
-    series: Series  # what was given, the held-out part included
+    series: Series  # the longest that was given, the held-out part included
     p_bootstrap: float | None = None  # of the first round, where it was asked for
     free_run: SecondOpinion | None = None
     substeps: int = 1  # steps a sample
+    records: int = 1  # given
     asked: Asked | None = None  # what was asked, by which it can be kept
 
     def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot

@@ -54,7 +54,8 @@ def page(diagnosis: Diagnosis, every: bool = False) -> str:
 def _head(d: Diagnosis) -> Iterator[str]:
     series = d.series
     outputs = enumerated(list(d.model.outputs))
-    yield f"Diagnosis of model '{d.model.name}' on {len(series)} samples of {outputs}"
+    more = f", and {d.records - 1} records more" if d.records > 1 else ""
+    yield f"Diagnosis of model '{d.model.name}' on {len(series)} samples of {outputs}{more}"
     yield "=" * WIDTH
     yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")
     if d.verdict.value == "unknown" and (known := _known(d)):

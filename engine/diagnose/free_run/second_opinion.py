@@ -64,7 +64,7 @@ class SecondOpinion:
 
 def second_opinion(
     causes: Causes,
-    series: Series,
+    given: Sequence[Series],
     theta: Theta,
     *,
     alpha: float,
@@ -72,8 +72,8 @@ def second_opinion(
     seed: int,
     progress: Progress,
 ) -> SecondOpinion:
-    """Ask the free run of the training ``series``; ``theta`` is another start for the base's parameters."""
-    records = windows([series])
+    """Ask the free run of the records ``given``; ``theta`` is another start for the base's parameters."""
+    records = windows(given)
     named = [r.refits[0] for r in causes.search.rounds if r.equivalent]
     patches = any(refit.effect.family == "noise" for refit in named)
     settled = causes.verdict is not Verdict.UNKNOWN and not patches
@@ -87,7 +87,7 @@ def second_opinion(
         beside = _beside(start, records, held, kinds)
         seen = beside.alarm(seed)
         if seen.p_value > level:
-            reason = f"{_noise_explains(seen)}{_part(records, series)}"
+            reason = f"{_noise_explains(seen)}{_part(records, given)}"
             missing = None if settled else beside.missing()
             return SecondOpinion(*said, False, reason, seen, missing=missing)
         found = search_free_runs(
@@ -100,13 +100,13 @@ def second_opinion(
             rivals=_rivals(named),
             seed=seed,
             progress=progress,
-            whole=() if records[0] is series else [series],
+            whole=() if records == list(given) else given,
             later=SETTLED * alpha,
         )
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")
     decides, reason = _decided(causes.verdict, settled, named, found)
-    reason = f"{reason}{_part(records, series)}"
+    reason = f"{reason}{_part(records, given)}"
     return SecondOpinion(*said, decides, reason, seen, found, found.missing)
 
 
@@ -190,9 +190,9 @@ def _displaced(named: Sequence[Refit], first: FreeRound) -> bool:
     return bool(own) and chosen is not None and chosen.held_out < FAR_BETTER * own[0].held_out
 
 
-def _part(records: Sequence[Series], series: Series) -> str:
-    """Which part of a long record was looked at, as a further sentence."""
-    seen, every = sum(len(one.samples) for one in records), len(series.samples)
+def _part(records: Sequence[Series], given: Sequence[Series]) -> str:
+    """Which part of long records was looked at, as a further sentence."""
+    seen, every = (sum(len(one.samples) for one in some) for some in (records, given))
     if seen == every:
         return ""
     return f" It was looked at on {seen} of {every} samples, in {len(records)} stretches."

@@ -14,11 +14,16 @@ LONG, STRETCH = 10_000, 3000  # rows from which on the likelihood searches a str
 
 
 def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
-    """The records, or windows of the longest one: the one that moves most, the least, and two between."""
+    """The records, or windows of the only one: the one that moves most, the least, and two between.
+
+    Of each of several its share, the stretch that moves most.
+    """
     rows = sum(len(one) for one in records)
     if rows <= most:
         return list(records)
-    longest = max(records, key=len)
+    if len(records) > 1:
+        return [one.part(*stretch(one, 0, max(most * len(one) // rows, 2))) for one in records]
+    (longest,) = records
     length = most // WINDOWS // longest.substeps * longest.substeps
     n = len(longest) // length
     if n <= WINDOWS:

@@ -84,18 +84,27 @@ class Gain:
 
 
 def measure_gain(
-    base: QuasiFit, extended: QuasiFit, test: Series, history: Series | None = None, seed: int = 0
+    base: QuasiFit,
+    extended: QuasiFit,
+    tests: Sequence[Series],
+    history: Series | None = None,
+    seed: int = 0,
 ) -> Gain:
-    """The gain of a fitted extension over the fitted base on ``test``.
+    """The gain of a fitted extension over the fitted base on ``tests``, each begun anew.
 
-    ``history`` is the series that ends right before ``test``: both filters then run through it and
-    only the rows of ``test`` are scored; without it the test part begins anew.
+    ``history`` is the series that ends right before the only test: both filters then run through it and
+    only the rows of the test are scored.
     """
-    whole = test if history is None else joined(history, test)
-    first = len(whole) - len(test)
-    rows = np.arange(len(whole)) >= first
+    scored = []
+    for test in tests:
+        whole = test if history is None else joined(history, test)
+        first = len(whole) - len(test)
+        rows = np.arange(len(whole)) >= first
+        scored.append(score([Trial(base, extended, rows)], whole, first))
     how = "held-out rows" if history is None else "the last rows, held out"
-    return score([Trial(base, extended, rows)], whole, first, how, seed)
+    if len(tests) > 1:
+        how += f" of {len(tests)} records"
+    return gain_of(base, scored, how, seed)
 
 
 def measure_gain_interleaved(
@@ -134,7 +143,7 @@ def measure_gain_interleaved(
     how = "every fifth block, left out of the fit"
     if len(trials) > 1:
         how = "blocks, each left out of a fit in turn"
-    return score(trials, series, 0, how, seed)
+    return gain_of(base, [score(trials, series, 0)], how, seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,12 +168,27 @@ def joined(one: Series, other: Series) -> Series:
     )
 
 
-def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: int) -> Gain:
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """Rows (n,) of a ``part`` that are ``kept``, with d (n,) there; free runs without and with (n, ny).
+
+    ``floors`` (ny,) are levels of the measurement noise, one for each run of the extension; ``lost`` whether
+    the filter of the base, of the extension, was.
+    """
+
+    part: Series
+    kept: NDArray[np.bool_]
+    d: Array
+    runs: tuple[Array, Array]
+    floors: list[Array]
+    lost: tuple[bool, bool]
+
+
+def score(trials: Sequence[Trial], series: Series, first: int) -> Scored:
     """Score both models of each trial on its rows; free runs start at row ``first``."""
     seen, part = series.observed.any(axis=1), series.part(first, len(series))
-    notes: list[str] = []
     d, rows = np.zeros(len(series)), np.zeros(len(series), dtype=bool)
-    runs = [np.full(part.y.shape, np.nan) for _ in range(2)]
+    runs = np.full(part.y.shape, np.nan), np.full(part.y.shape, np.nan)
     floors, lost = [], [False, False]
     for trial in trials:
         marked = trial.rows & seen
@@ -179,15 +203,27 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
                 runs[k][shown] = run[0][shown]
                 if k == 1:
                     floors.append(noise_level(fit, part, run[1]))
-    n = int(rows.sum())
+    return Scored(part, rows[first:], d[first:], runs, floors, (lost[0], lost[1]))
+
+
+def gain_of(base: QuasiFit, scored: Sequence[Scored], how: str, seed: int) -> Gain:
+    """The gain on all that was scored; parts follow one another."""
+    part, notes = scored[0].part, []
+    for one in scored[1:]:
+        part = joined(part, one.part)
+    kept = np.concatenate([one.kept for one in scored])
+    d = np.concatenate([one.d for one in scored])
+    runs = [np.concatenate([one.runs[k] for one in scored]) for k in range(2)]
+    floors = [floor for one in scored for floor in one.floors]
+    lost = [any(one.lost[k] for one in scored) for k in range(2)]
+    n = int(kept.sum())
     if n < 2:
         notes.append("Hardly any measurement is held out: the gain cannot be measured.")
     if lost[1]:
         notes.append("The extended model's filter is lost on the held-out data.")
     if n < 2 or not np.isfinite(d).all():
         d[:] = np.nan
-    mean, error, p_gain = diebold_mariano(d[first:], rows[first:])
-    kept = rows[first:]
+    mean, error, p_gain = diebold_mariano(d, kept)
     outputs: tuple[OutputGain, ...] = ()
     away = [not np.isfinite(run[kept]).all() for run in runs]
     for ran_away, name in zip(away, ("model as given", "extended model"), strict=True):
@@ -195,7 +231,7 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
             notes.append(f"The free run of the {name} runs away on the held-out data.")
     if not any(away) and floors:
         floor = np.sqrt(np.mean(np.square(floors), axis=0))
-        outputs = tuple(output_gains(trials[0].base, part, kept, runs[0], runs[1], floor, seed))
+        outputs = tuple(output_gains(base, part, kept, runs[0], runs[1], floor, seed))
     total, p_loss = float(np.sum(d)), 1.0 - p_gain
     gone = any(after and not before for before, after in (lost, away))
     decision = decide(p_gain, p_loss, total, outputs, gone)
@@ -220,7 +256,7 @@ def score(trials: Sequence[Trial], series: Series, first: int, how: str, seed: i
         y=np.where(kept[:, None], part.y, np.nan),
         before=None if away[0] else runs[0],
         after=None if away[1] else runs[1],
-        d=np.where(rows, d, np.nan)[first:],
+        d=np.where(kept, d, np.nan),
     )
 
 

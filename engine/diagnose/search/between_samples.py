@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.records import Records
 from engine.diagnose.search.search import Search
 from engine.diagnose.search.substeps import prepare
 from engine.errors import EngineError
@@ -47,7 +48,9 @@ def read_otherwise(
         own = [first.refits[0].fit.theta[p.name] for p in effect.parameters]
         names = [p.name for p in effect.parameters if p.name not in effect.held]
         extended = quasi_ml(model, series, [*base.theta, *own], [*base.free, *names])
-        other = prepare(base.model, series.held(hold), lambda: np.asarray(base.theta)).series
+        other = prepare(
+            base.model, Records(series.held(hold)), lambda: np.asarray(base.theta)
+        ).records.main
         read = quasi_ml(base.model, other, base.theta, base.free)
         if read.log_likelihood < extended.log_likelihood - AS_GOOD:
             return None

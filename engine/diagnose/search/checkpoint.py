@@ -21,6 +21,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import effect_kinds
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.records import Records
 from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.search.refits import Refit
 from engine.errors import OptionError
@@ -122,8 +123,7 @@ NOTHING = Kept()  # nothing was kept, and nothing is to be
 def kept_of(
     parts: Parts | None,
     model: MixedModel,
-    series: Series,
-    test: Series | None,
+    records: Records,
     options: Mapping[str, Any],
     spent: Callable[[float], Any],
 ) -> Kept:
@@ -131,9 +131,9 @@ def kept_of(
     if parts is None:
         return NOTHING
     asked = {
-        "another model": _digest(_identity(model, series)),
-        "another series": _digest(_data(series)),
-        "another test series": _digest(None if test is None else _data(test)),
+        "another model": _digest(_identity(model, records.main)),
+        "another series": _digest([_data(one) for one in (records.main, *records.others)]),
+        "another test series": _digest([_data(one) for one in records.tests]),
         "other options": _digest(options),
         "another catalogue": _digest(effect_kinds()),
         "another version of rbps": _digest(version("rbps")),

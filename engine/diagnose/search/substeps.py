@@ -19,6 +19,7 @@ from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.rates import Points, step
 from engine.diagnose.effects.setting import ON_TIME, Setting, setting_for
+from engine.diagnose.records import Records
 from engine.diagnose.symptoms.runs import noise_free, start_state
 from engine.errors import EngineError
 from engine.statespace.model import Array, MixedModel
@@ -38,12 +39,12 @@ EXACT, EXACT_NOISE = 1e-8, 1e-4  # of a state's, a covariance's size: a differen
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """The series to work on, ``k`` steps a sample, what there is to say about it, and the base's theta.
+    """The records to work on, ``k`` steps a sample, what there is to say about it, and the base's theta.
 
     ``theta`` is None for a model that was not looked at, as it does not declare ``continuous``.
     """
 
-    series: Series
+    records: Records
     k: int = 1
     notes: tuple[str, ...] = ()
     theta: Array | None = None
@@ -51,43 +52,40 @@ class Prepared:
 
 def prepare(
     model: MixedModel,
-    series: Series,
+    records: Records,
     fitted: Callable[[], Array],
-    test: Series | None = None,
     part: Series | None = None,
 ) -> Prepared:
-    """The series with as many steps a sample as a continuous model needs for its effects.
+    """The records with as many steps a sample as a continuous model needs for its effects.
 
-    ``fitted`` estimates the model's theta (n_theta,) on the series as it is, or on a ``part`` of it that is
-    looked at. A lag or a delay counts
-    samples, so all series, ``test`` too, must be sampled at one common step; else one step a sample is kept.
+    ``fitted`` estimates the model's theta (n_theta,) on the main record as it is, or on a ``part`` of it that
+    is looked at. A lag or a delay counts samples, so all records, tests too, must be sampled at one common
+    step; else one step a sample is kept.
     """
     if not model.continuous:
-        return Prepared(series)
-    if not _regular(series, test):
+        return Prepared(records)
+    if not all(_regular(records.main, one) for one in records.every):
         text = "Samples are not at one common step: the model makes one step a sample."
-        return Prepared(series, notes=(text,))
+        return Prepared(records, notes=(text,))
     theta = fitted()
-    part = series if part is None else part
+    part = records.main if part is None else part
     setting = setting_for(model, part, theta)
     if not is_consistent(model, theta, _points(setting)):
         text = (
             f"Model '{model.name}' declares a real time step (continuous=True), but two half-steps do not "
             "agree with one: one step a sample is kept."
         )
-        return Prepared(series, notes=(text,), theta=theta)
+        return Prepared(records, notes=(text,), theta=theta)
     k = choose(setting, part, theta)
     notes = (f"The model makes {k} steps a sample, so that effects act within it.",)
-    return Prepared(series.refined(k), k, notes if k > 1 else (), theta)
+    return Prepared(records.refined(k), k, notes if k > 1 else (), theta)
 
 
-def _regular(series: Series, test: Series | None) -> bool:
+def _regular(series: Series, other: Series) -> bool:
     if series.dt is None:
         return False
-    if test is None:
-        return True
-    phase = (float(test.t[0]) - float(series.t[0])) / series.dt
-    same = test.dt is not None and abs(test.dt / series.dt - 1.0) < ON_TIME
+    phase = (float(other.t[0]) - float(series.t[0])) / series.dt
+    same = other.dt is not None and abs(other.dt / series.dt - 1.0) < ON_TIME
     return same and abs(phase - round(phase)) < ON_TIME
 
 

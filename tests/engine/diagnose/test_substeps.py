@@ -10,6 +10,7 @@ from engine.diagnose.effects.catalogue import all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.rates import guessed_points
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.records import Records
 from engine.diagnose.screening.time_scan import grid
 from engine.diagnose.search.substeps import is_consistent, is_enough, prepare
 from engine.estimation.quasi_ml import quasi_ml
@@ -125,7 +126,7 @@ def test_a_step_that_is_none_is_found_out_and_kept(name):
     assert not is_consistent(model, np.asarray(model.theta()), guessed_points(model, 1.0))
     series = engine.simulate(model, None, 60, np.random.default_rng(1)).series
     wrongly = replace(model, continuous=True)
-    told = prepare(wrongly, series, lambda: np.asarray(model.theta()))
+    told = prepare(wrongly, Records(series), lambda: np.asarray(model.theta()))
     assert told.k == 1
     assert "two half-steps do not agree with one" in told.notes[0]
 
@@ -182,17 +183,17 @@ def test_drag_on_a_pendulum_leaves_nothing_for_hysteresis_to_explain():
     series = by_runge_kutta(200, 0.13, drag=0.3)
     model = with_noise(pendulum(continuous=True))
     base = quasi_ml(model, series)
-    fine = prepare(model, series, lambda: np.asarray(base.theta))
+    fine = prepare(model, Records(series), lambda: np.asarray(base.theta))
     assert fine.k > 1
     assert "steps a sample" in fine.notes[0]
-    base = quasi_ml(model, fine.series, base.theta)
-    gain, fit = gained(base, fine.series, "drag:rate", [{"drag_rate": 0.2}])
+    base = quasi_ml(model, fine.records.main, base.theta)
+    gain, fit = gained(base, fine.records.main, "drag:rate", [{"drag_rate": 0.2}])
     assert gain > 20.0
     size = fit.theta["drag_rate"]
     assert abs(size - 0.3) < 3.0 * fit.standard_errors[fit.free.index("drag_rate")]
-    setting = setting_for(model, fine.series, np.asarray(base.theta))
+    setting = setting_for(model, fine.records.main, np.asarray(base.theta))
     way = [{"hysteresis_rate": 2.0}]
-    assert gained(fit, fine.series, "hysteresis:rate", way, setting)[0] < 5.0
+    assert gained(fit, fine.records.main, "hysteresis:rate", way, setting)[0] < 5.0
 
 
 def test_a_time_step_that_is_too_long_is_a_cause_of_its_own():

@@ -177,7 +177,7 @@ def test_a_gain_is_the_same_in_other_units(units):
         whole = series(u)
         base, extended = room(u), room(u, sun=2e-3)
         train, test = whole.part(0, 160), whole.part(160, T)
-        return measure_gain(fit(base, u), fit(extended, u), test, train, seed=3)
+        return measure_gain(fit(base, u), fit(extended, u), [test], train, seed=3)
 
     found, known = gain(units), gain(Units())
     assert known.adopt

@@ -89,7 +89,7 @@ def test_the_true_extension_gains_and_a_useless_one_does_not():
     series = biased(400, 3, 1.0)
     train, test = series.part(0, 300), series.part(300, 400)
     base, extended = fits(MIXED, "bias:y1", train)
-    gain = measure_gain(base, extended, test, train, seed=1)
+    gain = measure_gain(base, extended, [test], train, seed=1)
     assert gain.samples == 100
     assert gain.adopt
     assert gain.p_value < 0.05
@@ -97,7 +97,7 @@ def test_the_true_extension_gains_and_a_useless_one_does_not():
     clean = simulate(MIXED, None, 400, np.random.default_rng(4)).series
     train, test = clean.part(0, 300), clean.part(300, 400)
     base, extended = fits(MIXED, "bias:y1", train)
-    none = measure_gain(base, extended, test, train, seed=1)
+    none = measure_gain(base, extended, [test], train, seed=1)
     assert none.p_value > 0.05
     assert abs(none.log_density) < 4.0
 
@@ -111,7 +111,7 @@ def test_an_extension_that_predicts_worse_is_not_adopted():
     from engine.statespace.model import Theta
 
     bad = replace(worse, theta=Theta(theta, worse.model.parameter_names))
-    gain = measure_gain(base, bad, clean.part(200, 300), clean.part(0, 200), seed=1)
+    gain = measure_gain(base, bad, [clean.part(200, 300)], clean.part(0, 200), seed=1)
     assert gain.decision is Decision.LOSES
     assert gain.p_loss < 0.05
     assert gain.log_density < 0.0
@@ -190,7 +190,7 @@ def test_held_out_data_without_a_difference_are_no_evidence():
     """An effect that the record does not hold: once everything was adopted that did not lose."""
     series = simulate(LINEAR, None, 300, np.random.default_rng(12)).series
     base, extended = fits(LINEAR, "bias:y", series.part(0, 240))
-    gain = measure_gain(base, extended, series.part(240, 300), series.part(0, 240), seed=1)
+    gain = measure_gain(base, extended, [series.part(240, 300)], series.part(0, 240), seed=1)
     assert gain.p_value > 0.05
     assert gain.decision is Decision.NO_EVIDENCE
     assert not gain.adopt
@@ -202,7 +202,7 @@ def test_held_out_rows_without_a_reading_measure_nothing():
     y[150:] = np.nan
     empty = Series(y)
     base, extended = fits(LINEAR, "bias:y", empty.part(0, 150))
-    gain = measure_gain(base, extended, empty.part(150, 200), empty.part(0, 150), seed=1)
+    gain = measure_gain(base, extended, [empty.part(150, 200)], empty.part(0, 150), seed=1)
     assert gain.samples == 0
     assert gain.decision is Decision.NO_EVIDENCE
     assert gain.outputs == ()
@@ -252,7 +252,7 @@ def test_the_unnamed_force_is_shown_where_the_set_holds_it():
 def test_the_scored_terms_are_those_of_the_whole_filter():
     series = simulate(LINEAR, None, 200, np.random.default_rng(6)).series
     base, extended = fits(LINEAR, "force:z", series.part(0, 150))
-    gain = measure_gain(base, extended, series.part(150, 200), series.part(0, 150))
+    gain = measure_gain(base, extended, [series.part(150, 200)], series.part(0, 150))
     from engine.filters.kalman import kalman_smoother
 
     def held_out(fit):
@@ -396,7 +396,7 @@ def test_an_extension_that_simulates_worse_and_predicts_no_better_is_not_adopted
     theta = np.array([*base.theta.tolist(), 0.012])  # predicts as well, drifts off in simulation
     theta[extended.index("sigma_level")] = 0.11
     drifting = replace(same, theta=Theta(theta, extended.parameter_names))
-    gain = measure_gain(base, drifting, series, seed=1)
+    gain = measure_gain(base, drifting, [series], seed=1)
     assert gain.outputs[0].interval_difference[0] > 0.0
     assert gain.p_value > 0.05
     assert not gain.adopt

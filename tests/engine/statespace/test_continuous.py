@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import engine
 from engine import Gaussian, ModelError, Parameter, Series
+from engine.diagnose.records import Records
 from engine.diagnose.search.substeps import prepare
 
 W2, DAMPING = 40.0, 0.2
@@ -180,7 +181,7 @@ def test_a_diagnosis_may_make_more_steps_a_sample():
     u = torque(100)
     y = engine.simulate(pendulum(), None, 100, np.random.default_rng(2), u=u, dt=0.1).y
     model = pendulum()
-    fine = prepare(model, Series(y, u, dt=0.1), lambda: np.asarray(model.theta()))
+    fine = prepare(model, Records(Series(y, u, dt=0.1)), lambda: np.asarray(model.theta()))
     assert fine.k > 1
     assert "steps a sample" in fine.notes[0]
 

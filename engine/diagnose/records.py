@@ -1,0 +1,71 @@
+"""One record or several: the longest is searched by the likelihood, the free run is asked on all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from engine.data.series import Series, as_series_list
+from engine.diagnose.effects.spare_inputs import with_inputs
+from engine.errors import SeriesError
+from engine.statespace.model import MixedModel
+
+HELD_OUT = 0.2  # share of the longest record kept back where no test series is given
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """The ``main`` record, ``others``, and held-out ``tests``; each begins at a state of its own."""
+
+    main: Series
+    others: tuple[Series, ...] = ()
+    tests: tuple[Series, ...] = ()
+
+    @property
+    def every(self) -> tuple[Series, ...]:
+        """The main record, the others, the tests."""
+        return (self.main, *self.others, *self.tests)
+
+    @property
+    def train(self) -> Series:
+        """The main record, without its last part where no other is held out."""
+        return self.main if self.tests else self.main.part(0, self._cut)
+
+    @property
+    def held_out(self) -> tuple[Series, ...]:
+        """The tests, or the main record's last part."""
+        return self.tests or (self.main.part(self._cut, len(self.main)),)
+
+    @property
+    def _cut(self) -> int:
+        samples = len(self.main.samples)
+        return self.main.substeps * (samples - max(int(HELD_OUT * samples), 2))
+
+    def refined(self, k: int) -> Records:
+        """With k steps from each sample to the next."""
+        return Records(
+            self.main.refined(k),
+            tuple(one.refined(k) for one in self.others),
+            tuple(one.refined(k) for one in self.tests),
+        )
+
+
+def records_of(
+    model: MixedModel, series: Series | Sequence[Series], test: Series | Sequence[Series] | None
+) -> tuple[MixedModel, Records]:
+    """The records, and the model with extra channels of theirs as inputs. Raises SeriesError."""
+    given = as_series_list(series, model)
+    names = given[0].extra_names
+    for k, one in enumerate(given):
+        if one.extra_names != names:
+            raise SeriesError(
+                f"record {k} has the extra channels {', '.join(one.extra_names) or 'none'}, record 0 "
+                f"{', '.join(names) or 'none'}; all records need the same"
+            )
+    model = with_inputs(model, names)
+    tests = [test] if isinstance(test, Series) else list(test or ())
+    longest = max(range(len(given)), key=lambda k: (len(given[k]), -k))
+    main, *others = (one.with_extra_inputs() for one in [given.pop(longest), *given])
+    return model, Records(
+        main, tuple(others), tuple(one.with_extra_inputs().check(model) for one in tests)
+    )
