@@ -43,7 +43,7 @@ def diagnose(
     ask = partial(
         engine.diagnose,
         job.model,
-        job.series[0],
+        job.series,
         job.theta if request.parameters.start else None,
         job.test,
         seed=options.seed,

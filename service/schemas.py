@@ -321,14 +321,27 @@ class SimulateRequest(_Strict):
     run_seconds: RunSeconds = None
 
 
+def _tests(value: Any) -> Any:
+    if value is None:
+        return []
+    return value if isinstance(value, list) else [value]
+
+
+Tests = Annotated[
+    list[SeriesIn],
+    BeforeValidator(_tests, json_schema_input_type=SeriesIn | list[SeriesIn] | None),
+]
+
+
 class DiagnoseRequest(_Strict):
-    """What the model gets wrong on a series, why, and what an extension gains."""
+    """What the model gets wrong on one or several series, why, and what an extension gains."""
 
     kind: Literal["diagnose"]
     model: ModelChoice
-    series: list[SeriesIn] = Field(min_length=1, max_length=1)
-    test: SeriesIn | None = Field(
-        default=None, description="held-out data; null means the last fifth of the series"
+    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
+    test: Tests = Field(
+        default=[],
+        description="held-out data, one series or several; none means the last fifth of the longest",
     )
     parameters: DiagnoseParameters = DiagnoseParameters()
     options: DiagnoseOptions = DiagnoseOptions()

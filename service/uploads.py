@@ -54,9 +54,17 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
     if not isinstance(body, dict):
         raise invalid("request", "is not a JSON object")
     test = body.get("test")
-    if isinstance(test, dict) and "file" in test:
-        body["test"] = _read(test, files, "test", body)
-        files = {name: data for name, data in files.items() if name != test["file"]}
+    if isinstance(test, dict):
+        test = [test]
+    if isinstance(test, list):
+        body["test"] = [
+            _read(one, files, f"test[{i}]" if len(test) > 1 else "test", body)
+            if isinstance(one, dict) and "file" in one
+            else one
+            for i, one in enumerate(test)
+        ]
+        held_out = {one.get("file") for one in test if isinstance(one, dict)}
+        files = {name: data for name, data in files.items() if name not in held_out}
     entries = body.get("series")
     if entries is None:
         entries = [{"file": name} for name in files]

@@ -44,7 +44,7 @@ class Prepared:
     series: list[Series]
     theta: Theta
     free: list[str] | None = None
-    test: Series | None = None
+    test: Sequence[Series] = ()
 
 
 def prepare(request: Request) -> Prepared:
@@ -56,15 +56,19 @@ def prepare(request: Request) -> Prepared:
         values, where = request.parameters.values, "parameters.values"
     with _at(where):
         theta = model.theta(values)
-    free, test = None, None
+    free: list[str] | None = None
+    test: Sequence[Series] = ()
     if isinstance(request, EstimateRequest | DiagnoseRequest):
         free = request.parameters.free
         with _at("parameters.free"):
             model.free_indices(free)
     if isinstance(request, DiagnoseRequest):
         check_effects(request.options.effects)
-        if request.test is not None:
-            test = _series(request.test, model, "test")
+        one = len(request.test) == 1
+        test = [
+            _series(other, model, "test" if one else f"test[{i}]")
+            for i, other in enumerate(request.test)
+        ]
     if isinstance(request, EstimateRequest):
         check_method(request.options)
         with _at("parameters.ranges"):
@@ -99,8 +103,8 @@ def check_limits(request: Request, settings: Settings) -> None:
     """Raise Problem 422 where a request is larger than the settings allow."""
     samples = 0
     series: Sequence[SeriesIn | InputIn] = request.series
-    if isinstance(request, DiagnoseRequest) and request.test is not None:
-        series = [*request.series, request.test]
+    if isinstance(request, DiagnoseRequest):
+        series = [*request.series, *request.test]
     for i, one in enumerate(series):
         rows = max((len(x) for x in (one.y, one.u) if x is not None), default=0)
         samples += rows * _substeps(request.model)

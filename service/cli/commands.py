@@ -11,7 +11,6 @@ import typer
 from service.cli.ending import CODES, guarded, wrong
 from service.cli.options import (
     DATA,
-    KINDS,
     Columns,
     Effects,
     Fixed,
@@ -262,8 +261,7 @@ def fit(
 def diagnose(
     ctx: typer.Context,
     data: Annotated[
-        Path | None,
-        typer.Argument(metavar="DATA", help=f"Data file: {KINDS}", exists=True, dir_okay=False),
+        list[Path] | None, typer.Argument(metavar="DATA", help=DATA, exists=True, dir_okay=False)
     ] = None,
     model: Model = "",
     effects: Effects = [],  # noqa: B006
@@ -282,14 +280,14 @@ def diagnose(
         ),
     ] = [],  # noqa: B006
     test: Annotated[
-        Path | None,
+        list[Path],
         typer.Option(
             metavar="FILE",
             exists=True,
             dir_okay=False,
-            help="Held-out data to measure the gain on.  [the last fifth of DATA]",
+            help="Held-out data to measure the gain on; repeatable.  [the last fifth of DATA]",
         ),
-    ] = None,
+    ] = [],  # noqa: B006
     alpha: Annotated[
         float, typer.Option(metavar="P", help="Chance of an alarm where nothing is wrong.")
     ] = 0.05,
@@ -362,14 +360,14 @@ def diagnose(
                     changes[name] = value
             work.resume(resume, changes, as_json, quiet)
             return
-        if data is None:
-            raise wrong("DATA is missing: name a data file")
+        if not data:
+            raise wrong("DATA is missing: name one or more data files")
         model = model_named(model)
         asked = work.Asked(
-            data=str(data.absolute()),
+            data=[str(one.absolute()) for one in data],
             **parsed(model, effects, values, fixed, free, columns, time, dt, hold, seed, paths),
             extra=names(extra),
-            test=str(test.absolute()) if test else None,
+            test=[str(one.absolute()) for one in test],
             alpha=alpha,
             consider=names(consider),
             max_effects=max_effects,

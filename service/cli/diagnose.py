@@ -34,9 +34,9 @@ class Asked(Experiment):
 
     command: ClassVar[str] = "diagnose"
     result: ClassVar[str] = "diagnosis"
-    data: str
+    data: list[str]
     extra: list[str] = field(default_factory=list)
-    test: str | None = None
+    test: list[str] = field(default_factory=list)
     alpha: float = 0.05
     consider: list[str] = field(default_factory=list)
     max_effects: int = 3
@@ -86,14 +86,13 @@ class Kept(dict[str, Any]):
 
 def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     """A new diagnosis; its state goes to ``state`` or beside the output."""
-    path = state or beside(asked.out, f"{Path(asked.data).stem}-diagnosis")
+    path = state or beside(asked.out, f"{Path(asked.data[0]).stem}-diagnosis")
     asked.keep = state is not None
     _check(asked)
     output_path("--state", can_be(state, path))
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
-        files = [name for name in (asked.data, asked.test) if name]
-        kept = Kept(asked.begin(path, files, shown), shown)
+        kept = Kept(asked.begin(path, [*asked.data, *asked.test], shown), shown)
         found, document = _run(job, asked, kept)
     _tell(asked, found, document, kept, as_json)
 
@@ -124,8 +123,8 @@ class Job:
 
     name: str
     model: MixedModel
-    series: Series
-    test: Series | None
+    series: list[Series]
+    test: list[Series]
     theta: engine.Theta | None
     free: list[str] | None
 
@@ -134,13 +133,12 @@ def _prepare(asked: Asked, shown: Meter) -> Job:
     """All that can be wrong is found here."""
     base = references.model_of(asked.model)
     columns = Columns(asked.columns, asked.time, asked.dt, asked.extra, asked.hold)
-    series, said = series_of(Path(asked.data), base, columns)
-    shown.note(said)
-    test = None
-    if asked.test is not None:
-        test, said = series_of(Path(asked.test), base, columns)
+    read_in = [series_of(Path(name), base, columns) for name in (*asked.data, *asked.test)]
+    for _, said in read_in:
         shown.note(said)
-    model = references.with_effects(base, asked.effects, series)
+    every = [series for series, _ in read_in]
+    series, test = every[: len(asked.data)], every[len(asked.data) :]
+    model = references.with_effects(base, asked.effects, series[0])
     theta = theta_of(model, asked.start, asked.fixed)
     free = free_of(model, asked.free, list(asked.fixed))
     model = _holding(model, asked.fixed)
@@ -212,7 +210,7 @@ def _tell(
     as_json: bool,
 ) -> None:
     """Write the files and print the page; then the state is removed, unless --state named it."""
-    written = write_outputs(asked, document, [asked.data], kept)
+    written = write_outputs(asked, document, asked.data, kept)
     if asked.keep:
         kept.save()
     else:

@@ -107,7 +107,7 @@ def test_a_model_with_effects_is_estimated(client, ended, data):
         ({"model": {"name": "linear-2", "with": ["force:q"]}}, "model.with", "channels are a, z"),
         ({"model": {"name": "linear-2", "with": ["force"]}}, "model.with", "channels are"),
         ({"test": {"y": [[1.0, 2.0], [1.0, 2.0]]}}, "test.y", "needs 1"),
-        ({"series": [{"y": [[1.0]] * 40}] * 2}, "series", "at most 1"),
+        ({"series": []}, "series", "at least 1"),
     ],
 )
 def test_what_is_wrong_is_named(client, pushed, change, field, word):
@@ -165,3 +165,18 @@ def test_progress_only_goes_forward():
     assert 55 < steps[-5] < 70
     assert steps[-4:] == [80, 91, 92, 95]
     assert len({message for _, message in told}) == 8
+
+
+def test_several_records_and_several_held_out_ones(client, ended, pushed):
+    parts = [{"y": pushed[:160], "dt": 1.0}, {"y": pushed[160:220], "dt": 1.0}]
+    job = request(pushed) | {"series": parts, "test": [{"y": pushed[220:260]}, {"y": pushed[260:]}]}
+    job["options"] = {"effects": ["step"], "seed": 1}
+    url = client.post("/jobs", json=job).headers["location"]
+    assert ended(client, url, 120.0)["status"] == "successful"
+    found = client.get(f"{url}/results").json()["diagnosis"]
+    assert "160 samples of y, and 1 records more" in found["page"]
+    wrong = client.post(
+        "/jobs", json=job | {"test": [{"y": pushed[:50]}, {"y": [[1.0, 2.0]] * 40}]}
+    )
+    assert wrong.status_code == 422
+    assert wrong.json()["errors"][0]["field"] == "test[1].y"

@@ -1,0 +1,92 @@
+"""Several records of one model: in any order, each from its own first state, the longest for the likelihood."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data.series import Series
+from engine.diagnose.free_run.windows import windows
+from engine.diagnose.gain.gain import measure_gain
+from engine.errors import SeriesError
+from tests.engine.diagnose.free_run.test_other_models import cart
+
+KINDS = ["drag", "cubic", "quadratic"]
+DT = 0.05
+
+
+def record(T, seed, drag=0.8):
+    """The cart's own equations, with a drag that it does not know; it begins elsewhere each time."""
+    rng = np.random.default_rng(seed)
+    u = 4.0 * np.repeat(rng.standard_normal((-(-T // 10), 1)), 10, axis=0)[:T]
+    y, x, v = np.zeros(T), rng.uniform(-1.5, 1.5), 0.0
+    for i in range(T):
+        y[i] = x
+        rate = v + DT * (-9.0 * x - 0.3 * v + u[i, 0])
+        x, v = x + DT * rate, rate - DT * drag * v * abs(v)  # an effect acts after the step
+    return Series(y + 1e-3 * rng.standard_normal(T), u, dt=DT)
+
+
+def ask(series, test=None):
+    return engine.diagnose(cart(inputs=1), series, test=test, effects=KINDS, seed=1)
+
+
+@pytest.fixture(scope="module")
+def parts():
+    return [record(200, 1), record(120, 2), record(140, 3)]
+
+
+@pytest.fixture(scope="module")
+def found(parts):
+    return ask(parts, [record(80, 4), record(90, 5)])
+
+
+def test_the_cause_is_named_and_the_gain_is_of_all_that_is_held_out(found):
+    assert [cause.effect for cause in found.causes] == ["drag:rate"]
+    assert abs(found.causes[0].size - 0.8) < 4.0 * found.causes[0].standard_error < 0.8
+    assert found.gain.samples == 80 + 90
+    assert found.gain.adopt
+    assert "2 records" in found.gain.how
+    assert found.records == 3
+    assert len(found.series) == 200
+    assert any("the longest" in note for note in found.notes)
+    assert "and 2 records more" in str(found)
+
+
+def test_records_may_come_in_any_order(found, parts):
+    again = ask(parts[::-1], [record(80, 4), record(90, 5)])
+    assert again.verdict is found.verdict
+    assert [c.effect for c in again.causes] == [c.effect for c in found.causes]
+    assert again.causes[0].size == pytest.approx(found.causes[0].size, rel=1e-6)
+    assert again.gain.log_density == pytest.approx(found.gain.log_density, rel=1e-6)
+
+
+def test_one_record_is_the_same_in_a_list_and_alone(parts):
+    alone, listed = ask(parts[1]), ask([parts[1]])
+    assert np.array_equal(alone.theta, listed.theta)
+    assert alone.gain.log_density == listed.gain.log_density
+    assert str(alone).splitlines()[0] == str(listed).splitlines()[0]
+
+
+def test_the_gain_of_two_records_is_that_of_both(found):
+    one, other = record(80, 4), record(90, 5)
+    before, after = found.before, found.after
+    both = measure_gain(before, after, [one, other])
+    each = [measure_gain(before, after, [part]) for part in (one, other)]
+    assert both.log_density == pytest.approx(sum(g.log_density for g in each))
+    mean = np.average([g.outputs[0].rmse_after ** 2 for g in each], weights=[80, 90])
+    assert both.outputs[0].rmse_after == pytest.approx(np.sqrt(mean))
+    assert (np.diff(both.t) > 0.0).all()
+
+
+def test_of_several_long_records_each_has_its_share(parts):
+    kept = windows(parts, 230)
+    assert [len(one) for one in kept] == [100, 60, 70]
+    assert windows(parts) == parts
+
+
+def test_records_need_the_same_channels(parts):
+    odd = parts[1].replace(extra=np.zeros((120, 1)), extra_names=["temperature"])
+    with pytest.raises(SeriesError, match="record 1 has the extra channels temperature"):
+        ask([parts[0], odd])
+    with pytest.raises(SeriesError, match="no series"):
+        ask([])
