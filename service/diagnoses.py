@@ -16,7 +16,7 @@ from service.validation import Prepared
 PROGRESS_STEPS = 100  # of progress
 # per cent for the base model's fit, for all rounds of search, and for the free run
 FIT_PERCENT, SEARCH_PERCENT, FREE_RUN_PERCENT = 5.0, 65.0, 20.0
-STAGE_PERCENT = {"symptoms": 92.0, "gain": 95.0}
+STAGE_PERCENT = {"gain": 92.0, "symptoms": 95.0}
 STAGE_MESSAGES = {
     "fit": "estimating the model as it is",
     "search": "looking for effects",
@@ -24,8 +24,8 @@ STAGE_MESSAGES = {
     "refit": "estimating the best of them",
     "free run": "looking at the free run",
     "bootstrap": "asking the same of simulated data",
-    "symptoms": "comparing simulation and prediction with the data",
     "gain": "measuring the gain on held-out data",
+    "symptoms": "comparing simulation and prediction with the data",
 }
 
 
@@ -102,5 +102,5 @@ class Percent:
             return FIT_PERCENT + SEARCH_PERCENT + FREE_RUN_PERCENT * fraction
         if stage == "bootstrap":
             searched = FIT_PERCENT + SEARCH_PERCENT + FREE_RUN_PERCENT
-            return searched + (STAGE_PERCENT["symptoms"] - searched) * fraction
+            return searched + (STAGE_PERCENT["gain"] - searched) * fraction
         return STAGE_PERCENT.get(stage, FIT_PERCENT if stage == "search" else 0.0)

@@ -35,7 +35,7 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.free_run.answer import causes_of
-from engine.diagnose.free_run.second_opinion import second_opinion
+from engine.diagnose.free_run.second_opinion import heeding, second_opinion
 from engine.diagnose.free_run.windows import stretch
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.records import records_of
@@ -211,14 +211,6 @@ def diagnose(
         seed=seed,
         progress=clock.progress,
     )
-    named = tuple(cause_of(r) for r in found.rounds if r.equivalent)
-    before, after = found.base, found.final
-    if asked.decides and asked.search is not None:
-        verdict = asked.search.verdict
-        if asked.search.found:
-            named = causes_of(asked.search)
-            before, after = asked.search.before, asked.search.after
-
     p_bootstrap = None
     if bootstrap:
         clock.start(STAGE)
@@ -234,6 +226,43 @@ def diagnose(
             kept=done,
         )
 
+    named = tuple(cause_of(r) for r in found.rounds if r.equivalent)
+    before, after = found.base, found.final
+    gain = None
+
+    def measured() -> Gain | None:
+        """What the extension gains where nothing was fitted."""
+        if not named or after is before:
+            return None
+        history = None if records.tests else train
+        # else a test's clock is its own
+        later = bool(records.tests) and all(o.t[0] > records.main.t[-1] for o in records.tests)
+        if later or any(cause.where != "time" for cause in named):
+            whole = measure_gain(before, after, fine.records.held_out, history, seed)
+        else:
+            rounds = [r for r in found.rounds if r.equivalent]
+            times = [name for r in rounds for name in r.refits[0].effect.sought]
+            whole = measure_gain_interleaved(before, after, fine.records.main, times, seed)
+        return whole.every(fine.k)
+
+    clock.start("gain")
+    if asked.decides and asked.search is not None:
+        by_likelihood = named, before, after
+        if asked.search.found:
+            named = causes_of(asked.search)
+            before, after = asked.search.before, asked.search.after
+            gain = measured()
+        decision = None if gain is None else gain.decision
+        asked, verdict = heeding(asked, asked.search.verdict, decision)
+        if not asked.decides:
+            named, before, after = by_likelihood
+    if not asked.decides:
+        gain = measured()
+    if gain is not None and model.na and not asked.decides:
+        text, contradicts = _particle_word(base, found, searched, seed)
+        notes.append(text)
+        verdict = Verdict.UNKNOWN if contradicts else verdict
+
     looked_at = model.continuous and named and plain.dt is not None
     if looked_at and not is_enough(after.model, np.asarray(after.theta), plain, fine.k):
         notes.append(
@@ -244,23 +273,6 @@ def diagnose(
     clock.start("symptoms")
     symptoms = find_symptoms(model, before.theta, plain, covariance_of(before), seed=seed)
 
-    clock.start("gain")
-    gain = None
-    rounds = [r for r in found.rounds if r.equivalent]
-    if named and after is not before:
-        history = None if records.tests else train
-        # else a test's clock is its own
-        later = bool(records.tests) and all(o.t[0] > records.main.t[-1] for o in records.tests)
-        if not later and all(cause.where == "time" for cause in named):
-            times = [name for r in rounds for name in r.refits[0].effect.sought]
-            gain = measure_gain_interleaved(before, after, fine.records.main, times, seed)
-        else:
-            gain = measure_gain(before, after, fine.records.held_out, history, seed)
-        gain = gain.every(fine.k)
-        if model.na and not asked.decides:
-            text, contradicts = _particle_word(base, found, searched, seed)
-            notes.append(text)
-            verdict = Verdict.UNKNOWN if contradicts else verdict
     clock.stop()
     return Diagnosis(
         model=model,

@@ -9,7 +9,7 @@ answer competes with those of the free run on rows left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from engine.diagnose.free_run.missing_function import MissingFunction, missing_f
 from engine.diagnose.free_run.null import Alarm, alarm
 from engine.diagnose.free_run.search import FAMILIES, FreeRound, Progress, candidates
 from engine.diagnose.free_run.windows import windows
+from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.pipeline import Causes
 from engine.diagnose.search.refits import Refit
@@ -108,6 +109,30 @@ def second_opinion(
     decides, reason = _decided(causes.verdict, settled, named, found)
     reason = f"{reason}{_part(records, given)}"
     return SecondOpinion(*said, decides, reason, seen, found, found.missing)
+
+
+def heeding(
+    asked: SecondOpinion, verdict: Verdict, held_out: Decision | None
+) -> tuple[SecondOpinion, Verdict]:
+    """The free run's answer and its verdict, once data are asked that neither criterion has seen.
+
+    ``held_out`` is what they say of its extension, None where it has none. Where the likelihood sees nothing, a
+    pattern in the free run alone counts only if an extension gains there, or a force without a name does on
+    rows left out; an extension that loses there is no answer.
+    """
+    gains = held_out is Decision.ADOPTED or (held_out is None and asked.missing is not None)
+    if asked.likelihood is Verdict.NOTHING and not gains:
+        reason = (
+            "The likelihood decides: the free run has a pattern that noise does not have, but no extension "
+            "for it gains on data that it has not seen."
+        )
+        return replace(asked, decides=False, reason=reason), Verdict.NOTHING
+    if held_out is Decision.LOSES:
+        reason = (
+            f"{asked.reason} Its extension loses on data that it has not seen, so it is not named."
+        )
+        return replace(asked, reason=reason), Verdict.UNKNOWN
+    return asked, verdict
 
 
 @dataclass(frozen=True, eq=False)

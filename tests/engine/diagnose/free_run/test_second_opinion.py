@@ -8,6 +8,9 @@ import engine
 from engine.data.series import Series
 from engine.diagnose.free_run.answer import search_free_runs
 from engine.diagnose.free_run.search import survivors
+from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
+from engine.diagnose.gain.adoption import Decision
+from engine.diagnose.search.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
 
 OSCILLATOR = engine.get_model("oscillator")
@@ -113,3 +116,22 @@ def test_process_noise_alone_is_no_cause():
 
 def test_what_gains_nothing_does_not_survive():
     assert survivors(np.zeros(16), [], None) == ()
+
+
+@pytest.mark.parametrize(
+    ("likelihood", "held_out", "missing", "decides", "verdict"),
+    [
+        (Verdict.NOTHING, Decision.ADOPTED, None, True, Verdict.NAMED),
+        (Verdict.NOTHING, Decision.NO_EVIDENCE, None, False, Verdict.NOTHING),
+        (Verdict.NOTHING, Decision.LOSES, None, False, Verdict.NOTHING),
+        (Verdict.NOTHING, None, None, False, Verdict.NOTHING),
+        (Verdict.NOTHING, None, "a curve", True, Verdict.NAMED),
+        (Verdict.UNKNOWN, Decision.NO_EVIDENCE, None, True, Verdict.NAMED),
+        (Verdict.UNKNOWN, Decision.LOSES, None, True, Verdict.UNKNOWN),
+    ],
+)
+def test_what_loses_on_data_not_seen_is_not_named(likelihood, held_out, missing, decides, verdict):
+    asked = SecondOpinion(likelihood, (), True, "The free run decides.", missing=missing)
+    said, answer = heeding(asked, Verdict.NAMED, held_out)
+    assert (said.decides, answer) == (decides, verdict)
+    assert (said.reason == asked.reason) == (answer is Verdict.NAMED)
