@@ -158,8 +158,8 @@ def test_progress_only_goes_forward():
                 percent(stage, k / 10)
     percent("free run", 0.5)
     percent("bootstrap", 0.5)
-    percent("symptoms", 0.0)
     percent("gain", 0.0)
+    percent("symptoms", 0.0)
     steps = [k for k, _ in told]
     assert steps == sorted(steps)
     assert 55 < steps[-5] < 70
