@@ -130,7 +130,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     @api.post("/jobs/upload", summary="Submit a job with its data in files", **posted)
     def upload(
         caller: Caller,
-        request: Annotated[str, Form(description="as for POST /jobs; see the README on series")],
+        request: Annotated[str, Form(description="as for POST /jobs; the Guide has an example")],
         file: Annotated[list[UploadFile], File(description="CSV, .mat or .npz")],
         idempotency_key: IdempotencyKey = None,
     ) -> Response:

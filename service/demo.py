@@ -34,7 +34,7 @@ def main() -> None:
     print(
         "The service has stopped. Where to look next:\n"
         "  make serve             the same service, to stay: its pages are at http://127.0.0.1:8000, its\n"
-        "                         calls in /openapi.json and README.md\n"
+        "                         calls in /openapi.json, the Guide on /guide\n"
         "  .venv/bin/rbps --help  the same from the shell\n"
         "  service/demo.py        the requests made here\n"
         "  engine/models/         the models, one short file each: start your own from one of them"

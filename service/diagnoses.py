@@ -7,7 +7,8 @@ from functools import partial
 from typing import Any
 
 import engine
-from engine.diagnose import Diagnosis
+from engine import words
+from engine.diagnose import Cause, Diagnosis, Verdict
 from engine.errors import OptionError
 from service.computations import Progress
 from service.schemas import DiagnoseRequest
@@ -70,7 +71,25 @@ def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, A
     reference = diagnosis["extension"]["model"]
     reference["name"] = name
     reference["with"] = [*effects, *reference["with"]]
-    return {"diagnosis": diagnosis, "message": found.verdict.sentence}
+    return {"diagnosis": diagnosis, "message": in_a_line(found)}
+
+
+def in_a_line(found: Diagnosis) -> str:
+    """What the list of jobs says of it: the cause with its size, or how far it is known."""
+    if not found.causes:
+        return found.verdict.sentence
+    said = "; ".join(_cause(one) for one in found.causes)
+    if found.verdict is Verdict.UNKNOWN:
+        return f"{found.verdict.sentence} Nearest: {said}"
+    adopted = found.gain is not None and found.gain.adopt
+    return f"{said}. {'Adopted' if adopted else 'Not adopted'} on held-out data."
+
+
+def _cause(one: Cause) -> str:
+    text = f"{one.title[:1].upper()}{one.title[1:]} {words.estimate(one.size, one.standard_error, one.unit)}"
+    if len(one.equivalent) < 2:
+        return text
+    return f"{text}, or {words.enumerated(list(one.equivalent[1:]), 'or')}"
 
 
 class Percent:

@@ -43,7 +43,7 @@ function show({ jobs, links }) {
   if (focused) document.querySelector(`[data-key="${CSS.escape(focused)}"]`)?.focus();
   const filtered = FILTERS.some((name) => query.get(name));
   by("none").hidden = jobs.length > 0;
-  by("none").textContent = filtered ? "No job is of this sort." : query.get("cursor") ? "There are no older jobs." : "There are no jobs yet. A new job needs a model and a file of measured data.";
+  by("none").textContent = filtered ? "No job matches this filter." : query.get("cursor") ? "There are no older jobs." : "There are no jobs yet. A new job needs a model and a file of measured data.";
   by("clear").hidden = !filtered;
   by("newer").hidden = !query.get("cursor");
   by("older").hidden = !next;

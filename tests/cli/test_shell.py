@@ -1,4 +1,4 @@
-"""The commands of the README's section "From the shell", typed as they stand there."""
+"""The commands of the Guide, typed as they stand there: "From the shell", and the fifteen minutes."""
 
 import re
 import shlex
@@ -7,24 +7,20 @@ from pathlib import Path
 
 import pytest
 
-README = Path(__file__).parents[2] / "README.md"
+PAGES = Path(__file__).parents[2] / "service" / "guide" / "pages"
 
 
-def commands():
-    """The lines of the section that begin with ``rbps``, without their comments."""
-    section = README.read_text(encoding="utf-8").partition("### From the shell")[2]
-    block = re.split(r"^##", section, maxsplit=1, flags=re.MULTILINE)[0]
-    lines = [line.strip() for line in re.sub(r"\\\n", " ", block).splitlines()]
+def commands(page):
+    """The lines in a page's blocks of shell that begin with ``rbps``, without their comments."""
+    blocks = re.findall(r"```sh\n(.*?)```", (PAGES / page).read_text(encoding="utf-8"), re.DOTALL)
+    lines = [line.strip() for line in re.sub(r"\\\n", " ", "\n".join(blocks)).splitlines()]
     return [shlex.split(line, comments=True)[1:] for line in lines if re.match(r"rbps \w", line)]
 
 
-@pytest.mark.skipif(not commands(), reason="the README's section has no rbps commands")
-def test_the_readmes_commands_work(rbps, tmp_path):
-    from engine.data import nile
-    from engine.data.files import write_series
-
-    write_series(nile(), tmp_path / "flows.csv")
-    for arguments in commands():
+def run_all(rbps, page, tmp_path):
+    """What each command prints."""
+    said = []
+    for arguments in commands(page):
         if arguments[0] == "serve":
             continue  # it stays; tests of its own start and stop it
         result = rbps(*arguments)
@@ -32,6 +28,24 @@ def test_the_readmes_commands_work(rbps, tmp_path):
         for option, value in pairwise(arguments):
             if option in ("--out", "--report", "--plot"):
                 assert (tmp_path / value).exists()
-    said = result.stdout
+        said.append(result.stdout)
+    return said
+
+
+def test_the_commands_from_the_shell_work(rbps, tmp_path):
+    from engine.data import nile
+    from engine.data.files import write_series
+
+    write_series(nile(), tmp_path / "flows.csv")
+    said = run_all(rbps, "shell.md", tmp_path)[-1]
     assert "NAMED" in said
     assert "coulomb:velocity" in said
+
+
+@pytest.mark.slow
+def test_the_fifteen_minutes_end_with_the_friction_that_was_hidden(rbps, tmp_path):
+    said = run_all(rbps, "start.md", tmp_path)
+    diagnosis, estimate = said[-2:]
+    assert "NAMED" in diagnosis
+    assert "coulomb:rate" in diagnosis
+    assert "coulomb_rate" in estimate

@@ -452,3 +452,20 @@ def test_the_simulation_is_fitted_first(visit, tmp_path):
     page.click("#repeat")
     ready(page)
     assert page.input_value("#estimate-method") == "simulation"
+
+
+def test_the_guide_is_there_without_a_network(visit):
+    page = visit("/")
+    ready(page)
+    page.click('nav a[href="/guide"]')
+    page.wait_for_selector("article h1")
+    assert page.inner_text("article h1") == "Fifteen minutes"
+    names = page.locator(".guide nav a").evaluate_all("all => all.map((one) => one.pathname)")
+    assert len(names) > 10
+    for name in names:
+        page.goto(visit.address + name)
+        assert page.inner_text("article h1")
+    page.goto(visit.address + "/guide/effects")
+    assert page.locator(".catalogue svg").count() > 10
+    page.set_viewport_size({"width": 360, "height": 700})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360

@@ -1,5 +1,6 @@
 """The job kind diagnose, and extended models in every other kind."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,9 +8,9 @@ import pytest
 
 import engine
 from engine.data import nile
-from engine.diagnose import extend
+from engine.diagnose import Verdict, extend
 from service import diagnoses
-from service.diagnoses import Percent
+from service.diagnoses import Percent, in_a_line
 from service.validation import load
 
 
@@ -180,3 +181,17 @@ def test_several_records_and_several_held_out_ones(client, ended, pushed):
     )
     assert wrong.status_code == 422
     assert wrong.json()["errors"][0]["field"] == "test[1].y"
+
+
+def test_the_list_of_jobs_says_what_was_found(nile_diagnosis):
+    """The cause with its size, not that there is one."""
+    said = in_a_line(nile_diagnosis)
+    (cause,) = nile_diagnosis.causes
+    assert said.startswith(f"Step of the reading flow {cause.size:.0f} +- ")
+    assert said.endswith("dopted on held-out data.")
+    several = replace(cause, equivalent=(cause.effect, "pulse:flow", "drift:flow"))
+    assert ", or pulse:flow or drift:flow" in in_a_line(replace(nile_diagnosis, causes=(several,)))
+    unknown = replace(nile_diagnosis, verdict=Verdict.UNKNOWN)
+    assert in_a_line(unknown).startswith(Verdict.UNKNOWN.sentence + " Nearest: Step of")
+    nothing = replace(nile_diagnosis, verdict=Verdict.NOTHING, causes=())
+    assert in_a_line(nothing) == Verdict.NOTHING.sentence
