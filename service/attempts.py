@@ -176,9 +176,11 @@ class Attempts:
                 sql.execute(insert(iterations), new)
             progress: dict[str, Any] = {"updated": time.time(), "stage_share": share}
             if before.stage != stage:
-                share = before.iteration / before.iterations if stage == ITERATIONS else share
+                if stage == ITERATIONS:
+                    share = before.iteration / max(before.iterations, 1)
                 progress |= {"stage": stage, "stage_begun": time.time(), "stage_from": share or 0.0}
-                progress["message"] = ""
+                if before.stage:  # else what is said is how it came to go on
+                    progress["message"] = ""
             if message:
                 progress["message"] = message
             progress["iteration"] = (

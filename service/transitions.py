@@ -87,7 +87,7 @@ def _make_room(sql: Connection, seq: int, which: Any, **values: Any) -> bool:
     if change_tasks(sql, which, state="queued", token=None, **values) != 1:
         return False
     message = "made room for others; goes on where it was"
-    change_job(sql, seq, updated=time.time(), message=message)
+    change_job(sql, seq, updated=time.time(), message=message, stage="")
     return True
 
 
@@ -133,7 +133,7 @@ def lose(sql: Connection, seq: int, task: int, cause: str, allowed: int) -> None
     again = {"losses": row.losses + 1, "futile": futile, "mark": mark}
     change_tasks(sql, this, state="queued", token=None, **again)
     message = f"{cause}; goes on where it was (restart {futile} of {allowed})"
-    change_job(sql, seq, updated=time.time(), message=message)
+    change_job(sql, seq, updated=time.time(), message=message, stage="")
 
 
 def _checkpoints(sql: Connection, seq: int, task: int) -> int:

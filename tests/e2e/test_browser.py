@@ -457,7 +457,7 @@ def test_the_simulation_is_fitted_first(visit, tmp_path):
 def test_the_guide_is_there_without_a_network(visit):
     page = visit("/")
     ready(page)
-    page.click('nav a[href="/guide"]')
+    page.click('nav a[href="/guide/start"]')
     page.wait_for_selector("article h1")
     assert page.inner_text("article h1") == "Fifteen minutes"
     names = page.locator(".guide nav a").evaluate_all("all => all.map((one) => one.pathname)")

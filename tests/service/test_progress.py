@@ -103,6 +103,11 @@ def test_stopped_by_whom_and_where(store: Store, made):
     )
     store.resume(made)
     assert store.job(made).stage == ""
+    attempt = store.claim("here")
+    store.record(attempt, 50, {})  # its rate counts from here, and what is said of it stays
+    row = store.job(made)
+    assert (row.stage, row.stage_from) == ("iterations", 0.4)
+    assert row.message == "taken up again; goes on where it was"
 
 
 @pytest.mark.parametrize("database", ["sqlite"], indirect=True)
