@@ -107,3 +107,13 @@ def test_another_file_is_refused(tmp_path, text):
         engine.load(tmp_path / "other.json")
     with pytest.raises(OptionError, match="a Series cannot be saved"):
         engine.save(SERIES, tmp_path / "other.json")
+
+
+def test_a_diagnosis_of_several_records(tmp_path):
+    model, rng = engine.get_model("linear-2"), np.random.default_rng(0)
+    runs = [engine.simulate(model, None, n, rng).series for n in (120, 60, 60)]
+    found = engine.diagnose(model, runs[:2], test=runs[2:], effects=["bias"], seed=1)
+    again = engine.load(found.save(tmp_path / "diagnosis.json"))
+    before, after = ({k: v for k, v in one.to_dict().items() if k not in ("seconds", "page")}
+                     for one in (found, again))  # fmt: skip
+    assert after == before
