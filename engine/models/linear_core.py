@@ -26,10 +26,8 @@ class LinearCore:
 
     def __call__(self, *values: Any) -> tuple[Array, ...]:
         """A (nx, nx), B (nx, nu), Q (nx, nx); (K, ., .) where some of the values are arrays (K,)."""
-        known, matrices = self._last  # a filter asks for the same ones at every step
-        if len(known) == len(values) and all(map(_same, known, values)):
-            return matrices
         values = (*values[:-1], _rounded(values[-1]))
+        known, matrices = self._last  # a filter asks for the same ones at every step
         if len(known) == len(values) and all(map(_same, known, values)):
             return matrices
         matrices = self._of_values(values)
@@ -75,10 +73,15 @@ def _rounded(dt: Any) -> Any:
 
     Alone and beside others alike; parameters stay as they are, as a rounded one would be another.
     """
-    if not np.ndim(dt):
-        return float(f"{dt:.12g}")
+    if not isinstance(dt, np.ndarray) or not dt.ndim:
+        return _rounded_number(float(dt))
     digits = 10.0 ** (11.0 - np.floor(np.log10(dt)))
     return np.round(dt * digits) / digits
+
+
+@lru_cache(maxsize=4096)
+def _rounded_number(dt: float) -> float:
+    return float(f"{dt:.12g}")
 
 
 def _lasting(value: Any) -> bool:

@@ -49,6 +49,14 @@ def regular_input(u: Any, M: int) -> Any:
     return u
 
 
+def with_input(u: Any, index: int, value: Any) -> Any:
+    """The inputs u, (nu,) or (nu, M) or a sequence, with a value of one of them, a number or (M,), changed."""
+    fits = isinstance(u, np.ndarray) and np.ndim(value) < u.ndim
+    changed: Any = u.astype(float) if fits else list(u)
+    changed[index] = value
+    return changed
+
+
 class Rows(NamedTuple):
     """a (M, na) with u, t, dt and the record theta of each row or of all."""
 

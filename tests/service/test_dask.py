@@ -6,16 +6,16 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import yaml
 
-pytest.importorskip("distributed")
-
-from service.dask_runner import DaskRunner
 from service.runner import Terms
+
+pytestmark = pytest.mark.skipif(not find_spec("distributed"), reason="Dask is not installed")
 
 
 class Cluster:
@@ -210,6 +210,8 @@ def test_members_of_a_cluster_show_certificates(
 
 
 def test_what_ends_after_the_service_has_stopped_is_let_alone(store):
+    from service.dask_runner import DaskRunner  # which takes a second to load
+
     runner = DaskRunner(store, "tcp://nowhere", Terms(10.0, 10.0, 2, 0), lambda: None)
     store.create("estimate", "linear-2", {}, 10)
     attempt = store.claim("a")

@@ -64,15 +64,17 @@ def test_other_requests_are_answered_while_a_large_body_is_worked_on(client):
 
 
 @pytest.mark.parametrize(
-    "body",
+    "made",
     [
-        ARRAY % b",".join([b"1"] * 1_100_000),
-        b'{"a":[' + b",".join([b"[]"] * 1_000_000) + b"]}",
-        b"{" + b",".join(b'"%d":1' % i for i in range(30_000)) + b"}",
+        lambda: ARRAY % b",".join([b"1"] * 1_100_000),
+        lambda: b'{"a":[' + b",".join([b"[]"] * 1_000_000) + b"]}",
+        lambda: b"{" + b",".join(b'"%d":1' % i for i in range(30_000)) + b"}",
     ],
     ids=["numbers", "lists", "members"],
 )
-def test_what_no_job_can_hold_is_refused_before_it_is_parsed(client, monkeypatch, body):
+def test_what_no_job_can_hold_is_refused_before_it_is_parsed(client, monkeypatch, made):
+    body = made()
+
     def parsed(*_):
         raise AssertionError("it was parsed")
 

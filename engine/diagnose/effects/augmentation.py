@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -11,6 +11,7 @@ import numpy as np
 from engine.diagnose.effects.effect import Parts, Split, on_base
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.promotion import product
+from engine.statespace.shapes import as_matrix
 
 # (a_1 (M, na), base record, own values) -> m (M, k), G (k, nz) or (M, k, nz), variances: the new states
 # are m + G z_1 at first, plus noise of these variances (a number or (k,))
@@ -78,31 +79,29 @@ def add_linear_states(
 
 
 def beside(
-    step: tuple[Array, Array, Array], M: int, block: Sequence[Sequence[Any]], noise: Any
+    step: tuple[Array, Array, Array], M: int, block: Any, noise: Any
 ) -> tuple[Array, Array, Array]:
     """One step of a model with k more linear states of their own dynamics behind its own.
 
-    ``block`` (k, k) of numbers or (M,) is their transition matrix, ``noise`` the variance of each one's
-    noise. Nothing passes between them and the model's states yet.
+    ``block`` is their transition matrix, (k, k) or (M, k, k) or k rows of numbers or (M,), ``noise`` the
+    variance of each one's noise. Nothing passes between them and the model's states yet.
     """
     f, A, Q = step
-    (nx, nz), k = A.shape[-2:], len(block)
-    entries = [entry for row in block for entry in row]
-    A_all = _zeros(A, M, (nx + k, nz + k), entries)
+    (nx, nz), k = A.shape[-2:], len(block[0]) if isinstance(block, list) else block.shape[-1]
+    own = as_matrix(block, M, k, k, "transition of the added states")
+    A_all = np.zeros((*_points(M, A.ndim > 2 or own.ndim > 2), nx + k, nz + k))
     A_all[..., :nx, :nz] = A
-    Q_all = _zeros(Q, M, (nx + k, nx + k), [noise])
+    A_all[..., nx:, nz:] = own
+    Q_all = np.zeros((*_points(M, Q.ndim > 2 or np.ndim(noise) > 0), nx + k, nx + k))
     Q_all[..., :nx, :nx] = Q
-    for i, row in enumerate(block):
-        Q_all[..., nx + i, nx + i] = noise
-        for j, entry in enumerate(row):
-            A_all[..., nx + i, nz + j] = entry
+    for i in range(nx, nx + k):
+        Q_all[..., i, i] = noise
     return np.concatenate([f, np.zeros((M, k))], axis=1), A_all, Q_all
 
 
-def _zeros(matrix: Array, M: int, shape: tuple[int, int], entries: Sequence[Any]) -> Array:
-    """Zeros of a shape, per point where the matrix or one of the entries is."""
-    common = matrix.ndim == 2 and all(np.ndim(entry) == 0 for entry in entries)
-    return np.zeros(shape if common else (M, *shape))
+def _points(M: int, each: bool) -> tuple[int, ...]:
+    """Leading dimensions of a matrix that each point may have of its own."""
+    return (M,) if each else ()
 
 
 def add_memory(

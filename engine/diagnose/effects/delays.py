@@ -18,6 +18,7 @@ from engine.diagnose.effects.setting import (
     each_output,
 )
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.rows import with_input
 
 LONGEST_DELAY = 12  # samples
 LONGEST_BY_MEMORY = 4  # of an input that does not simply add: nonlinear states cost more
@@ -122,15 +123,11 @@ def _late_reading(
     return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
 
 
-def _blocks(now: Any, shift: Array, hold: Array) -> list[list[Any]]:
-    """The entries of ``shift`` where ``now``, True or an array (M,), else those of ``hold``."""
-    if np.ndim(now) == 0:
-        chosen: list[list[Any]] = (shift if now else hold).tolist()
-        return chosen
-    return [
-        [x if x == y else np.where(now, x, y) for x, y in zip(*rows, strict=True)]
-        for rows in zip(shift.tolist(), hold.tolist(), strict=True)
-    ]
+def _blocks(now: Any, shift: Array, hold: Array) -> Array:
+    """``shift`` where ``now``, True or an array (M,), else ``hold``."""
+    if np.ndim(now):
+        return np.where(np.reshape(now, (-1, 1, 1)), shift, hold)
+    return shift if now else hold
 
 
 def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
@@ -192,10 +189,11 @@ def _adds(setting: Setting, model: MixedModel, channel: str) -> bool:
     return True
 
 
-def _parts(own: Any, depth: int) -> list[Any]:
-    """What share comes k = 1, 2, ... samples late: size / d in all, at k = d, linear in between."""
-    share = own[0] / own[1]
-    return [share * np.maximum(1.0 - np.abs(own[1] - k), 0.0) for k in range(1, depth + 1)]
+def _parts(own: Any, depth: int) -> Array:
+    """What share comes k = 1, 2, ... samples late, (M or 1, depth): size / d at k = d, linear between."""
+    size, late = np.reshape(own[0], (-1, 1)), np.reshape(own[1], (-1, 1))
+    shares: Array = size / late * np.maximum(1.0 - np.abs(late - np.arange(1, depth + 1)), 0.0)
+    return shares
 
 
 def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
@@ -212,16 +210,14 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         return np.full((len(a), depth), float(own[2])), np.zeros((depth, nz)), variance
 
     def gain(function: Any, here: Array, a: Array, u: Any, *at: Any) -> Array:
-        more = list(u)
-        more[index] = u[index] + scale
+        more = with_input(u, index, u[index] + scale)
         return np.asarray((function(a, more, *at)[0] - here) / scale)
 
     def moved(f: Array, A: Array, g: Array, u: Any, own: Any) -> None:
         """Puts g sum w_k (u_(t-k) - u_t) into the first rows of f + A z, in place."""
         parts, rows = _parts(own, depth), g.shape[1]
-        f[:, :rows] -= g * np.reshape(sum(parts) * u[index], (-1, 1))
-        for k, part in enumerate(parts):
-            A[..., :rows, nz + k] = g * np.reshape(part, (-1, 1))
+        f[:, :rows] -= g * np.reshape(parts.sum(axis=1) * u[index], (-1, 1))
+        A[..., :rows, nz:] = g[:, :, None] * parts[:, None, :]
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         record, own = split(theta)
@@ -260,11 +256,9 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
     split, index, depth = Split(model), list(model.inputs).index(channel), LONGEST_BY_MEMORY
     variance = float(setting.scale.get(channel, 0.0)) ** 2
 
-    def driven(last: Array, u: Any, own: Any) -> list[Any]:
-        rows, parts = list(u), _parts(own, depth)
-        late = [part * (one - u[index]) for part, one in zip(parts, last, strict=True)]
-        rows[index] = u[index] + sum(late)
-        return rows
+    def driven(last: Array, u: Any, own: Any) -> Any:
+        late = (_parts(own, depth).T * (last - u[index])).sum(axis=0)
+        return with_input(u, index, u[index] + late)
 
     def step(
         a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any

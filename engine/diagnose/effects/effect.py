@@ -19,6 +19,7 @@ from engine.errors import OptionError
 from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
+from engine.statespace.rows import with_input
 
 MOST_GROWTH = 100.0  # logarithm of a growth within a step beyond which a run is lost anyway
 
@@ -280,10 +281,8 @@ def change_inputs(
     split = Split(model)
     index = list(model.inputs).index(name)
 
-    def changed(u: Any, own: Sequence[Any]) -> list[Any]:
-        rows = list(u)
-        rows[index] = change(u[index], own)
-        return rows
+    def changed(u: Any, own: Sequence[Any]) -> Any:
+        return with_input(u, index, change(u[index], own))
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)

@@ -22,6 +22,7 @@ from engine.diagnose.effects.setting import POSITIVE, WIDEST, Kind, Setting, at_
 from engine.diagnose.effects.spare_inputs import UNIT, with_inputs
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.rows import with_input
 
 
 def _input_offset(setting: Setting, channel: str, name: str) -> Effect:
@@ -101,8 +102,7 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect | None:
 
         def shift_of(a: Array, u: Any, t: Any, record: Any, own: Any) -> Array:
             """size g (u_t - u_1) / 2, (M, nx)."""
-            more = list(u)
-            more[index] = u[index] + scale
+            more = with_input(u, index, u[index] + scale)
             held = model.transition(a, u, t, own[1], record)[0]
             g = (model.transition(a, more, t, own[1], record)[0] - held) / scale
             return g * np.reshape(0.5 * own[0] * (u[index] - own[2]), (-1, 1))

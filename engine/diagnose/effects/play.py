@@ -25,6 +25,7 @@ from engine.diagnose.effects.setting import (
 )
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
+from engine.statespace.rows import with_input
 
 ALIKE = {
     "delay": "comes late by a time, not by a way",
@@ -75,10 +76,11 @@ def _of_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
         setting.hold == "zoh"
     )  # then nothing moves between samples, and no moments are taken again
 
-    def driven(last: Array, u: Any, t: Any, own: Any) -> list[Any]:
-        rows, played = list(u), _played(last, u[index], own[0])
-        rows[index] = np.where(setting.at_sample(t), played, last) if held else played
-        return rows
+    def driven(last: Array, u: Any, t: Any, own: Any) -> Any:
+        played = _played(last, u[index], own[0])
+        return with_input(
+            u, index, np.where(setting.at_sample(t), played, last) if held else played
+        )
 
     def step(
         a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any

@@ -107,7 +107,11 @@ def fit(model, units):
     return QuasiFit(model, theta, 0.0, (), np.zeros((0, 0)), 0, True)
 
 
-KNOWN = find_symptoms(room(Units()), None, series(Units()))
+@pytest.fixture(scope="module")
+def known():
+    return find_symptoms(room(Units()), None, series(Units()))
+
+
 powers = st.floats(-9.0, 9.0).map(lambda e: 10.0**e)
 any_units = st.builds(
     lambda kelvin, shift, watt, second: Units(kelvin, shift * kelvin, watt, second),
@@ -122,25 +126,25 @@ far = example(units=Units(1e9, 273.15e9, 1e-9, 1.0 / 3.15576e7))
 @given(units=any_units)
 @far
 @settings(max_examples=8, deadline=None, derandomize=True)
-def test_symptoms_are_the_same_in_other_units(units):
+def test_symptoms_are_the_same_in_other_units(units, known):
     found = find_symptoms(room(units), None, series(units))
-    assert KNOWN.sentences[0].startswith("Free-run")
-    assert len(KNOWN.sentences) > 3  # the sun that the model does not know is seen
-    assert without_numbers(found.sentences) == without_numbers(KNOWN.sentences)
-    for one, other in ((found.free_run, KNOWN.free_run), (found.one_step, KNOWN.one_step)):
-        for mine, known in zip(one.fits, other.fits, strict=True):
-            assert mine.rmse == pytest.approx(known.rmse * units.per_kelvin, rel=1e-5)
-            assert mine.fit == pytest.approx(known.fit, rel=1e-5)
-            assert mine.inside == pytest.approx(known.inside, abs=0.01)
+    assert known.sentences[0].startswith("Free-run")
+    assert len(known.sentences) > 3  # the sun that the model does not know is seen
+    assert without_numbers(found.sentences) == without_numbers(known.sentences)
+    for one, other in ((found.free_run, known.free_run), (found.one_step, known.one_step)):
+        for mine, theirs in zip(one.fits, other.fits, strict=True):
+            assert mine.rmse == pytest.approx(theirs.rmse * units.per_kelvin, rel=1e-5)
+            assert mine.fit == pytest.approx(theirs.fit, rel=1e-5)
+            assert mine.inside == pytest.approx(theirs.inside, abs=0.01)
         assert len(one.regions) == len(other.regions)
-        for mine, known in zip(one.regions, other.regions, strict=True):
-            assert (mine.kind, mine.signal) == (known.kind, known.signal)
-            assert mine.score == pytest.approx(known.score, rel=1e-4, abs=1e-4)
-            assert mine.share_error == pytest.approx(known.share_error, rel=1e-4)
+        for mine, theirs in zip(one.regions, other.regions, strict=True):
+            assert (mine.kind, mine.signal) == (theirs.kind, theirs.signal)
+            assert mine.score == pytest.approx(theirs.score, rel=1e-4, abs=1e-4)
+            assert mine.share_error == pytest.approx(theirs.share_error, rel=1e-4)
             if mine.kind in ("state", "output"):
-                low = units.temperature(known.low)
+                low = units.temperature(theirs.low)
                 assert mine.low == pytest.approx(low, abs=1e-4 * units.per_kelvin)
-    assert found.whiteness[0].statistic == pytest.approx(KNOWN.whiteness[0].statistic, rel=1e-4)
+    assert found.whiteness[0].statistic == pytest.approx(known.whiteness[0].statistic, rel=1e-4)
 
 
 @given(units=any_units)

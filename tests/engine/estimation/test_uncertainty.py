@@ -18,10 +18,18 @@ from engine.estimation.uncertainty.score import Score
 
 MODEL = engine.get_model("linear-2")
 SERIES = engine.simulate(MODEL, None, 40, np.random.default_rng(4)).series
-BEST = quasi_ml(MODEL, SERIES).theta
 LONG = engine.simulate(MODEL, {"theta": 0.4}, 150, np.random.default_rng(3)).series
-TOP = quasi_ml(MODEL, LONG, {"theta": 0.4}).theta
 SMALL = {"n_particles": 12, "n_trajectories": 12}
+
+
+@pytest.fixture(scope="module")
+def best():
+    return quasi_ml(MODEL, SERIES).theta
+
+
+@pytest.fixture(scope="module")
+def top():
+    return quasi_ml(MODEL, LONG, {"theta": 0.4}).theta
 
 
 def errors_with(theta=0.0, variance=1.0):
@@ -71,10 +79,10 @@ def test_every_iteration_of_em_has_random_numbers_of_its_own():
 
 
 @pytest.fixture(scope="module")
-def many():
+def many(best):
     """Standard errors at the maximum with 16 seeds, 9 smoothers each."""
     return [
-        engine.standard_errors(MODEL, BEST, SERIES, replicates=9, seed=s, **SMALL)
+        engine.standard_errors(MODEL, best, SERIES, replicates=9, seed=s, **SMALL)
         for s in range(16)
     ]
 
@@ -93,12 +101,12 @@ def test_the_error_of_standard_errors_is_their_spread_over_seeds(many):
     assert 0.4 < spread / stated < 2.0
 
 
-def test_standard_errors_are_those_of_the_exact_likelihood(many):
+def test_standard_errors_are_those_of_the_exact_likelihood(many, best):
     """The Kalman filter's log-likelihood at three points knows its own curvature."""
-    found = engine.standard_errors(MODEL, BEST, SERIES, exact=True).values[0]
+    found = engine.standard_errors(MODEL, best, SERIES, exact=True).values[0]
     h = 0.5 * found  # the length of the differences
     low, top, high = (
-        engine.kalman_smoother(MODEL, BEST["theta"] + s, SERIES).log_likelihood
+        engine.kalman_smoother(MODEL, best["theta"] + s, SERIES).log_likelihood
         for s in (-h, 0.0, h)
     )
     exact = h / np.sqrt(2.0 * top - low - high)
@@ -108,19 +116,19 @@ def test_standard_errors_are_those_of_the_exact_likelihood(many):
 
 
 @pytest.mark.parametrize("R", [2, 5])
-def test_the_error_of_the_score_is_that_of_a_mean(R):
+def test_the_error_of_the_score_is_that_of_a_mean(R, best):
     """Exactly, from the scores of the same smoothers."""
     seeds = np.random.SeedSequence(3).spawn(R)
     free = np.array([0])
-    score = Score.of(MODEL, BEST, [SERIES], free, 12, 12, exact=False)
+    score = Score.of(MODEL, best, [SERIES], free, 12, 12, exact=False)
     each = np.array([score.at(score.x, which)[0][0] for which in seeds])
-    found = engine.standard_errors(MODEL, BEST, SERIES, replicates=R, seed=3, **SMALL)
+    found = engine.standard_errors(MODEL, best, SERIES, replicates=R, seed=3, **SMALL)
     assert found.score[0] == pytest.approx(each.mean())
     assert found.score_error[0] == pytest.approx(each.std(ddof=1) / np.sqrt(R))
     assert found.decrement == pytest.approx(each.mean() ** 2 * found.covariance[0, 0])
 
 
-def test_settled_is_within_half_a_standard_error():
+def test_settled_is_within_half_a_standard_error(top):
     """And the limit grows with the noise of the score: 0.25 + 3.84 times its variance in those errors."""
     variance = np.array([[4.0]])
     decrement, noise = observed._decrement(variance, np.array([[0.3]]))
@@ -129,10 +137,10 @@ def test_settled_is_within_half_a_standard_error():
     decrement, noise = observed._decrement(variance, scores)
     assert decrement == pytest.approx(0.36)
     assert noise == pytest.approx(4.0 * (0.08 / 2.0) * 3.8415, rel=1e-4)
-    sd = engine.standard_errors(MODEL, TOP, LONG, exact=True).values[0]
-    assert engine.standard_errors(MODEL, TOP["theta"] + 0.4 * sd, LONG, exact=True).settled
+    sd = engine.standard_errors(MODEL, top, LONG, exact=True).values[0]
+    assert engine.standard_errors(MODEL, top["theta"] + 0.4 * sd, LONG, exact=True).settled
     with pytest.warns(NotSettledWarning) as told:
-        engine.standard_errors(MODEL, TOP["theta"] + 0.65 * sd, LONG, exact=True)
+        engine.standard_errors(MODEL, top["theta"] + 0.65 * sd, LONG, exact=True)
     assert told[0].filename == __file__  # it points to the caller
 
 
@@ -149,11 +157,11 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
     assert observed._jackknife(np.eye(1), np.ones((1, 1, 1)))[0] == 0.0
 
 
-def test_the_errors_of_interval_ends_are_their_spread_over_seeds():
+def test_the_errors_of_interval_ends_are_their_spread_over_seeds(best):
     """12 seeds: outside these limits less than 1 time in 100."""
-    errors = engine.standard_errors(MODEL, BEST, SERIES, exact=True)
+    errors = engine.standard_errors(MODEL, best, SERIES, exact=True)
     found = [
-        engine.likelihood_intervals(MODEL, BEST, SERIES, errors=errors, seed=s, **SMALL)
+        engine.likelihood_intervals(MODEL, best, SERIES, errors=errors, seed=s, **SMALL)
         for s in range(12)
     ]
     spread = np.std([one.values[0] for one in found], axis=0, ddof=1)
@@ -165,23 +173,23 @@ def test_the_errors_of_interval_ends_are_their_spread_over_seeds():
 # ---- estimates that have not settled --------------------------------------------------------------
 
 
-def test_at_the_maximum_nothing_is_said(many):
+def test_at_the_maximum_nothing_is_said(many, best):
     """Also with particles, whose scores are never quite zero: none of 16."""
     assert [one.settled for one in many] == [True] * 16
     assert {one.warning for one in many} == {""}
-    exact = engine.standard_errors(MODEL, BEST, SERIES, exact=True)
+    exact = engine.standard_errors(MODEL, best, SERIES, exact=True)
     assert exact.settled
     assert exact.decrement < 2e-3  # quasi_ml stops when 1e-3 nats are left, of which this is twice
 
 
 @pytest.mark.parametrize("exact", [True, False])
 @pytest.mark.parametrize("shift", [-3.0, 3.0])
-def test_away_from_the_maximum_the_distance_is_told(exact, shift):
+def test_away_from_the_maximum_the_distance_is_told(exact, shift, top):
     """The decrement is the squared distance in standard errors, as far as the likelihood is a parabola."""
-    sd = engine.standard_errors(MODEL, TOP, LONG, exact=True).values[0]
+    sd = engine.standard_errors(MODEL, top, LONG, exact=True).values[0]
     options = {"exact": True} if exact else {"replicates": 4, **SMALL}
     with pytest.warns(NotSettledWarning, match="the likelihood rises from here"):
-        found = engine.standard_errors(MODEL, TOP["theta"] + shift * sd, LONG, **options)
+        found = engine.standard_errors(MODEL, top["theta"] + shift * sd, LONG, **options)
     assert not found.settled
     assert 1.0 < found.decrement < 60.0
     for text in (str(found), found._repr_html_()):
@@ -189,8 +197,8 @@ def test_away_from_the_maximum_the_distance_is_told(exact, shift):
     assert "theta = " in str(found)
 
 
-def test_an_estimation_that_ran_out_of_iterations_is_named():
-    start = MODEL.theta([BEST["theta"] + 0.3])
+def test_an_estimation_that_ran_out_of_iterations_is_named(best):
+    start = MODEL.theta([best["theta"] + 0.3])
     trace = np.array([[start[0]]])
     found = EmResult(
         MODEL, ("theta",), start, trace, *(np.empty(0),) * 4,
@@ -232,9 +240,9 @@ def test_how_strongly_a_bound_must_be_left(x, sign):
     assert observed._drawn_inside(score, np.full((4, 1), 9.0), np.array([100.0])) == []
 
 
-def test_intervals_about_another_maximum_say_so():
-    sd = engine.standard_errors(MODEL, TOP, LONG, exact=True).values[0]
+def test_intervals_about_another_maximum_say_so(top):
+    sd = engine.standard_errors(MODEL, top, LONG, exact=True).values[0]
     with pytest.warns(NotSettledWarning, match="The likelihood is highest at theta"):
-        found = engine.likelihood_intervals(MODEL, TOP["theta"] + 2.0 * sd, LONG, exact=True)
-    assert found.maximum[0] == pytest.approx(TOP["theta"], abs=0.1 * sd)
+        found = engine.likelihood_intervals(MODEL, top["theta"] + 2.0 * sd, LONG, exact=True)
+    assert found.maximum[0] == pytest.approx(top["theta"], abs=0.1 * sd)
     assert "highest" in found._repr_html_()
