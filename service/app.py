@@ -11,7 +11,7 @@ from importlib.metadata import version
 from fastapi import FastAPI
 
 from engine.models.registry import register_files
-from service import guide, job_pages, pages, problems
+from service import guide, job_pages, pages, problem_handlers
 from service.api import router
 from service.auth import KeyFirst, Keys, check_exposure
 from service.limits import BodyLimit
@@ -66,7 +66,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.router.routes.extend(guide.routes(keys.needed))
     app.include_router(router(store, supervisor, settings, keys))
     app.include_router(job_pages.router(store, keys))
-    problems.install(app)
+    problem_handlers.install(app)
     app.state.supervisor, app.state.store_url = supervisor, settings.store_url
     return app
 

@@ -127,7 +127,7 @@ def front(spawn, cluster, database, eventually):
 def test_a_killed_computation_and_a_killed_service(front, attempts, estimation, wait, ended):
     """The computation starts again where it was; that of a service that died goes on without it."""
     service = front(lease_seconds=5)
-    request = estimation(particles=200, iterations=150, seed=9)
+    request = estimation(particles=100, iterations=150, seed=9)
 
     def submitted():
         url = service.client.post("/jobs", json=request).headers["location"]

@@ -40,7 +40,7 @@ def test_what_is_computed_heeds_it(client, ended):
 def test_a_file_says_it_and_a_request_says_it_better(client, ended):
     rows = "".join(f"{4.0 * k},{u!r},5.0\n" for k, u in enumerate(PUMP))
     data = f"# hold: foh\nt,pump,level\n{rows}".encode()
-    body = {"kind": "estimate", "model": "tanks", "options": {"iterations": 1, "particles": 5}}
+    body = {"kind": "smooth", "model": "tanks", "options": {"particles": 5}}
     for said, hold in (({}, "foh"), ({"hold": "past"}, "past")):
         entry = [{"file": "a.csv", **said}]
         posted = client.post(

@@ -116,7 +116,7 @@ def test_a_model_with_a_long_name(client, estimation):
 
 
 def test_thin_trace(client, estimation, ended):
-    url = client.post("/jobs", json=estimation(method="rts-em", iterations=60)).headers["location"]
+    url = client.post("/jobs", json=estimation(method="rts-em", iterations=25)).headers["location"]
     ended(client, url)
     trace = client.get(f"{url}/trace?points=10").json()
     assert 4 <= len(trace["iteration"]) <= 10

@@ -3,7 +3,6 @@
 import numpy as np
 
 import engine
-from tests.studies.ekf import ekf
 
 FIRST = 50  # samples of the test record that may be used for the initial state
 
@@ -25,7 +24,7 @@ def test_tanks(client, ended, measured_data):
             "kind": "estimate",
             "model": "tanks",
             "series": [{"y": record.y.tolist(), "u": record.u.tolist(), "dt": 4.0}],
-            "options": {"particles": 50, "iterations": 30, "seed": 1, "standard_errors": False},
+            "options": {"particles": 20, "iterations": 8, "seed": 1, "standard_errors": False},
         },
     )
     assert response.status_code == 201, response.text
@@ -36,14 +35,7 @@ def test_tanks(client, ended, measured_data):
     model = engine.get_model("tanks")
     theta = model.theta({name: p["value"] for name, p in results["estimate"].items()})
     fitted = engine.fit_simulation(model, record)
-    rows = {
-        "RBPS-EM, POST /jobs": (theta, free_run_rmse(model, theta, test)),
-        "simulation error": (fitted.theta, free_run_rmse(model, fitted.theta, test)),
-    }
-    for name, (point, rmse) in rows.items():
-        rbpf = engine.rbpf(model, point, record, 500, np.random.default_rng(0)).log_likelihood
-        print(
-            f"{name}: test {rmse:.3f} V, RBPF {rbpf:.1f}, EKF {ekf(model, point, record).log_likelihood:.1f}"
-        )
-    assert rows["simulation error"][1] < 0.72
-    assert rows["RBPS-EM, POST /jobs"][1] < 1.2  # likelihood is not simulation error: see tanks.md
+    assert free_run_rmse(model, fitted.theta, test) < 0.72
+    assert (
+        free_run_rmse(model, theta, test) < 1.2
+    )  # likelihood is not simulation error: see tanks.md

@@ -4,7 +4,7 @@ import pytest
 
 
 def test_best_of_several_starts(client, estimation, ended):
-    request = estimation(method="rts-em", iterations=30, starts=4)
+    request = estimation(method="rts-em", iterations=10, starts=4)
     request["parameters"]["ranges"] = {"theta": [0.0, 0.5]}
     url = client.post("/jobs", json=request).headers["location"]
     job = ended(client, url)
@@ -23,7 +23,7 @@ def test_best_of_several_starts(client, estimation, ended):
 
 
 def test_bootstrap_agrees_with_the_observed_information(client, estimation, ended):
-    request = estimation(method="rts-em", iterations=20, standard_errors=True)
+    request = estimation(method="rts-em", iterations=10, standard_errors=True)
     plain = client.post("/jobs", json=request).headers["location"]
     request["options"]["bootstrap"] = 12
     url = client.post("/jobs", json=request).headers["location"]

@@ -26,7 +26,8 @@ warm()
 before = signatures()
 for name in ("mixed-4", "linear-2", "tanks"):
     estimate = model(engine.get_model(name)).example
-    estimate["options"] = {"particles": 50, "iterations": 2, "seed": 1}
+    estimate["options"] = {"particles": 10, "iterations": 2, "seed": 1}
+    estimate["parameters"]["free"] = [engine.get_model(name).parameter_names[0]]
     smooth = {"kind": "smooth", "model": name, "series": estimate["series"]}
     requests = [estimate, smooth]
     if name != "tanks":

@@ -23,7 +23,7 @@ from tests.engine.hidden_effects import CASES, DRIVE, DT, ON_SWING, T, case, hid
 BY_NAME_ONLY = {"offset", "held"}  # another word for bias; for parameters that are not estimated
 QUICK = {  # one of each way to enter a model, and what test_diagnose has not; make test-all has all
     "force", "mode", "bias", "quantisation", "variance", "colored", "input-offset", "extra-input",
-    "parameter-step", "time-step", "direct",
+    "parameter-step",
 }  # fmt: skip
 
 

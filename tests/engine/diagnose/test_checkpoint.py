@@ -106,10 +106,25 @@ def test_stopped_after_every_few_parts(case, steps):
         assert "bootstrap 4" in parts
 
 
-def test_what_was_kept_of_another_diagnosis_is_refused():
-    kept, flows = {}, nile()
-    options = {"effects": ["step"], "seed": 1, "kept": kept}
-    diagnose(LEVEL, flows, **options)
+STEP = {"effects": ["step"], "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def parts_of_step():
+    """What is kept of a diagnosis that was asked for with a number of NumPy, as JSON."""
+    kept = {}
+    diagnose(LEVEL, nile(), **STEP | {"seed": np.int64(1)}, kept=kept)
+    return json.dumps(kept)
+
+
+@pytest.fixture
+def kept(parts_of_step):
+    return json.loads(parts_of_step)
+
+
+def test_what_was_kept_of_another_diagnosis_is_refused(kept):
+    flows = nile()
+    options = STEP | {"kept": kept}
     other = Series(flows.y + 1e-9, t=flows.t, y_names=flows.y_names)
     faster = engine.MixedModel(**{**vars_of(LEVEL), "measurement": twice})
     for model, series, more, what in (
@@ -125,30 +140,21 @@ def test_what_was_kept_of_another_diagnosis_is_refused():
         assert error.value.field == "kept"
 
 
-def test_numbers_of_numpy_ask_for_the_same():
-    kept = {}
-    diagnose(LEVEL, nile(), effects=["step"], seed=np.int64(1), kept=kept)
-    known = json.loads(json.dumps(kept))
-    diagnose(LEVEL, nile(), effects=["step"], seed=1, kept=known)
-    assert known == kept
+def test_numbers_of_numpy_ask_for_the_same(kept, parts_of_step):
+    diagnose(LEVEL, nile(), **STEP, kept=kept)
+    assert kept == json.loads(parts_of_step)
 
 
-def test_what_another_version_kept_is_refused(monkeypatch):
-    kept = {}
-    options = {"effects": ["step"], "seed": 1, "kept": kept}
-    diagnose(LEVEL, nile(), **options)
+def test_what_another_version_kept_is_refused(monkeypatch, kept):
     monkeypatch.setattr(keeping, "version", lambda name: "0.0.1")
     with pytest.raises(OptionError, match="another version of rbps"):
-        diagnose(LEVEL, nile(), **options)
+        diagnose(LEVEL, nile(), **STEP, kept=kept)
 
 
-def test_another_catalogue_is_refused(monkeypatch):
-    kept, flows = {}, nile()
-    options = {"effects": ["step"], "seed": 1, "kept": kept}
-    diagnose(LEVEL, flows, **options)
+def test_another_catalogue_is_refused(monkeypatch, kept):
     monkeypatch.setitem(catalogue._makers, "new", catalogue._makers["step"])
     with pytest.raises(OptionError, match="another catalogue"):
-        diagnose(LEVEL, flows, **options)
+        diagnose(LEVEL, nile(), **STEP, kept=kept)
 
 
 def vars_of(model):

@@ -17,7 +17,7 @@ OMEGA, ZETA, DT = 6.0, 0.05, 0.12  # nine samples a period
 @pytest.fixture(scope="module")
 def record():
     """An oscillator of which an integrator that is not ours made the readings."""
-    rng, T = np.random.default_rng(7), 300
+    rng, T = np.random.default_rng(7), 150
     u = np.convolve(rng.standard_normal(T + 2), np.ones(3) / 3.0, "valid")
     t = DT * np.arange(T)
     found = solve_ivp(

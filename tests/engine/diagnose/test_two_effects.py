@@ -86,7 +86,10 @@ def test_two_effects_are_found_in_turn(pair):
     assert missed <= 1
 
 
-@pytest.mark.parametrize("kinds", [["stribeck", "drag"], ["stribeck", "coulomb", "drag"]])
+@pytest.mark.parametrize(
+    "kinds",
+    [["stribeck", "drag"], pytest.param(["stribeck", "coulomb", "drag"], marks=pytest.mark.slow)],
+)
 def test_few_effects_asked_for_are_weighed_again_too(kinds):
     """A rival may be another round's cause, and a plainer kind may not have been asked for."""
     model, series, theta, free, _ = friction(0, n=300)
