@@ -106,10 +106,13 @@ def estimation(data: list[list[float]]) -> Callable[..., dict[str, Any]]:
 
 
 @pytest.fixture
-def long(estimation: Callable[..., dict[str, Any]]) -> dict[str, Any]:
-    """A request that computes far longer than any test waits: 40 slow iterations at least."""
-    request = estimation(particles=200, iterations=10_000)
-    request["series"] = [{"y": [[float(i % 7)] for i in range(2000)]}]
+def long(estimation: Callable[..., dict[str, Any]], data: list[list[float]]) -> dict[str, Any]:
+    """A request that computes far longer than any test waits: 40 slow iterations at least.
+
+    Of few samples and many particles, for the search for a start takes longer the more samples there are.
+    """
+    request = estimation(particles=700, iterations=10_000)
+    request["series"] = [{"y": 5 * data}]
     return request
 
 

@@ -209,7 +209,7 @@ def test_service_document_and_livez(client):
 
 def test_a_fresh_service_starts_warm(spawn, catch, long):
     """Its first worker has the engine loaded and compiled: it computes for little more than itself."""
-    long["series"][0]["y"] = long["series"][0]["y"][:200]
+    long["options"]["particles"] = 100
     url, worker = catch(spawn(), long, iterations=1)
     assert url
     fields = Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()
