@@ -4,7 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 # Three processes on two cores, for tests of the service often wait; each runs whole files with one thread.
 # In the order of the folders: the files with the most tests, which xdist starts with, are not the longest.
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+# Byte code is kept whatever the environment says: the tests start a hundred processes.
+PYTEST := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: setup demo serve test test-all lint tables measured bench warm load large-bodies chaos bench-dask bench-free-run
 

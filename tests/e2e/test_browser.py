@@ -48,6 +48,7 @@ def test_upload_map_run_watch_and_keep_the_report(visit, flows, tmp_path):
     page.fill('tr[data-name="q"] .value', "1000")
     page.click("#options summary")
     page.fill("#estimate-iterations", "30")
+    page.fill("#estimate-particles", "20")
     page.click("#go")
     page.wait_for_url("**/jobs/*")
     page.wait_for_selector("#status.successful")

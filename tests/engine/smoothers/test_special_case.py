@@ -112,8 +112,8 @@ def switching() -> SpecialCase:
 
 
 def test_switching_model_against_enumeration() -> None:
-    """All 2^10 paths of the chain, a Kalman smoother for each: the exact answer."""
-    case, rng, T = switching(), np.random.default_rng(5), 10
+    """All 2^8 paths of the chain, a Kalman smoother for each: the exact answer."""
+    case, rng, T = switching(), np.random.default_rng(5), 8
     a, z, y = 1.0, 0.0, np.empty((T, 1))
     for t in range(T):
         y[t] = z + np.sqrt(0.3) * rng.standard_normal()
