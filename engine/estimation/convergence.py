@@ -35,11 +35,11 @@ def drift(iterates: Array) -> tuple[Array, Array]:
     return difference, np.sqrt(variance * (1.0 + rho) / (1.0 - rho) * 2.0 / half)
 
 
-def has_settled(trace: Array, scale: Array, tolerance: float, window: int = WINDOW) -> bool:
+def has_settled(trace: Array, scale: Array, tolerance: float) -> bool:
     """Whether the last 2 W rows of the trace (k+1, n) show no trend; scale (n,) sizes."""
-    if len(trace) < 2 * window + 1:
+    if len(trace) < 2 * WINDOW + 1:
         return False
-    for rows in (2 * window, window):
+    for rows in (2 * WINDOW, WINDOW):
         difference, error = drift(trace[-rows:])
         if not (np.abs(difference) <= tolerance * scale + 2.0 * error).all():
             return False

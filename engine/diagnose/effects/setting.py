@@ -288,18 +288,14 @@ def at_outputs(
     return _kind(kind, make, channels, lambda setting: setting.model.outputs)
 
 
-def at_inputs(
-    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_input
-) -> Kind:
+def at_inputs(kind: str, make: Callable[[Setting, str, str], Effect | None]) -> Kind:
     """The same for inputs."""
-    return _kind(kind, make, channels, lambda setting: setting.model.inputs)
+    return _kind(kind, make, each_input, lambda setting: setting.model.inputs)
 
 
-def at_states(
-    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_state
-) -> Kind:
+def at_states(kind: str, make: Callable[[Setting, str, str], Effect | None]) -> Kind:
     """The same for states."""
-    return _kind(kind, make, channels, lambda setting: setting.states)
+    return _kind(kind, make, each_state, lambda setting: setting.states)
 
 
 def at_signals(

@@ -71,10 +71,10 @@ def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array
     )
 
 
-def tails_left(fit: QuasiFit, effect: Effect, series: Series, seed: int = 0) -> float:
+def tails_left(fit: QuasiFit, effect: Effect, series: Series) -> float:
     """The p-value of an effect's kurtosis test on a fitted model; 1 where it says nothing."""
     path = moment_path(fit.model, np.asarray(fit.theta), series)
-    errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
+    errors = standardised_errors(path, series.observed, pit_of(fit, series, seed=0))
     test = tail_test(effect, fit.model, path, errors)
     return 1.0 if test is None or test.known is None else test.known[1]
 

@@ -70,9 +70,7 @@ def lost_at(y: Array, series: Series) -> int | None:
     return int(np.argmax(lost)) if lost.any() else None
 
 
-def against_run(
-    model: MixedModel, series: Series, y: Array, x: Array, fine: Array, n_bands: int
-) -> Comparison:
+def against_run(model: MixedModel, series: Series, y: Array, x: Array, fine: Array) -> Comparison:
     """The noise-free run against the data, judged by simulations with noise (K, T, ny) if there are any."""
     if not len(fine):
         nothing = np.full_like(y, np.nan)
@@ -89,7 +87,7 @@ def against_run(
         expected.append(float(np.sqrt(np.mean(errors[:, seen] ** 2))) if seen.any() else np.nan)
         errors_drawn.append(np.sqrt(np.nanmean(errors**2, axis=1)) if seen.any() else np.zeros(1))
         one = Errors(name, unit, e, upper[:, i] - lower[:, i], errors)
-        regions += _regions(one, signals, series, n_bands)
+        regions += _regions(one, signals, series)
     found = _fits(model, series, y, lower, upper, expected)
     own = dict(zip(model.outputs, errors_drawn, strict=True))
     fits = tuple(replace(f, as_wrong=float(np.mean(own[f.output] >= f.rmse))) for f in found)
@@ -97,7 +95,7 @@ def against_run(
 
 
 def against_predictions(
-    model: MixedModel, series: Series, path: MomentPath, z: Array, n_bands: int
+    model: MixedModel, series: Series, path: MomentPath, z: Array
 ) -> Comparison:
     """One-step predictions against the data, without the first ones from an unknown first state."""
     H_mean = series.y - path.innovations
@@ -110,10 +108,10 @@ def against_predictions(
     settled = np.where(spread > TRANSIENT * np.median(spread, axis=0), np.nan, path.innovations)
     for i, (name, unit) in enumerate(model.outputs.items()):
         one = Errors(name, unit, settled[:, i], 2.0 * half[:, i])
-        regions += _regions(one, signals, series, n_bands, spectrum=False)
+        regions += _regions(one, signals, series, spectrum=False)
         if series.dt is not None:
             flat = Errors(name, "standard deviations", z[:, i], 2.0 * half[:, i] / spread[:, i])
-            regions += by_frequency(flat, series.dt, n_bands)
+            regions += by_frequency(flat, series.dt)
     known = np.isfinite(settled)
     expected = [_root_mean(spread[known[:, i], i] ** 2) for i in range(model.ny)]
     fits = []
@@ -142,7 +140,6 @@ def _regions(
     errors: Errors,
     signals: list[tuple[str, str, str, Array]],
     series: Series,
-    n_bands: int,
     spectrum: bool = True,
 ) -> list[Region]:
     if not np.isfinite(errors.e).any():
@@ -153,9 +150,9 @@ def _regions(
         if any(_same(values, other) for other in done):
             continue  # an output that is a state
         done.append(values)
-        out += by_signal(errors, kind, name, unit, values, n_bands)
+        out += by_signal(errors, kind, name, unit, values)
     if spectrum and series.dt is not None:
-        out += by_frequency(errors, series.dt, n_bands)
+        out += by_frequency(errors, series.dt)
     return out
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from engine.distributions import chi2_sf, normal_isf
 from engine.statespace.model import Array
 
+BANDS = 8  # of a signal or of a spectrum, in which errors are looked for
 # Standard errors: by chance about one in 20 among all intervals of ten signals. Free runs get by with
 # fewer, since their errors are a few slow shapes and not hundreds of independent draws.
 NOTABLE, NOTABLE_RUN = 3.5, 3.0
@@ -73,22 +74,20 @@ class Errors:
     drawn: Array | None = None
 
 
-def cut(signal: Array, n_bands: int) -> Array:
+def cut(signal: Array) -> Array:
     """Edges of bands with about equally many samples; fewer than two edges where it is constant."""
     finite = signal[np.isfinite(signal)]
     if finite.size < 2 or np.ptp(finite) <= ROUNDING * float(np.abs(finite).max()):
         return np.zeros(0)
     levels = np.unique(finite)
-    if len(levels) <= n_bands:  # a switched signal: one band per level
+    if len(levels) <= BANDS:  # a switched signal: one band per level
         return np.concatenate([levels[:1], 0.5 * (levels[1:] + levels[:-1]), levels[-1:]])
-    return np.unique(np.quantile(finite, np.linspace(0.0, 1.0, n_bands + 1)))
+    return np.unique(np.quantile(finite, np.linspace(0.0, 1.0, BANDS + 1)))
 
 
-def by_signal(
-    errors: Errors, kind: str, name: str, unit: str, signal: Array, n_bands: int
-) -> list[Region]:
+def by_signal(errors: Errors, kind: str, name: str, unit: str, signal: Array) -> list[Region]:
     """Every run of neighbouring bands of a signal (T,), the whole range excluded."""
-    edges = cut(signal, n_bands)
+    edges = cut(signal)
     n = len(edges) - 1
     if n < 2:
         return []
@@ -152,30 +151,30 @@ def newey_west(d: Array, n: int, lags: int | None = None) -> float:
     return float(np.sqrt(variance)) / max(n, 1)
 
 
-def by_frequency(errors: Errors, dt: float, n_bands: int, expected: float = 1.0) -> list[Region]:
+def by_frequency(errors: Errors, dt: float) -> list[Region]:
     """Bands of the errors' periodogram, their edges in equal ratios from the lowest frequency.
 
     Missing errors count as zero. The model's own simulations tell what to expect, or, for one-step
-    predictions standardised to variance ``expected``, the flat spectrum: then 2 P / E[P] ~ chi2(2 n).
+    predictions standardised to variance one, the flat spectrum: then 2 P / E[P] ~ chi2(2 n).
     """
     T = len(errors.e)
     power, frequency = _periodogram(errors.e), np.fft.rfftfreq(T, dt)[1:]
     total = power.sum()
-    if len(power) < 4 * n_bands or not total > 0.0:
+    if len(power) < 4 * BANDS or not total > 0.0:
         return []
-    edges = np.geomspace(frequency[0], frequency[-1], n_bands + 1)
-    band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, n_bands - 1)
+    edges = np.geomspace(frequency[0], frequency[-1], BANDS + 1)
+    band = np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, BANDS - 1)
     drawn = None if errors.drawn is None else np.array([_periodogram(e) for e in errors.drawn])
     seen = int(np.isfinite(errors.e).sum())
     out = []
-    for k in range(n_bands):
+    for k in range(BANDS):
         inside = band == k
         n = int(inside.sum())
         if n < 2:
             continue
         here = float(power[inside].sum())
         if drawn is None:
-            level = expected * seen / T * n / len(power)
+            level = seen / T * n / len(power)
             score = float(normal_isf(np.clip(chi2_sf(2 * n * here / level, 2 * n), 1e-300, 1.0)))
         else:
             tiny = float(np.finfo(float).tiny)
@@ -191,7 +190,7 @@ def by_frequency(errors: Errors, dt: float, n_bands: int, expected: float = 1.0)
                 float(edges[k]),
                 float(edges[k + 1]),
                 k == 0,
-                k == n_bands - 1,
+                k == BANDS - 1,
                 mean=0.0,
                 standard_error=0.0,
                 score=score,

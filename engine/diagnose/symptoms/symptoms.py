@@ -93,7 +93,6 @@ def find_symptoms(
     theta: ThetaLike,
     series: Series,
     covariance: Array | None = None,
-    n_bands: int = 8,
     seed: int = 0,
 ) -> Symptoms:
     """Compare a model at theta with a series; ``covariance`` (n_theta, n_theta) is theta's uncertainty.
@@ -106,7 +105,7 @@ def find_symptoms(
     vector = np.asarray(model.theta(theta))
     path = moment_path(model, vector, series)
     z = standardised(path, series)
-    one_step = against_predictions(model, series, path, z, n_bands)
+    one_step = against_predictions(model, series, path, z)
     free, sentences = None, []
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -123,7 +122,7 @@ def find_symptoms(
                     "Most of the model's own simulations run away: what it leads to expect of the free run is "
                     "not known."
                 )
-            free = against_run(model, series, y, states, fine, n_bands)
+            free = against_run(model, series, y, states, fine)
         else:
             sentences.append(
                 f"The free run runs away: from t = {number(float(series.t[row]), 6)} s on it is further off "

@@ -73,7 +73,7 @@ def test_an_error_at_high_values_is_found_there():
     rng = np.random.default_rng(3)
     x = rng.uniform(0.0, 10.0, 600)
     e = 0.1 * rng.standard_normal(600) + 0.3 * (x > 8.0)
-    regions = by_signal(Errors("y", "V", e, np.ones(600)), "state", "level", "V", x, 8)
+    regions = by_signal(Errors("y", "V", e, np.ones(600)), "state", "level", "V", x)
     (found,) = most_telling(regions, 4)
     assert found.highest
     assert not found.lowest
@@ -88,7 +88,7 @@ def test_white_errors_are_nowhere_notable():
     for _ in range(40):
         e, x = rng.standard_normal((2, 300))
         errors = Errors("y", "V", e, np.ones(300))
-        regions = [*by_signal(errors, "state", "x", "1", x, 8), *by_frequency(errors, 1.0, 8)]
+        regions = [*by_signal(errors, "state", "x", "1", x), *by_frequency(errors, 1.0)]
         hits += bool(most_telling(regions, 1))
     assert hits <= 3
 
@@ -97,7 +97,7 @@ def test_a_hidden_tone_shows_at_its_frequency():
     rng = np.random.default_rng(5)
     t = np.arange(500) * 0.1
     e = rng.standard_normal(500) + 1.0 * np.sin(2 * np.pi * 1.3 * t)
-    regions = by_frequency(Errors("y", "V", e, np.ones(500)), 0.1, 8)
+    regions = by_frequency(Errors("y", "V", e, np.ones(500)), 0.1)
     (found,) = most_telling(regions, 4)
     assert found.low < 1.3 < found.high
 
@@ -202,7 +202,7 @@ def test_a_finite_run_far_from_all_readings_runs_away():
 def test_without_simulations_nothing_is_expected():
     series = simulate(LINEAR, None, 100, np.random.default_rng(14)).series
     y, x = np.zeros((100, 1)), np.zeros((100, 2))
-    none = against_run(LINEAR, series, y, x, np.zeros((0, 100, 1)), 8)
+    none = against_run(LINEAR, series, y, x, np.zeros((0, 100, 1)))
     (fit,) = none.fits
     assert fit.rmse == pytest.approx(np.sqrt(np.mean(series.y**2)))
     assert fit.expected_rmse is None
@@ -218,15 +218,15 @@ def test_a_sure_error_that_explains_nothing_is_not_worth_a_sentence():
     x = rng.uniform(0.0, 1.0, 800)
     e = np.where(x < 0.2, 0.01 + 1e-4 * rng.standard_normal(800), rng.standard_normal(800))
     errors = Errors("y", "V", e, np.ones(800))
-    regions = by_signal(errors, "state", "x", "V", x, 8)
+    regions = by_signal(errors, "state", "x", "V", x)
     assert max(abs(r.score) for r in regions) > 50.0
     assert most_telling(regions, 4) == []
 
 
 def test_a_channel_of_large_values_has_its_bands():
     """Pascals about an atmosphere, seconds since 1970."""
-    assert len(cut(101325.0 + 1e-6 * np.arange(100.0), 8)) == 9
-    assert len(cut(np.full(100, 101325.0), 8)) == 0
+    assert len(cut(101325.0 + 1e-6 * np.arange(100.0))) == 9
+    assert len(cut(np.full(100, 101325.0))) == 0
 
 
 # ---- data ------------------------------------------------------------------------------------
