@@ -41,11 +41,13 @@ def test_dockerfile():
     bases = [argument.split()[0] for name, argument in DOCKERFILE if name == "FROM"]
     assert bases == ["${BASE}", "${BASE}"]
     assert re.fullmatch(rf"BASE={PINNED}", dict(DOCKERFILE[:1])["ARG"])
-    for name, argument in DOCKERFILE:
-        if name == "WORKDIR":
-            assert argument.startswith("/")
-        if name == "RUN":
-            assert not re.search(r"\b(sudo|curl|wget|apt-get upgrade)\b", argument)
+    folders, commands = (
+        [argument for one, argument in DOCKERFILE if one == name] for name in ("WORKDIR", "RUN")
+    )
+    assert folders
+    assert all(folder.startswith("/") for folder in folders)
+    assert commands
+    assert not re.search(r"\b(sudo|curl|wget|apt-get upgrade)\b", "\n".join(commands))
     final = last_stage()
     for name in ("ENTRYPOINT", "CMD"):
         (words,) = [json.loads(argument) for one, argument in final if one == name]
