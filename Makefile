@@ -41,7 +41,7 @@ lint: setup
 tables: setup
 	$(BIN)/python -m tests.studies all $(if $(RUNS),--runs $(RUNS))
 
-# Measured records with documented effects; they are not part of the repository: RBPS_DATA=folder.
+# Measured records with documented effects; they are not part of the repository: MEASURED_DATA=folder.
 measured: setup
 	$(BIN)/python -m tests.studies measured
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[2] / "shared" / "data")
+DATA = Path(os.environ.get("MEASURED_DATA") or Path(__file__).parents[2] / "shared" / "data")
 
 # A shell has its background jobs ignore Ctrl-C, and the services that tests start would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -29,7 +29,7 @@ def measured_data() -> Callable[[str], Path]:
         folder = DATA / name
         if not folder.is_dir():
             pytest.skip(
-                f"measured data '{name}' not found; set RBPS_DATA to the folder of data sets"
+                f"measured data '{name}' not found; set MEASURED_DATA to the folder of data sets"
             )
         return folder
 

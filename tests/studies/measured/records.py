@@ -1,4 +1,4 @@
-"""The records, read from the folder in the environment variable RBPS_DATA.
+"""The records, read from the folder in the environment variable MEASURED_DATA.
 
 Else from ``shared/data`` beside the repository; those that are not there are skipped.
 """
@@ -21,7 +21,7 @@ from engine.models.registry import get_model
 from engine.statespace.model import Array, MixedModel
 from tests.studies.measured.models import CELL, SEASONAL, SPRING
 
-DATA = Path(os.environ.get("RBPS_DATA") or Path(__file__).parents[4] / "shared" / "data")
+DATA = Path(os.environ.get("MEASURED_DATA") or Path(__file__).parents[4] / "shared" / "data")
 SETTLED = 50  # rows of a test part from which the first state is estimated, not scored
 
 SILVERBOX_DT = 2**14 / 1e7  # s
@@ -79,7 +79,7 @@ class Record:
     @property
     def reason(self) -> str:
         """Why it is skipped, where it is."""
-        return f"the folder '{self.folder}' is not among the data; set RBPS_DATA to where it is"
+        return f"the folder '{self.folder}' is not among the data; set MEASURED_DATA to where it is"
 
 
 def _emps(folder: Path) -> Data:
