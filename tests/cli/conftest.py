@@ -11,12 +11,12 @@ import select
 import subprocess
 import sys
 import termios
-import time
 
 import pytest
 from typer.testing import CliRunner
 
 from service.cli.commands import app
+from tests.patience import eventually
 
 RBPS = [sys.executable, "-c", "from service.cli.commands import main; main()"]
 
@@ -81,26 +81,27 @@ class Terminal:
     @property
     def shown(self):
         """All that was on the screen, without colours and movements."""
-        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.screen.decode())
+        text = self.screen.decode(errors="ignore")  # what was read may end within a character
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
 
     def until(self, pattern, seconds=120.0):
         """Read until the pattern was shown."""
-        end = time.monotonic() + seconds
-        while not (found := re.search(pattern, self.shown)):
-            assert time.monotonic() < end, self.shown[-2000:]
-            assert self.process.poll() is None, self.shown[-2000:]
-            self.read()
-        return found
+
+        def found():
+            match = re.search(pattern, self.shown)
+            assert match or self.process.poll() is None, self.shown[-2000:]
+            return match
+
+        return eventually(found, seconds, self.read, lambda: self.shown[-2000:])
 
     def type(self, keys):
         os.write(self.master, keys)
 
     def end(self, seconds=120.0):
         """Wait for the end: exit code, stdout."""
-        limit = time.monotonic() + seconds
-        while self.process.poll() is None:
-            assert time.monotonic() < limit, self.shown[-2000:]
-            self.read()
+        eventually(
+            lambda: self.process.poll() is not None, seconds, self.read, lambda: self.shown[-2000:]
+        )
         for _ in range(5):
             self.read(0.02)
         return self.process.returncode, self.process.stdout.read().decode()

@@ -8,7 +8,6 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
 from urllib.request import urlopen
 
 import numpy as np
@@ -24,6 +23,7 @@ from service.examples import EXAMPLES
 from service.strict_json import dumps
 from service.validation import load
 from tests.cli.conftest import RBPS
+from tests.patience import eventually
 
 QUICK = ("-n", "3", "--no-standard-errors")
 
@@ -439,20 +439,20 @@ def test_serve(tmp_path):
         [*RBPS, "serve", "--port", str(port)], stderr=subprocess.PIPE, text=True,
         env=os.environ | {"RBPS_STATE_DIR": str(tmp_path)},
     )  # fmt: skip
+
+    def answers():
+        try:
+            with urlopen(f"http://127.0.0.1:{port}/livez", timeout=60) as answer:
+                return answer.status == 200
+        except OSError:
+            assert run.poll() is None, run.stderr.read()
+            return False
+
     try:
-        for _ in range(400):
-            try:
-                with urlopen(f"http://127.0.0.1:{port}/livez", timeout=5) as answer:
-                    assert answer.status == 200
-                break
-            except OSError:
-                assert run.poll() is None, run.stderr.read()
-                time.sleep(0.05)
-        else:
-            pytest.fail("the service did not answer")
+        eventually(answers)
     finally:
         run.send_signal(signal.SIGINT)
-        run.communicate(timeout=120)
+        run.communicate(timeout=600)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "past"])

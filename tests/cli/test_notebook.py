@@ -105,7 +105,7 @@ def test_a_model_in_a_cell_needs_no_registration(cell):
 def test_a_model_in_a_cell_works_in_workers(how):
     script = CELL + DATA + ESTIMATE + how
     code = f"exec(compile({script!r}, '<ipython-input-1>', 'exec'))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
     assert run.returncode == 0, run.stderr
     there, here = run.stdout.split()
     assert there == here

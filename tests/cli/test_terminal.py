@@ -3,7 +3,6 @@
 import json
 import re
 import subprocess
-import time
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from service.cli import diagnose
 from service.cli.state import Asked
 from service.cli.state_file import read
 from tests.cli.conftest import RBPS
+from tests.patience import eventually
 
 # enough particles that there is time to type within the iterations
 FIT = (
@@ -140,9 +140,8 @@ def test_what_follows_the_iterations_claims_no_time(folder, terminal):
 
 def test_a_killed_run_leaves_its_iterations(folder, uninterrupted):
     run = subprocess.Popen([*RBPS, "fit", *FIT, "-n", "100000", "-q"], cwd=folder)
-    path, end = folder / ".rbps" / "data.state", time.monotonic() + 60
-    while not path.exists() and time.monotonic() < end:
-        time.sleep(0.05)
+    path = folder / ".rbps" / "data.state"
+    eventually(path.exists)
     run.kill()
     run.wait()
     asked, rows, _ = read(path, Asked)
@@ -199,9 +198,8 @@ def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, ter
 def test_a_killed_diagnosis_leaves_its_parts(folder):
     few = (*DIAGNOSE[:-1], "bias,gain")
     run = subprocess.Popen([*RBPS, *few, "-q", "--state", "kept.state"], cwd=folder)
-    path, end = folder / "kept.state", time.monotonic() + 60
-    while not path.exists() and run.poll() is None and time.monotonic() < end:
-        time.sleep(0.02)
+    path = folder / "kept.state"
+    eventually(lambda: path.exists() or run.poll() is not None)
     run.kill()
     run.wait()
     _, percent, parts = read(path, diagnose.Asked)

@@ -27,7 +27,7 @@ FLAGS = [
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 ]
 DESK = {"width": 1280, "height": 900}
-PATIENCE = 120_000.0  # ms: the machine may be shared with long studies
+PATIENCE = 600_000.0  # ms: the machine may be shared with long studies
 
 
 def chromium() -> str | None:

@@ -28,26 +28,12 @@ from service.db_schema import metadata
 from service.server import server_config
 from service.settings import Settings
 from service.store import Store
+from tests.patience import eventually
 
 # Loaded when first used, which would be in a server's thread; there Python 3.11 may fail to parse it.
 OPEN_FILE = anyio.open_file
 
 ENDED = ("successful", "failed", "dismissed")
-
-
-def slowness() -> float:
-    """By how much a machine that others use too is slower than an idle one."""
-    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
-
-
-def eventually(what: Callable[[], Any], seconds: float = 120.0) -> Any:
-    """What ``what`` returns as soon as that is true; patience costs nothing where all is well."""
-    begin = time.monotonic()
-    while not (found := what()):
-        if time.monotonic() - begin > seconds * slowness():
-            raise AssertionError(f"still {found!r} after {seconds} s")
-        time.sleep(0.02)
-    return found
 
 
 def wait_for(client: Any, url: str, until: Callable[[dict], bool], seconds: float = 120.0) -> dict:

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tests.patience import eventually
+
 
 def instructions(text: str) -> list[tuple[str, str]]:
     """[(instruction, argument)], continued lines joined, comments dropped."""
@@ -136,16 +138,11 @@ class Container:
     @property
     def pid(self) -> int:
         """The first process within, as seen from here."""
-        end = time.monotonic() + 60
-        while time.monotonic() < end:
-            try:
-                children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-                if found := children.read_text().split():
-                    return int(found[0])
-            except FileNotFoundError:
-                break
-            time.sleep(0.05)
-        raise RuntimeError("the container has ended")
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        try:
+            return int(eventually(lambda: children.read_text().split())[0])
+        except FileNotFoundError:
+            raise RuntimeError("the container has ended") from None
 
     def execute(self, words: list[str]) -> subprocess.CompletedProcess[str]:
         """Run a command within, as its user; exit code and output."""
@@ -165,11 +162,13 @@ class Container:
 
     def wait_until_healthy(self, seconds: float = 120.0) -> None:
         """Return when the image's health check succeeds."""
-        end = time.monotonic() + seconds
-        while (found := self.execute(self.image.healthcheck)).returncode:
-            if time.monotonic() > end or self.process.poll() is not None:
-                raise AssertionError(f"unhealthy: {found.stderr[-500:]}")
-            time.sleep(0.2)
+
+        def healthy() -> bool:
+            found = self.execute(self.image.healthcheck)
+            assert self.process.poll() is None, f"unhealthy: {found.stderr[-500:]}"
+            return not found.returncode
+
+        eventually(healthy, seconds, lambda: time.sleep(0.2))
 
     def stop(self) -> int:
         """SIGTERM to the first process within; its exit code."""

@@ -144,7 +144,7 @@ def test_an_unwritable_state_directory_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     env = os.environ | {"RBPS_STATE_DIR": str(tmp_path / "file" / "state")}
     done = subprocess.run(
-        [sys.executable, "-m", "service"], env=env, capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "service"], env=env, capture_output=True, text=True, timeout=600
     )
     assert done.returncode == 1
     assert done.stderr.startswith("rbps: ")
