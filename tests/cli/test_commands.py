@@ -184,7 +184,7 @@ class InMemory:
     def iteration(self, it):
         pass
 
-    def step(self, k, message=""):
+    def step(self, k, message="", share=None):
         pass
 
     def left(self, task):
@@ -366,7 +366,7 @@ def test_simulate_is_the_services_simulation(rbps):
                   request["options"]["samples"], "--seed", request["options"]["seed"], "--json")  # fmt: skip
 
     class Quiet:
-        def step(self, k, message=""):
+        def step(self, k, message="", share=None):
             pass
 
     job = load(request)

@@ -134,7 +134,7 @@ def test_what_was_kept_of_a_model_that_has_changed_since_is_not_used():
         "series": [{"y": flows.y.tolist(), "t": flows.t.tolist()}],
         "options": {"effects": ["step"], "seed": 1},
     }
-    job, silent = load(document), SimpleNamespace(step=lambda k, message="": None)
+    job, silent = load(document), SimpleNamespace(step=lambda k, message="", share=None: None)
     kept = {}
     expected = diagnoses.diagnose(job, job.request, silent, kept)["diagnosis"]
     stale = {"asked": kept["asked"] | {"another model": "0"}, "fit local-level": "not read"}
@@ -147,7 +147,7 @@ def test_progress_only_goes_forward():
     told = []
 
     class Recorded:
-        def step(self, k, message=""):
+        def step(self, k, message="", share=None):
             told.append((k, message))
 
     percent = Percent(Recorded().step)

@@ -1,11 +1,21 @@
-"""Worker processes have compiled code for all that jobs call: the first job waits for no compiler."""
+"""Worker processes have compiled code for all that jobs call: the first job waits for no compiler.
+
+Nor for a web framework, which neither a worker nor a command needs.
+"""
 
 import subprocess
 import sys
 
-# in a process of its own, for other tests of this one may have compiled what is missing
+# in a process of its own, for other tests of this one may have compiled or loaded what is missing
 SCRIPT = """
+import sys
 import numpy as np
+import service.attempt
+import service.cli.diagnose
+import service.cli.fit
+
+web = {"fastapi", "starlette", "uvicorn"} & {*sys.modules}
+assert not web, f"workers and commands load {web}, which takes as long as a small job"
 from engine.compile_kernels import compiled_kernels, warm
 from service import stages
 from service.serializers import model
@@ -16,7 +26,7 @@ class Progress:
     def rows(self): return np.zeros((0, 0))
     def start(self, theta): pass
     def iteration(self, it): pass
-    def step(self, k, message=""): pass
+    def step(self, k, message="", share=None): pass
     def left(self, task): return None
 
 def signatures():
