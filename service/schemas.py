@@ -12,7 +12,9 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainSerializer,
+    SerializerFunctionWrapHandler,
     WithJsonSchema,
+    WrapSerializer,
     field_validator,
     model_validator,
 )
@@ -327,9 +329,16 @@ def _tests(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
+def _as_asked(tests: Any, handler: SerializerFunctionWrapHandler) -> Any:
+    """None and one series as they are sent, several as a list."""
+    every = handler(tests)
+    return every if len(every) > 1 else every[0] if every else None
+
+
 Tests = Annotated[
     list[SeriesIn],
     BeforeValidator(_tests, json_schema_input_type=SeriesIn | list[SeriesIn] | None),
+    WrapSerializer(_as_asked),
 ]
 
 

@@ -195,3 +195,16 @@ def test_the_list_of_jobs_says_what_was_found(nile_diagnosis):
     assert in_a_line(unknown).startswith(Verdict.UNKNOWN.sentence + " Nearest: Step of")
     nothing = replace(nile_diagnosis, verdict=Verdict.NOTHING, causes=())
     assert in_a_line(nothing) == Verdict.NOTHING.sentence
+
+
+def test_held_out_data_are_kept_as_they_were_sent():
+    one = {"y": [[1.0], [2.0]], "dt": 1.0}
+    for sent in (None, one, [one, one]):
+        asked = DiagnoseRequest(kind="diagnose", model="linear-2", series=[one], test=sent)
+        kept = asked.model_dump()["test"]
+        again = DiagnoseRequest(kind="diagnose", model="linear-2", series=[one], test=kept)
+        assert len(again.test) == (
+            0 if sent is None else len(sent) if isinstance(sent, list) else 1
+        )
+        assert isinstance(kept, list) == isinstance(sent, list)
+        assert (kept is None) == (sent is None)

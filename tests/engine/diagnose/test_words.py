@@ -225,10 +225,13 @@ def test_a_model_that_is_not_registered_is_not_got_by_its_name(named):
     assert repr(effects) in in_the_library(named)
     again = extend(named.model, effects)
     assert again.parameter_names == named.extended.parameter_names
-    registered = SimpleNamespace(model=LINEAR, causes=named.causes)
+    registered = SimpleNamespace(model=LINEAR, causes=named.causes, substeps=1)
     assert "get_model('linear-2', effects=" in in_the_library(registered)
-    own = SimpleNamespace(model=replace(named.model, name="linear-2"), causes=named.causes)
+    renamed = replace(named.model, name="linear-2")
+    own = SimpleNamespace(model=renamed, causes=named.causes, substeps=1)
     assert "get_model" not in in_the_library(own)  # a name alone is not enough
+    finer = SimpleNamespace(model=renamed, causes=named.causes, substeps=4)
+    assert "series.refined(4)" in in_the_library(finer)
 
 
 def test_parameters_that_a_bound_has_stopped_have_no_standard_error(named):

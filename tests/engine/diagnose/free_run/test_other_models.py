@@ -87,7 +87,7 @@ def test_it_is_asked_however_many_inputs_there_are(inputs):
     base = _base(model, series)
     nothing = Causes(base, None, Search(base, base, (), False), Verdict.NOTHING, ())
     said = second_opinion(
-        nothing, series, model.theta(), alpha=0.05, kinds=("force", "bias"), seed=0,
+        nothing, [series], model.theta(), alpha=0.05, kinds=("force", "bias"), seed=0,
         progress=lambda stage, fraction: None,
     )  # fmt: skip
     assert "not asked" not in said.reason
