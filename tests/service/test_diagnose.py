@@ -11,6 +11,7 @@ from engine.data import nile
 from engine.diagnose import Verdict, extend
 from service import diagnoses
 from service.diagnoses import Percent, in_a_line
+from service.schemas import DiagnoseRequest
 from service.validation import load
 
 
