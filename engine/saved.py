@@ -30,7 +30,7 @@ from engine.simulation.fit import SimulationFit, with_runs
 from engine.statespace.model import MixedModel
 
 FORMAT = 1
-ARRAYS = ("trace", "log_likelihood", "ess", "seconds", "collapsed")  # of an EmResult
+ARRAYS = ("trace", "log_likelihood", "ess", "seconds", "collapsed", "memory")  # of an EmResult
 Kept = EmResult | SimulationFit | Diagnosis
 
 
@@ -152,6 +152,7 @@ def _content(found: Kept) -> tuple[str, dict[str, Any]]:
 
 
 def _em(model: Any, content: Mapping[str, Any]) -> EmResult:
+    content = {"memory": [[]] * len(content["ess"]), **content}  # an earlier version has none
     arrays = {name: np.array(content[name], dtype=float) for name in ARRAYS}
     arrays["trace"] = arrays["trace"].reshape(-1, len(model.parameters))
     return EmResult(

@@ -19,7 +19,13 @@ from service.bodies import json_route
 from service.downsample import keep, thin_results
 from service.etags import with_etag
 from service.examples import EXAMPLES
-from service.lookup import find_job, find_result, parameter_names, stopped_estimate
+from service.lookup import (
+    find_job,
+    find_result,
+    has_estimates,
+    parameter_names,
+    stopped_estimate,
+)
 from service.openapi import LINKS, IdempotencyKey, JobId, Points, problem_answers
 from service.preview import preview
 from service.problems import Problem, invalid
@@ -186,7 +192,8 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     def job(caller: Caller, http: HttpRequest, job_id: JobId) -> Response:
         row = find(job_id, caller)
         headers = {} if row.status in ENDED else {"Retry-After": "1"}
-        return with_etag(http, serializers.job_status(row).model_dump_json().encode(), headers)
+        status = serializers.job_status(row, has_estimates(store, row))
+        return with_etag(http, status.model_dump_json().encode(), headers)
 
     @api.get(
         "/jobs/{job_id}/trace",
@@ -232,10 +239,8 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         caller: Caller, http: HttpRequest, job_id: JobId, points: Points = None
     ) -> Response:
         row = find(job_id, caller)
-        if (reached := stopped_estimate(store, row)) is not None:
-            body = dumps(reached).encode()
-        else:
-            body = find_result(store, row)
+        reached = None if has_estimates(store, row) else stopped_estimate(store, row)
+        body = find_result(store, row) if reached is None else dumps(reached).encode()
         if points is not None:
             body = dumps(thin_results(json.loads(body), points)).encode()
         return with_etag(http, body)

@@ -98,6 +98,7 @@ class StoredProgress:
         self.store, self.attempt = store, attempt
         self.k, self._stage = 0, ""
         self._pending: dict[int, Array] = {}
+        self._memory: dict[int, Array] = {}
         self._latest: Any = None
         self._written, self._begun = 0.0, time.monotonic()
 
@@ -109,6 +110,10 @@ class StoredProgress:
             log.info("goes on after iteration %d", self.k, extra={"job": self.attempt.job_id})
         return rows
 
+    def memory(self) -> Array:
+        """What they left to the next."""
+        return self.store.memory(self.attempt.job, self.attempt.task)
+
     def start(self, theta: Theta) -> None:
         """Row 0: where the estimation starts."""
         self._pending[0] = np.append(theta, [np.nan] * 4)
@@ -117,7 +122,7 @@ class StoredProgress:
     def iteration(self, it: Any) -> None:
         """The engine's callback."""
         numbers = [it.log_likelihood, it.ess, it.seconds, it.collapsed]
-        self._pending[it.k] = np.append(it.theta, numbers)
+        self._pending[it.k], self._memory[it.k] = np.append(it.theta, numbers), it.memory
         self.k, self._latest = it.k, it
         if time.monotonic() - self._written > FLUSH_SECONDS:
             self.flush(ran=time.monotonic() - self._begun, stage=ITERATIONS)
@@ -126,6 +131,11 @@ class StoredProgress:
         """Progress without a checkpoint."""
         self.k = k
         self.flush(message, stage=message.partition(",")[0][:60], share=share)
+
+    def estimated(self, document: dict[str, Any]) -> None:
+        """The result so far, for whoever asks meanwhile."""
+        if not self.store.show(self.attempt, document):
+            _leave(self.attempt)
 
     def left(self, task: int) -> Any:
         """What a task of an earlier stage left."""
@@ -151,10 +161,11 @@ class StoredProgress:
             ran,
             self._stage,
             share,
+            self._memory,
         )
         if not mine:
             _leave(self.attempt)
-        self._pending, self._written = {}, time.monotonic()
+        self._pending, self._memory, self._written = {}, {}, time.monotonic()
 
 
 class StoredParts(dict[str, Any]):

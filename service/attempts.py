@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from itertools import accumulate
 from typing import Any
 
-from sqlalchemy import and_, delete, func, insert, select, text
+from sqlalchemy import and_, delete, func, insert, or_, select, text
 
 from engine.statespace.model import Array
 from service.db_schema import ITERATIONS, connect, documents, iterations, jobs, tasks, turns
@@ -17,6 +17,7 @@ from service.reserve import Reserve
 from service.strict_json import dumps, finite
 from service.transitions import (
     KEPT,
+    PRELIMINARY,
     Attempt,
     add_tasks,
     change_job,
@@ -157,8 +158,9 @@ class Attempts:
         ran: float | None = None,
         stage: str = ITERATIONS,
         share: float | None = None,
+        memory: Mapping[int, Array] | None = None,
     ) -> bool:
-        """Write progress, with the iterations {k: row} done since the last time.
+        """Write progress, with the iterations {k: row} done since the last time, and their ``memory``.
 
         ``share`` of the ``stage`` is done; of the iterations it is known by their number.
 
@@ -170,8 +172,12 @@ class Attempts:
                 return False
             key = {"job": attempt.job, "task": attempt.task}
             if rows:
+                known = memory or {}
                 new = [
-                    key | {"k": k, "row": row.astype(float).tobytes()} for k, row in rows.items()
+                    key
+                    | {"k": k, "row": row.astype(float).tobytes()}
+                    | {"memory": known[k].tobytes() if k in known else None}
+                    for k, row in rows.items()
                 ]
                 sql.execute(insert(iterations), new)
             progress: dict[str, Any] = {"updated": time.time(), "stage_share": share}
@@ -205,6 +211,17 @@ class Attempts:
             put(sql, attempt.job, f"{KEPT}{n:08d}", text)
             return ran is None or not leave(sql, attempt, ran)
 
+    def show(self, attempt: Attempt, result: Any) -> bool:
+        """Write what is known of the result, in place of what was known before."""
+        with self._engine.begin() as sql:
+            locked(sql, attempt.job)
+            if not mine(sql, attempt, state="running"):
+                return False
+            known = and_(documents.c.job == attempt.job, documents.c.name == PRELIMINARY)
+            sql.execute(delete(documents).where(known))
+            put(sql, attempt.job, PRELIMINARY, dumps(result))
+        return True
+
     def finish(self, attempt: Attempt, result: Any, message: str = "") -> bool:
         """The task is done. The last task of a stage starts the next; that of all ends the job."""
         with self._engine.begin() as sql:
@@ -216,8 +233,9 @@ class Attempts:
             last = attempt.task + 1 == ends[-1]
             put(sql, attempt.job, "result" if last else f"task-{attempt.task}", dumps(result))
             if last:
-                left_over = and_(documents.c.job == job.seq, documents.c.name.startswith(KEPT))
-                sql.execute(delete(documents).where(left_over))
+                name = documents.c.name
+                left_over = or_(name.startswith(KEPT), name == PRELIMINARY)
+                sql.execute(delete(documents).where(documents.c.job == job.seq, left_over))
                 end(sql, job.seq, "successful", message=message)
             elif set(states) == {"done"}:
                 stage = ends.index(len(states))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -29,7 +30,17 @@ from service.validation import Prepared
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
 WIDE_NATS = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
+WITHOUT_INTERVALS = "Its intervals are symmetric as yet."
+WITHOUT_ERRORS = "Its standard errors are not there yet."
 LOGNORMAL_DRAWS = 4000  # of that mean, to know its error to about one per cent
+
+
+METHODS: dict[str, Callable[..., engine.EmResult]] = {
+    "quasi-newton": partial(engine.rbps_em, method="quasi-newton"),
+    "rbps-em": partial(engine.rbps_em, method="em"),
+    "ps-em": engine.ps_em,
+    "rts-em": engine.rts_em,
+}
 
 
 class Progress(Protocol):
@@ -37,6 +48,9 @@ class Progress(Protocol):
 
     def rows(self) -> Array:
         """Iterations already done, (k + 1, n_theta + 4), start first; (0, ...) at a first attempt."""
+
+    def memory(self) -> Array:
+        """What each of these left to the next (k, m); see ``engine.Checkpoint``."""
 
     def start(self, theta: Theta) -> None:
         """Row 0 of a first attempt."""
@@ -46,6 +60,9 @@ class Progress(Protocol):
 
     def step(self, k: int, message: str = "", share: float | None = None) -> None:
         """Progress of what has no iterations; ``share`` of the message's stage, before its comma, is done."""
+
+    def estimated(self, document: dict[str, Any]) -> None:
+        """The result of an estimation before its standard errors."""
 
     def left(self, task: int) -> Any:
         """What a task of an earlier stage left."""
@@ -105,11 +122,11 @@ def fit(
     progress: Progress,
     simulation_first: bool = False,
 ) -> dict[str, Any]:
-    """EM from theta0, going on where an earlier attempt was; rows as in ``db_schema.iterations``.
+    """Estimate from theta0, going on where an earlier attempt was; rows as in ``db_schema.iterations``.
 
     With ``simulation_first`` it leaves from the fit of the simulation.
     """
-    method = getattr(engine, options.method.replace("-", "_"))
+    method = METHODS[options.method]
     arguments: dict[str, Any] = {"n_iterations": options.iterations}
     if options.method != "rts-em":
         arguments |= {"n_particles": options.particles, "seed": seed}
@@ -117,7 +134,8 @@ def fit(
     rows = progress.rows()
     if len(rows):
         trace, columns = np.split(rows, [len(job.model.parameters)], axis=1)
-        arguments["resume"] = engine.Checkpoint(trace, *columns[1:].T)
+        checkpoint = engine.Checkpoint(trace, *columns[1:].T)
+        arguments["resume"] = replace(checkpoint, memory=progress.memory())
     else:
         if simulation_first:
             theta0 = fit_simulation(job, options, progress).theta
@@ -152,16 +170,34 @@ def describe(
     progress.step(done, "smoothing the states at the estimate")
     states = _states(job, theta, n, options.trajectories or n, rng, options.method)
     message = found["message"]
+    likelihood = log_likelihood(job, theta, n, rng, options.method)
+    if not (likelihood["spread"] or 0.0) < WIDE_NATS:
+        message += (
+            f" The log-likelihood is known poorly, and is probably too low: {LIKELIHOOD_RUNS} passes of the "
+            f"filter scatter by {likelihood['spread']:.2g}. Use more particles."
+        )
+    rest = {
+        "outcome": found["outcome"],
+        "log_likelihood": likelihood,
+        "trace": trace_document(model.parameter_names, found),
+    }
+    documented = partial(
+        estimation_document, model, theta, found["free"], job.series, states, seed=options.seed
+    )
     errors: StandardErrors | None = None
     intervals: LikelihoodIntervals | None = None
     at, exact = (model, theta, job.series), options.method == "rts-em"
     if options.standard_errors and not options.bootstrap:
+        said = f"{message} {WITHOUT_ERRORS}"
+        progress.estimated({**documented((None, None)), **rest, "message": said})
         progress.step(done, "standard errors")
         ask = partial(engine.standard_errors, *at, job.free, seed=options.seed, exact=exact)
         errors, why = _tried(ask)
         message += f" No standard errors: {why}" if why else ""
     if errors is not None and options.intervals == "likelihood-ratio":
         names = list(errors.names)
+        said = f"{message} {WITHOUT_INTERVALS}"
+        progress.estimated({**documented((errors, None)), **rest, "message": said})
 
         def sought(name: str) -> None:
             k, n = names.index(name), len(names)
@@ -171,23 +207,7 @@ def describe(
         intervals, why = _tried(partial(sides, seed=options.seed, exact=exact))
         message += f" Intervals are symmetric: {why}" if why else ""
     progress.step(done, "comparing simulation and prediction with the data")
-    uncertainty = (errors, intervals)
-    document = estimation_document(
-        model, theta, found["free"], job.series, states, uncertainty, options.seed
-    )
-    likelihood = log_likelihood(job, theta, n, rng, options.method)
-    if not (likelihood["spread"] or 0.0) < WIDE_NATS:
-        message += (
-            f" The log-likelihood is known poorly, and is probably too low: {LIKELIHOOD_RUNS} passes of the "
-            f"filter scatter by {likelihood['spread']:.2g}. Use more particles."
-        )
-    return {
-        **document,
-        "outcome": found["outcome"],
-        "message": message,
-        "log_likelihood": likelihood,
-        "trace": trace_document(model.parameter_names, found),
-    }
+    return {**documented((errors, intervals)), **rest, "message": message}
 
 
 def _tried(compute: Callable[[], Any]) -> tuple[Any, str]:

@@ -112,6 +112,7 @@ iterations = Table(
     Column("task", Integer, primary_key=True),
     Column("k", Integer, primary_key=True),
     Column("row", LargeBinary, nullable=False),
+    Column("memory", LargeBinary),  # float64, what the next iteration needs besides, if anything
 )
 
 # Large JSON, compressed: the request, the result, "task-i", what task i leaves to later stages, and

@@ -21,7 +21,7 @@ EXAMPLES: dict[str, Any] = {
                 }
             ],
             "parameters": {"start": {"q": 1000.0, "r": 10000.0}, "free": ["q", "r"]},
-            "options": {"method": "rbps-em", "particles": 50, "iterations": 30, "seed": 1},
+            "options": {"method": "quasi-newton", "particles": 50, "iterations": 30, "seed": 1},
         },
     },
     "smooth": {

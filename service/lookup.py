@@ -12,6 +12,7 @@ from service import serializers
 from service.auth import Keys
 from service.problems import Problem
 from service.store import Store
+from service.transitions import PRELIMINARY
 from service.validation import load
 
 
@@ -29,6 +30,8 @@ def find_result(store: Store, row: Any) -> bytes:
         raise Problem.of(json.loads(row.problem))
     if row.removed:
         raise Problem(404, "dismissed", f"of job '{row.id}' {row.message}")
+    if row.status != "successful" and (body := store.document(row.seq, PRELIMINARY)) is not None:
+        return body
     if row.status == "dismissed":
         detail = (
             f"job '{row.id}' was stopped before its results; POST /jobs/{row.id}/resume goes on"
@@ -39,6 +42,12 @@ def find_result(store: Store, row: Any) -> bytes:
         detail = f"job '{row.id}' is {row.status}; its results come when it is successful"
         raise Problem(404, "result-not-ready", detail, retry_after=1)
     return body
+
+
+def has_estimates(store: Store, row: Any) -> bool:
+    """Whether a job that is not successful has a result already, without its standard errors."""
+    open_ = row.status in ("accepted", "running", "dismissed") and not row.removed
+    return open_ and store.has_document(row.seq, PRELIMINARY)
 
 
 def parameter_names(store: Store, row: Any) -> list[str]:

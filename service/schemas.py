@@ -233,14 +233,15 @@ Trajectories = Annotated[Particles | None, Field(description="null means as many
 class EstimateOptions(_Strict):
     """How to estimate."""
 
-    method: Literal["simulation", "rbps-em", "ps-em", "rts-em"] = Field(
-        default="rbps-em",
-        description="simulation: least squares on the simulation without noise; the others are maximum "
-        "likelihood",
+    method: Literal["quasi-newton", "simulation", "rbps-em", "ps-em", "rts-em"] = Field(
+        default="quasi-newton",
+        description="maximum likelihood by steps on the log-likelihood, or by EM: with Rao-Blackwellized "
+        "particles, with particles alone, or exact, for linear models; simulation: least squares on the "
+        "simulation without noise",
     )
     first: Literal["none", "simulation"] = Field(
         default="none",
-        description="simulation: EM leaves from the least-squares fit of the simulation",
+        description="simulation: iterations leave from the least-squares fit of the simulation",
     )
     particles: Particles = 50
     trajectories: Trajectories = None

@@ -21,11 +21,11 @@ from service.strict_json import finite
 AFTER_ITERATIONS = 70  # per cent
 
 
-def job_status(row: Any) -> JobStatus:
-    """The status document of a row of ``jobs``."""
+def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
+    """The status document of a row of ``jobs``; ``has_estimates`` before the job is successful, or has not."""
     here = f"/jobs/{row.id}"
     links = [Link(href=here, rel="self"), Link(href=f"{here}/trace", rel="trace")]
-    if row.status == "successful" and not row.removed:
+    if has_estimates or (row.status == "successful" and not row.removed):
         links.append(Link(href=f"{here}/results", rel="results"))
         links.append(Link(href=f"{here}/report", rel="report"))
     if row.status in ("failed", "dismissed") and not row.removed:

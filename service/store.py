@@ -190,6 +190,20 @@ class Store(Attempts):
         found = self._rows(query)
         return [k for k, _ in found], np.array([np.frombuffer(row) for _, row in found])
 
+    def has_document(self, seq: int, name: str) -> bool:
+        """Whether a job has a document of that name."""
+        there = select(documents.c.name).where(documents.c.job == seq, documents.c.name == name)
+        return bool(self._rows(there))
+
+    def memory(self, seq: int, task: int) -> Array:
+        """What iterations 1, 2, ... of a task left to the next (k, m), see ``iterations.memory``."""
+        query = (
+            select(iterations.c.memory)
+            .where(iterations.c.job == seq, iterations.c.task == task, iterations.c.k > 0)
+            .order_by(iterations.c.k)
+        )
+        return np.array([np.frombuffer(one or b"") for (one,) in self._rows(query)])
+
     def tasks(self, seq: int) -> list[tuple[Row[Any], Array | None]]:
         """The tasks there are so far, each with its latest iteration's row, see ``rows``."""
         here = and_(

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.series import Series, as_series_list
+from engine.errors import OptionError
 from engine.estimation.e_steps import rbps_step, rts_step
 from engine.estimation.em_loop import Callback, Loop, iterate
 from engine.estimation.em_result import Checkpoint as Checkpoint
@@ -15,9 +18,13 @@ from engine.estimation.em_result import EmResult as EmResult
 from engine.estimation.em_result import Iteration as Iteration
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.quasi_ml import with_scales
+from engine.estimation.quasi_newton import Ascent
 from engine.estimation.start import WarmStart
 from engine.filters.proposals import Proposal
 from engine.statespace.model import MixedModel, ThetaLike
+
+METHODS = ("quasi-newton", "em")
+WORTH = 20.0  # nats per parameter and ``tolerance`` that Monte Carlo noise may cost
 
 
 def rbps_em(
@@ -40,8 +47,9 @@ def rbps_em(
     m_step: str = "scoring",
     tolerance: float | None = 1e-3,
     warm_start: bool = True,
+    method: str = "quasi-newton",
 ) -> EmResult:
-    """Estimate theta from one or several series; paper, Algorithm 1 (RBPS-EM).
+    """Estimate theta from one or several series by maximum likelihood; paper, Algorithm 1 (RBPS-EM).
 
     Parameters that move what has no noise are moved by :mod:`engine.estimation.likelihood_step`; ``message``
     of the result says so.
@@ -83,10 +91,14 @@ def rbps_em(
     m_step : str
         ``scoring`` or ``bfgs``, see :mod:`engine.estimation.maximization`.
     tolerance : float, optional
-        Of the convergence rule in :mod:`engine.estimation.convergence`; None uses all iterations.
+        Of the convergence rule in :mod:`engine.estimation.convergence`; of the quasi-Newton method, what Monte
+        Carlo noise may cost, 20 nats per parameter times it; None uses all iterations.
     warm_start : bool
         Let the first iteration leave from the maximum of an approximate likelihood where ``theta0`` is far
-        less likely, see :mod:`engine.estimation.start`; False always starts EM at ``theta0``.
+        less likely, see :mod:`engine.estimation.start`; False always starts at ``theta0``.
+    method : str
+        ``quasi-newton`` takes steps on the log-likelihood by the score that the E step gives, see
+        :mod:`engine.estimation.quasi_newton`, and EM's where it cannot; ``em`` is the paper's.
 
     Returns
     -------
@@ -102,6 +114,7 @@ def rbps_em(
     ModelError
         The model's functions, shapes or covariances cannot be used.
     """
+    newton = _is_newton(method)
     all_series = as_series_list(series, model)
     given, model = model, scaled(model, all_series, theta0, free, resume)
     expect = rbps_step(
@@ -118,7 +131,9 @@ def rbps_em(
     indices = model.free_indices(free)
     start = WarmStart(model, all_series, indices) if warm_start else None
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
-    found = iterate(model, expect, loop, start, LikelihoodStep(model, all_series))
+    likelihood = LikelihoodStep(model, all_series)
+    ascent = _ascent(likelihood, indices, tolerance) if newton else None
+    found = iterate(model, expect, loop, start, likelihood, ascent)
     note = f" {start.note}" if start is not None and start.note else ""
     return replace(found, model=given, message=found.message + note)
 
@@ -134,6 +149,7 @@ def rts_em(
     *,
     m_step: str = "scoring",
     tolerance: float | None = 1e-6,
+    method: str = "em",
 ) -> EmResult:
     """Estimate a linear Gaussian model by exact EM (RTS-EM of the paper, section V).
 
@@ -159,6 +175,8 @@ def rts_em(
         ``scoring`` or ``bfgs``.
     tolerance : float, optional
         Of the convergence rule in :mod:`engine.estimation.convergence`; None uses all iterations.
+    method : str
+        ``em``, or ``quasi-newton`` as for :func:`rbps_em`.
 
     Returns
     -------
@@ -174,12 +192,34 @@ def rts_em(
     SeriesError
         The data do not fit the model.
     """
+    newton = _is_newton(method)
     all_series = as_series_list(series, model)
     given, model = model, scaled(model, all_series, theta0, free, resume)
     loop = Loop(theta0, free, n_iterations, 0, callback, resume, m_step, tolerance)
     likelihood = LikelihoodStep(model, all_series, "the exact", worth=1e-8)
-    found = iterate(model, rts_step(model, all_series), loop, likelihood=likelihood)
+    ascent = _ascent(likelihood, model.free_indices(free), tolerance, True) if newton else None
+    expect = rts_step(model, all_series)
+    found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent)
     return replace(found, model=given)
+
+
+def _is_newton(method: str) -> bool:
+    if method not in METHODS:
+        raise OptionError(f"method '{method}' is not known; use {' or '.join(METHODS)}", "method")
+    return method == "quasi-newton"
+
+
+def _ascent(
+    likelihood: LikelihoodStep,
+    indices: NDArray[np.intp],
+    tolerance: float | None,
+    exact: bool = False,
+) -> Ascent:
+    """The rule of the quasi-Newton method for the free parameters ``indices``."""
+    rows = sum(map(len, likelihood.all_series))
+    worth = np.inf if tolerance is None else WORTH * tolerance
+    information = partial(likelihood.information, indices=indices)
+    return Ascent(likelihood.model, indices, information, rows, worth, exact)
 
 
 def scaled(

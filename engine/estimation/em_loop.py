@@ -15,16 +15,18 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.errors import OptionError, check_count
+from engine.errors import ModelError, OptionError, check_count
 from engine.estimation.convergence import WINDOW, has_settled
 from engine.estimation.e_steps import LOST_SHARE, EStep, Expect
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
 from engine.estimation.expectation import parameter_scale
-from engine.estimation.likelihood_step import LikelihoodStep
-from engine.estimation.maximization import Objective, maximize
+from engine.estimation.likelihood_step import LikelihoodStep, score_of
+from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
+from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
 from engine.estimation.start import FAR_NATS
-from engine.statespace.base import BaseModel, Theta, ThetaLike
+from engine.filters.sigma_point import free_thetas
+from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
 
 Callback: TypeAlias = Callable[[Iteration], Any]
 
@@ -52,24 +54,27 @@ def iterate(
     loop: Loop,
     better_start: Callable[[Theta], Theta | None] | None = None,
     likelihood: LikelihoodStep | None = None,
+    ascent: Ascent | None = None,
 ) -> EmResult:
     """Algorithm 1 of the paper: E step, M step, settled?
 
     ``better_start`` may name a point from which the first iteration leaves if that is far more likely;
-    ``likelihood`` moves the parameters to which the Q-function is no guide.
+    ``likelihood`` moves the parameters to which the Q-function is no guide. ``ascent`` replaces the M step
+    where it can.
     """
     n = loop.n_iterations
     check_count("n_iterations", n)
+    check_m_step(loop.m_step)
     indices = model.free_indices(loop.free)
-    log = _Log(model, loop)
-    steps = _Steps(expect, indices, loop, better_start, likelihood)
+    log = _Log(model, loop, len(indices) if ascent is not None else 0)
+    steps = _Steps(expect, indices, loop, better_start, likelihood, ascent)
     outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
         if settled:
             break
         started = time.perf_counter()
-        last = steps.m_step(steps.e_step(k, log.theta))
+        last = steps.move(k, log.theta, log.memory)
         seconds = time.perf_counter() - started
         it = log.add(k, last, seconds)
         if not last.finite:
@@ -82,7 +87,7 @@ def iterate(
     if settled and outcome is not Outcome.STOPPED_BY_CALLER:
         outcome = Outcome.CONVERGED
     if last is None and log.k:  # all was done before: the last iteration again, for what it said
-        last = steps.m_step(steps.e_step(log.k, log.trace[-2]))
+        last = steps.move(log.k, log.trace[-2], log.memory[:-1])
     names = tuple(model.parameter_names[i] for i in indices)
     return log.result(names, outcome, last)
 
@@ -108,6 +113,7 @@ class _Maximized:
     by_likelihood: tuple[str, ...] = ()
     whose: str = ""
     stuck: tuple[str, ...] = ()
+    memory: Memory | None = None
 
     def not_moved(self, indices: Sequence[int]) -> tuple[str, ...]:
         """Names of the free parameters that neither Q nor the likelihood depends on."""
@@ -127,16 +133,63 @@ class _Steps:
     loop: Loop
     better_start: Callable[[Theta], Theta | None] | None
     likelihood: LikelihoodStep | None
+    ascent: Ascent | None
+
+    def move(self, k: int, theta: Theta, memory: Sequence[Memory | None]) -> _Maximized:
+        """Iteration k from theta, ``memory`` being what those before it left."""
+        expected = self.e_step(k, theta)
+        ascended = self._ascend(k, expected, memory) if self.ascent is not None else None
+        return self.m_step(expected) if ascended is None else ascended
 
     def e_step(self, k: int, theta: Theta) -> _Expected:
         """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point."""
         rng = np.random.default_rng(np.random.SeedSequence(self.loop.seed, spawn_key=(k,)))
         seen = self.expect(theta, rng)
         if k == 1 and self.better_start is not None:
-            return _Expected(
-                seen, *_more_likely(self.expect, self.better_start(theta), theta, seen, rng)
-            )
+            by = FAR_NATS if self.ascent is None else 0.0
+            better = self.better_start(theta)
+            return _Expected(seen, *_more_likely(self.expect, better, theta, seen, rng, by))
         return _Expected(seen, theta, seen)
+
+    def _ascend(
+        self, k: int, expected: _Expected, memory: Sequence[Memory | None]
+    ) -> _Maximized | None:
+        """theta_k by a step on the log-likelihood; None where it should be EM's."""
+        at, q = expected.at, expected.origin.q
+        before: list[Memory] = []
+        for one in reversed(memory):
+            if one is None:
+                break
+            before.insert(0, one)
+        x, n = np.asarray(at)[self.indices], len(self.indices)
+        value, exact = expected.origin.log_likelihood, np.zeros(n, bool)
+        score, complete = np.full(n, np.nan), np.zeros((n, n))
+        if np.isfinite(value):
+            try:
+                score, complete, exact = score_of(q, at, self.indices, self.likelihood)
+            except ModelError:
+                return None
+        found = None
+        if self.ascent is not None and n:
+            noise = float(np.sqrt(self.ascent.rows / max(expected.origin.ess, 1.0)))
+            seen = Seen(np.asarray(at), x, score, complete, value, noise)
+            found = self.ascent.next(seen, before, k)
+        if found is None:
+            return None
+        new = Theta(free_thetas(np.asarray(at), self.indices, found[0][None])[0], at.names)
+        silent = exact & ~(np.diag(complete) > 0.0)
+        names = np.array(at.names)[self.indices]
+        return _Maximized(
+            new,
+            expected.seen,
+            True,
+            q,
+            at,
+            tuple(names[exact & ~silent]),
+            "" if self.likelihood is None else self.likelihood.whose,
+            tuple(names[silent]),
+            found[1],
+        )
 
     def m_step(self, expected: _Expected) -> _Maximized:
         """theta_k = arg max Q; what enters without noise is moved by the likelihood instead."""
@@ -162,13 +215,18 @@ class _Steps:
 
 
 def _more_likely(
-    expect: Expect, other: Theta | None, theta: Theta, step: EStep, rng: np.random.Generator
+    expect: Expect,
+    other: Theta | None,
+    theta: Theta,
+    step: EStep,
+    rng: np.random.Generator,
+    by: float,
 ) -> tuple[Theta, EStep]:
-    """Theta with its E step, or the other if that is far more likely by the particle filter."""
+    """Theta with its E step, or the other if that is more likely ``by`` so many nats by the particle filter."""
     if other is not None:
         there = expect(other, rng)
         gain = there.log_likelihood - step.log_likelihood
-        if np.isfinite(there.log_likelihood) and not gain < FAR_NATS:
+        if np.isfinite(there.log_likelihood) and not gain < by:
             return other, there
     return theta, step
 
@@ -185,8 +243,9 @@ def _stops(callback: Callback | None, iteration: Iteration) -> bool:
 class _Log:
     """The trace as it grows."""
 
-    def __init__(self, model: BaseModel, loop: Loop) -> None:
-        self.model, self.loop = model, loop
+    def __init__(self, model: BaseModel, loop: Loop, n: int) -> None:
+        self.model, self.loop, self.n = model, loop, n
+        self.memory: list[Memory | None] = []
         resume = loop.resume
         if resume is None:
             self.trace = [model.theta(loop.theta0)]
@@ -202,6 +261,8 @@ class _Log:
         self.trace = [model.theta(row) for row in resume.trace]
         columns = (resume.log_likelihood, resume.ess, resume.seconds, resume.collapsed)
         self.rows = list(zip(*(column.tolist() for column in columns), strict=True))
+        known = [Memory.of(row, n) for row in resume.memory] if n else []
+        self.memory = known if len(known) == self.k else [None] * self.k
 
     @property
     def k(self) -> int:
@@ -214,12 +275,21 @@ class _Log:
     def add(self, k: int, done: _Maximized, seconds: float) -> Iteration:
         step, n = done.seen, self.loop.n_iterations
         self.trace.append(done.theta)
+        self.memory.append(done.memory)
         self.rows.append((step.log_likelihood, step.ess, seconds, step.collapsed))
-        return Iteration(k, n, done.theta, step.log_likelihood, step.ess, seconds, step.collapsed)
+        health = (step.log_likelihood, step.ess, seconds, step.collapsed)
+        return Iteration(k, n, done.theta, *health, self._packed(done.memory))
+
+    def _packed(self, memory: Memory | None) -> Array:
+        return np.full(width(self.n) if self.n else 0, np.nan) if memory is None else memory.row()
 
     def settled(self, indices: Any) -> bool:
         tolerance = self.loop.tolerance
-        if tolerance is None or self.k < 2 * WINDOW:
+        if tolerance is None:
+            return False
+        if self.memory and self.memory[-1] is not None:
+            return self.memory[-1].settled
+        if self.k < 2 * WINDOW or any(m is not None for m in self.memory[-2 * WINDOW :]):
             return False
         trace = np.array(self.trace[-2 * WINDOW - 1 :])
         theta = np.asarray(self.theta)
@@ -230,7 +300,7 @@ class _Log:
         trace = np.array([np.asarray(row) for row in self.trace])
         log_likelihood, ess, seconds, collapsed = np.array(self.rows).reshape(-1, 4).T
         theta = trace[-1]
-        if outcome is Outcome.CONVERGED:
+        if outcome is Outcome.CONVERGED and self.memory[-1] is None:
             theta = trace[-WINDOW:].mean(axis=0)
         lost = collapsed[-WINDOW:].mean() if self.k else 0.0
         if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
@@ -264,4 +334,5 @@ class _Log:
             outcome,
             message,
             stuck,
+            np.array([self._packed(m) for m in self.memory]).reshape(self.k, -1),
         )

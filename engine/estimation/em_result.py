@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from engine.estimation.outcome import Outcome
+from engine.estimation.quasi_newton import width
 from engine.statespace.base import Array, BaseModel, Theta
 from engine.views import Figures, Shown, View, figures, frame, plots, save, sheet, tables
 from engine.words import tidy
@@ -32,6 +33,8 @@ class Iteration:
         What it took.
     collapsed : float
         Share of the rows at which the filter had one particle left.
+    memory : array (m,)
+        What the next iteration needs besides, see :mod:`engine.estimation.quasi_newton`; EM needs nothing.
     """
 
     k: int
@@ -41,6 +44,7 @@ class Iteration:
     ess: float
     seconds: float
     collapsed: float
+    memory: Array = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +63,8 @@ class Checkpoint:
         What each iteration took.
     collapsed : array (k,)
         Shares of the rows at which the filter had one particle left.
+    memory : array (k, m)
+        What the quasi-Newton method needs besides, a row per iteration; NaN, or no columns, after EM's.
     """
 
     trace: Array
@@ -66,6 +72,12 @@ class Checkpoint:
     ess: Array
     seconds: Array
     collapsed: Array
+    memory: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @staticmethod
+    def width(n: int) -> int:
+        """Numbers in a row of ``memory`` where n parameters are free."""
+        return width(n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +108,8 @@ class EmResult(Shown):
         The same in a sentence, with the particulars.
     not_estimated : tuple of str
         Free parameters that nothing could move: they are where they started.
+    memory : array (K, m)
+        As of a :class:`Checkpoint`.
     """
 
     model: BaseModel
@@ -109,11 +123,13 @@ class EmResult(Shown):
     outcome: Outcome
     message: str
     not_estimated: tuple[str, ...] = ()
+    memory: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def checkpoint(self) -> Checkpoint:
         """What ``resume=`` takes to go on from here."""
-        return Checkpoint(self.trace, self.log_likelihood, self.ess, self.seconds, self.collapsed)
+        columns = (self.log_likelihood, self.ess, self.seconds, self.collapsed)
+        return Checkpoint(self.trace, *columns, self.memory)
 
     def plot(self, intervals: Array | None = None) -> Figures:
         """``convergence``: every free parameter by iteration, log-likelihood, effective sample size.
@@ -141,7 +157,7 @@ class EmResult(Shown):
             )
         ]
         return sheet(
-            f"{self.model.name}: {len(self.log_likelihood)} iterations of EM",
+            f"{self.model.name}: {len(self.log_likelihood)} iterations",
             tables().line(self.message),
             tables().line(self._likelihood()),
             tables().table(("parameter", "estimate", "unit", "start", ""), rows),

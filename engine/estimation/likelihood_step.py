@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.errors import ModelError
+from engine.estimation.maximization import Objective
 from engine.estimation.quasi_ml import derivatives, quasi_ml
 from engine.statespace.model import Array, MixedModel, Theta
 
@@ -50,6 +51,14 @@ class LikelihoodStep:
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)
 
+    def information(self, theta: Array, indices: NDArray[np.intp]) -> Array | None:
+        """Of the parameters ``indices`` (n, n), or None where it cannot be had."""
+        try:
+            value, _, found = derivatives(self.model, self.all_series, theta, indices)
+        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return None
+        return found if np.isfinite(value) else None
+
     def score(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Array, Array]:
         """Gradient (n,) and information (n, n) in the parameters ``indices``. Raises ModelError."""
         value, gradient, information = derivatives(
@@ -62,3 +71,20 @@ class LikelihoodStep:
                 "likelihood, which alone could tell how well it is known, is not finite here"
             )
         return gradient, information
+
+
+def score_of(
+    q: Objective, theta: Theta, indices: NDArray[np.intp], likelihood: LikelihoodStep | None
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Score (n,) and complete-data information (n, n) in the parameters ``indices`` by Fisher's identity.
+
+    That does not hold for parameters that move what has no noise, the third (n,): theirs is that of
+    ``likelihood``. Raises ModelError where it cannot be had.
+    """
+    _, gradient, information = q.derivatives(theta, indices)
+    exact = q.moves_noise_free(theta, indices)
+    if exact.any() and likelihood is not None:
+        gradient[exact], own = likelihood.score(theta, indices[exact])
+        information[exact] = information[:, exact] = 0.0
+        information[np.ix_(exact, exact)] = own
+    return gradient, information, exact

@@ -13,6 +13,7 @@ from engine.estimation.expectation import parameter_scale
 from engine.statespace.base import Array, BaseModel
 from engine.statespace.refutation import repeated_if_refuted
 
+M_STEPS = ("scoring", "bfgs")
 SCORING_STEPS = 8  # scoring steps at most; one is exact where theta enters linearly
 GAIN_NATS = 1e-7  # an expected gain in Q (nats) below this is not worth a step
 # After a full step with an expected gain below this, what is left is not worth another.
@@ -37,6 +38,12 @@ class Objective(Protocol):
         """Which free parameters (n,) move what has no noise, so that Q is no guide to them."""
 
 
+def check_m_step(method: str) -> None:
+    """Raise OptionError where there is no such M step."""
+    if method not in M_STEPS:
+        raise OptionError(f"m_step '{method}' is not known; use {' or '.join(M_STEPS)}", "m_step")
+
+
 @repeated_if_refuted
 def maximize(q: Objective, theta: Array, free: NDArray[np.intp], method: str = "scoring") -> Array:
     """The maximiser of Q over the free parameters, started at theta. Raises OptionError.
@@ -44,11 +51,9 @@ def maximize(q: Objective, theta: Array, free: NDArray[np.intp], method: str = "
     ``scoring`` takes Fisher scoring steps with a line search, ``bfgs`` is the paper's quasi-Newton
     method (L-BFGS-B, which keeps the bounds). Neither ever returns a smaller Q than it was given.
     """
-    if method == "scoring":
-        return _scoring(q, np.array(theta, dtype=float), free)
-    if method == "bfgs":
-        return _bfgs(q, np.array(theta, dtype=float), free)
-    raise OptionError(f"m_step '{method}' is not known; use scoring or bfgs", "m_step")
+    check_m_step(method)
+    step = _scoring if method == "scoring" else _bfgs
+    return step(q, np.array(theta, dtype=float), free)
 
 
 def _scoring(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:

@@ -140,14 +140,16 @@ def fit(
         str,
         typer.Option(
             metavar="METHOD",
-            help="rbps-em; ps-em, without Rao-Blackwellization; rts-em, exact for linear models; "
+            help="quasi-newton, maximum likelihood in few iterations; rbps-em, EM as in the paper; ps-em, "
+            "without Rao-Blackwellization; rts-em, exact for linear models; "
             "simulation, least squares on the simulation without noise.",
         ),
-    ] = "rbps-em",
+    ] = "quasi-newton",
     first: Annotated[
         str,
         typer.Option(
-            metavar="none|simulation", help="Let EM leave from the fit of the simulation."
+            metavar="none|simulation",
+            help="Let the iterations leave from the fit of the simulation.",
         ),
     ] = "none",
     iterations: Annotated[
@@ -226,7 +228,7 @@ def fit(
             return
         if not data:
             raise wrong("DATA is missing: name one or more data files")
-        one_of("--method", method, ("rbps-em", "ps-em", "rts-em", "simulation"))
+        one_of("--method", method, ("quasi-newton", "rbps-em", "ps-em", "rts-em", "simulation"))
         one_of("--first", first, ("none", "simulation"))
         if method == "simulation":
             for option, name in (

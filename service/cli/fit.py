@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import engine
 from engine import words
 from engine.data.series import Series
 from engine.filters.linearity import why_not_linear
@@ -56,8 +57,11 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
-            recorder = Recorder(StateFile(path, asked), asked, shown, rows, finished)
-            if len(rows) and rows.shape[1] != len(job.model.parameters) + 4:
+            n = len(job.model.parameters) + 4
+            own, memory = rows[:, :n], rows[1:, n:]
+            recorder = Recorder(StateFile(path, asked), asked, shown, own, finished, memory)
+            free = len(job.model.free_indices(job.free))
+            if len(rows) and rows.shape[1] not in (n, n + engine.Checkpoint.width(free)):
                 raise wrong(
                     f"--resume {path}: its parameters are not those of model '{asked.model}'"
                 )
@@ -82,7 +86,7 @@ def _prepare(asked: Asked, shown: Meter) -> Prepared:
     theta = theta_of(model, asked.start, asked.fixed)
     free = free_of(model, asked.free, list(asked.fixed))
     if asked.method == "rts-em" and (why := why_not_linear(model, theta, series[0])):
-        raise wrong(f"--method rts-em: {why}; use rbps-em")
+        raise wrong(f"--method rts-em: {why}; use quasi-newton")
     for _, line in both:
         shown.note(line)
     request = EstimateRequest.model_construct(

@@ -28,7 +28,7 @@ class Asked(Experiment):
     command: ClassVar[str] = "fit"
     result: ClassVar[str] = "estimation"
     data: list[str]
-    method: str = "rbps-em"
+    method: str = "quasi-newton"
     first: str = "none"
     particles: int = 50
     trajectories: int | None = None
@@ -48,9 +48,11 @@ class Recorder:
         meter: Meter,
         rows: Array | None = None,
         finished: Sequence[Any] = (),
+        memory: Array | None = None,
     ) -> None:
         self.file, self.asked, self.meter = file, asked, meter
         self.done: list[Array] = [] if rows is None else list(rows)
+        self.left_over: list[Array] = [] if memory is None else list(memory)
         self.finished = list(finished)  # what the tasks before this one left
         self.names: list[str] = []  # of the tasks, where there are several
         self.parameters: Sequence[str] = ()  # what the first numbers of a row are
@@ -79,21 +81,26 @@ class Recorder:
     def finish(self, result: Any) -> None:
         """Go on to the next task; ``result`` is kept as JSON, as the service keeps it."""
         self.finished.append(json.loads(strict_json.dumps(result)))
-        self.done = []
+        self.done, self.left_over = [], []
         self.save()
 
     def rows(self) -> Array:
         """Iterations of the run that is resumed."""
         return np.array(self.done)
 
+    def memory(self) -> Array:
+        """What they left to the next."""
+        return np.array(self.left_over)
+
     def start(self, theta: Theta) -> None:
         """Row 0: where the estimation starts."""
-        self.done = [np.append(theta, [np.nan] * 4)]
+        self.done, self.left_over = [np.append(theta, [np.nan] * 4)], []
 
     def iteration(self, it: Any) -> None:
         """One more row, saved when the last saving is long enough ago."""
         numbers = [it.log_likelihood, it.ess, it.seconds, it.collapsed]
         self.done.append(np.append(it.theta, numbers))
+        self.left_over.append(it.memory)
         if self.file.due:
             self.save()
         said = f"log-likelihood {it.log_likelihood:.2f}"
@@ -108,10 +115,17 @@ class Recorder:
         self.interrupt.check()
         self.meter.stage(message, share)
 
+    def estimated(self, document: dict[str, Any]) -> None:
+        """Nothing: a command prints its result once."""
+
     def left(self, task: int) -> Any:
         """What an earlier task left."""
         return copy.deepcopy(self.finished[task])
 
     def save(self) -> None:
-        """Write the state."""
-        self.file.save(np.array(self.done), self.finished)
+        """Write the state; what an iteration left to the next stands behind its row."""
+        rows = np.array(self.done)
+        if self.left_over and self.left_over[0].size:
+            memory = np.array(self.left_over)
+            rows = np.hstack([rows, np.vstack([np.full_like(memory[:1], np.nan), memory])])
+        self.file.save(rows, self.finished)

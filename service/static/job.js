@@ -14,6 +14,7 @@ const here = `/jobs/${id}`;
 const by = (name) => document.getElementById(name);
 const convergence = new Convergence(here, by("traces"));
 let said = "";
+let shown = false; // a result without its standard errors
 
 poll(async () => {
   try {
@@ -41,6 +42,7 @@ async function look() {
     await convergence.update(tasks, job.model);
     by("live").hidden = convergence.empty;
     by("facts").replaceChildren(...facts(job));
+    if (!shown && hasResults(job)) await showResults(job);
   }
   return job.status === "accepted" ? 500 : 1000;
 }
@@ -125,12 +127,23 @@ async function end(job) {
   if (job.status === "dismissed") {
     by("problem").hidden = false;
     by("problem").textContent = `This job was ${job.message || "stopped"}.`;
+    if (hasResults(job)) return showResults(job);
     if (resumable(job)) await showHowFar(job);
     return undefined;
   }
-  const report = await get(`${here}/report`);
   for (const name of ["attempts", "live"]) by(name).hidden = true;
   convergence.destroy();
+  return showResults(job);
+}
+
+function hasResults(job) {
+  return job.links.some((link) => link.rel === "results");
+}
+
+async function showResults(job) {
+  const report = await get(`${here}/report`);
+  shown = true;
+  by("results").replaceChildren();
   showReport(by("results"), report, here);
   by("report").hidden = by("json").hidden = false;
   download(by("report"), `${here}/report`, `${job.kind}-${id.slice(0, 8)}.html`, "text/html");

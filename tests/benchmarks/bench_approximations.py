@@ -109,6 +109,7 @@ def estimate(
         smoother=smoother,
         tolerance=None,
         warm_start=False,
+        method="em",
     )
     return float(run.trace[-20:, model.index(parameter)].mean())
 

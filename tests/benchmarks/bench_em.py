@@ -99,7 +99,7 @@ def measure() -> tuple[dict[str, list[float]], list[float], float]:
         ),
         "M step": lambda: maximize(q, theta, free),
         "M step, bfgs": lambda: maximize(q, theta, free, "bfgs"),
-        "EM iteration": lambda: rbps_em(model, series, n_particles=M, n_iterations=1),
+        "EM iteration": lambda: rbps_em(model, series, n_particles=M, n_iterations=1, method="em"),
         "of the E step: RBPF": lambda: rbpf(model, theta, series, M, rng),
         "of the E step: backward simulation": lambda: rb_ffbsi(filtered, N, rng, joint=True),
         "of the E step: exact moments": lambda: condition_on_trajectories(drawn),

@@ -178,6 +178,9 @@ class InMemory:
     def rows(self):
         return np.zeros((0, 0))
 
+    def estimated(self, document):
+        pass
+
     def start(self, theta):
         pass
 
@@ -551,4 +554,4 @@ def test_an_exact_method_for_a_model_that_is_not_linear_is_wrong_usage(rbps, tmp
     result = rbps("fit", "run.csv", "-m", "pendulum.py", "--method", "rts-em")
     assert result.exit_code == 2
     assert "--method rts-em: model 'pendulum' is not linear Gaussian" in result.stderr
-    assert "use rbps-em" in result.stderr
+    assert "use quasi-newton" in result.stderr

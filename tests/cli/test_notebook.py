@@ -37,14 +37,14 @@ DIAGNOSE = """
 diagnosis = engine.diagnose(mine, series, effects=["bias", "cubic"], seed=1)
 """
 ESTIMATE = """
-found = engine.rbps_em(mine, series, n_particles=20, n_iterations=5, seed=1)
+found = engine.rbps_em(mine, series, n_particles=20, n_iterations=5, seed=1, method="em")
 """
 FORKED = """
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 def estimate(seed):
-    return engine.rbps_em(mine, series, n_particles=20, n_iterations=5, seed=seed)
+    return engine.rbps_em(mine, series, n_particles=20, n_iterations=5, seed=seed, method="em")
 
 with ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
     print(pool.submit(estimate, 1).result().theta["c"], found.theta["c"])
@@ -53,7 +53,7 @@ SENT = """
 import subprocess, sys, cloudpickle
 worker = "import cloudpickle, sys; print(cloudpickle.load(sys.stdin.buffer)().theta['c'])"
 def estimate():
-    return engine.rbps_em(mine, series, n_particles=20, n_iterations=5, seed=1)
+    return engine.rbps_em(mine, series, n_particles=20, n_iterations=5, seed=1, method="em")
 sent = subprocess.run([sys.executable, "-c", worker], input=cloudpickle.dumps(estimate),
                       capture_output=True, check=True)
 print(sent.stdout.decode().strip(), found.theta["c"])
@@ -121,7 +121,7 @@ def test_displays_are_tables(cell):
     for shown, words in (
         (mine, ["mine", "speed", "thrust", "reading", "c", "1/m", "0.1"]),
         (series, ["120 samples, every 0.1 s, t = 0 ... 11.9 s", "reading", "thrust"]),
-        (found, ["mine: 5 iterations of EM", "c", "1/m"]),
+        (found, ["mine: 5 iterations", "c", "1/m"]),
         (errors, ["mine: standard errors", "c"]),
         (run, ["mine: free run over 120 samples", "reading"]),
         (smoothed, ["mine: 120 samples smoothed by 20 trajectories", "speed"]),

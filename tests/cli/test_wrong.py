@@ -37,7 +37,7 @@ WRONG = {
     "free and fixed": (("fit", "flows.csv", *LEVEL, "--free", "q", "--fix", "q=1"), "--free q: it is also given with --fix"),
     "nothing free": (("fit", "flows.csv", *LEVEL, "--fix", "q=1", "--fix", "r=1", "--fix", "level=1"), "--fix: no parameter is left"),
     "unknown free": (("fit", "flows.csv", *LEVEL, "--free", "z"), "--free: model 'local-level' has no parameter 'z'"),
-    "unknown method": (("fit", "flows.csv", *LEVEL, "--method", "newton"), "--method newton: choose one of rbps-em, ps-em, rts-em"),
+    "unknown method": (("fit", "flows.csv", *LEVEL, "--method", "newton"), "--method newton: choose one of quasi-newton, rbps-em, ps-em, rts-em"),
     "too few particles": (("fit", "flows.csv", *LEVEL, "--particles", "1"), "Invalid value for '--particles'"),
     "unknown channel": (("fit", "flows.csv", *LEVEL, "--map", "rain=flow"), "--map rain=flow: model 'local-level' has no output or input 'rain'; it has flow"),
     "unknown column": (("fit", "flows.csv", *LEVEL, "--map", "flow=rain"), "--map flow=rain: flows.csv has no column 'rain'; there are year, flow"),

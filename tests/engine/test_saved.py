@@ -22,7 +22,7 @@ def level():
 
 def same(one, other):
     assert str(one) == str(other)
-    for name in ("trace", "log_likelihood", "ess", "seconds", "collapsed", "theta"):
+    for name in ("trace", "log_likelihood", "ess", "seconds", "collapsed", "memory", "theta"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert (one.free, one.outcome, one.not_estimated) == (
         other.free,
@@ -39,6 +39,18 @@ def test_an_estimate_of_a_registered_model_and_going_on_with_it(level, tmp_path)
     options = {"free": ["q"], "n_particles": 10, "n_iterations": 3, "seed": 1}
     on = [engine.rbps_em(f.model, nile(), resume=f.checkpoint, **options) for f in (level, found)]
     np.testing.assert_array_equal(on[0].trace, on[1].trace)
+
+
+def test_an_estimate_kept_before_there_was_anything_to_remember(level, tmp_path):
+    path = level.save(tmp_path / "fit.json")
+    document = json.loads(path.read_text())
+    del next(part for part in document.values() if isinstance(part, dict) and "ess" in part)[
+        "memory"
+    ]
+    path.write_text(json.dumps(document))
+    found = engine.load(path)
+    assert found.memory.shape == (2, 0)
+    assert len(engine.rbps_em(found.model, nile(), resume=found, n_iterations=3).trace) == 4
 
 
 def test_an_extended_model_by_name_and_effects(tmp_path):

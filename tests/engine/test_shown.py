@@ -23,7 +23,7 @@ def results():
     run = engine.simulate(growth, None, 60, RNG, u=u, dt=0.1)
     filtered = engine.rbpf(LEVEL, None, nile(), 10, RNG)
     return [
-        (EM, ["local-level: 2 iterations of EM", "Log-likelihood before the last", "fixed"]),
+        (EM, ["local-level: 2 iterations", "Log-likelihood before the last", "fixed"]),
         (nile(), ["100 samples", "flow", "919.4"]),
         (
             engine.fit_simulation(LEVEL, nile()),

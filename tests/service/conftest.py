@@ -84,7 +84,8 @@ def estimation(data: list[list[float]]) -> Callable[..., dict[str, Any]]:
             "model": "linear-2",
             "series": [{"y": data, "dt": 1.0}],
             "parameters": {"start": {"theta": 0.3}, "free": ["theta"]},
-            "options": {"particles": 20, "iterations": 5, "seed": 1, "standard_errors": False}
+            "options": {"method": "rbps-em", "particles": 20, "iterations": 5, "seed": 1}
+            | {"standard_errors": False}
             | options,
         }
 

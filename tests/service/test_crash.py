@@ -53,6 +53,20 @@ def test_a_killed_worker_is_replaced_and_goes_on(running, catch, wait, ended, re
     assert without_seconds(service.client.get(f"{url}/results").json()) == expected
 
 
+def test_what_the_quasi_newton_method_remembers_outlives_its_worker(
+    running, catch, ended, request_, client
+):
+    request_["options"] |= {"method": "quasi-newton", "iterations": 12, "particles": 400}
+    request_["series"] = [{"y": [[float(i % 7)] for i in range(300)]}]
+    undisturbed = client.post("/jobs", json=request_).headers["location"]
+    ended(client, undisturbed)
+    expected = without_seconds(client.get(f"{undisturbed}/results").json())
+    url, worker = catch(running, request_, iterations=4)
+    os.kill(worker, signal.SIGKILL)
+    assert ended(running.client, url)["status"] == "successful"
+    assert without_seconds(running.client.get(f"{url}/results").json()) == expected
+
+
 def test_a_killed_service_leaves_no_worker_and_is_taken_up_again(
     spawn, catch, dead, eventually, ended, request_, expected
 ):

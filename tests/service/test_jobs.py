@@ -41,14 +41,19 @@ def test_estimate_from_post_to_results(client, estimation, ended):
     assert client.get(f"{url}/trace?after=3").json()["iteration"] == [4, 5]
 
 
-def test_the_service_computes_what_the_engine_computes(client, estimation, ended, data):
+@pytest.mark.parametrize(
+    ("method", "engines"), [("quasi-newton", {}), ("rbps-em", {"method": "em"})]
+)
+def test_the_service_computes_what_the_engine_computes(
+    client, estimation, ended, data, method, engines
+):
     import engine
 
     found = engine.rbps_em(
         engine.get_model("linear-2"), engine.Series(data), {"theta": 0.3}, ["theta"], 20,
-        n_iterations=5, seed=1,
+        n_iterations=5, seed=1, **engines,
     )  # fmt: skip
-    url = client.post("/jobs", json=estimation()).headers["location"]
+    url = client.post("/jobs", json=estimation(method=method)).headers["location"]
     ended(client, url)
     trace = client.get(f"{url}/trace").json()
     assert trace["theta"]["theta"] == found.trace[:, 0].tolist()
@@ -215,3 +220,32 @@ def test_a_fresh_service_starts_warm(spawn, catch, long):
     fields = Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()
     used = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")  # s of the processor, so far
     assert used < 2.0  # to load takes as long, to compile ten times
+
+
+def test_estimates_are_there_before_their_standard_errors_and_stay_when_stopped(
+    running, estimation, wait, ended
+):
+    """The errors of this one take far longer than its only iteration."""
+    client = running.client
+    request = estimation(iterations=1, standard_errors=True, particles=2)
+    request["series"] = [{"y": [[float(i % 7)] for i in range(6_000)]}]
+    url = client.post("/jobs", json=request).headers["location"]
+    job = wait(client, url, lambda job: any(link["rel"] == "results" for link in job["links"]))
+    assert job["status"] == "running"
+    found = client.get(f"{url}/results").json()
+    assert found["estimate"]["theta"]["standard_error"] is None
+    assert found["estimate"]["theta"]["value"] == job["estimate"]["theta"]
+    assert "not there yet" in found["message"]
+    assert client.get(f"{url}/report").status_code == 200
+    assert client.delete(url).json()["status"] == "dismissed"
+    stopped = client.get(f"{url}/results").json()
+    assert stopped == found
+    assert client.get(url).json()["links"] != []
+
+
+def test_with_its_standard_errors_a_result_replaces_the_one_without(client, estimation, ended):
+    url = client.post("/jobs", json=estimation(standard_errors=True)).headers["location"]
+    assert ended(client, url)["status"] == "successful"
+    found = client.get(f"{url}/results").json()
+    assert found["estimate"]["theta"]["standard_error"] > 0.0
+    assert "not there yet" not in found["message"]

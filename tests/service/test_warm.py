@@ -28,6 +28,7 @@ class Progress:
     def iteration(self, it): pass
     def step(self, k, message="", share=None): pass
     def left(self, task): return None
+    def estimated(self, document): pass
 
 def signatures():
     return {(name, str(one)) for name, all_ in compiled_kernels().items() for one in all_}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tests.studies import (
+    e_steps,
     estimates,
     free_run_clean,
     lost,
@@ -32,6 +33,7 @@ STUDIES: dict[str, Study] = {
         poster.POSTER_LINEAR,
         poster.POSTER_NONLINEAR,
         uncertainty.STANDARD_ERRORS,
+        e_steps.STUDY,
         MEASURED,
         free_run_clean.FREE_RUN_CLEAN,
         BLIND,
@@ -43,6 +45,7 @@ STUDIES: dict[str, Study] = {
 # not asked for by ``all``
 BESIDE = (
     "table-II-tried",
+    "e-steps",
     "measured",
     "free-run-clean",
     "blind",

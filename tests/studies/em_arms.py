@@ -30,7 +30,8 @@ FAILED = "no estimate"
 FAILURES = (ModelError, ArithmeticError, np.linalg.LinAlgError, ValueError)
 
 METHODS: dict[str, Callable[..., EmResult]] = {
-    "rbps": rbps_em,
+    "rbps": partial(rbps_em, method="em"),
+    "newton": rbps_em,
     "rbps-varied": varied_em,
     "ps": ps_em,
     "ps-guarded": guarded_ps_em,
@@ -84,7 +85,7 @@ def em_arm(
         name: parameter.default
         for name, parameter in known.items()
         if parameter.default is not inspect.Parameter.empty
-        and name not in ("theta0", "free", "callback", "resume", "seed")
+        and name not in ("theta0", "free", "callback", "resume", "seed", "method")
     }
     settings = {"method": method, **used, **options, "start": "truth" if at_truth else "paper's"}
     if errors or intervals:
@@ -153,7 +154,7 @@ def _standard_errors(problem: Problem, theta: Array, series: Series, intervals: 
             warnings.simplefilter(
                 "ignore", NotSettledWarning
             )  # some methods stop early, on purpose
-            found = standard_errors(model, theta, series, problem.free)
+            found = standard_errors(model, theta, series, problem.free, replicates=8)
             values = found.values
             if intervals:
                 between = time.perf_counter()

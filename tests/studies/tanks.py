@@ -109,8 +109,9 @@ def estimates(
         ("RBPS-EM started there", theta, n_iterations // 3),
     ):
         em = rbps_em(
-            model, series, start, n_particles=n_particles, n_iterations=iterations, seed=seed
-        )
+            model, series, start, n_particles=n_particles, n_iterations=iterations, seed=seed,
+            method="em",
+        )  # fmt: skip
         note = f"M = {n_particles}, {len(em.log_likelihood)} iterations. {em.message}"
         seconds = float(np.sum(em.seconds))
         lines.append(Line(f"maximum likelihood, {name}", em.theta, seconds, note))

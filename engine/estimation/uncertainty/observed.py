@@ -4,7 +4,14 @@ The observed information is the negative derivative of the score. Louis' identit
 variance of the complete-data score from the complete-data information: where EM contracts slowly the
 two nearly cancel, and their Monte Carlo noise does not. Differences of the score over half a standard
 error to either side need far fewer trajectories. The directions of the differences are the columns of a
-square root of the covariance, so they are found in a first round and refined in a second.
+square root of the covariance.
+
+The moment filter's information gives these directions, and is what the differences are weighed against: it
+has no noise, but is an approximation. In its units the information of the particles is the identity up to the
+approximation's error, whose size is that of the differences' deviations in excess of their noise; each is
+taken as far as it is known, which takes a few smoothers in place of a hundred. Where it is off by more than a
+part, or cannot be had, the directions are found in a first round and refined in a second, and the
+differences alone count.
 """
 
 from __future__ import annotations
@@ -19,6 +26,7 @@ import numpy as np
 from engine.data.series import Series, as_series_list
 from engine.distributions import chi2_quantile, normal_quantile
 from engine.errors import ModelError, NotSettledWarning
+from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.score import Score, inside
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.views import html, tables
@@ -27,8 +35,12 @@ ROUNDS = 3  # of finding the directions; only the last uses all replicates
 GUESS = 0.1  # share of the complete-data information that the data usually hold, to start with
 # Length of the differences in standard errors: further out the curvature differs.
 REACH_ERRORS = 0.5
+REPLICATES = 8
 # Standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases.
 SETTLED_ERRORS = 0.5
+FEW_REPLICATES = 4  # where the moment filter's information is a good guess,
+GOOD_GUESS = (0.4, 2.5)  # which it is where particles see so many times as much
+TRUSTED = 0.1  # relative error that it has at least
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
 
@@ -129,7 +141,7 @@ def standard_errors(
     free: Sequence[str] | None = None,
     n_particles: int = 100,
     n_trajectories: int = 100,
-    replicates: int = 8,
+    replicates: int | None = None,
     seed: int = 0,
     exact: bool = False,
 ) -> StandardErrors:
@@ -152,8 +164,9 @@ def standard_errors(
         Number of particles M.
     n_trajectories : int
         Number of trajectories N.
-    replicates : int
-        Smoothers that each of the 2 n scores is averaged over.
+    replicates : int, optional
+        Smoothers that each of the 2 n scores is averaged over: by default 4 where the moment filter's
+        information is a good guess, else 8. A number given is used with the differences alone.
     seed : int
         The same seed gives the same bits.
     exact : bool
@@ -180,8 +193,11 @@ def standard_errors(
     )
     within = np.isin(every.indices, inside(model, theta, free))
     score = replace(every, indices=every.indices[within])
-    names, replicates = score.names, 1 if exact else replicates
-    seeds = np.random.SeedSequence(seed).spawn(replicates)
+    guessing = replicates is None and not exact
+    names, most = score.names, 1 if exact else replicates or REPLICATES
+    seeds = np.random.SeedSequence(seed).spawn(most)
+    if guessing:
+        seeds = seeds[:FEW_REPLICATES]
     centre = [every.at(every.x, which) for which in seeds]
     scores, H = np.array([g for g, _ in centre]), np.mean([h for _, h in centre], axis=0)
     drawn = _drawn_inside(every, scores, np.diag(H))
@@ -192,12 +208,9 @@ def standard_errors(
             f"the data hold no information on {', '.join(silent)} at this theta; hold it fixed "
             "(free=) or choose other data"
         )
-    L = _root(np.linalg.inv(H / GUESS))
-    for n in [1] * (ROUNDS - 1) + [replicates]:
-        G = np.array([_whitened_information(score, L, which) for which in seeds[:n]])
-        refined = L @ _root(_inverse(G.mean(axis=0)))
-        spread, L_last, L = G, L, refined
-    covariance = L @ L.T
+    covariance, relative = (_guessed(score, H, seeds) if guessing else None) or _differences(
+        score, H, np.random.SeedSequence(seed).spawn(most)
+    )
     decrement, noise = _decrement(covariance, scores)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
@@ -209,12 +222,46 @@ def standard_errors(
         names,
         covariance,
         scores.mean(axis=0),
-        scores.std(axis=0, ddof=min(replicates - 1, 1)) / np.sqrt(replicates),
-        _jackknife(L_last, spread),
+        scores.std(axis=0, ddof=min(len(scores) - 1, 1)) / np.sqrt(len(scores)),
+        relative,
         decrement,
         settled,
         warning,
     )
+
+
+def _differences(
+    score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence]
+) -> tuple[Array, Array]:
+    """Covariance (n, n) and relative errors (n,) from differences of the score alone."""
+    L = _root(np.asarray(np.linalg.inv(complete / GUESS)))
+    for n in [1] * (ROUNDS - 1) + [len(seeds)]:
+        G = np.array([_whitened_information(score, L, which) for which in seeds[:n]])
+        refined = L @ _root(_inverse(G.mean(axis=0)))
+        spread, last, L = G, L, refined
+    return L @ L.T, _jackknife(last, spread)
+
+
+def _guessed(
+    score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence]
+) -> tuple[Array, Array] | None:
+    """The same from the moment filter's information and what differences add; None where it is no guide."""
+    found = score.likelihood.information(np.asarray(score.theta), score.indices)
+    guess = None if found is None else bounded(found, complete)
+    if guess is None:
+        return None
+    L = _root(np.asarray(np.linalg.inv(guess)))
+    G = np.array([_whitened_information(score, L, which) for which in seeds])
+    off, n = G.mean(axis=0) - np.eye(len(L)), len(seeds)
+    noise = float(G.var(axis=0, ddof=1).mean() / n)
+    error = max(float((off**2).mean()) - noise, TRUSTED**2)
+    share = error / (error + noise)  # of a deviation that is believed
+    believed = np.eye(len(L)) + share * (G - np.eye(len(L)))
+    values = np.linalg.eigvalsh(believed.mean(axis=0))
+    if values[0] < GOOD_GUESS[0] or values[-1] > GOOD_GUESS[1]:
+        return None
+    refined = L @ _root(_inverse(believed.mean(axis=0)))
+    return refined @ refined.T, _jackknife(L, believed)
 
 
 def _decrement(covariance: Array, scores: Array) -> tuple[float, float]:

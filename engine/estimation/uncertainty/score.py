@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.estimation.e_steps import Expect, rbps_step, rts_step
-from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.quasi_ml import with_scales
 from engine.statespace.model import Array, MixedModel, Theta
 
@@ -79,13 +79,7 @@ class Score:
         values[self.indices] = x
         theta = Theta(values, self.theta.names)
         q = self.expect(theta, np.random.default_rng(seed)).q
-        _, gradient, information = q.derivatives(theta, self.indices)
-        exact = q.moves_noise_free(theta, self.indices)
-        if exact.any():
-            gradient[exact], own = self.likelihood.score(theta, self.indices[exact])
-            information[exact] = information[:, exact] = 0.0
-            information[np.ix_(exact, exact)] = own
-        return gradient, information
+        return score_of(q, theta, self.indices, self.likelihood)[:2]
 
 
 def inside(model: MixedModel, theta: Theta, free: Sequence[str] | None) -> NDArray[np.intp]:

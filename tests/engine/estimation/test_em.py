@@ -1,4 +1,4 @@
-"""RBPS-EM as a whole: against exact EM, and what callers rely on."""
+"""RBPS-EM as a whole: against exact EM, and what callers rely on, by either method."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_agrees_with_exact_em_on_linear_2():
     """Within 0.002; the Monte Carlo error of the averaged iterates is about 0.0003 here."""
     series = SERIES.part(0, 100)
     exact = rts_em(MODEL, series, theta0=[0.3], n_iterations=300)
-    found = rbps_em(MODEL, series, theta0=[0.3], n_particles=25, n_iterations=200)
+    found = rbps_em(MODEL, series, theta0=[0.3], n_particles=25, n_iterations=200, method="em")
     assert exact.outcome is Outcome.CONVERGED
     assert found.outcome is Outcome.CONVERGED
     assert found.outcome.success
@@ -39,23 +39,25 @@ def test_agrees_with_exact_em_on_linear_2():
     assert np.all(np.diff(exact.log_likelihood) > -1e-9)  # exact EM never descends
 
 
-def test_resumed_runs_give_the_same_bits():
+@pytest.mark.parametrize("method", ["quasi-newton", "em"])
+@pytest.mark.parametrize("warm_start", [True, False])
+def test_resumed_runs_give_the_same_bits(method, warm_start):
     parts = [SERIES.part(0, 40), SERIES.part(40, 100)]
+    options = SHORT | {"n_iterations": 8, "method": method, "warm_start": warm_start}
     for series in (parts[0], parts):
-        whole = rbps_em(MODEL, series, [0.4], n_iterations=8, **SHORT)
-        first = rbps_em(
-            MODEL, series, [0.4], n_iterations=8, callback=lambda it: it.k == 3, **SHORT
-        )
-        assert first.outcome is Outcome.STOPPED_BY_CALLER
-        assert len(first.log_likelihood) == 3
-        same_bits(whole, rbps_em(MODEL, series, n_iterations=8, resume=first, **SHORT))
-        copy = Checkpoint(
-            *(
-                np.array(getattr(first, name).tolist())
-                for name in ("trace", "log_likelihood", "ess", "seconds", "collapsed")
+        whole = rbps_em(MODEL, series, [0.4], **options)
+        for k in (1, 3, 7):
+            first = rbps_em(MODEL, series, [0.4], callback=lambda it, k=k: it.k == k, **options)
+            assert first.outcome is Outcome.STOPPED_BY_CALLER
+            assert len(first.log_likelihood) == k
+            same_bits(whole, rbps_em(MODEL, series, resume=first, **options))
+            copy = Checkpoint(
+                *(
+                    np.array(getattr(first, name).tolist())
+                    for name in ("trace", "log_likelihood", "ess", "seconds", "collapsed", "memory")
+                )
             )
-        )
-        same_bits(whole, rbps_em(MODEL, series, n_iterations=8, resume=copy, **SHORT))
+            same_bits(whole, rbps_em(MODEL, series, resume=copy, **options))
 
 
 def test_a_run_stopped_after_its_last_iteration_says_the_same():
@@ -106,6 +108,10 @@ def test_only_the_free_parameters_move():
     model = theta_everywhere()
     series = Series(draw(model, np.zeros((30, 0)), np.arange(30.0), np.random.default_rng(0)))
     result = rbps_em(model, series, free=["R", "f"], n_iterations=3, **SHORT)
+    newton = rbps_em(model, series, free=["R", "f"], n_iterations=3, method="em", **SHORT)
+    assert not np.array_equal(result.trace, newton.trace)
+    held = [k for k, name in enumerate(model.parameter_names) if name not in ("f", "R")]
+    np.testing.assert_array_equal(newton.trace[:, held], result.trace[:, held])
     assert result.free == ("f", "R")
     moved = np.any(result.trace != result.trace[0], axis=0)
     assert [name for name, m in zip(model.parameter_names, moved, strict=True) if m] == ["f", "R"]
@@ -116,8 +122,8 @@ def test_only_the_free_parameters_move():
 def test_iterates_keep_to_the_bounds():
     """The data's level is 3; the parameter c may be 1 at most."""
     y = 3.0 + 0.1 * np.random.default_rng(0).standard_normal(30)
-    for m_step in ("scoring", "bfgs"):
-        result = rbps_em(random_walk(1e-4), Series(y), n_iterations=15, m_step=m_step, **SHORT)
+    for how in ({"m_step": "scoring", "method": "em"}, {"m_step": "bfgs", "method": "em"}, {}):
+        result = rbps_em(random_walk(1e-4), Series(y), n_iterations=15, **how, **SHORT)
         assert result.trace[:, 0].max() <= 1.0
         assert result.trace[:, 1].min() >= 0.01
 
@@ -136,6 +142,7 @@ def test_all_smoothers_and_schemes_run_to_the_same_place(smoother, resampling):
         resampling=resampling,
         tolerance=None,
         proposal=bootstrap,
+        method="em",
     )
     np.testing.assert_allclose(found.trace, exact.trace, atol=0.01)
     # one estimate has a standard deviation of about 3 here, and a mean lower by half its square

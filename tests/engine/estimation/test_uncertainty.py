@@ -11,6 +11,7 @@ from scipy.stats import norm
 import engine
 from engine.errors import NotSettledWarning
 from engine.estimation.em_result import EmResult
+from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.uncertainty import StandardErrors, likelihood, observed
@@ -113,6 +114,52 @@ def test_standard_errors_are_those_of_the_exact_likelihood(many, best):
     assert found == pytest.approx(exact, rel=0.05)
     each = np.array([one.values[0] for one in many])
     assert np.abs(each.mean() / exact - 1.0) < 0.15  # 12 particles have a bias
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """How often a score was asked for."""
+    calls, at = [], Score.at
+
+    def counted(self, x, seed):
+        calls.append(x)
+        return at(self, x, seed)
+
+    monkeypatch.setattr(Score, "at", counted)
+    return calls
+
+
+def test_the_moment_filters_information_saves_smoothers(asked):
+    exact = engine.standard_errors(MODEL, BEST, SERIES, exact=True).values[0]
+    asked.clear()
+    each = [engine.standard_errors(MODEL, BEST, SERIES, seed=s, **SMALL) for s in range(8)]
+    assert len(asked) == 8 * (4 + 4 * 2)
+    found = np.array([one.values[0] for one in each])
+    np.testing.assert_allclose(found, exact, rtol=0.15)
+
+
+@pytest.mark.parametrize("times", [None, 0.2])
+def test_where_it_is_no_guide_differences_alone_count(times, monkeypatch):
+    """Not to be had, or far off."""
+    own = LikelihoodStep.information
+
+    def off(self, theta, indices):
+        return None if times is None else times * own(self, theta, indices)
+
+    alone = engine.standard_errors(MODEL, BEST, SERIES, seed=1, replicates=8, **SMALL)
+    monkeypatch.setattr(LikelihoodStep, "information", off)
+    found = engine.standard_errors(MODEL, BEST, SERIES, seed=1, **SMALL)
+    np.testing.assert_allclose(found.covariance, alone.covariance, rtol=0.02)
+
+
+@pytest.mark.parametrize("times", [3.0, 20.0])
+def test_one_that_claims_too_much_is_corrected(times, monkeypatch):
+    own = LikelihoodStep.information
+    exact = engine.standard_errors(MODEL, BEST, SERIES, exact=True).values[0]
+    monkeypatch.setattr(LikelihoodStep, "information", lambda *at: times * own(*at))
+    for seed in range(4):
+        found = engine.standard_errors(MODEL, BEST, SERIES, seed=seed, **SMALL)
+        assert found.values[0] == pytest.approx(exact, rel=0.15)
 
 
 @pytest.mark.parametrize("R", [2, 5])

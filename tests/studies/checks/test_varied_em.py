@@ -36,7 +36,7 @@ def q(series):
 def test_without_a_change_it_is_em_with_the_papers_settings(series):
     ours = varied_em(MODEL, series, START, n_trajectories=20, **SMALL)
     settings = {**PAPER["rbps"], "m_step": "scoring", "n_trajectories": 20, **SMALL}
-    engines = rbps_em(MODEL, series, START, **settings)
+    engines = rbps_em(MODEL, series, START, method="em", **settings)
     np.testing.assert_array_equal(ours.trace, engines.trace)
 
 
