@@ -129,36 +129,36 @@ def asked(monkeypatch):
     return calls
 
 
-def test_the_moment_filters_information_saves_smoothers(asked):
-    exact = engine.standard_errors(MODEL, BEST, SERIES, exact=True).values[0]
+def test_the_moment_filters_information_saves_smoothers(asked, best):
+    exact = engine.standard_errors(MODEL, best, SERIES, exact=True).values[0]
     asked.clear()
-    each = [engine.standard_errors(MODEL, BEST, SERIES, seed=s, **SMALL) for s in range(8)]
+    each = [engine.standard_errors(MODEL, best, SERIES, seed=s, **SMALL) for s in range(8)]
     assert len(asked) == 8 * (4 + 4 * 2)
     found = np.array([one.values[0] for one in each])
     np.testing.assert_allclose(found, exact, rtol=0.15)
 
 
 @pytest.mark.parametrize("times", [None, 0.2])
-def test_where_it_is_no_guide_differences_alone_count(times, monkeypatch):
+def test_where_it_is_no_guide_differences_alone_count(times, monkeypatch, best):
     """Not to be had, or far off."""
     own = LikelihoodStep.information
 
     def off(self, theta, indices):
         return None if times is None else times * own(self, theta, indices)
 
-    alone = engine.standard_errors(MODEL, BEST, SERIES, seed=1, replicates=8, **SMALL)
+    alone = engine.standard_errors(MODEL, best, SERIES, seed=1, replicates=8, **SMALL)
     monkeypatch.setattr(LikelihoodStep, "information", off)
-    found = engine.standard_errors(MODEL, BEST, SERIES, seed=1, **SMALL)
+    found = engine.standard_errors(MODEL, best, SERIES, seed=1, **SMALL)
     np.testing.assert_allclose(found.covariance, alone.covariance, rtol=0.02)
 
 
 @pytest.mark.parametrize("times", [3.0, 20.0])
-def test_one_that_claims_too_much_is_corrected(times, monkeypatch):
+def test_one_that_claims_too_much_is_corrected(times, monkeypatch, best):
     own = LikelihoodStep.information
-    exact = engine.standard_errors(MODEL, BEST, SERIES, exact=True).values[0]
+    exact = engine.standard_errors(MODEL, best, SERIES, exact=True).values[0]
     monkeypatch.setattr(LikelihoodStep, "information", lambda *at: times * own(*at))
     for seed in range(4):
-        found = engine.standard_errors(MODEL, BEST, SERIES, seed=seed, **SMALL)
+        found = engine.standard_errors(MODEL, best, SERIES, seed=seed, **SMALL)
         assert found.values[0] == pytest.approx(exact, rel=0.15)
 
 
