@@ -18,7 +18,8 @@ from tests.patience import eventually
 # enough particles that there is time to type within the iterations
 FIT = (
     *("data.csv", "-m", "mixed-4", "--set", "theta_2=0.9", "--free", "theta_2,theta_5"),
-    *("-n", "30", "--particles", "250", "--seed", "5", "--no-standard-errors"),
+    *("-n", "30", "--particles", "250", "--seed", "5", "--method", "rbps-em"),
+    "--no-standard-errors",
 )  # fmt: skip
 
 

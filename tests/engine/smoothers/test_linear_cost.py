@@ -141,6 +141,7 @@ def test_em_with_linear_cost() -> None:
             seed=k,
             smoother="linear-cost",
             warm_start=False,
+            method="em",
         ).theta[0]
         for k in range(12)
     ]
