@@ -29,8 +29,9 @@ from engine.data.series import Series
 from engine.diagnose.screening.tails import prediction_pit
 from engine.estimation.em import rbps_em, rts_em
 from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.neighbours import followed
 from engine.filters.rbpf import RESAMPLING, rbpf
-from engine.filters.sigma_point import moment_path
+from engine.filters.sigma_point import FilterSteps, Thetas, moment_path
 from engine.kernels.sensitivities import footprints
 from engine.models.registry import get_model
 from engine.simulation.fit import fit_simulation
@@ -61,6 +62,7 @@ def warm() -> dict[str, set[Any]]:
     short = simulate(walk, None, 8, rng).series
     rts_em(walk, short, n_iterations=1)
     quasi_ml(walk, short)
+    followed(FilterSteps(walk, Thetas(walk, np.asarray(walk.theta())), short))
     path = moment_path(walk, walk.theta(), short)
     T, nx, ny = len(short), walk.nx, walk.ny
     footprints(path.F, path.H, path.K, np.zeros((T - 1, nx)), np.zeros((T, ny)), np.ones((T, 1)))

@@ -35,8 +35,10 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.free_run.answer import causes_of
+from engine.diagnose.free_run.search import FAMILIES
 from engine.diagnose.free_run.second_opinion import heeding, second_opinion
 from engine.diagnose.free_run.windows import stretch
+from engine.diagnose.gain.adoption import falls_short
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.records import records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
@@ -258,6 +260,10 @@ def diagnose(
             named, before, after = by_likelihood
     if not asked.decides:
         gain = measured()
+        loss = "" if gain is None else falls_short(gain, _promised(base, found, searched, gain))
+        if loss and verdict in (Verdict.NAMED, Verdict.SET):
+            notes.append(loss)
+            verdict = Verdict.UNKNOWN
     if gain is not None and model.na and not asked.decides:
         text, contradicts = _particle_word(base, found, searched, seed)
         notes.append(text)
@@ -333,6 +339,21 @@ def _check_data(series: Series) -> None:
     rows = int(series.observed.any(axis=1).sum())
     if rows < LEAST:
         raise SeriesError(f"only {rows} rows hold a measurement; a diagnosis needs {LEAST}")
+
+
+def _promised(base: QuasiFit, found: Search, series: Series, gain: Gain) -> float:
+    """Nats that held-out rows should gain if those searched did not by chance; 0 where that is no promise.
+
+    Each parameter gains half a nat where it is fitted and loses as much elsewhere (Akaike 1974). Noise and
+    what comes with time need not be the same there.
+    """
+    effects = [r.refits[0].effect for r in found.rounds if r.equivalent]
+    if not all(effect.family in FAMILIES for effect in effects):
+        return 0.0
+    gained = found.final.log_likelihood - base.log_likelihood
+    further = len(found.final.free) - len(base.free)
+    rows = int(series.observed.any(axis=1).sum())
+    return (gained - further) * gain.samples / max(rows, 1)
 
 
 def _particle_word(base: QuasiFit, found: Search, series: Series, seed: int) -> tuple[str, bool]:

@@ -52,13 +52,13 @@ def iterate(
     model: BaseModel,
     expect: Expect,
     loop: Loop,
-    better_start: Callable[[Theta], Theta | None] | None = None,
+    better_starts: Callable[[Theta], Sequence[Theta]] | None = None,
     likelihood: LikelihoodStep | None = None,
     ascent: Ascent | None = None,
 ) -> EmResult:
     """Algorithm 1 of the paper: E step, M step, settled?
 
-    ``better_start`` may name a point from which the first iteration leaves if that is far more likely;
+    ``better_starts`` may name points; the first iteration leaves from one that is far more likely;
     ``likelihood`` moves the parameters to which the Q-function is no guide. ``ascent`` replaces the M step
     where it can.
     """
@@ -67,7 +67,7 @@ def iterate(
     check_m_step(loop.m_step)
     indices = model.free_indices(loop.free)
     log = _Log(model, loop, len(indices) if ascent is not None else 0)
-    steps = _Steps(expect, indices, loop, better_start, likelihood, ascent)
+    steps = _Steps(expect, indices, loop, better_starts, likelihood, ascent)
     outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
@@ -131,7 +131,7 @@ class _Steps:
     expect: Expect
     indices: NDArray[np.intp]
     loop: Loop
-    better_start: Callable[[Theta], Theta | None] | None
+    better_starts: Callable[[Theta], Sequence[Theta]] | None
     likelihood: LikelihoodStep | None
     ascent: Ascent | None
 
@@ -145,11 +145,13 @@ class _Steps:
         """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point."""
         rng = np.random.default_rng(np.random.SeedSequence(self.loop.seed, spawn_key=(k,)))
         seen = self.expect(theta, rng)
-        if k == 1 and self.better_start is not None:
+        at, origin = theta, seen
+        if k == 1 and self.better_starts is not None:
             by = FAR_NATS if self.ascent is None else 0.0
-            better = self.better_start(theta)
-            return _Expected(seen, *_more_likely(self.expect, better, theta, seen, rng, by))
-        return _Expected(seen, theta, seen)
+            for other in self.better_starts(theta):
+                at, origin = _more_likely(self.expect, other, at, origin, rng, by)
+                by = 0.0 if at is not theta else by
+        return _Expected(seen, at, origin)
 
     def _ascend(
         self, k: int, expected: _Expected, memory: Sequence[Memory | None]

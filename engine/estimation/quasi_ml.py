@@ -22,6 +22,7 @@ from engine.data.series import Series, as_series_list
 from engine.errors import ModelError
 from engine.estimation.expectation import either_side, parameter_scale
 from engine.estimation.maximization import scoring_step
+from engine.filters.neighbours import filter_neighbours
 from engine.filters.sigma_point import free_thetas, moment_filter
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
@@ -85,11 +86,13 @@ def quasi_ml(
     max_iterations: int = 40,
     tolerance: float = ENOUGH,
     target: float = -np.inf,
+    hope: float = 1.0,
 ) -> QuasiFit:
     """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
 
     The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
-    where even twice what is expected would not reach ``target``; then ``given_up`` is True.
+    where even ``hope`` times twice what a quadratic function gains would not reach ``target``; then
+    ``given_up`` is True.
     Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
     all_series = as_series_list(series, model)
@@ -114,7 +117,7 @@ def quasi_ml(
         if not expected > tolerance:
             converged = True
             break
-        if iterations > PATIENCE and value + expected < target:
+        if iterations > PATIENCE and value + hope * expected < target:
             given_up = True
             break
         moved, there = _step(model, all_series, theta, indices, direction, value, expected)
@@ -231,7 +234,7 @@ def derivatives(
     n = len(indices)
     value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
     for one in all_series:
-        f = moment_filter(model, thetas, one)
+        f = filter_neighbours(model, thetas, one)
         total = f.log_likelihood
         value += float(total[0])
         if not np.isfinite(value):

@@ -1,8 +1,9 @@
 """Where EM should start: the maximum of the moment filter's likelihood, found in a second or so.
 
 EM contracts slowly and stays in the basin it starts in. The moment filter's likelihood is smooth and
-cheap, so it is searched first: by scoring from the start values, and from the best of many points
-around them. It is an approximation, so what it finds is only ever a start.
+cheap, so it is searched first: by scoring from the start values and from the best of many points
+around them, each left as soon as it is not expected to come near the best. It is an approximation, so
+what it finds are only ever starts, and EM is shown every maximum that is nearly as high as the highest.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
-from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
+from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta
 
@@ -23,55 +24,86 @@ SEARCHED_ROWS = 2000  # of each series, at most, are searched
 CANDIDATES = 96  # points around the start values ...
 REACH_SIZES = 2.0  # ... this many sizes of each parameter away at most, within its bounds
 FAR_NATS = 20.0  # EM leaves from theta0 unless it is less likely than the maximum by this much
-IMPROVED_CANDIDATES = 4  # of the candidates are improved, besides the start values themselves,
-SHORT_ITERATIONS = 6  # iterations each; the best of them is then followed to its maximum
+IMPROVED_CANDIDATES = 8  # of the candidates are improved, besides the start values themselves
+HOPE = 10.0  # far from a maximum a search gains more than it expects, up to so many times
+RIVAL_NATS = 5.0  # below the highest maximum, another may be the higher one of the true likelihood
+MOST_MAXIMA = 3  # are compared
+SAME_ERRORS = 1.0  # standard errors that two ends of a search for the same maximum may be apart
 
 
 class WarmStart:
-    """:func:`moment_maximum` for a theta; ``note`` says why where it found nothing."""
+    """:func:`moment_maxima` for a theta; ``note`` says why where it found nothing."""
 
     def __init__(
-        self, model: MixedModel, all_series: Sequence[Series], indices: NDArray[np.intp]
+        self,
+        model: MixedModel,
+        all_series: Sequence[Series],
+        indices: NDArray[np.intp],
+        rivals: float = RIVAL_NATS,
     ) -> None:
-        self.model, self.all_series, self.indices = model, all_series, indices
+        self.model, self.all_series, self.indices, self.rivals = model, all_series, indices, rivals
         self.note = ""
 
-    def __call__(self, theta: Theta) -> Theta | None:
-        """The most likely parameters found, or None with a ``note``."""
+    def __call__(self, theta: Theta) -> list[Theta]:
+        """The maxima found, the highest first; none with a ``note``."""
         try:
-            return moment_maximum(self.model, self.all_series, self.indices, theta)
+            return moment_maxima(self.model, self.all_series, self.indices, theta, self.rivals)
         except (ModelError, np.linalg.LinAlgError) as error:
             self.note = (
                 f"EM left from the start values; no better start could be looked for: {error}"
             )
-            return None
+            return []
 
 
-def moment_maximum(
-    model: MixedModel, all_series: Sequence[Series], indices: NDArray[np.intp], theta: Theta
-) -> Theta:
-    """The most likely parameters found. Raises ModelError where the moment filter cannot follow the model.
+def moment_maxima(
+    model: MixedModel,
+    all_series: Sequence[Series],
+    indices: NDArray[np.intp],
+    theta: Theta,
+    rivals: float = RIVAL_NATS,
+) -> list[Theta]:
+    """The maxima found that are at most ``rivals`` nats below the highest, that first.
 
-    Deterministic: the candidates are always the same for the same start.
+    Deterministic: the candidates are always the same for the same start. Raises ModelError where the
+    moment filter cannot follow the model.
     """
     all_series = [
         one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
     ]
     names = [model.parameter_names[k] for k in indices]
     candidates = free_thetas(theta, indices, _around(model, theta, indices))
+    candidates = np.concatenate([np.asarray(theta)[None], candidates])
     values = log_likelihoods(model, all_series, candidates)
-    order = np.argsort(values)[::-1]
-    found = []
+    values = np.where(np.isfinite(values), values, -np.inf)
+    order = np.argsort(-values, kind="stable")
+    starts = [k for k in order if k][:IMPROVED_CANDIDATES]
+    found: list[QuasiFit] = []
     lost: Exception | None = None
-    for start in (np.asarray(theta), *candidates[order[:IMPROVED_CANDIDATES]]):
+    for k in sorted([0, *starts], key=lambda k: -values[k]):
+        highest = max((fit.log_likelihood for fit in found), default=-np.inf)
         try:
-            found.append(quasi_ml(model, all_series, start, names, SHORT_ITERATIONS))
+            found.append(
+                quasi_ml(
+                    model, all_series, candidates[k], names, target=highest - rivals, hope=HOPE
+                )
+            )
         except (ModelError, np.linalg.LinAlgError) as error:
             lost = lost or error
     if not found and lost is not None:
         raise lost
-    best = max(found, key=lambda fit: fit.log_likelihood)
-    return best.theta if best.converged else quasi_ml(model, all_series, best.theta, names).theta
+    found.sort(key=lambda fit: -fit.log_likelihood)
+    apart: list[QuasiFit] = []
+    for fit in found:
+        near = fit.log_likelihood >= found[0].log_likelihood - rivals
+        if near and not any(_same(fit, other, indices) for other in apart):
+            apart.append(fit)
+    return [fit.theta for fit in apart[:MOST_MAXIMA]]
+
+
+def _same(fit: QuasiFit, other: QuasiFit, indices: NDArray[np.intp]) -> bool:
+    """Whether two searches ended at the same place, by the information of either."""
+    d = (np.asarray(fit.theta) - np.asarray(other.theta))[indices]
+    return any(float(d @ one.information @ d) <= SAME_ERRORS**2 for one in (fit, other))
 
 
 def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array:

@@ -93,22 +93,39 @@ class Thetas:
 @np.errstate(all="ignore")
 def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
     """Filter a series with each of the parameter vectors ``thetas`` (K, n_theta)."""
-    run = FilterSteps(model, Thetas(model, thetas), series)
+    return run_filter(FilterSteps(model, Thetas(model, thetas), series))
+
+
+def run_filter(run: FilterSteps, visited: tuple[Array, Array] | None = None) -> MomentFiltered:
+    """All steps of the filter; ``visited``, each (T, S, na), are filled with the points of the first copy.
+
+    With those at which y_t, and those at which x_{t+1} is predicted.
+    """
+    model, series = run.model, run.series
     T, K, ny = len(series), run.thetas.K, model.ny
     innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
     m, P = run.start()
     a, z, V, offsets = sigma_points(m, P, model.na)
     rows = a.reshape(K * a.shape[1], model.na)  # the kernels overwrite the points in place
     for t in range(T):
+        if visited is not None:
+            visited[0][t] = a[0]
         observe(
             t, *run.observation(t, rows), a, z, V, offsets, m, P, series.y, innovations, S, terms
         )
+        if visited is not None:
+            visited[1][t] = a[0]
         if t < T - 1:
             predict(*run.transition(t, rows), a, z, V, offsets, m, P)
+    return MomentFiltered(innovations, S, usable(terms, innovations, S, series))
+
+
+def usable(terms: Array, innovations: Array, S: Array, series: Series) -> Array:
+    """The terms (T, K) of the log-likelihood, NaN where a filter has no prediction: it must not gain by it."""
     there = series.observed[:, None]
     lost = ~(np.isfinite(innovations) | ~there).all(axis=2) | ~np.isfinite(S).all(axis=(2, 3))
-    terms[lost] = np.nan  # a filter without a prediction must not gain by it
-    return MomentFiltered(innovations, S, terms)
+    terms[lost] = np.nan
+    return terms
 
 
 @repeated_if_refuted

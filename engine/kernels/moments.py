@@ -225,3 +225,43 @@ def slopes(cross, P):
         for c in range(nx):
             J[r, c] = out[c]
     return J
+
+
+@njit(cache=True, error_model="numpy")
+def filter_near(first, last, y, seen, moved, m, P, innovations, S, log_p):
+    """Rows ``first`` to ``last`` of K filters whose model is known near given points, from m, P, in place.
+
+    ``seen`` and ``moved`` describe y_t and x_{t+1}, each by the points of one filter (B, S, na), what the K
+    models return there, (B, K S, n), (B, K S, n, nz) and (B, K S, n, n), and the slopes of these by a,
+    (B, S, na, n), (B, S, na, n, nz) and (B, S, na, n, n). Returns the largest distance of a point from where
+    its model is known, by each component of a (na,).
+    """
+    K = m.shape[0]
+    na = seen[0].shape[2]
+    farthest = np.zeros(na)
+    for t in range(first, last):
+        for part in range(2):
+            if part == 1 and t - first >= moved[0].shape[0]:
+                continue
+            points, f, A, Q, df, dA, dQ = seen if part == 0 else moved
+            a, z, V, offsets = sigma_points(m, P, na)
+            n_points = a.shape[1]
+            b = t - first
+            f_t, A_t, Q_t = f[b].copy(), A[b].copy(), Q[b].copy()
+            for k in range(K):
+                for s in range(n_points):
+                    row = k * n_points + s
+                    for i in range(na):
+                        d = a[k, s, i] - points[b, s, i]
+                        farthest[i] = max(farthest[i], abs(d))
+                        f_t[row] += d * df[b, s, i]
+                        A_t[row] += d * dA[b, s, i]
+                        Q_t[row] += d * dQ[b, s, i]
+            mean, cov, cross = transform(f_t, A_t, Q_t, z, V, offsets, na)
+            if part == 0:
+                m_new, P_new, terms = gaussian_update(m, P, mean, cov, cross, y[t])
+                innovations[t], S[t], log_p[t] = y[t] - mean, cov, terms
+                m[:], P[:] = m_new, P_new
+            else:
+                m[:], P[:] = mean, cov
+    return farthest

@@ -49,23 +49,24 @@ def footprints(F, H, K, b, e, gate):
 
 
 @njit(cache=True, error_model="numpy")
-def sensitivities(F, H, K, precision, nu, b, e, dQ, dR, dX):
+def sensitivities(F, H, K, precision, nu, b, e, dQ, dR, dX, dm, dV):
     """Derivatives of a filter's predictions by one parameter of its model.
 
     ``precision`` (T, ny, ny) = S^{-1} with zeros for missing channels, ``nu`` (T, ny) with zeros there. The
     rest is what the parameter changes in one step from given moments: b (T-1, nx), dQ (T-1, nx, nx) in
     mean and covariance of x_{t+1}; e (T, ny), dR (T, ny, ny), dX (T, nx, ny) in mean and covariance of y_t
-    and in Cov(x_t, y_t). Returns g (T, ny), the derivative of the predicted y (minus that of nu), and dS
-    (T, ny, ny). With dx, dP the derivatives of the predicted moments,
+    and in Cov(x_t, y_t); dm (nx,), dV (nx, nx) in mean and covariance of x_1. Returns g (T, ny), the
+    derivative of the predicted y (minus that of nu), and dS (T, ny, ny). With dx, dP the derivatives of the
+    predicted moments,
 
         g = H dx + e,    dS = H dP H' + dR,    dC = dP H' + dX,    dK = (dC - K dS) S^{-1},
         dx' = F (dx + dK nu - K g) + b,    dP' = F (dP - dC K' - K dC' + K dS K') F' + dQ.
     """
-    T, ny, nx = H.shape
+    T, ny, _ = H.shape
     g = np.empty((T, ny))
     dS = np.empty((T, ny, ny))
-    dx = np.zeros(nx)
-    dP = np.zeros((nx, nx))
+    dx = dm.copy()
+    dP = dV.copy()
     for t in range(T):
         Ht = np.ascontiguousarray(H[t])
         Kt = np.ascontiguousarray(K[t])

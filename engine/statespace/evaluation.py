@@ -31,7 +31,7 @@ import numpy as np
 from engine.errors import EngineError, ModelError
 from engine.statespace.compare import Result, copies, joined
 from engine.statespace.plan import Plan, plan_of
-from engine.statespace.refutation import count_refutation, count_split
+from engine.statespace.refutation import calls_split, count_refutation, count_split
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, is_numeric
 
@@ -143,6 +143,7 @@ class ModelFunction:
         self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Kind
     ) -> Result:
         """A call for each theta, as a filter needs it at every time step."""
+        count_split()
         plan = self._plan
         if plan.theta is not theta or len(a) != plan.M:
             plan = self._plan = plan_of(Rows(a, u, t, dt, theta), kind)
@@ -220,8 +221,10 @@ class ModelFunction:
 
     def takes(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> bool:
         """Whether such rows are evaluated in one call; tries it if none were yet."""
-        if self._trusted:
-            return True
+        if self._trusted:  # as the functions of the model take them that it hands them on to
+            before = calls_split()
+            self(a, u, t, dt, theta)
+            return calls_split() == before
         rows = Rows(a, regular_input(u, len(a)), t, dt, theta)
         kind = self._kind_of(rows)
         if kind is not None and (kind not in self._verdicts):

@@ -143,6 +143,7 @@ CASES = {
     "parameter-drift": ("damping", {"parameter_drift_damping": 1.2}),
     "time-step": ("dt", {"time_step_dt": 1.7}),
     "held": ("load", {"held_load": 0.4}),
+    "start": ("speed", {"start_speed": 2.0}),
 }
 
 

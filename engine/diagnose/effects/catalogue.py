@@ -15,6 +15,7 @@ from engine.diagnose.effects.colored import KINDS as COLORED
 from engine.diagnose.effects.delays import KINDS as LATE
 from engine.diagnose.effects.dynamic import KINDS as MEMORY
 from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.first_state import KINDS as FIRST_STATE
 from engine.diagnose.effects.held import KINDS as HELD
 from engine.diagnose.effects.hysteresis import KINDS as HYSTERESIS
 from engine.diagnose.effects.inputs import KINDS as INPUT
@@ -49,6 +50,7 @@ SHIPPED: tuple[Kind, ...] = (
     *PATHS,
     *TIME,
     *TIME_STEP,
+    *FIRST_STATE,
     *HELD,
 )
 

@@ -13,6 +13,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from engine.diagnose.gain.simulation_gain import OutputGain
+from engine.distributions import student_sf
 from engine.words import enumerated, number, percent, probability, with_unit
 
 if TYPE_CHECKING:
@@ -47,6 +48,26 @@ def decide(
     if lost or worse or (p_loss < TEST_LEVEL and log_density < -LOSS_NATS):
         return Decision.LOSES
     return Decision.ADOPTED if p_gain <= TEST_LEVEL or better else Decision.NO_EVIDENCE
+
+
+def falls_short(gain: Gain, expected: float) -> str:
+    """A sentence where the log-density lost on held-out data contradicts what was to be gained there.
+
+    ``expected`` nats are what the likelihood gained in the search promises for so many rows. An effect that
+    the held-out data do not excite gains nothing there and loses nothing; one that stands in for something
+    else loses.
+    """
+    error = gain.standard_error * gain.samples
+    if not (math.isfinite(gain.log_density) and gain.log_density < -LOSS_NATS and error > 0.0):
+        return ""
+    p_value = student_sf((expected - gain.log_density) / error, max(gain.samples - 1, 1))
+    if not (expected > 0.0 and p_value < TEST_LEVEL):
+        return ""
+    return (
+        f"On data that it has not seen the extension loses {number(-gain.log_density)} in log-density, where "
+        f"{number(expected)} were to be gained ({probability(p_value)} of so little): it stands in for "
+        "something else, so no cause is named."
+    )
 
 
 def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:

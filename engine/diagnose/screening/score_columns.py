@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.estimation.quasi_ml import neighbours, whitening
-from engine.filters.sigma_point import MomentFiltered, MomentPath, moment_filter
+from engine.filters.neighbours import filter_neighbours
+from engine.filters.sigma_point import MomentFiltered, MomentPath, first_moments, moment_filter
 from engine.kernels.moments import sigma_points, transform
 from engine.kernels.sensitivities import sensitivities
 from engine.statespace.model import Array, MixedModel
@@ -82,11 +83,12 @@ def parameter_columns(
     if not len(indices):
         return []
     thetas, distances = neighbours(model, theta, indices)
-    filtered = moment_filter(model, thetas, series)
+    filtered = filter_neighbours(model, thetas, series)
     pairs = [(1 + 2 * i, 2 + 2 * i, float(d)) for i, d in enumerate(distances)]
     return innovation_columns(filtered, series.observed, pairs)
 
 
+@np.errstate(all="ignore")  # sizes are tried that are far too large
 def effect_columns(
     effect: Effect, model: MixedModel, theta: Array, series: Series, path: MomentPath
 ) -> list[tuple[tuple[float, ...], Column]]:
@@ -121,11 +123,11 @@ def static_column(
     path: MomentPath,
 ) -> Column:
     """The column of parameter k of ``extended`` at ``at``, along the path of the base model."""
-    b, dQ, e, dR, dX = _slopes(extended, at, k, model, series, path)
+    b, dQ, e, dR, dX, dm, dV = _slopes(extended, at, k, model, series, path)
     root = whitening(path.S, series.observed)
     precision = np.swapaxes(root, -1, -2) @ root
     nu = np.nan_to_num(path.innovations)
-    g, dS = sensitivities(path.F, path.H, path.K, precision, nu, b, e, dQ, dR, dX)
+    g, dS = sensitivities(path.F, path.H, path.K, precision, nu, b, e, dQ, dR, dX, dm, dV)
     z = np.einsum("tij,tj->ti", root, nu)
     Z = -np.einsum("tij,tj->ti", root, g)
     E = root @ dS @ np.swapaxes(root, -1, -2)
@@ -169,16 +171,17 @@ def _scatter(path: MomentPath) -> list[Array]:
     y = np.sqrt(np.median(np.diagonal(path.S, axis1=1, axis2=2), axis=0))
     spread = np.std(path.predicted, axis=0)
     x = np.where(x > 0.0, x, np.where(spread > 0.0, spread, 1.0))
-    return [x, np.outer(x, x), y, np.outer(y, y), np.outer(x, y)]
+    return [x, np.outer(x, x), y, np.outer(y, y), np.outer(x, y), x, np.outer(x, x)]
 
 
 def along_path(
     extended: MixedModel, theta: Array, model: MixedModel, series: Series, path: MomentPath
-) -> tuple[Array, Array, Array, Array, Array]:
-    """One step of ``extended`` from each of the moments on the path of ``model``.
+) -> tuple[Array, ...]:
+    """One step of ``extended`` from each of the moments on the path of ``model``, and where it begins.
 
     Mean and covariance of x_{t+1}, (T-1, nx) and (T-1, nx, nx); mean and covariance of y_t, (T, ny) and
-    (T, ny, ny); Cov(x_t, y_t) (T, nx, ny); all in the base model's order of states.
+    (T, ny, ny); Cov(x_t, y_t) (T, nx, ny); mean (nx,) and covariance (nx, nx) of x_1; all in the base model's
+    order of states.
     """
     states = [*model.nonlinear, *model.linear]
     order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
@@ -201,12 +204,15 @@ def along_path(
             )
         )
     (x_mean, x_cov, _), (y_mean, y_cov, cross) = out
+    first, first_cov = first_moments(extended, theta)
     return (
         x_mean[:, back],
         x_cov[:, back][:, :, back],
         y_mean,
         y_cov,
         np.ascontiguousarray(np.swapaxes(cross[:, :, back], 1, 2)),
+        first[back],
+        np.ascontiguousarray(first_cov[back][:, back]),
     )
 
 

@@ -140,8 +140,8 @@ def fit_base(
     """The model's own parameters: from the given start, or searched for where none is given."""
     start = model.theta(theta)
     if theta is None:
-        found = WarmStart(model, [series], model.free_indices(free))(start)
-        start = start if found is None else found
+        found = WarmStart(model, [series], model.free_indices(free), rivals=0.0)(start)
+        start = found[0] if found else start
     return quasi_ml(model, series, start, free)
 
 

@@ -17,6 +17,7 @@ from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.statespace.model import Array, MixedModel
 
 TOLERANCE = 0.02  # of a log-likelihood: refits are compared, the best one is then finished
+HOPE = 10.0  # a large effect is far away, where a search gains many times what it expects
 HOPELESS = 10.0  # of the score behind the best refit, from which another one is left for later
 
 
@@ -80,7 +81,7 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
     if sought:
         start = _best_row(extended, series, start, sought[0], effect)
     target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
-    found = quasi_ml(extended, series, start, free, tolerance=TOLERANCE, target=target)
+    found = quasi_ml(extended, series, start, free, tolerance=TOLERANCE, target=target, hope=HOPE)
     if sought and found.log_likelihood > target:
         moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect)
         if not np.array_equal(moved, found.theta):

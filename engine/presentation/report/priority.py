@@ -12,7 +12,7 @@ _KINDS = (
     "coulomb", "bias", "drag", "gain", "delay", "input-offset", "cubic", "lag", "input-deadzone",
     "saturation", "step", "heavy-tails", "drift", "harmonic", "input-saturation", "deadzone", "stribeck",
     "slow-sensor", "overflow", "play", "direct", "path", "extra-input", "parameter-step", "colored",
-    "hysteresis", "boucwen", "cogging", "linear",
+    "hysteresis", "boucwen", "cogging", "linear", "start",
 )  # fmt: skip
 
 

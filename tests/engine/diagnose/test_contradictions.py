@@ -130,3 +130,25 @@ def test_a_model_far_from_the_data_has_no_named_cause():
         known, series, {"q": 1.0, "r": 1.0, "level": 0.0}, free=["level"], effects=["bias"]
     )
     assert fits.verdict.value == "nothing"
+
+
+def test_a_scattering_particle_filter_is_no_contradiction():
+    """Its log-likelihood is log-normal's: too low by half the variance, and that is known badly."""
+    rng = np.random.default_rng(4)
+    inside, low = 0, 0
+    for _ in range(200):
+        after = 30.0 - 0.5 * 8.0**2 + 8.0 * rng.standard_normal(4)
+        before = -0.5 * 0.5**2 + 0.5 * rng.standard_normal(4)
+        values = np.stack([before, after], axis=1)
+        gain, error = contradictions.debiased(values)
+        inside += abs(gain - 30.0) < 3.0 * error
+        low += abs((after - before).mean() - 30.0) > 3.0 * (after - before).std(ddof=1) / 2.0
+    assert low > 150  # the mean alone is far from the truth
+    assert inside > 160  # four runs know their variance badly
+
+
+def test_a_quiet_particle_filter_is_believed():
+    values = np.array([[-5.0, 2.0], [-5.1, 2.1], [-4.9, 1.9], [-5.0, 2.0]])
+    gain, error = contradictions.debiased(values)
+    assert gain == pytest.approx(7.0, abs=0.02)
+    assert error < 0.15

@@ -164,6 +164,7 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "direct": y / x,
         "overflow": 1.0 / k,
         "play": x,
+        "start": x,
         "slow-sensor": k,
     }
     plain = ("gain", "lag", "delay", "rectification", "saturation-sensor", "input-saturation")

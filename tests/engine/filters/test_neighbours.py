@@ -1,0 +1,112 @@
+"""The filter at neighbouring parameters, followed by slopes, against the filter itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine import Series, get_model, simulate
+from engine.estimation.quasi_ml import derivatives, neighbours
+from engine.filters import neighbours as module
+from engine.filters.neighbours import filter_neighbours, followed
+from engine.filters.sigma_point import FilterSteps, Thetas, moment_filter
+
+MODELS = ("mixed-4", "servo", "tanks", "linear-2", "oscillator")
+
+
+def one_vector_a_call(model):
+    """The same model written by somebody whose functions take one parameter vector a call."""
+
+    def plain(theta):
+        assert all(np.ndim(value) == 0 for value in theta)
+        return theta
+
+    def dynamics(a, u, t, dt, theta):
+        return model.dynamics(a, u, t, dt, plain(theta))
+
+    def measurement(a, u, t, theta):
+        return model.measurement(a, u, t, plain(theta))
+
+    return replace(model, dynamics=dynamics, measurement=measurement)
+
+
+def record(name, T=120, gaps=True):
+    model = get_model(name)
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(0.5, 2.0, T // 10), 10) if model.inputs else None
+    series = simulate(model, None, T, rng, u=u, dt=0.05).series
+    if not gaps:
+        return model, series
+    y = series.y.copy()
+    y[20:27] = np.nan
+    y[50, 0] = np.nan
+    return model, Series(y, u=series.u, t=series.t)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_derivatives_are_those_of_the_filter_itself(name):
+    model, series = record(name)
+    theta, free = np.asarray(model.theta()), np.arange(len(model.parameters))
+    value, g, H = derivatives(model, [series], theta, free)
+    value_2, g_2, H_2 = derivatives(one_vector_a_call(model), [series], theta, free)
+    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(H, hermitian=True)), 0.0))
+    assert value_2 == pytest.approx(value, rel=1e-12)
+    assert np.allclose(g_2 * errors, g * errors, rtol=1e-4, atol=1e-4)
+    assert np.allclose(H_2, H, rtol=1e-4, atol=1e-6 * np.abs(H).max())
+
+
+def test_such_a_model_is_called_once_at_every_time():
+    calls = {"all": 0, "single": 0}
+    model, series = record("mixed-4")
+    model = one_vector_a_call(model)
+
+    def counted(a, u, t, dt, theta):
+        calls["all"] += 1
+        calls["single"] += np.ndim(t) == 0
+        return model.dynamics(a, u, t, dt, theta)
+
+    counting = replace(model, dynamics=counted)
+    thetas, _ = neighbours(counting, np.asarray(model.theta()), np.arange(5))
+    filter_neighbours(counting, thetas, series)  # looks what the function takes
+    calls.update(all=0, single=0)
+    filter_neighbours(counting, thetas, series)
+    assert calls["all"] < 2 * len(series)
+    calls.update(all=0, single=0)
+    moment_filter(counting, thetas, series)
+    assert calls["single"] > 10 * len(series)
+
+
+def test_blocks_of_rows_make_no_difference(monkeypatch):
+    model, series = record("tanks")
+    thetas, _ = neighbours(model, np.asarray(model.theta()), np.arange(4))
+    whole = followed(FilterSteps(model, Thetas(model, thetas), series))
+    monkeypatch.setattr(module, "NUMBERS", 2000)
+    parts = followed(FilterSteps(model, Thetas(model, thetas), series))
+    assert np.array_equal(whole.log_terms, parts.log_terms)
+    assert np.array_equal(whole.S, parts.S)
+
+
+def test_what_is_far_is_filtered_itself():
+    model, series = record("tanks", gaps=False)
+    model = one_vector_a_call(model)
+    thetas = np.repeat(np.asarray(model.theta())[None], 5, axis=0)
+    thetas[1:, 0] *= [0.5, 0.8, 1.3, 2.0]
+    assert followed(FilterSteps(model, Thetas(model, thetas), series)) is None
+    found = filter_neighbours(model, thetas, series)
+    assert np.array_equal(found.log_terms, moment_filter(model, thetas, series).log_terms)
+
+
+def test_a_step_of_an_input_seen_by_no_other_row_is_not_taken_for_another():
+    """Irregular times and inputs of their own: rows must not be mixed up."""
+    model, _ = record("servo")
+    rng = np.random.default_rng(8)
+    t = np.cumsum(rng.uniform(0.01, 0.05, 60))
+    u = rng.standard_normal(60)
+    y = rng.standard_normal((60, 1)) * 1e-3
+    series = Series(y, u=u, t=t)
+    thetas, _ = neighbours(model, np.asarray(model.theta()), np.arange(len(model.parameters)))
+    near = followed(FilterSteps(model, Thetas(model, thetas), series))
+    exact = moment_filter(model, thetas, series)
+    assert np.allclose(near.innovations, exact.innovations, rtol=1e-6, atol=1e-9)
