@@ -37,7 +37,7 @@ from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.free_run.answer import causes_of
 from engine.diagnose.free_run.search import FAMILIES
 from engine.diagnose.free_run.second_opinion import heeding, second_opinion
-from engine.diagnose.free_run.windows import stretch
+from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.adoption import falls_short
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
 from engine.diagnose.records import records_of
@@ -166,7 +166,7 @@ def diagnose(
     clock = Clock(callback)
     done = kept_of(parts, model, records, options, clock.spent)
     plain = records.train
-    part = plain.part(*stretch(plain))
+    part = plain.part(*rows_searched(model, theta, plain))
     clock.start("fit")
     fine = prepare(
         model,
@@ -181,12 +181,13 @@ def diagnose(
     theta = theta if fine.theta is None else fine.theta
     train = fine.records.train
 
-    begin, end = stretch(train)
+    begin, end = rows_searched(model, theta, train)
     searched = train if end - begin == len(train) else train.part(begin, end)
     if searched is not train:
         notes.append(
-            f"The likelihood searched {len(searched.samples)} of {len(train.samples)} samples, those that "
-            f"move most: from t = {searched.t[0]:g} s to {searched.t[-1]:g} s."
+            f"The likelihood searched {len(searched.samples)} of {len(train.samples)} samples, "
+            f"{'those that move most' if begin else 'the first, as the model says where a record begins'}: "
+            f"from t = {searched.t[0]:g} s to {searched.t[-1]:g} s."
         )
     causes = find_causes(
         model,

@@ -7,9 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.data.series import Series
+from engine.errors import EngineError
+from engine.filters.sigma_point import moment_path
+from engine.statespace.model import MixedModel, ThetaLike
 
 MOST_ROWS = 4000  # of all windows together, steps between samples counted
 WINDOWS = 4
+WIDE = 0.3  # of the standard deviation of a state over a record
 LONG, STRETCH = 10_000, 3000  # rows from which on the likelihood searches a stretch, and its length
 
 
@@ -45,6 +49,27 @@ def stretch(series: Series, long: int = LONG, rows: int = STRETCH) -> tuple[int,
     )
     best = max(firsts, key=lambda first: activity(series.part(first, first + length), series))
     return best, best + length
+
+
+def rows_searched(model: MixedModel, theta: ThetaLike, series: Series) -> tuple[int, int]:
+    """First row and end of what the likelihood searches: :func:`stretch`, or as many rows from the first on.
+
+    The latter where the model knows where a record begins, which is not where a stretch does.
+    """
+    begin, end = stretch(series)
+    if begin and not _begins_anywhere(model, theta, series.part(0, end - begin)):
+        return 0, end - begin
+    return begin, end
+
+
+def _begins_anywhere(model: MixedModel, theta: ThetaLike, part: Series) -> bool:
+    """Whether the first state's density is as wide, nearly, as the states go on a part of a record."""
+    try:
+        path = moment_path(model, np.asarray(model.theta(theta)), part)
+    except (EngineError, np.linalg.LinAlgError):
+        return False
+    wide = np.sqrt(np.diagonal(path.P_predicted[0]))
+    return bool((wide >= WIDE * np.std(path.filtered, axis=0)).all())
 
 
 def activity(part: Series, whole: Series) -> float:

@@ -11,6 +11,7 @@ import engine
 from engine.diagnose import diagnose, extend
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.free_run.windows import rows_searched, stretch
 from engine.diagnose.screening.score_columns import effect_columns, innovation_columns
 from engine.filters.sigma_point import first_moments, moment_filter, moment_path
 from tests.engine.hidden_effects import DRIVE, hidden
@@ -127,3 +128,19 @@ def test_a_whole_record_begins_where_it_should():
     model, series = cell(300, np.random.default_rng(3))
     found = diagnose(model, series, seed=1, effects=["start", "bias", "force"])
     assert found.verdict.value == "nothing"
+
+
+def test_a_long_record_is_not_searched_where_the_model_knows_nothing_of_its_start():
+    """What looks best is in its middle, where the charge is not what the model says of the first row."""
+    model, series = cell(12_000, np.random.default_rng(4))
+    u = series.u.copy()
+    u[:4000] *= 0.1
+    series = series.replace(u=u)
+    begin, end = stretch(series)
+    assert begin > 0
+    assert rows_searched(model, None, series) == (0, end - begin)
+    unknown = replace(
+        model,
+        initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), [0.0, 0.0], 1e4 * np.eye(2)),
+    )
+    assert rows_searched(unknown, None, series) == (begin, end)
