@@ -172,7 +172,12 @@ def _arrays(series: Series) -> dict[str, Any]:
     out["y"] = [[None if v != v else v for v in row] for row in series.y.tolist()]
     names = ("y_names", "u_names", "extra_names")
     out |= {name: list(getattr(series, name)) for name in names}
-    return out | {"substeps": series.substeps, "hold": series.hold}
+    return out | {
+        "substeps": series.substeps,
+        "hold": series.hold,
+        "time_unit": series.time_unit,
+        "units": dict(series.units),
+    }
 
 
 def _several(series: Series | Sequence[Series] | None) -> list[Series]:

@@ -19,6 +19,7 @@ from service.bodies import json_route
 from service.downsample import keep, thin_results
 from service.etags import with_etag
 from service.examples import EXAMPLES
+from service.listing import ListQuery
 from service.lookup import (
     find_job,
     find_result,
@@ -32,18 +33,16 @@ from service.problems import Problem, invalid
 from service.responses import (
     JobList,
     JobStatus,
-    Kind,
     Link,
     ModelList,
     ModelOut,
     PreviewOut,
     Results,
-    Status,
     Trace,
 )
-from service.schemas import JobRequest, ModelReference
+from service.schemas import JobRequest, LabelsIn, ModelReference
 from service.settings import Settings
-from service.store import ENDED, KeyReused, QueueFull, Store
+from service.store import ENDED, KeyReused, QueueFull, Store, Which
 from service.strict_json import dumps
 from service.supervisor import Supervisor
 from service.uploads import with_files
@@ -162,26 +161,30 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     ) -> PreviewOut:
         return preview(file.file.read(), file.filename or "", t, settings)
 
-    @api.get("/jobs", summary="Jobs, newest first")
-    def jobs(
-        caller: Caller,
-        status: Annotated[list[Status] | None, Query()] = None,
-        model: Annotated[
-            str | None, Query(max_length=200, description="with its extensions")
-        ] = None,
-        kind: Annotated[list[Kind] | None, Query()] = None,
-        limit: Annotated[int, Query(ge=1, le=1000)] = 50,
-        cursor: Annotated[int | None, Query(ge=1, le=2**31 - 1)] = None,
-    ) -> JobList:
-        owner = caller if keys.needed else None
-        rows = store.jobs(limit + 1, cursor, status or (), model, owner, kind or ())
+    @api.get("/jobs", summary="Jobs, newest first or sorted")
+    def jobs(caller: Caller, asked: Annotated[ListQuery, Query()]) -> JobList:
+        which = Which(
+            asked.status, asked.kind, asked.outcome, asked.tag, asked.model,
+            caller if keys.needed else None, asked.search,
+        )  # fmt: skip
+        rows = store.jobs(asked.limit + 1, asked.cursor, which, asked.sort)
         links = [Link(href="/jobs", rel="self")]
-        if len(rows) > limit:
-            query: list[tuple[str, Any]] = [("limit", limit), ("cursor", rows[limit - 1].seq)]
-            query += [("status", s) for s in status or ()] + ([("model", model)] if model else [])
-            query += [("kind", k) for k in kind or ()]
-            links.append(Link(href=f"/jobs?{urlencode(query)}", rel="next"))
-        return JobList(jobs=[serializers.job_status(row) for row in rows[:limit]], links=links)
+        if len(rows) > asked.limit:
+            query = asked.model_dump(exclude_defaults=True) | {"limit": asked.limit}
+            query["cursor"] = rows[asked.limit - 1].seq
+            links.append(Link(href=f"/jobs?{urlencode(query, doseq=True)}", rel="next"))
+        listed = [serializers.job_status(row) for row in rows[: asked.limit]]
+        return JobList(jobs=listed, links=links)
+
+    @api.patch(
+        "/jobs/{job_id}",
+        summary="Give a job another name, other tags",
+        responses=problem_answers(400, 404, 408, 413, 415),
+    )
+    def label(caller: Caller, job_id: JobId, labels: LabelsIn) -> JobStatus:
+        row = find(job_id, caller)
+        store.label(job_id, labels.name, labels.tags)
+        return serializers.job_status(find(job_id, caller), has_estimates(store, row))
 
     @api.get(
         "/jobs/{job_id}",

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from fastapi import FastAPI
 
 from engine.models.registry import register_files
-from service import guide, job_pages, pages, problem_handlers
+from service import comparison, guide, job_pages, pages, problem_handlers
 from service.api import router
 from service.auth import KeyFirst, Keys, check_exposure
 from service.limits import BodyLimit
@@ -63,9 +63,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(pages.PageHeaders)
     app.router.routes.extend(pages.routes(keys.needed))  # before the JSON calls
     app.router.routes.extend(job_pages.page_routes(keys.needed))
+    app.router.routes.extend(comparison.page_routes(keys.needed))
     app.router.routes.extend(guide.routes(keys.needed))
     app.include_router(router(store, supervisor, settings, keys))
     app.include_router(job_pages.router(store, keys))
+    app.include_router(comparison.router(store, keys))
     problem_handlers.install(app)
     app.state.supervisor, app.state.store_url = supervisor, settings.store_url
     return app

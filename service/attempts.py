@@ -13,6 +13,7 @@ from sqlalchemy import and_, delete, func, insert, or_, select, text
 
 from engine.statespace.model import Array
 from service.db_schema import ITERATIONS, connect, documents, iterations, jobs, tasks, turns
+from service.key_values import found_by
 from service.reserve import Reserve
 from service.strict_json import dumps, finite
 from service.transitions import (
@@ -236,7 +237,7 @@ class Attempts:
                 name = documents.c.name
                 left_over = or_(name.startswith(KEPT), name == PRELIMINARY)
                 sql.execute(delete(documents).where(documents.c.job == job.seq, left_over))
-                end(sql, job.seq, "successful", message=message)
+                end(sql, job.seq, "successful", message=message, **found_by(result))
             elif set(states) == {"done"}:
                 stage = ends.index(len(states))
                 add_tasks(sql, attempt.job, ends[stage], ends[stage + 1])

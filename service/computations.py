@@ -12,6 +12,7 @@ import numpy as np
 
 import engine
 from engine.data.series import Series
+from engine.diagnose.symptoms.data_checks import clock_notes
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.uncertainty import LikelihoodIntervals, StandardErrors
 from engine.presentation.examination import (
@@ -22,6 +23,7 @@ from engine.presentation.examination import (
     states_document,
     trace_document,
 )
+from engine.presentation.held_out import held_out
 from engine.statespace.model import Array, MixedModel, Theta
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
@@ -100,13 +102,15 @@ def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) 
         estimate[name]["silent"] = True
     return {
         "model": model_document(model),
+        "time_unit": job.time_unit,
         "method": "simulation",
         "estimate": estimate,
         "outcome": "converged" if found.success else "evaluations-used-up",
-        "message": found.message,
+        "message": " ".join([found.message, *clock_notes(model, job.series[0])]),
         "warning": "Standard errors take the errors of the simulation for white noise, which they hardly "
         "ever are: read them as lower bounds. Maximum likelihood (rbps-em) gives others.",
         "rmse": found.rmse,
+        **_held_out(job, found.theta),
         "simulation": {
             "units": _units(model),
             "series": [_run_document(model, run.series, run) for run in found.runs],
@@ -143,7 +147,7 @@ def fit(
     found = method(
         job.model, job.series, theta0, free=job.free, callback=progress.iteration, **arguments
     )
-    note = " EM left from the fit of the simulation." if simulation_first else ""
+    note = " EM started from the fit of the simulation." if simulation_first else ""
     return {
         "theta": found.theta.tolist(),
         "trace": found.trace.tolist(),
@@ -169,7 +173,7 @@ def describe(
     rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(0,)))
     progress.step(done, "smoothing the states at the estimate")
     states = _states(job, theta, n, options.trajectories or n, rng, options.method)
-    message = found["message"]
+    message = " ".join([found["message"], *clock_notes(model, job.series[0])])
     likelihood = log_likelihood(job, theta, n, rng, options.method)
     if not (likelihood["spread"] or 0.0) < WIDE_NATS:
         message += (
@@ -179,6 +183,7 @@ def describe(
     rest = {
         "outcome": found["outcome"],
         "log_likelihood": likelihood,
+        **_held_out(job, theta),
         "trace": trace_document(model.parameter_names, found),
     }
     documented = partial(
@@ -208,6 +213,11 @@ def describe(
         message += f" Intervals are symmetric: {why}" if why else ""
     progress.step(done, "comparing simulation and prediction with the data")
     return {**documented((errors, intervals)), **rest, "message": message}
+
+
+def _held_out(job: Prepared, theta: Theta) -> dict[str, Any]:
+    """The error on data that were held out, where there are any."""
+    return {"held_out": held_out(job.model, theta, job.test)} if job.test else {}
 
 
 def _tried(compute: Callable[[], Any]) -> tuple[Any, str]:
@@ -264,6 +274,7 @@ def smooth(job: Prepared, request: SmoothRequest, progress: Progress) -> dict[st
     return {
         "parameters": job.theta.asdict(),
         "model": model_document(job.model),
+        "time_unit": job.time_unit,
         "log_likelihood": log_likelihood(job, job.theta, n, rng, ""),
         "states": states_document(job.model, job.series, states),
     }
@@ -288,7 +299,8 @@ def _states(
             mean, std = smoothed(model, theta, series, M, N, rng)
         if not np.isfinite(mean).all():
             row = int(np.argmin(np.isfinite(mean).all(axis=1)))
-            detail = f"the model's states are not finite at row {row} (t = {series.t[row]:g} s)"
+            when = f"row {row} (t = {series.t[row]:g} {series.time_unit})"
+            detail = f"the model's states are not finite at {when}"
             raise Problem(422, "not-finite", detail)
         out.append((mean, std))
         if progress is not None:
@@ -309,6 +321,7 @@ def simulate(job: Prepared, request: SimulateRequest, progress: Progress) -> dic
         progress.step(i + 1)
     return {
         "model": model_document(model),
+        "time_unit": job.time_unit,
         "parameters": job.theta.asdict(),
         "simulation": {"units": _units(model), "series": out},
     }

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import stat
+import zlib
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -22,12 +25,16 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    and_,
     create_engine,
     event,
     inspect,
+    select,
     update,
 )
 from sqlalchemy.schema import CreateColumn
+
+from service.key_values import found_by
 
 metadata = MetaData()
 ITERATIONS = "iterations"  # the stage of a job in which EM iterates
@@ -65,6 +72,13 @@ jobs = Table(
     Column("stage_from", Double),
     # 1: its data are no longer there
     Column("removed", Integer, nullable=False, server_default="0"),
+    # what its sender calls it; ``in_lines`` its tags, and the files that its data are from
+    Column("name", String(200), nullable=False, server_default=""),
+    Column("tags", Text, nullable=False, server_default=""),
+    Column("data", Text, nullable=False, server_default=""),
+    # of a successful job: its verdict or outcome, and JSON {causes, values}, see ``key_values``
+    Column("outcome", String(40)),
+    Column("found", Text),
     Index("jobs_status", "status", "seq"),
     UniqueConstraint("owner", "idempotency_key"),
     sqlite_autoincrement=True,
@@ -127,6 +141,11 @@ documents = Table(
 
 # Written to find out whether the store can be written.
 pulse = Table("pulse", metadata, Column("time", Double, primary_key=True))
+
+
+def in_lines(words: Sequence[str]) -> str:
+    """A line for each word, and a line's end before the first, so that a whole word can be searched for."""
+    return "".join(f"\n{word}" for word in words) + "\n" if words else ""
 
 
 def connect(url: str) -> Engine:
@@ -201,3 +220,18 @@ def _add_columns(engine: Engine) -> None:
             sql.exec_driver_sql(f"ALTER TABLE {column.table.name} ADD COLUMN {definition}")
             if column is jobs.c.removed:  # it was removed together with what it had computed
                 sql.execute(update(jobs).where(jobs.c.status == "dismissed").values(removed=1))
+            if column is jobs.c.found:
+                _find(sql)
+
+
+def _find(sql: Connection) -> None:
+    """Note what the jobs of an earlier version have found, from their results."""
+    here = and_(documents.c.job == jobs.c.seq, documents.c.name == "result")
+    for (seq,) in sql.execute(
+        select(jobs.c.seq).join(documents, here)
+    ).all():  # one in memory at once
+        result = sql.scalar(
+            select(documents.c.body).where(documents.c.job == seq, documents.c.name == "result")
+        )
+        found = found_by(json.loads(zlib.decompress(result or b"")))
+        sql.execute(update(jobs).where(jobs.c.seq == seq).values(found))

@@ -16,15 +16,15 @@ from service.validation import Prepared
 
 PROGRESS_STEPS = 100  # of progress
 # per cent for the base model's fit, for all rounds of search, and for the free run
-FIT_PERCENT, SEARCH_PERCENT, FREE_RUN_PERCENT = 5.0, 65.0, 20.0
+FIT_PERCENT, SEARCH_PERCENT, FREE_RUN_PERCENT = 10.0, 60.0, 20.0
 STAGE_PERCENT = {"gain": 92.0, "symptoms": 95.0}
 STAGE_MESSAGES = {
-    "fit": "estimating the model as it is",
+    "fit": "estimating the model without effects",
     "search": "looking for effects",
     "screen": "screening effects",
-    "refit": "estimating the best of them",
-    "free run": "looking at the free run",
-    "bootstrap": "asking the same of simulated data",
+    "refit": "estimating the most likely effects",
+    "free run": "searching with the free run",
+    "bootstrap": "parametric bootstrap of the first p-value",
     "gain": "measuring the gain on held-out data",
     "symptoms": "comparing simulation and prediction with the data",
 }
@@ -117,6 +117,8 @@ class Percent:
             left = 0.5 ** max(self.round, 0)
             part = 0.6 * fraction if stage == "screen" else 0.6 + 0.4 * fraction
             return FIT_PERCENT + SEARCH_PERCENT * (1.0 - left + 0.5 * left * part)
+        if stage == "fit":
+            return FIT_PERCENT * fraction
         if stage == "free run":
             return FIT_PERCENT + SEARCH_PERCENT + FREE_RUN_PERCENT * fraction
         if stage == "bootstrap":

@@ -28,7 +28,7 @@ def _holders(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     if trace := document.get("trace"):
         yield trace
     yield from (start["trace"] for start in document.get("starts") or () if "trace" in start)
-    for name in ("states", "simulation"):
+    for name in ("states", "simulation", "held_out"):
         yield from (document.get(name) or {}).get("series", [])
     symptoms = list((document.get("examination") or {}).get("series", []))
     if diagnosis := document.get("diagnosis"):

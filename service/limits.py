@@ -85,7 +85,7 @@ class BodyLimit:
             return Problem(413, "body-too-large", self._too_large())
         coding = headers.get("content-encoding", "identity")
         if coding != "identity":
-            detail = f"a body in the encoding {coding[:40]} is not understood; send it as it is"
+            detail = f"a body in the encoding {coding[:40]} is not understood; send it without an encoding"
             refused = {"Accept-Encoding": "identity"}
             return Problem(415, "unsupported-media-type", detail, headers=refused)
         return None

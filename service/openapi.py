@@ -11,7 +11,7 @@ from service.responses import ProblemOut
 
 JobId = Annotated[str, Path(max_length=64, description="the job's `jobID`")]
 Points = Annotated[
-    int | None, Query(ge=2, le=10**6, description="about so many rows, extremes kept")
+    int | None, Query(ge=2, le=10**6, description="about this many rows; extremes are kept")
 ]
 IdempotencyKey = Annotated[
     str | None,

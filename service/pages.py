@@ -28,6 +28,25 @@ HERE = Path(__file__).parent
 STATIC = HERE / "static"
 NILE = Path(engine.data.__file__).parent / "nile.csv"  # for a first try without data of one's own
 
+# The list of jobs: its filters, its columns (what it is sorted by, title), and what else sorts it.
+LIST: dict[str, Any] = {
+    "statuses": get_args(Status),
+    "kinds": get_args(Kind),
+    "outcomes": (
+        "nothing", "named", "set", "unknown", "converged", "iterations-used-up", "evaluations-used-up",
+    ),
+    "columns": (
+        ("name", "Name"), ("status", "State"), ("model", "Model"), ("data", "Data"),
+        ("created", "Created"), ("duration", "Progress"), ("outcome", "Result"),
+    ),
+    "sorts": (
+        ("", "newest first"), ("created", "oldest first"), ("name", "name"), ("status", "state"),
+        ("kind", "kind"), ("model", "model"), ("data", "data"), ("outcome", "verdict or outcome"),
+        ("-log_likelihood", "log-likelihood, largest first"), ("duration", "time it took, shortest first"),
+        ("-duration", "time it took, longest first"),
+    ),
+}  # fmt: skip
+
 # Nothing from other addresses, no script or style within the page, no page within another's.
 POLICY = (
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
@@ -52,7 +71,7 @@ def routes(keys_needed: bool) -> list[BaseRoute]:
         return render("start.html", keys_needed)
 
     def jobs(request: Request) -> Response:
-        return render("jobs.html", keys_needed, statuses=get_args(Status), kinds=get_args(Kind))
+        return render("jobs.html", keys_needed, **LIST)
 
     def nile(request: Request) -> Response:
         return FileResponse(NILE, media_type="text/csv")

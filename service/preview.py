@@ -11,6 +11,7 @@ from engine.data.files import READERS, TIME
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import Array
+from engine.units import SECOND, clock_of
 from service.columns import counts
 from service.downsample import keep
 from service.problems import invalid
@@ -44,6 +45,7 @@ def preview(data: bytes, filename: str, time: str | None, settings: Settings) ->
         file=filename,
         rows=longest,
         dt=table.dt,
+        time_unit=table.time_unit or clock_of(time or "") or SECOND,
         time=clock,
         columns=[_column(table, name) for name in list(table.columns)[:COLUMNS_SHOWN]],
         ignored=[*table.ignored, *(f"'{name}'" for name in list(table.columns)[COLUMNS_SHOWN:])],

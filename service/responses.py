@@ -18,10 +18,22 @@ class Link(BaseModel):
     title: str = ""
 
 
+class KeyValue(BaseModel):
+    """A number that a result comes down to."""
+
+    name: str
+    value: float | None
+    standard_error: float | None
+    unit: str
+
+
 class JobStatus(BaseModel):
     """The state of one job."""
 
     jobID: str  # noqa: N815 - the name OGC API - Processes gives it
+    name: str = Field(description="what its sender calls it")
+    tags: list[str]
+    data: list[str] = Field(description="names of the files that its data are from")
     kind: Kind
     model: str
     status: Status
@@ -42,11 +54,16 @@ class JobStatus(BaseModel):
     message: str
     estimate: dict[str, float] | None = Field(description="latest estimate")
     log_likelihood: float | None
+    outcome: str | None = Field(
+        description="of a successful job: the verdict of a diagnosis, how an estimation ended"
+    )
+    causes: list[str] = Field(description="the effects that a diagnosis found")
+    values: list[KeyValue] = Field(description="what the result comes down to")
     links: list[Link]
 
 
 class JobList(BaseModel):
-    """Jobs, newest first."""
+    """Jobs, newest first or as they were sorted."""
 
     jobs: list[JobStatus]
     links: list[Link]
@@ -100,6 +117,28 @@ class ReportOut(BaseModel):
     summary: str
     sections: list[ReportSection]
     charts: list[dict[str, Any]]
+
+
+class ComparisonOut(BaseModel):
+    """Two jobs side by side; where something has two values, the first is that of job `a`."""
+
+    jobs: list[JobStatus]
+    time_unit: str
+    models: list[str]
+    outcome: list[str | None]
+    parameters: list[dict[str, Any]] = Field(
+        description="name, unit, values, standard_errors, held, difference, in_errors"
+    )
+    free_parameters: list[int | None]
+    same_data: bool | None = Field(description="null: not known from the results")
+    log_likelihood: list[dict[str, Any] | None]
+    same_held_out: bool | None
+    held_out: list[dict[str, Any] | None] = Field(
+        description="samples, log_density, outputs with rmse in their unit"
+    )
+    curves: list[dict[str, Any]] = Field(
+        description="simulation, held-out and state by name, with t, measured and values of both"
+    )
 
 
 class ChartsOut(BaseModel):
@@ -174,7 +213,8 @@ class PreviewOut(BaseModel):
 
     file: str
     rows: int
-    dt: float | None = Field(description="time step stored in the file, s")
+    dt: float | None = Field(description="time step stored in the file")
+    time_unit: str = Field(description="what times count, as stated by the file, else s")
     time: TimeOut | None
     columns: list[ColumnOut]
     ignored: list[str]
@@ -268,6 +308,7 @@ class Results(BaseModel):
     model: dict[str, Any] | None = Field(
         default=None, description="name, equations, states, inputs and outputs with units"
     )
+    time_unit: str | None = Field(default=None, description="what times count")
     estimate: dict[str, Estimated] | None = None
     parameters: dict[str, float] | None = None
     method: str | None = Field(default=None, description="simulation: least squares on it")
@@ -278,6 +319,10 @@ class Results(BaseModel):
         default=None, description="why standard errors and intervals are none of an estimate"
     )
     log_likelihood: Uncertain | None = None
+    held_out: dict[str, Any] | None = Field(
+        default=None,
+        description="of an estimation with `test`: samples, log_density, outputs with rmse, curves by series",
+    )
     trace: Trace | None = None
     states: StatesOut | None = None
     simulation: SimulationOut | None = None

@@ -94,6 +94,9 @@ Values = dict[Annotated[str, Field(max_length=200)], Number]
 Names = Annotated[list[Annotated[str, Field(max_length=200)]], _FIRST]
 
 
+TimeUnit = Annotated[str, Field(min_length=1, max_length=20, pattern=r"^[^\W\d_]+$")]
+
+
 class SettingIn(_Strict):
     """What data told when effects were made: typical sizes by channel, first and last time, time step.
 
@@ -104,6 +107,7 @@ class SettingIn(_Strict):
     span: list[Number] = Field(min_length=2, max_length=2)
     dt: float = Field(gt=0, allow_inf_nan=False)
     substeps: int = Field(default=1, ge=1, le=64)
+    time_unit: TimeUnit = "s"
 
     @field_validator("span")
     @classmethod
@@ -148,9 +152,15 @@ ExtraName = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^+:>]
 
 
 class _Timed(_Strict):
-    dt: float | None = Field(default=None, gt=0, allow_inf_nan=False, description="time step, s")
+    dt: float | None = Field(
+        default=None, gt=0, allow_inf_nan=False, description="time step, in time_unit"
+    )
     t: Annotated[list[float], _FIRST] | None = Field(
-        default=None, description="time stamps, s, increasing; instead of dt"
+        default=None, description="time stamps, increasing; instead of dt"
+    )
+    time_unit: TimeUnit = Field(
+        default="s",
+        description="what times count, such as min or year: a label, which changes printed units and no number",
     )
 
     @model_validator(mode="after")
@@ -249,13 +259,14 @@ class EstimateOptions(_Strict):
     seed: Seed = 0
     standard_errors: bool = Field(default=True, description="takes about as long as the rest")
     intervals: Literal["likelihood-ratio", "symmetric"] = Field(
-        default="likelihood-ratio",
+        default="symmetric",
         description="of 95 %, beside the standard errors; symmetric ones cost nothing more, but cover "
-        "too little where the likelihood is no parabola",
+        "too little where the likelihood is no parabola; by the likelihood ratio they take several times as "
+        "long as all the rest",
     )
-    starts: int = Field(default=1, ge=1, description="the best of so many starts is taken")
+    starts: int = Field(default=1, ge=1, description="the best of this many starts is taken")
     bootstrap: int = Field(
-        default=0, ge=0, description="standard errors from so many estimations on simulated data"
+        default=0, ge=0, description="standard errors from this many estimations on simulated data"
     )
 
 
@@ -291,37 +302,29 @@ class DiagnoseOptions(_Strict):
     seed: Seed = 0
 
 
-class EstimateRequest(_Strict):
-    """Maximum-likelihood estimation of the free parameters."""
-
-    kind: Literal["estimate"]
-    model: ModelChoice
-    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
-    parameters: EstimateParameters = EstimateParameters()
-    options: EstimateOptions = EstimateOptions()
-    run_seconds: RunSeconds = None
+# A tag stands in lists that commas part; a name of a file in a line.
+Tag = Annotated[str, Field(min_length=1, max_length=50, pattern=r"^[^,\x00-\x1f]*[^,\s]$")]
+Tags = Annotated[list[Tag], Field(max_length=20)]
+JobName = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f]*$")]
 
 
-class SmoothRequest(_Strict):
-    """Means and standard deviations of all states at given parameters."""
+class _Labelled(_Strict):
+    """What tells jobs apart in a list; nothing is computed by it."""
 
-    kind: Literal["smooth"]
-    model: ModelChoice
-    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
-    parameters: FixedParameters = FixedParameters()
-    options: SmoothOptions = SmoothOptions()
-    run_seconds: RunSeconds = None
+    name: JobName = Field(default="", description="what you call the job")
+    tags: Tags = Field(default_factory=list, description="words to find it by")
+    data: list[JobName] = Field(
+        default_factory=list,
+        max_length=100,
+        description="names of the files that the data are from; an upload puts them in",
+    )
 
 
-class SimulateRequest(_Strict):
-    """The model's response to inputs at given parameters."""
+class LabelsIn(_Strict):
+    """Another name of a job, other tags; null leaves what there is."""
 
-    kind: Literal["simulate"]
-    model: ModelChoice
-    series: Annotated[list[InputIn], _FIRST] = Field(default_factory=list)
-    parameters: FixedParameters = FixedParameters()
-    options: SimulateOptions = SimulateOptions()
-    run_seconds: RunSeconds = None
+    name: JobName | None = None
+    tags: Tags | None = None
 
 
 def _tests(value: Any) -> Any:
@@ -343,7 +346,44 @@ Tests = Annotated[
 ]
 
 
-class DiagnoseRequest(_Strict):
+class EstimateRequest(_Labelled):
+    """Maximum-likelihood estimation of the free parameters."""
+
+    kind: Literal["estimate"]
+    model: ModelChoice
+    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
+    test: Tests = Field(
+        default=[],
+        description="held-out data, one series or several, on which the error of the estimate is measured",
+    )
+    parameters: EstimateParameters = EstimateParameters()
+    options: EstimateOptions = EstimateOptions()
+    run_seconds: RunSeconds = None
+
+
+class SmoothRequest(_Labelled):
+    """Means and standard deviations of all states at given parameters."""
+
+    kind: Literal["smooth"]
+    model: ModelChoice
+    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
+    parameters: FixedParameters = FixedParameters()
+    options: SmoothOptions = SmoothOptions()
+    run_seconds: RunSeconds = None
+
+
+class SimulateRequest(_Labelled):
+    """The model's response to inputs at given parameters."""
+
+    kind: Literal["simulate"]
+    model: ModelChoice
+    series: Annotated[list[InputIn], _FIRST] = Field(default_factory=list)
+    parameters: FixedParameters = FixedParameters()
+    options: SimulateOptions = SimulateOptions()
+    run_seconds: RunSeconds = None
+
+
+class DiagnoseRequest(_Labelled):
     """What the model gets wrong on one or several series, why, and what an extension gains."""
 
     kind: Literal["diagnose"]

@@ -30,8 +30,12 @@ def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
         links.append(Link(href=f"{here}/report", rel="report"))
     if row.status in ("failed", "dismissed") and not row.removed:
         links.append(Link(href=f"{here}/resume", rel="resume"))
+    found = json.loads(row.found or "{}")
     return JobStatus(
         jobID=row.id,
+        name=row.name,
+        tags=row.tags.split("\n")[1:-1],
+        data=row.data.split("\n")[1:-1],
         kind=row.kind,
         model=row.model,
         status=row.status,
@@ -47,6 +51,9 @@ def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
         message=row.message,
         estimate=row.estimate and json.loads(row.estimate),
         log_likelihood=row.log_likelihood,
+        outcome=row.outcome,
+        causes=found.get("causes", []),
+        values=found.get("values", []),
         links=links,
     )
 

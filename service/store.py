@@ -20,17 +20,30 @@ import json
 import time
 import uuid
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Select, and_, delete, func, insert, or_, select
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    and_,
+    delete,
+    func,
+    insert,
+    or_,
+    select,
+    update,
+)
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from engine.statespace.model import Array
 from service.attempts import Attempts
-from service.db_schema import documents, iterations, jobs, pulse, tasks
+from service.db_schema import documents, in_lines, iterations, jobs, pulse, tasks
 from service.strict_json import dumps
 from service.transitions import KEPT, add, add_tasks, end, forget, locked, put, resume
 
@@ -47,6 +60,58 @@ class QueueFull(Exception):  # noqa: N818 - as above
     """So many jobs wait or run already; the argument is their number."""
 
 
+# By what a list of jobs can be sorted.
+SORTS: Mapping[str, ColumnElement[Any]] = {
+    "created": jobs.c.seq,
+    "name": func.nullif(func.lower(jobs.c.name), ""),
+    "kind": jobs.c.kind,
+    "model": func.lower(jobs.c.model),
+    "data": func.nullif(func.lower(jobs.c.data), ""),
+    "status": jobs.c.status,
+    "outcome": jobs.c.outcome,
+    "log_likelihood": jobs.c.log_likelihood,
+    "duration": jobs.c.finished - jobs.c.started,
+}
+
+
+@dataclass(frozen=True)
+class Which:
+    """Which jobs: of these statuses, kinds and outcomes, with all of these tags, of an owner.
+
+    A ``model`` stands for its extensions too; ``text`` is in the name, tags, data, model or message.
+    """
+
+    status: Sequence[str] = ()
+    kind: Sequence[str] = ()
+    outcome: Sequence[str] = ()
+    tags: Sequence[str] = ()
+    model: str | None = None
+    owner: str | None = None
+    text: str = ""
+
+    def conditions(self) -> list[ColumnElement[bool]]:
+        """As SQL."""
+        columns = (
+            (jobs.c.status, self.status),
+            (jobs.c.kind, self.kind),
+            (jobs.c.outcome, self.outcome),
+        )
+        found: list[ColumnElement[bool]] = [c.in_(values) for c, values in columns if values]
+        found += [jobs.c.tags.contains(in_lines([tag]), autoescape=True) for tag in self.tags]
+        if self.model is not None:
+            extended = jobs.c.model.startswith(f"{self.model}+", autoescape=True)
+            found.append(or_(jobs.c.model == self.model, extended))
+        if self.owner is not None:
+            found.append(jobs.c.owner == self.owner)
+        if self.text:
+            places = (jobs.c.name, jobs.c.tags, jobs.c.data, jobs.c.model, jobs.c.message)
+            found.append(or_(*(one.icontains(self.text, autoescape=True) for one in places)))
+        return found
+
+
+EVERY = Which()
+
+
 class Store(Attempts):
     """The whole store: jobs as clients see them, and attempts at their tasks."""
 
@@ -54,7 +119,7 @@ class Store(Attempts):
         self,
         kind: str,
         model: str,
-        request: Any,
+        request: Mapping[str, Any],
         iterations: int,
         stages: Sequence[int] = (1,),
         run_seconds: float | None = None,
@@ -81,6 +146,9 @@ class Store(Attempts):
             "owner": owner,
             "idempotency_key": idempotency_key,
             "digest": digest,
+            "name": request.get("name", ""),
+            "tags": in_lines(request.get("tags", [])),
+            "data": in_lines(request.get("data", [])),
         }
         try:
             with self._engine.begin() as sql:
@@ -108,27 +176,29 @@ class Store(Attempts):
         return found[0] if found else None
 
     def jobs(
-        self,
-        limit: int,
-        before: int | None = None,
-        status: Iterable[str] = (),
-        model: str | None = None,
-        owner: str | None = None,
-        kind: Iterable[str] = (),
+        self, limit: int, before: int | None = None, which: Which = EVERY, sort: str = "-created"
     ) -> Sequence[Row[Any]]:
-        """Newest first; ``before`` continues after the job of that seq. A model's extensions are its."""
-        query = select(jobs).order_by(jobs.c.seq.desc()).limit(limit)
+        """Jobs in the order of a key of ``SORTS``, "-" before it for the largest first.
+
+        Of equals the newest first, and those last that have no such value. ``before`` continues after the
+        job of that seq.
+        """
+        value = SORTS[sort.removeprefix("-")]
+        falling = sort.startswith("-")
+        missing, ordered = value.is_(None), value.desc() if falling else value.asc()
+        query = select(jobs).where(*which.conditions()).limit(limit)
+        query = query.order_by(missing, ordered, jobs.c.seq.desc())
         if before is not None:
-            query = query.where(jobs.c.seq < before)
-        if status := list(status):
-            query = query.where(jobs.c.status.in_(status))
-        if kind := list(kind):
-            query = query.where(jobs.c.kind.in_(kind))
-        if model is not None:
-            extended = jobs.c.model.startswith(f"{model}+", autoescape=True)
-            query = query.where(or_(jobs.c.model == model, extended))
-        if owner is not None:
-            query = query.where(jobs.c.owner == owner)
+            last = self._rows(select(value, missing).where(jobs.c.seq == before))
+            if not last:
+                return []
+            at, none = last[0]
+            later = jobs.c.seq < before
+            if none:
+                query = query.where(missing, later)
+            else:
+                beyond = value < at if falling else value > at
+                query = query.where(or_(missing, beyond, and_(value == at, later)))
         return self._rows(query)
 
     def counts(self, owner: str | None = None) -> dict[str, int]:
@@ -219,6 +289,14 @@ class Store(Attempts):
         )
         found = self._rows(query)
         return [(one, None if one.row is None else np.frombuffer(one.row)) for one in found]
+
+    def label(self, job_id: str, name: str | None, tags: Sequence[str] | None) -> None:
+        """Give a job another name, other tags; None leaves what there is."""
+        values = {} if name is None else {"name": name}
+        values |= {} if tags is None else {"tags": in_lines(tags)}
+        if values:
+            with self._engine.begin() as sql:
+                sql.execute(update(jobs).where(jobs.c.id == job_id).values(values))
 
     def dismiss(self, job_id: str) -> Row[Any] | None:
         """Stop a job, or remove the data of an ended one; None if there is no such job.

@@ -114,7 +114,7 @@ class Supervisor:
     def _look(self) -> None:
         silent = self._silence.look(self._store.beats())
         if silent and (n := self._store.expire(silent, self._settings.losses_allowed)):
-            log.warning("%d attempts are watched by nobody any more", n)
+            log.warning("%d attempts have lost their supervisor", n)
         while self._runner.free() > 0 and not self._stop.is_set():
             attempt = self._store.claim(self._holder)
             if attempt is None:

@@ -87,7 +87,7 @@ def take(sql: Connection, seq: int, token: str) -> None:
 def _make_room(sql: Connection, seq: int, which: Any, **values: Any) -> bool:
     if change_tasks(sql, which, state="queued", token=None, **values) != 1:
         return False
-    message = "made room for others; goes on where it was"
+    message = "paused for other jobs; resumes where it was"
     change_job(sql, seq, updated=time.time(), message=message, stage="")
     return True
 
@@ -133,7 +133,7 @@ def lose(sql: Connection, seq: int, task: int, cause: str, allowed: int) -> None
         return
     again = {"losses": row.losses + 1, "futile": futile, "mark": mark}
     change_tasks(sql, this, state="queued", token=None, **again)
-    message = f"{cause}; goes on where it was (restart {futile} of {allowed})"
+    message = f"{cause}; continues where it was (restart {futile} of {allowed})"
     change_job(sql, seq, updated=time.time(), message=message, stage="")
 
 
@@ -162,7 +162,7 @@ def resume(sql: Connection, seq: int) -> None:
         "problem": None,
         "cause": None,
     }
-    message = "taken up again; goes on where it was"
+    message = "resumed; continues where it was"
     change_job(sql, seq, updated=time.time(), message=message, **values)
 
 
@@ -171,4 +171,5 @@ def forget(sql: Connection, seq: int, **values: Any) -> None:
     for table in (documents, iterations):
         sql.execute(delete(table).where(table.c.job == seq))
     gone = {"removed": 1, "estimate": None, "log_likelihood": None, "updated": time.time()}
+    gone |= {"outcome": None, "found": None}
     change_job(sql, seq, **(gone | values))

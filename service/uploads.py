@@ -21,7 +21,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
 from service.columns import match
 from service.problems import Problem, invalid
-from service.schemas import Hold, ModelReference
+from service.schemas import Hold, ModelReference, TimeUnit
 from service.validation import ADAPTER, Request, find_model
 
 SMALL_BYTES = 1 << 22  # bytes that any file may hold
@@ -37,6 +37,7 @@ class _FileSeries(BaseModel):
     t: str | None = None
     dt: float | None = None
     hold: Hold | None = None  # None: as the file says
+    time_unit: TimeUnit | None = None  # so here
     extra: list[str] = Field(default_factory=list, max_length=50)
 
 
@@ -53,6 +54,7 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
         raise Problem(400, "not-json", f"request is not JSON: {error}") from None
     if not isinstance(body, dict):
         raise invalid("request", "is not a JSON object")
+    body.setdefault("data", list(files))
     test = body.get("test")
     if isinstance(test, dict):
         test = [test]
@@ -100,10 +102,11 @@ def _read(
     try:
         table = read_table(files[wanted.file], wanted.file)
         y, u = _matched(table, wanted, outputs, inputs, where) if outputs else (None, None)
-        series = series_from(table, y, u, wanted.t, wanted.dt, wanted.hold)
+        series = series_from(table, y, u, wanted.t, wanted.dt, wanted.hold, wanted.time_unit)
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
     read = {"y": series.y, "t": series.t.tolist(), "hold": series.hold}
+    read["time_unit"] = series.time_unit
     if series.u.shape[1]:
         read["u"] = series.u
     if wanted.extra:

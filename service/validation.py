@@ -46,6 +46,11 @@ class Prepared:
     free: list[str] | None = None
     test: Sequence[Series] = ()
 
+    @property
+    def time_unit(self) -> str:
+        """What times count."""
+        return self.series[0].time_unit
+
 
 def prepare(request: Request) -> Prepared:
     """Check a request against its model. Raises Problem 422."""
@@ -62,13 +67,13 @@ def prepare(request: Request) -> Prepared:
         free = request.parameters.free
         with _at("parameters.free"):
             model.free_indices(free)
-    if isinstance(request, DiagnoseRequest):
-        check_effects(request.options.effects)
         one = len(request.test) == 1
         test = [
             _series(other, model, "test" if one else f"test[{i}]")
             for i, other in enumerate(request.test)
         ]
+    if isinstance(request, DiagnoseRequest):
+        check_effects(request.options.effects)
     if isinstance(request, EstimateRequest):
         check_method(request.options)
         with _at("parameters.ranges"):
@@ -81,6 +86,7 @@ def prepare(request: Request) -> Prepared:
         series = [_series(one, model, f"series[{i}]") for i, one in enumerate(request.series)]
     if not isinstance(request, DiagnoseRequest):  # a diagnosis finds its own
         series = [one.refined(_substeps(request.model)) for one in series]
+        test = [one.refined(_substeps(request.model)) for one in test]
     return Prepared(request, model, series, theta, free, test)
 
 
@@ -103,7 +109,7 @@ def check_limits(request: Request, settings: Settings) -> None:
     """Raise Problem 422 where a request is larger than the settings allow."""
     samples = 0
     series: Sequence[SeriesIn | InputIn] = request.series
-    if isinstance(request, DiagnoseRequest):
+    if isinstance(request, EstimateRequest | DiagnoseRequest):
         series = [*request.series, *request.test]
     for i, one in enumerate(series):
         rows = max((len(x) for x in (one.y, one.u) if x is not None), default=0)
@@ -176,7 +182,9 @@ def _given(reference: ModelReference, model: MixedModel) -> Setting | None:
             f"{given.substeps}; model '{model.name}' does not declare a real time step and makes one a sample",
         )
     span = given.span[0], given.span[1]
-    return Setting(model, given.scale, span, given.dt, substeps=given.substeps)
+    return Setting(
+        model, given.scale, span, given.dt, substeps=given.substeps, time_unit=given.time_unit
+    )
 
 
 def _times(request: Request, model: MixedModel) -> Setting | None:
@@ -187,11 +195,12 @@ def _times(request: Request, model: MixedModel) -> Setting | None:
         return None
     if one.t is None:
         dt = one.dt or 1.0
-        return Setting(model, {}, (0.0, dt * (n - 1)), dt)
+        return Setting(model, {}, (0.0, dt * (n - 1)), dt, time_unit=one.time_unit)
     steps = np.diff(one.t)
     if not (np.isfinite(one.t).all() and (steps > 0.0).all()):
         return None  # the series is refused next, with the row
-    return Setting(model, {}, (one.t[0], one.t[-1]), float(np.median(steps)))
+    span = one.t[0], one.t[-1]
+    return Setting(model, {}, span, float(np.median(steps)), time_unit=one.time_unit)
 
 
 def check_method(options: EstimateOptions) -> None:
@@ -240,6 +249,7 @@ def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:
             extra=np.column_stack(list(extra.values())) if extra else None,
             extra_names=tuple(extra) or None,
             hold=one.hold,
+            time_unit=one.time_unit,
         ).check(model)
 
 

@@ -11,8 +11,7 @@ from engine.data.series import Series
 def nile() -> Series:
     """Annual discharge of the Nile at Aswan, 1871-1970, in 1e8 m^3; 100 values, public domain.
 
-    The time step is one year and the series' times count years, not seconds: t = 1871, 1872, ...
-    ``local-level`` takes the same unit, since nothing in it depends on the time step.
+    Times count years: t = 1871, 1872, ... Nothing in ``local-level`` depends on the time step.
     """
     data = (resources.files("engine.data") / "nile.csv").read_bytes()
     return read_series_bytes(data, "nile.csv", y=["flow"], t="year")

@@ -5,9 +5,12 @@ Which columns are which channels:
 - ``y`` and ``u`` are lists of column names, or mappings {model channel: column};
 - left out, they are all columns named y or u, alone or followed by something that is not a letter
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
-- ``t`` names the column of time stamps in seconds; left out, a column named ``t``, ``time``,
-  ``t_s``, ``time_s`` or ``t [s]`` is used unless ``dt`` is given;
-- in .mat and .npz a scalar named ``dt`` or ``Ts`` is the time step in seconds;
+- ``t`` names the column of time stamps; left out, a column named ``t``, ``time``, ``t_s``, ``time_s`` or
+  ``t [s]`` is used unless ``dt`` is given;
+- in .mat and .npz a scalar named ``dt`` or ``Ts`` is the time step;
+- ``time_unit`` says what times count (see :class:`engine.Series`); left out, what the file says: a text
+  ``time_unit`` in .mat and .npz, a line ``# time unit: min`` at the head of a CSV, or the name of the column of
+  times, such as ``time [min]`` or ``year``; else seconds;
 - ``hold`` says what inputs do between samples (see :class:`engine.Series`); left out, what the file says: a
   text ``hold`` in .mat and .npz, a line ``# hold: foh`` at the head of a CSV; else they are held.
 
@@ -29,6 +32,7 @@ from engine.arrays import Array
 from engine.data.series import Series
 from engine.data.tables import Table, read_csv, read_mat, read_npz
 from engine.errors import OptionError, SeriesError
+from engine.units import SECOND, clock_of
 
 Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
 
@@ -43,6 +47,7 @@ def read_series(
     t: str | None = None,
     dt: float | None = None,
     hold: str | None = None,
+    time_unit: str | None = None,
 ) -> Series:
     """Read a file; see the module's docstring for which columns are read.
 
@@ -53,7 +58,7 @@ def read_series(
         data = path.read_bytes()
     except OSError as error:
         raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
-    return read_series_bytes(data, path.name, y=y, u=u, t=t, dt=dt, hold=hold)
+    return read_series_bytes(data, path.name, y=y, u=u, t=t, dt=dt, hold=hold, time_unit=time_unit)
 
 
 def read_series_bytes(
@@ -64,9 +69,10 @@ def read_series_bytes(
     t: str | None = None,
     dt: float | None = None,
     hold: str | None = None,
+    time_unit: str | None = None,
 ) -> Series:
     """The same from the bytes of an uploaded file; the name's ending tells the format."""
-    return series_from(read_table(data, filename), y, u, t, dt, hold)
+    return series_from(read_table(data, filename), y, u, t, dt, hold, time_unit)
 
 
 def read_table(data: bytes, filename: str) -> Table:
@@ -84,6 +90,7 @@ def series_from(
     t: str | None = None,
     dt: float | None = None,
     hold: str | None = None,
+    time_unit: str | None = None,
 ) -> Series:
     """The series that columns of a table make, see :func:`read_series`."""
     y_names, y_columns = _channels(table, y, "y")
@@ -101,6 +108,7 @@ def series_from(
             y_names=y_names,
             u_names=u_names,
             hold=hold or table.hold or "zoh",
+            time_unit=time_unit or table.time_unit or clock_of(t or "") or SECOND,
         )
     except (SeriesError, OptionError) as error:
         raise SeriesError(f"{table.file}: {error}") from error
@@ -122,12 +130,13 @@ def write_series(series: Series, path: str | Path) -> None:
             y_names=np.array(series.y_names, dtype=np.str_),
             u_names=np.array(series.u_names, dtype=np.str_),
             hold=series.hold,
+            time_unit=series.time_unit,
         )
     elif suffix == ".mat":
         from scipy.io import savemat
 
         arrays: dict[str, object] = {"t": series.t[:, None], "y": series.y}
-        arrays["hold"] = series.hold
+        arrays |= {"hold": series.hold, "time_unit": series.time_unit}
         arrays["y_names"] = np.array(series.y_names, dtype=object)
         if series.u.shape[1]:
             arrays["u"] = series.u
@@ -148,6 +157,8 @@ def csv_text(series: Series) -> str:
     out = io.StringIO()
     if series.hold != "zoh":
         out.write(f"# hold: {series.hold}\n")
+    if series.time_unit != SECOND:
+        out.write(f"# time unit: {series.time_unit}\n")
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header)
     for row in table.tolist():

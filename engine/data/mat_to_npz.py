@@ -34,7 +34,7 @@ def flat(name: str, value: object) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind in "fiub":
         return array
-    if name.endswith("_names") or name.lower() == "hold":
+    if name.endswith("_names") or name.lower() in ("hold", "time_unit"):
         cells = array.ravel().tolist()
         return np.array([str(np.ravel(cell)[0]) if np.size(cell) else "" for cell in cells])
     return np.array("")

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from engine.arrays import Array
 from engine.data.clock import index_of, seconds
 from engine.errors import OptionError, SeriesError
+from engine.units import SECOND, alike
 from engine.views import Shown, View, frame, sheet, tables
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ HOLDS = ("zoh", "foh", "past")  # what an input does between its samples
 
 @dataclass(frozen=True, eq=False)
 class Series(Shown):
-    """One experiment: measured outputs and inputs, times in seconds, channel names.
+    """One experiment: measured outputs and inputs, times, channel names, units.
 
     Parameters
     ----------
@@ -35,9 +36,9 @@ class Series(Shown):
     u : array (T, nu) or (T,), optional
         Inputs.
     dt : float, optional
-        Time step, s, of a regularly sampled series; 1 where nothing says when rows were measured.
+        Time step of a regularly sampled series; 1 where nothing says when rows were measured.
     t : array (T,), optional
-        Time stamps, s, one per row, instead of ``dt``. Dates become seconds from the first of them.
+        Time stamps, one per row, instead of ``dt``. Dates become seconds from the first of them.
     y_names, u_names : sequence of str, optional
         Names of the channels.
     extra : array (T, n), optional
@@ -51,6 +52,12 @@ class Series(Shown):
         What inputs did between their samples: held until the next one (``"zoh"``, as a converter holds what
         a computer sends), on a straight line to it (``"foh"``, as of a signal that was measured like the
         outputs), or at a row's value since the row before (``"past"``, as loggers write mean currents).
+    time_unit : str
+        What times and steps count, such as ``"min"`` or ``"year"``. A label: it changes the units that are
+        printed (``1/year``, ``m/min``) and no number. A model's equations, and the units that it declares,
+        are to be in the same unit of time.
+    units : mapping of str to str, optional
+        Units of channels by name; :meth:`check` compares them with those that a model declares.
 
     Raises
     ------
@@ -69,6 +76,8 @@ class Series(Shown):
     extra_names: tuple[str, ...]
     substeps: int
     hold: str
+    time_unit: str
+    units: Mapping[str, str]
 
     def __init__(
         self,
@@ -82,6 +91,8 @@ class Series(Shown):
         extra_names: Sequence[str] | None = None,
         substeps: int = 1,
         hold: str = "zoh",
+        time_unit: str = SECOND,
+        units: Mapping[str, str] | None = None,
     ) -> None:
         if t is None and dt is None:
             t = index_of((y, u))
@@ -95,6 +106,10 @@ class Series(Shown):
         extra_ = np.zeros((T, 0)) if extra is None else _columns(extra, "extra")
         if hold not in HOLDS:
             raise OptionError(f"hold = {hold!r}; one of {', '.join(HOLDS)} is needed", "hold")
+        if not isinstance(time_unit, str) or not time_unit.strip():
+            raise OptionError(
+                f"time_unit = {time_unit!r}; a unit such as 's' or 'year' is needed", "time_unit"
+            )
         if T < 2:
             raise SeriesError(f"y has {T} samples; at least 2 are needed")
         for name, values in (("u", u_), ("extra", extra_)):
@@ -126,20 +141,32 @@ class Series(Shown):
         set_(self, "t", _times(t, 1.0 if dt is None else dt, T))
         set_(self, "substeps", int(substeps))
         set_(self, "hold", hold)
+        set_(self, "time_unit", time_unit.strip())
+        set_(self, "units", self._known_units(units or {}))
         for array in (self.y, self.u, self.extra, self.t):
             array.setflags(write=False)
+
+    def _known_units(self, units: Mapping[str, str]) -> dict[str, str]:
+        """The units given, each of a channel there is. Raises SeriesError."""
+        there = (*self.y_names, *self.u_names, *self.extra_names)
+        for name in units:
+            if name not in there:
+                raise SeriesError(
+                    f"units: there is no channel '{name}'; there are {', '.join(there)}"
+                )
+        return dict(units)
 
     def __len__(self) -> int:
         return int(self.y.shape[0])
 
     @cached_property
     def steps(self) -> Array:
-        """The time steps dt_t = t_{t+1} - t_t in seconds, (T-1,)."""
+        """The time steps dt_t = t_{t+1} - t_t in ``time_unit``, (T-1,)."""
         return np.diff(self.t).astype(float)
 
     @cached_property
     def dt(self) -> float | None:
-        """The common time step in seconds, or None where sampling is irregular."""
+        """The common time step in ``time_unit``, or None where sampling is irregular."""
         first = float(self.steps[0])
         return first if np.allclose(self.steps, first, rtol=1e-6, atol=0.0) else None
 
@@ -215,7 +242,7 @@ class Series(Shown):
         )
 
     def replace(self, **changes: Any) -> Series:
-        """The same series with some of its arrays, names, ``substeps`` or ``hold`` changed."""
+        """The same series with some of its arrays, names, units, ``substeps`` or ``hold`` changed."""
         kept = {
             "y": self.y,
             "u": self.u,
@@ -226,8 +253,12 @@ class Series(Shown):
             "extra_names": self.extra_names,
             "substeps": self.substeps,
             "hold": self.hold,
+            "time_unit": self.time_unit,
         }
-        return Series(**{**kept, **changes})
+        made = {**kept, **changes}
+        names = {name for key in ("y_names", "u_names", "extra_names") for name in made[key] or ()}
+        made.setdefault("units", {k: v for k, v in self.units.items() if k in names})
+        return Series(**made)
 
     def part(self, start: int, stop: int) -> Series:
         """Rows start .. stop-1 as a series of its own, with its own times.
@@ -254,46 +285,69 @@ class Series(Shown):
         )
 
     def to_frame(self) -> Any:
-        """A pandas table of y, u and extra channels over the times in seconds; needs pandas."""
+        """A pandas table of y, u and extra channels over the times; needs pandas.
+
+        Its ``attrs`` hold ``units`` and ``time_unit``, as :meth:`from_frame` takes them.
+        """
         columns = zip(
             (*self.y_names, *self.u_names, *self.extra_names),
             np.hstack([self.y, self.u, self.extra]).T,
             strict=True,
         )
-        return frame(dict(columns), {"t": self.t})
+        made = frame(dict(columns), {"t": self.t})
+        made.attrs = {"units": dict(self.units), "time_unit": self.time_unit}
+        return made
 
     def check(self, model: BaseModel, measured: bool = True) -> Series:
-        """Return self if its widths fit the model and, unless not ``measured``, y has a value.
+        """Return self if its widths and units fit the model and, unless not ``measured``, y has a value.
 
         Raises SeriesError.
         """
-        for got, names, what in (
-            (self.y.shape[1], model.outputs, "y"),
-            (self.u.shape[1], model.inputs, "u"),
+        for got_names, names, what in (
+            (self.y_names, model.outputs, "y"),
+            (self.u_names, model.inputs, "u"),
         ):
-            if got != len(names):
+            if len(got_names) != len(names):
                 raise SeriesError(
-                    f"{what} has {got} channels; model '{model.name}' needs {len(names)}"
+                    f"{what} has {len(got_names)} channels; model '{model.name}' needs {len(names)}"
                     f" ({', '.join(names) or 'none'})"
                 )
+            for own, (channel, unit) in zip(got_names, names.items(), strict=True):
+                if own in self.units and not alike(self.units[own], unit):
+                    raise SeriesError(
+                        f"channel '{own}' is in {self.units[own] or '1'}; model '{model.name}' takes {what} "
+                        f"channel '{channel}' in {unit or '1'}: convert the values, or leave the unit away"
+                    )
         if measured and not self.observed.any():
             raise SeriesError("every value of y is missing; at least one measurement is needed")
         return self
 
     def _view(self) -> View:
-        every = f"every {self.dt:g} s" if self.dt is not None else "irregularly"
-        rows = []
+        clock = self.time_unit
+        every = f"every {self.dt:g} {clock}" if self.dt is not None else "irregularly"
+        rows: list[tuple[object, ...]] = []
         for kind, names, values in (("y", self.y_names, self.y), ("u", self.u_names, self.u)):
             for name, column in zip(names, values.T, strict=True):
                 there = column[~np.isnan(column)]
                 least, mean, most = (
                     float(f(there)) if there.size else "" for f in (np.min, np.mean, np.max)
                 )
-                rows.append((kind, name, len(column) - there.size, least, mean, most))
+                unit = self.units.get(name, "")
+                rows.append((kind, name, len(column) - there.size, least, mean, most, unit))
+        head = ["", "channel", "missing", "least", "mean", "most", "unit"]
+        if not self.units:
+            head, rows = head[:-1], [row[:-1] for row in rows]
         return sheet(
-            f"{len(self)} samples, {every}, t = {self.t[0]:g} ... {self.t[-1]:g} s",
-            tables().table(("", "channel", "missing", "least", "mean", "most"), rows),
+            f"{len(self)} samples, {every}, t = {self.t[0]:g} ... {self.t[-1]:g} {clock}",
+            tables().table(head, rows),
         )
+
+    @staticmethod
+    def from_frame(table: Any, y: Sequence[str], u: Sequence[str] = (), **options: Any) -> Series:
+        """Columns of a pandas table, with units where asked; see :func:`engine.data.frames.from_frame`."""
+        from engine.data.frames import from_frame
+
+        return from_frame(table, y, u, **options)
 
     @staticmethod
     def read(
@@ -303,11 +357,12 @@ class Series(Shown):
         t: str | None = None,
         dt: float | None = None,
         hold: str | None = None,
+        time_unit: str | None = None,
     ) -> Series:
         """Read a .csv, .mat or .npz file; see :func:`engine.data.files.read_series`."""
         from engine.data.files import read_series
 
-        return read_series(path, y=y, u=u, t=t, dt=dt, hold=hold)
+        return read_series(path, y=y, u=u, t=t, dt=dt, hold=hold, time_unit=time_unit)
 
 
 def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:
@@ -317,6 +372,11 @@ def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[
         raise SeriesError("no series was given; at least one is needed")
     for one in all_series:
         one.check(model)
+        if one.time_unit != all_series[0].time_unit:
+            raise SeriesError(
+                f"times of one series are in {all_series[0].time_unit}, of another in {one.time_unit}; all "
+                "need the same unit"
+            )
     return all_series
 
 
@@ -352,7 +412,7 @@ def _own_names(values: Any) -> tuple[str, ...] | None:
 def _times(t: Any, dt: float, T: int) -> Array:
     if t is None:
         if not (np.isfinite(dt) and dt > 0):
-            raise SeriesError(f"dt = {dt} s; a positive time step is needed")
+            raise SeriesError(f"dt = {dt}; a positive time step is needed")
         return float(dt) * np.arange(T, dtype=np.float64)
     times = seconds(t)
     if times.size != T:
@@ -364,5 +424,5 @@ def _times(t: Any, dt: float, T: int) -> Array:
     if bad.size:
         row = int(bad[0]) + 1
         kind = "repeats" if times[row] == times[row - 1] else "decreases"
-        raise SeriesError(f"t {kind} at row {row} ({times[row]:g} s); time must increase")
+        raise SeriesError(f"t {kind} at row {row} ({times[row]:g}); time must increase")
     return times

@@ -22,7 +22,9 @@ import numpy as np
 from engine.arrays import Array
 from engine.errors import SeriesError
 
-HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)  # a comment at the head of a CSV
+# Comments at the head of a CSV.
+HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
+TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
 LARGEST_BYTES = 4 << 30  # an .npz may unpack to, and memory for reading a .mat
@@ -36,7 +38,8 @@ class Table:
     """Columns of one file.
 
     ``groups`` maps a name a user may ask for to the columns it stands for: itself in a CSV, all
-    channels of a two-dimensional array in .mat and .npz. ``dt`` and ``hold`` as stored in the file.
+    channels of a two-dimensional array in .mat and .npz. ``dt``, ``hold`` and ``time_unit`` as stored in the
+    file.
     """
 
     file: str
@@ -45,6 +48,7 @@ class Table:
     lines: Sequence[int] = ()  # line of each CSV row, counted from 1
     dt: float | None = None
     hold: str | None = None  # of the inputs, where the file says it
+    time_unit: str | None = None
     ignored: list[str] = field(default_factory=list)
 
     def column(self, name: str) -> Array:
@@ -94,7 +98,10 @@ def read_csv(data: bytes, file: str) -> Table:
         first += 1
     if first == len(lines):
         raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
-    said = [found[1] for line in lines[:first] if (found := HOLD.fullmatch(line.strip()))]
+    hold, time_unit = (
+        [found[1] for line in lines[:first] if (found := what.fullmatch(line.strip()))]
+        for what in (HOLD, TIME_UNIT)
+    )
     delimiter = max(DELIMITERS, key=lines[first].count)
     last = len(lines)
     while not lines[last - 1].strip():  # the file's end, however many lines it has
@@ -123,7 +130,8 @@ def read_csv(data: bytes, file: str) -> Table:
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
     table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
-    table.hold = said[-1] if said else None
+    table.hold = hold[-1] if hold else None
+    table.time_unit = time_unit[-1] if time_unit else None
     return table
 
 
@@ -199,8 +207,10 @@ def _from_arrays(found: dict[str, object], file: str) -> Table:
     for name, value in found.items():
         if name.endswith("_names"):
             continue
-        if name.lower() == "hold" and isinstance(value, np.ndarray) and value.dtype.kind == "U":
-            table.hold = str(value.ravel()[0]) if value.size else ""
+        told = name.lower()
+        text = _stored_text(value) if told in ("hold", "time_unit") else None
+        if text is not None:
+            setattr(table, told, text)
             continue
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim > 2:
             table.ignored.append(f"'{name}' is not a table of real numbers")
@@ -220,6 +230,13 @@ def _from_arrays(found: dict[str, object], file: str) -> Table:
             table.columns[column] = np.ascontiguousarray(array[:, i])
             table.groups.setdefault(column, [column])
     return table
+
+
+def _stored_text(value: object) -> str | None:
+    """A text as an array holds it; None for other arrays."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind != "U":
+        return None
+    return str(value.ravel()[0]) if value.size else ""
 
 
 def _stored_names(value: object) -> list[str]:

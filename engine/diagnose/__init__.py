@@ -45,7 +45,14 @@ from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
 from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
-from engine.diagnose.search.pipeline import Callback, Clock, find_causes, fit_base, has_tails
+from engine.diagnose.search.pipeline import (
+    FIRST_FIT_SHARE,
+    Callback,
+    Clock,
+    find_causes,
+    fit_base,
+    has_tails,
+)
 from engine.diagnose.search.search import Search
 from engine.diagnose.search.substeps import is_enough, prepare
 from engine.diagnose.search.verdict import cause_of, detectable_of
@@ -102,7 +109,7 @@ def diagnose(
     model : MixedModel
         The model, paper, eq. (1).
     series : Series or sequence of Series
-        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds. Of several records, each with
+        The data: y (T, ny) with NaN where missing, u (T, nu), times. Of several records, each with
         a first state of its own, the longest is searched by the likelihood; the free run is asked on all.
     theta : Theta, mapping, array or None
         Start values; where None, one is searched for.
@@ -168,12 +175,16 @@ def diagnose(
     plain = records.train
     part = plain.part(*rows_searched(model, theta, plain))
     clock.start("fit")
+
+    def first(share: float) -> None:
+        clock.progress("fit", FIRST_FIT_SHARE * share)
+
     fine = prepare(
         model,
         records,
         lambda: np.asarray(
             done.within("one step a sample")
-            .fit(model, partial(fit_base, model, part, theta, free))
+            .fit(model, partial(fit_base, model, part, theta, free, first))
             .theta
         ),
         part,
@@ -187,7 +198,7 @@ def diagnose(
         notes.append(
             f"The likelihood searched {len(searched.samples)} of {len(train.samples)} samples, "
             f"{'those that move most' if begin else 'the first, as the model says where a record begins'}: "
-            f"from t = {searched.t[0]:g} s to {searched.t[-1]:g} s."
+            f"from t = {searched.t[0]:g} to {searched.t[-1]:g} {searched.time_unit}."
         )
     causes = find_causes(
         model,
@@ -334,7 +345,7 @@ def _check_data(series: Series) -> None:
         seen = y[~np.isnan(y)]
         if len(seen) > 1 and seen.min() == seen.max():
             raise SeriesError(
-                f"output '{name}' reads {seen[0]:g} throughout: a dead channel tells nothing of the model; "
+                f"output '{name}' reads {seen[0]:g} throughout: a dead channel carries no information; "
                 "give its readings as NaN, or leave the output out of the model"
             )
     rows = int(series.observed.any(axis=1).sum())

@@ -65,7 +65,7 @@ def ps_em(
     model : MixedModel or NonlinearModel
         A mixed model, paper, eq. (1), or a general one, poster, eq. (1).
     series : Series or sequence of Series
-        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     theta0 : Theta, mapping, array or None
         Start values: all as (n_theta,), some by name, or None for the model's defaults.
     free : sequence of str, optional

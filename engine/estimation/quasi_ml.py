@@ -12,7 +12,7 @@ of theta, another a whole line search.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +43,7 @@ class QuasiFit:
     """The maximum: ``theta``, ``log_likelihood``, ``information`` (n, n) of the free parameters ``free``.
 
     ``given_up`` tells that the search was left before its end, as it was not expected to reach its target.
+    ``rivals`` are thetas of other maxima, nearly as high, where they were looked for.
     """
 
     model: MixedModel
@@ -53,6 +54,7 @@ class QuasiFit:
     iterations: int
     converged: bool
     given_up: bool = False
+    rivals: tuple[tuple[float, ...], ...] = ()
 
     @property
     def covariance(self) -> Array:
@@ -87,12 +89,14 @@ def quasi_ml(
     tolerance: float = ENOUGH,
     target: float = -np.inf,
     hope: float = 1.0,
+    callback: Callable[[int], object] | None = None,
 ) -> QuasiFit:
     """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
 
     The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
     where even ``hope`` times twice what a quadratic function gains would not reach ``target``; then
     ``given_up`` is True.
+    ``callback(k)`` is called as iteration k begins.
     Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
     all_series = as_series_list(series, model)
@@ -111,6 +115,8 @@ def quasi_ml(
     converged, given_up, iterations, damping = False, False, 0, DAMPING
     while iterations < max_iterations:
         iterations += 1
+        if callback is not None:
+            callback(iterations)
         x = theta[indices]
         direction = scoring_step(x, g, H, lower, upper, damping)
         expected = float(g @ direction)

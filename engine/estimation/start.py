@@ -8,7 +8,7 @@ what it finds are only ever starts, and EM is shown every maximum that is nearly
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ HOPE = 10.0  # far from a maximum a search gains more than it expects, up to so 
 RIVAL_NATS = 5.0  # below the highest maximum, another may be the higher one of the true likelihood
 MOST_MAXIMA = 3  # are compared
 SAME_ERRORS = 1.0  # standard errors that two ends of a search for the same maximum may be apart
+# Of the whole search: the points. Nobody knows how many iterations a search needs: each is told as a share of
+# what is left of it.
+CANDIDATES_SHARE, LEFT_AFTER = 0.15, 0.8
 
 
 class WarmStart:
@@ -39,18 +42,23 @@ class WarmStart:
         model: MixedModel,
         all_series: Sequence[Series],
         indices: NDArray[np.intp],
+        *,
         rivals: float = RIVAL_NATS,
+        progress: Callable[[float], object] = lambda share: None,
     ) -> None:
-        self.model, self.all_series, self.indices, self.rivals = model, all_series, indices, rivals
+        self.model, self.all_series, self.indices = model, all_series, indices
+        self.rivals, self.progress = rivals, progress
         self.note = ""
 
     def __call__(self, theta: Theta) -> list[Theta]:
         """The maxima found, the highest first; none with a ``note``."""
         try:
-            return moment_maxima(self.model, self.all_series, self.indices, theta, self.rivals)
+            return moment_maxima(
+                self.model, self.all_series, self.indices, theta, self.rivals, self.progress
+            )
         except (ModelError, np.linalg.LinAlgError) as error:
             self.note = (
-                f"EM left from the start values; no better start could be looked for: {error}"
+                f"EM started from the start values; no better start could be searched for: {error}"
             )
             return []
 
@@ -61,11 +69,12 @@ def moment_maxima(
     indices: NDArray[np.intp],
     theta: Theta,
     rivals: float = RIVAL_NATS,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> list[Theta]:
     """The maxima found that are at most ``rivals`` nats below the highest, that first.
 
-    Deterministic: the candidates are always the same for the same start. Raises ModelError where the
-    moment filter cannot follow the model.
+    Deterministic: the candidates are always the same for the same start. ``progress`` is told which share of
+    the search is done. Raises ModelError where the moment filter cannot follow the model.
     """
     all_series = [
         one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
@@ -76,15 +85,27 @@ def moment_maxima(
     values = log_likelihoods(model, all_series, candidates)
     values = np.where(np.isfinite(values), values, -np.inf)
     order = np.argsort(-values, kind="stable")
-    starts = [k for k in order if k][:IMPROVED_CANDIDATES]
+    starts = [0, *[k for k in order if k][:IMPROVED_CANDIDATES]]
+    progress(CANDIDATES_SHARE)
     found: list[QuasiFit] = []
     lost: Exception | None = None
-    for k in sorted([0, *starts], key=lambda k: -values[k]):
+    for i, start in enumerate(sorted(starts, key=lambda k: -values[k])):
         highest = max((fit.log_likelihood for fit in found), default=-np.inf)
+
+        def tell(k: int, i: int = i) -> None:
+            done = (i + 1.0 - LEFT_AFTER ** (k - 1)) / len(starts)
+            progress(CANDIDATES_SHARE + (1.0 - CANDIDATES_SHARE) * done)
+
         try:
             found.append(
                 quasi_ml(
-                    model, all_series, candidates[k], names, target=highest - rivals, hope=HOPE
+                    model,
+                    all_series,
+                    candidates[start],
+                    names,
+                    target=highest - rivals,
+                    hope=HOPE,
+                    callback=tell,
                 )
             )
         except (ModelError, np.linalg.LinAlgError) as error:

@@ -57,7 +57,7 @@ class KalmanSmoothed(Shown):
         """``states`` with 95 % bands over the times of the series smoothed; extra ``plot``."""
         units = {**self.model.nonlinear, **self.model.linear}
         sd = np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0))
-        return figures(states=plots().states(series.t, units, self.x, sd))
+        return figures(states=plots().states(series.t, units, self.x, sd, series.time_unit))
 
 
 def transition_matrices(
@@ -196,7 +196,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     theta : Theta, mapping, array or None
         Parameters: all as (n_theta,), some by name, or None for the model's defaults.
     series : Series
-        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+        The data: y (T, ny) with NaN where missing, u (T, nu), times.
 
     Returns
     -------

@@ -110,7 +110,7 @@ def particle_filter(
     theta : Theta, mapping, array or None
         Parameters: all as (n_theta,), some by name, or None for the model's defaults.
     series : Series
-        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+        The data: y (T, ny) with NaN where missing, u (T, nu), times.
     n_particles : int
         Number of particles M.
     rng : numpy.random.Generator

@@ -164,7 +164,7 @@ def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
         total += float(term[0])
         if not (np.isfinite(m).all() and np.isfinite(total)):
             raise ModelError(
-                f"model '{model.name}': the filter is lost at row {t} (t = {series.t[t]:g} s); its "
+                f"model '{model.name}': the filter is lost at row {t} (t = {series.t[t]:g}); its "
                 "mean or likelihood is not finite. Check theta and the first state's density"
             )
         if t < T - 1:

@@ -22,10 +22,11 @@ def when(cause: Cause) -> str:
     """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats itself."""
     if cause.where != "time":
         return ""
-    ends = {"time": "s", "frequency": "Hz"}
-    own = [(name.rpartition("_")[2], value) for name, value in cause.parameters.items()]
+    own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
     return "".join(
-        f", {word} {number(value, 5)} {ends[word]}" for word, value in own if word in ends
+        f", {word} {number(value, 5)} {cause.units.get(name, '')}".rstrip()
+        for word, name, value in own
+        if word in ("time", "frequency")
     )
 
 
@@ -49,8 +50,8 @@ def experiment(cause: Cause) -> str:
         return f"To tell them apart, excite what differs: {'; '.join(known)}."
     if all(_force(name) for name in others):
         return (
-            "To tell it from a force that nobody named, repeat the experiment with the same inputs: what "
-            "comes again has a cause."
+            "To tell it from an unnamed force, repeat the experiment with the same inputs: what occurs "
+            "again has a cause."
         )
     return (
         "To tell them apart, measure where they differ: other amplitudes, both directions, other "

@@ -49,6 +49,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             "inputs": dict(d.model.inputs),
             "outputs": dict(d.model.outputs),
         },
+        "time_unit": d.series.time_unit,
         "samples": len(d.series),
         "verdict": d.verdict.value,
         "sentence": d.verdict.sentence,
@@ -158,6 +159,7 @@ def _reference(d: Diagnosis) -> dict[str, Any]:
             "span": setting.span,
             "dt": setting.dt,
             "substeps": d.substeps,
+            "time_unit": setting.time_unit,
         },
     }
 

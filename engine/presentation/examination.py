@@ -20,6 +20,7 @@ from engine.estimation.em import EmResult
 from engine.estimation.uncertainty import LikelihoodIntervals, StandardErrors
 from engine.filters.rbpf import rbpf
 from engine.json_values import plain
+from engine.presentation.held_out import held_out
 from engine.presentation.report import write_report
 from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.rb_ffbsi import rb_ffbsi
@@ -58,6 +59,7 @@ def examine(
     intervals: LikelihoodIntervals | None = None,
     n_particles: int = 100,
     seed: int = 0,
+    test: Series | Sequence[Series] | None = None,
 ) -> Examination:
     """Look at an estimate on the series it comes from.
 
@@ -66,7 +68,7 @@ def examine(
     found : EmResult
         The estimate.
     series : Series or sequence of Series
-        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     errors : StandardErrors, optional
         Its standard errors; with them the simulation's bands hold the parameters' uncertainty.
     intervals : LikelihoodIntervals, optional
@@ -75,6 +77,8 @@ def examine(
         Particles and trajectories by which states are smoothed.
     seed : int
         The same seed gives the same bits.
+    test : Series or sequence of Series, optional
+        Held-out data, on which the error of the simulation is measured.
 
     Returns
     -------
@@ -108,6 +112,8 @@ def examine(
         "message": found.message,
         "trace": trace_document(model.parameter_names, vars(found)),
     }
+    if test is not None:
+        document["held_out"] = held_out(model, found.theta, as_series_list(test, model))
     return Examination(plain(document))
 
 
@@ -139,6 +145,7 @@ def estimation_document(
     errors, intervals = uncertainty
     return {
         "model": model_document(model),
+        "time_unit": series[0].time_unit,
         "estimate": estimate_document(model, theta, free, errors, intervals),
         "warning": " ".join(one.warning for one in uncertainty if one and one.warning),
         "states": states_document(model, series, states),

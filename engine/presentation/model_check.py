@@ -38,8 +38,8 @@ def model_check(model: MixedModel) -> list[str]:
     ]
     if not model.continuous:
         said.append(
-            "Its step is taken as it is: a diagnosis runs it once a sample. A model of differential "
-            "equations (engine.continuous) is run as finely as its effects need."
+            "It is a model of steps from one sample to the next: a diagnosis makes one step a sample. One of "
+            "differential equations (engine.continuous) is integrated as finely as the effects need."
         )
     endless = [p.name for p in model.parameters if not np.isfinite(p.bounds).all()]
     if endless:
@@ -54,8 +54,12 @@ def model_check(model: MixedModel) -> list[str]:
 def _method(model: MixedModel) -> str:
     why = why_not_linear(model)
     if not why:
-        return "Linear and Gaussian: the method rts-em is exact."
-    return f"Not linear and Gaussian ({why.partition('Gaussian: ')[2] or why}): the method rbps-em fits."
+        return "Linear and Gaussian: the method rts-em is exact and the fastest."
+    reason = why.partition("Gaussian: ")[2] or why
+    return (
+        f"Not linear and Gaussian ({reason}), so particles are needed: the methods quasi-newton and rbps-em "
+        "apply, the exact rts-em does not."
+    )
 
 
 def _calls(model: MixedModel) -> list[str]:

@@ -22,6 +22,7 @@ from engine.presentation.report.comparison import (
     auxiliary_figures,
     compared,
     errors_over_time,
+    relabelled,
     residual_figures,
     where_it_is,
 )
@@ -37,6 +38,7 @@ from engine.presentation.report.html import Html
 from engine.presentation.report.parts import Document, label
 from engine.presentation.report.style import LIGHT
 from engine.presentation.report.svg import y_axis
+from engine.units import SECOND
 
 FORMATS = ("svg", "png")
 # Points from which a curve becomes pixels within an SVG, so that it opens at once.
@@ -111,7 +113,14 @@ def of_document(document: Document) -> Figures:
             for name, key in (("outputs", "y"), ("states", "states"))
             for one in _of_each(name, simulation, simulated_figures, simulation["units"], key)
         )
-    return Figures({name: figure(charts, columns) for name, charts, columns in groups if charts})
+    clock = (document.get("diagnosis") or document).get("time_unit")
+    return Figures(
+        {
+            name: figure([relabelled(one, clock) for one in charts], columns)
+            for name, charts, columns in groups
+            if charts
+        }
+    )
 
 
 def _of_diagnosis(d: Document) -> Iterator[Group]:
@@ -222,17 +231,24 @@ def convergence(found: EmResult, intervals: Array | None = None) -> Any:
     return figure(_collected(convergence_figures, document), 2)
 
 
-def states(t: Array, units: Mapping[str, str], mean: Array, sd: Array | None = None) -> Any:
-    """Curves (T, n), named with their units, and 95 % bands from ``sd`` (T, n); t in seconds."""
+def states(
+    t: Array, units: Mapping[str, str], mean: Array, sd: Array | None = None, clock: str = SECOND
+) -> Any:
+    """Curves (T, n), named with their units, and 95 % bands from ``sd`` (T, n); t in ``clock``."""
     half = None if sd is None else TWO_SIDED * sd
     return figure(
         [
-            compared(
-                name,
-                label(name, unit),
-                t,
-                ("mean, 95 % band", mean[:, i]),
-                band=None if half is None else (mean[:, i] - half[:, i], mean[:, i] + half[:, i]),
+            relabelled(
+                compared(
+                    name,
+                    label(name, unit),
+                    t,
+                    ("mean, 95 % band", mean[:, i]),
+                    band=None
+                    if half is None
+                    else (mean[:, i] - half[:, i], mean[:, i] + half[:, i]),
+                ),
+                clock,
             )
             for i, (name, unit) in enumerate(units.items())
         ]
@@ -247,6 +263,7 @@ def against_data(
     computed_as: str,
     lower: Array | None = None,
     upper: Array | None = None,
+    clock: str = SECOND,
 ) -> Any:
     """Measured outputs (T, n) with computed ones above, their differences below."""
     charts = []
@@ -257,7 +274,7 @@ def against_data(
         wrong = Trace("error", measured[:, i] - computed[:, i], "points", "data")
         said = f"measured - {computed_as}"
         charts.append(Chart(f"Error of {name}", TIME, said, t, (wrong,), level=(0.0,)))
-    return figure(charts)
+    return figure([relabelled(one, clock) for one in charts])
 
 
 def _png(figure: Any) -> str:

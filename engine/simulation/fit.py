@@ -153,7 +153,7 @@ def fit_simulation(
     model : MixedModel
         The model, paper, eq. (1).
     series : Series or sequence of Series
-        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     theta0 : Theta, mapping, array or None
         Start values: all as (n_theta,), some by name, or None for the model's defaults.
     free : sequence of str, optional

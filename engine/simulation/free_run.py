@@ -74,11 +74,13 @@ class FreeRun(Shown):
     def plot(self) -> Figures:
         """``outputs`` against the data with the bands there are, and ``states``; extra ``plot``."""
         t, units = self.series.t, {**self.model.nonlinear, **self.model.linear}
+        clock = self.series.time_unit
+        both = self.series.y, self.y
         outputs = plots().against_data(
-            t, self.model.outputs, self.series.y, self.y, "free run", self.lower, self.upper
+            t, self.model.outputs, *both, "free run", self.lower, self.upper, clock
         )
         x = np.concatenate([self.a, self.z], axis=1)
-        return figures(outputs=outputs, states=plots().states(t, units, x))
+        return figures(outputs=outputs, states=plots().states(t, units, x, None, clock))
 
     def _view(self) -> View:
         rows = [
@@ -109,7 +111,7 @@ def free_run(
     theta : Theta, mapping, array or None
         Parameters: all as (n_theta,), some by name, or None for the model's defaults.
     series : Series
-        The data: y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+        The data: y (T, ny) with NaN where missing, u (T, nu), times.
     a1 : array (na,), optional
         First nonlinear state; the mean of the initial density by default.
     z1 : array (nz,), optional

@@ -17,6 +17,7 @@ from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import through
+from engine.units import SECOND
 from engine.views import Figures, Shown, View, figures, plots
 
 
@@ -48,9 +49,10 @@ class Simulation(Shown):
         """``outputs`` and ``states``. Needs the extra ``plot``."""
         units = {**self.model.nonlinear, **self.model.linear}
         x = np.concatenate([self.a, self.z], axis=1)
+        t, clock = self.series.t, self.series.time_unit
         return figures(
-            outputs=plots().states(self.series.t, self.model.outputs, self.y),
-            states=plots().states(self.series.t, units, x),
+            outputs=plots().states(t, self.model.outputs, self.y, None, clock),
+            states=plots().states(t, units, x, None, clock),
         )
 
     def _view(self) -> View:
@@ -66,6 +68,7 @@ def simulate(
     dt: float = 1.0,
     t: ArrayLike | None = None,
     hold: str = "zoh",
+    time_unit: str = SECOND,
 ) -> Simulation:
     """Draw samples of paper, eq. (1): x_1 from the initial density, w and e with noise.
 
@@ -84,11 +87,13 @@ def simulate(
     u : array (T, nu) or (T,), optional
         Inputs, in their units.
     dt : float
-        Time step, s, where ``t`` is not given.
+        Time step, where ``t`` is not given.
     t : array (T,), optional
-        Times, s.
+        Times.
     hold : str
         What inputs do between samples, see :class:`engine.Series`.
+    time_unit : str
+        What times count, see :class:`engine.Series`.
 
     Returns
     -------
@@ -111,7 +116,7 @@ def simulate(
             "u",
         )
     blank = np.zeros((n_samples, model.ny))
-    frame = Series(blank, u, dt=dt, t=t, hold=hold).check(model)
+    frame = Series(blank, u, dt=dt, t=t, hold=hold, time_unit=time_unit).check(model)
     values = model.theta(theta)
     check_start(model, values, frame)
     record = model.record(values)
@@ -224,6 +229,6 @@ def check_finite(model: MixedModel, series: Series, *values: Array) -> None:
     if not finite.all():
         row = int(np.argmin(finite))
         raise ModelError(
-            f"model '{model.name}': the simulation runs away; at t = {series.t[row]:g} s (row "
+            f"model '{model.name}': the simulation runs away; at t = {series.t[row]:g} (row "
             f"{row}) it is not finite any more. Check theta, the inputs' scale and the time step"
         )

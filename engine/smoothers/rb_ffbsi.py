@@ -83,11 +83,11 @@ class Smoothed(Shown):
         Needs the extra ``plot``.
         """
         model, series = self.filtered.model, self.filtered.series
-        units = {**model.nonlinear, **model.linear}
+        units, clock = {**model.nonlinear, **model.linear}, series.time_unit
         return figures(
-            states=plots().states(series.t, units, self.mean(), self.std()),
+            states=plots().states(series.t, units, self.mean(), self.std(), clock),
             residuals=plots().against_data(
-                series.t, model.outputs, series.y, self.outputs(), "smoothed"
+                series.t, model.outputs, series.y, self.outputs(), "smoothed", clock=clock
             ),
         )
 

@@ -84,7 +84,7 @@ def _check_functions(
         values = {"dynamics: f": f, "dynamics: A": A, "dynamics: Q": Q}
         values |= {"measurement: h": h, "measurement: C": C, "measurement: R": R}
         for name, value in values.items():
-            _check_finite(model, name, value, f"{what}, t = {t:g} s")
+            _check_finite(model, name, value, f"{what}, t = {t:g}")
         check_covariance(model, "dynamics: Q", Q)
         check_covariance(model, "measurement: R", R)
         noises.append(R)

@@ -107,10 +107,14 @@ class _Discretized:
         f, A = self._rates(a, u, middle, theta)
         Qc = as_matrix(self.diffusion(a, u, middle, theta), M, nx, nx, "diffusion: Qc")
         J = self._jacobian(a, u, middle, theta, self._reach(a, f, Qc, dt))
-        F = _common(np.concatenate(_beside(J, A), axis=-1))
-        step, drive, Q = discretize(F, np.eye(nx), _common(Qc), dt=dt)
+        F, Qc = _common(np.concatenate(_beside(J, A), axis=-1)), _common(Qc)
+        lost = np.asarray(~(np.isfinite(F).all(axis=(-2, -1)) & np.isfinite(Qc).all(axis=(-2, -1))))
+        if lost.any():  # of a run that has run away: it stays lost, and no other with it
+            F, Qc = (np.where(lost[..., None, None], 0.0, matrix) for matrix in (F, Qc))
+        step, drive, Q = discretize(F, np.eye(nx), Qc, dt=dt)
         moved = drive @ f[:, :, None]
         moved[:, :na, 0] += a
+        moved[np.broadcast_to(lost, M)] = np.nan
         return moved[:, :, 0], step[..., na:], Q
 
     def _rates(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array]:

@@ -210,7 +210,7 @@ def check_general(model: NonlinearModel, theta: Theta, series: Series) -> None:
                 and not np.isfinite(value).reshape(len(value), -1).any(axis=0).all()
             ):
                 raise ModelError(
-                    f"model '{model.name}': {name} is not finite at the start values, t = {t:g} s"
+                    f"model '{model.name}': {name} is not finite at the start values, t = {t:g}"
                 )
     model.checked.add(series)
 

@@ -205,7 +205,7 @@ class Rows(NamedTuple):
         """Time and shapes in words, for an error."""
         t = np.asarray(self.t, dtype=float).ravel()
         when = f"{t[0]:g}" if len(t) == 1 else f"{t.min():g} ... {t.max():g}" if len(t) else "?"
-        return f"called at t = {when} s with a {np.shape(self.a)}, u {np.shape(self.u)}"
+        return f"called at t = {when} with a {np.shape(self.a)}, u {np.shape(self.u)}"
 
     def _columns(self, kind: Kind) -> list[Array]:
         """All that differs from row to row but a, each (M,)."""

@@ -18,13 +18,17 @@ from service.cli.options import (
     Hold,
     Json,
     Model,
+    Name,
     Out,
     Plot,
     Quiet,
     Report,
     Seed,
     Step,
+    Tags,
+    Test,
     TimeColumn,
+    TimeUnit,
     Values,
     absolute_paths,
     given,
@@ -135,7 +139,9 @@ def fit(
     columns: Columns = [],  # noqa: B006
     time: TimeColumn = None,
     dt: Step = None,
+    time_unit: TimeUnit = None,
     hold: Hold = None,
+    test: Test = [],  # noqa: B006
     method: Annotated[
         str,
         typer.Option(
@@ -170,6 +176,14 @@ def fit(
             help="And intervals; they may take longer than the iterations.",
         ),
     ] = True,
+    intervals: Annotated[
+        str,
+        typer.Option(
+            metavar="symmetric|likelihood-ratio",
+            help="Of 95 %. By the likelihood ratio they cover better where the likelihood is no parabola, "
+            "and take several times as long as all the rest.",
+        ),
+    ] = "symmetric",
     starts: Annotated[
         int,
         typer.Option(
@@ -186,6 +200,8 @@ def fit(
             help="Standard errors and intervals from N estimations on simulated data instead.",
         ),
     ] = 0,
+    name: Name = "",
+    tags: Tags = [],  # noqa: B006
     out: Out = None,
     report: Report = None,
     plot: Plot = None,
@@ -216,7 +232,7 @@ def fit(
         from service.cli import fit as work
         from service.cli.experiment import parsed
         from service.cli.state import Asked
-        from service.cli.values import one_of
+        from service.cli.values import names, one_of
 
         paths = absolute_paths(out=out, report=report, plot=plot)
         if resume is not None:
@@ -230,29 +246,36 @@ def fit(
             raise wrong("DATA is missing: name one or more data files")
         one_of("--method", method, ("quasi-newton", "rbps-em", "ps-em", "rts-em", "simulation"))
         one_of("--first", first, ("none", "simulation"))
+        one_of("--intervals", intervals, ("symmetric", "likelihood-ratio"))
         if method == "simulation":
-            for option, name in (
+            for option, parameter in (
                 ("--first", "first"),
                 ("--starts", "starts"),
                 ("--bootstrap", "bootstrap"),
                 ("--iterations", "iterations"),
                 ("--particles", "particles"),
                 ("--trajectories", "trajectories"),
+                ("--intervals", "intervals"),
             ):
-                if given(ctx, name):
+                if given(ctx, parameter):
                     raise wrong(
                         f"{option} is not for --method simulation, which has starts of its own"
                     )
         model = model_named(model)
+        clock = {"time": time, "dt": dt, "time_unit": time_unit}
         asked = Asked(
             data=[str(path.absolute()) for path in data],
-            **parsed(model, effects, values, fixed, free, columns, time, dt, hold, seed, paths),
+            test=[str(path.absolute()) for path in test],
+            name=name,
+            tags=names(tags),
+            **parsed(model, effects, values, fixed, free, columns, clock, hold, seed, paths),
             method=method,
             first=first,
             particles=particles,
             trajectories=trajectories,
             iterations=iterations,
             standard_errors=standard_errors,
+            intervals=intervals,
             starts=starts,
             bootstrap=bootstrap,
         )
@@ -273,6 +296,7 @@ def diagnose(
     columns: Columns = [],  # noqa: B006
     time: TimeColumn = None,
     dt: Step = None,
+    time_unit: TimeUnit = None,
     hold: Hold = None,
     extra: Annotated[
         list[str],
@@ -281,15 +305,7 @@ def diagnose(
             help="Columns that the model does not use; asks whether it should.",
         ),
     ] = [],  # noqa: B006
-    test: Annotated[
-        list[Path],
-        typer.Option(
-            metavar="FILE",
-            exists=True,
-            dir_okay=False,
-            help="Held-out data to measure the gain on; repeatable.  [the last fifth of DATA]",
-        ),
-    ] = [],  # noqa: B006
+    test: Test = [],  # noqa: B006
     alpha: Annotated[
         float, typer.Option(metavar="P", help="Chance of an alarm where nothing is wrong.")
     ] = 0.05,
@@ -315,6 +331,8 @@ def diagnose(
         ),
     ] = 0,
     seed: Seed = 0,
+    name: Name = "",
+    tags: Tags = [],  # noqa: B006
     out: Out = None,
     report: Report = None,
     plot: Plot = None,
@@ -357,17 +375,20 @@ def diagnose(
         if resume is not None:
             only_output(ctx, {"every", "exit_code"})
             changes: dict[str, Any] = {**paths}
-            for name, value in (("every", every), ("exit_code", exit_code)):
-                if given(ctx, name):
-                    changes[name] = value
+            for option, value in (("every", every), ("exit_code", exit_code)):
+                if given(ctx, option):
+                    changes[option] = value
             work.resume(resume, changes, as_json, quiet)
             return
         if not data:
             raise wrong("DATA is missing: name one or more data files")
         model = model_named(model)
+        clock = {"time": time, "dt": dt, "time_unit": time_unit}
         asked = work.Asked(
             data=[str(one.absolute()) for one in data],
-            **parsed(model, effects, values, fixed, free, columns, time, dt, hold, seed, paths),
+            name=name,
+            tags=names(tags),
+            **parsed(model, effects, values, fixed, free, columns, clock, hold, seed, paths),
             extra=names(extra),
             test=[str(one.absolute()) for one in test],
             alpha=alpha,
@@ -378,6 +399,57 @@ def diagnose(
             exit_code=exit_code,
         )
         work.diagnose(asked, state, as_json, quiet)
+
+
+@app.command(epilog=CODES, short_help="Lay two results side by side.")
+def compare(
+    one: Annotated[
+        Path,
+        typer.Argument(
+            metavar="A.json", exists=True, dir_okay=False, help="A result written with --out."
+        ),
+    ],
+    other: Annotated[
+        Path, typer.Argument(metavar="B.json", exists=True, dir_okay=False, help="Another.")
+    ],
+    report: Report = None,
+    as_json: Json = False,
+) -> None:
+    """Lay two results side by side: parameters with errors, log-likelihoods, held-out errors.
+
+    The report has their curves over one another too.
+    """
+    with guarded(as_json):
+        from service.cli.compare import show
+
+        show(one, other, report, as_json)
+
+
+@app.command(epilog=CODES, short_help="List the jobs of the service on this machine.")
+def jobs(
+    text: Annotated[
+        str, typer.Argument(metavar="[TEXT]", help="In name, tags, data, model or message.")
+    ] = "",
+    tag: Annotated[
+        list[str], typer.Option(metavar="WORD,...", help="With all of these tags.")
+    ] = [],  # noqa: B006
+    kind: Annotated[list[str], typer.Option(metavar="KIND,...", help="Of these kinds.")] = [],  # noqa: B006
+    sort: Annotated[
+        str,
+        typer.Option(
+            metavar="KEY",
+            help="By what: created, name, model, outcome, ...; -KEY for the other way.",
+        ),
+    ] = "-created",
+    most: Annotated[int, typer.Option("--most", "-n", metavar="N", min=1, help="At most.")] = 20,
+    as_json: Json = False,
+) -> None:
+    """List the jobs of the service on this machine: name, verdict, key values; it need not be running."""
+    with guarded(as_json):
+        from service.cli.jobs import show
+        from service.cli.values import names
+
+        show(text, names(tag), names(kind), sort, most, as_json)
 
 
 @app.command(epilog=CODES, short_help="Simulate a model, with an effect hidden in it if you like.")
@@ -397,6 +469,7 @@ def simulate(
         typer.Option("--samples", "-n", metavar="N", min=2, help="Length.  [the inputs' length]"),
     ] = None,
     dt: Step = None,
+    time_unit: TimeUnit = None,
     hold: Hold = None,
     inputs: Annotated[
         Path | None,
@@ -443,7 +516,7 @@ def simulate(
                 values=numbers("--set", values),
                 samples=samples,
                 inputs=inputs,
-                columns=Columns(pairs("--map", columns), time, dt, hold=hold),
+                columns=Columns(pairs("--map", columns), time, dt, hold=hold, time_unit=time_unit),
                 excite=pairs("--excite", excite),
                 noise=noise,
                 seed=seed,

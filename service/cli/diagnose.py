@@ -21,7 +21,7 @@ from service import diagnoses, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, Interrupt, wrong
 from service.cli.experiment import Experiment
-from service.cli.files import Columns, series_of
+from service.cli.files import series_of
 from service.cli.meter import Meter, meter
 from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
 from service.cli.state_file import StateFile, beside, can_be, read
@@ -132,7 +132,7 @@ class Job:
 def _prepare(asked: Asked, shown: Meter) -> Job:
     """All that can be wrong is found here."""
     base = references.model_of(asked.model)
-    columns = Columns(asked.columns, asked.time, asked.dt, asked.extra, asked.hold)
+    columns = asked.of_columns(asked.extra)
     read_in = [series_of(Path(name), base, columns) for name in (*asked.data, *asked.test)]
     for _, said in read_in:
         shown.note(said)

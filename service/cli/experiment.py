@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from engine.models.files import in_file
+from service.cli.files import Columns
 from service.cli.meter import Meter
 from service.cli.references import absolute
 from service.cli.state_file import Sealed, StateFile, keep_old
@@ -18,6 +20,7 @@ from service.cli.values import names, numbers, pairs
 class Experiment(Sealed):
     """As it was asked for; paths are absolute."""
 
+    data: list[str] = field(default_factory=list)
     model: str
     effects: list[str] = field(default_factory=list)
     start: dict[str, float] = field(default_factory=dict)
@@ -26,12 +29,28 @@ class Experiment(Sealed):
     columns: dict[str, str] = field(default_factory=dict)
     time: str | None = None
     dt: float | None = None
+    time_unit: str | None = None
     hold: str | None = None
     seed: int = 0
+    name: str = ""
+    tags: list[str] = field(default_factory=list)
     out: str | None = None
     report: str | None = None
     plot: str | None = None
     keep: bool = False  # the state file, when there is nothing to go on with any more
+
+    def of_columns(self, extra: Sequence[str] = ()) -> Columns:
+        """Which columns of the data are which."""
+        return Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
+
+    def labelled(self, document: dict[str, Any]) -> dict[str, Any]:
+        """The document with what tells it apart from others."""
+        labels = {
+            "name": self.name,
+            "tags": self.tags,
+            "data": [Path(one).name for one in self.data],
+        }
+        return {**labels, "created": datetime.now(UTC).isoformat(timespec="seconds"), **document}
 
     def begin(self, path: Path, files: Sequence[str], shown: Meter) -> StateFile:
         """The state file of a new run; an earlier one of that name is moved aside."""
@@ -56,13 +75,12 @@ def parsed(
     fixed: Sequence[str],
     free: Sequence[str],
     columns: Sequence[str],
-    time: str | None,
-    dt: float | None,
+    clock: Mapping[str, Any],
     hold: str | None,
     seed: int,
     outputs: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Members of :class:`Experiment` from the texts of options; errors name the option."""
+    """Members of :class:`Experiment` from the texts of options; ``clock`` as it is. Errors name the option."""
     return {
         "model": absolute(model),
         "effects": effects,
@@ -70,8 +88,7 @@ def parsed(
         "fixed": numbers("--fix", fixed),
         "free": names(free),
         "columns": pairs("--map", columns),
-        "time": time,
-        "dt": dt,
+        **clock,
         "hold": hold,
         "seed": seed,
         **outputs,

@@ -19,13 +19,19 @@ from service.columns import match
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns are which: {channel: column}, that of times or the step in s, extra ones; the ``hold``."""
+    """Which columns are which, {channel: column}; that of times or the step; what inputs do between."""
 
     of: Mapping[str, str] = field(default_factory=dict)
     time: str | None = None
     dt: float | None = None
     extra: Sequence[str] = ()
     hold: str | None = None
+    time_unit: str | None = None
+
+    @property
+    def clock(self) -> tuple[str | None, float | None, str | None, str | None]:
+        """As ``engine.data.files.series_from`` takes them."""
+        return self.time, self.dt, self.hold, self.time_unit
 
 
 def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, str]:
@@ -36,7 +42,7 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
     table = _table(path, model, columns)
     y, u = _assigned(table, model, columns)
     try:
-        series = series_from(table, y, u, columns.time, columns.dt, columns.hold).check(model)
+        series = series_from(table, y, u, *columns.clock).check(model)
         if columns.extra:
             extra = np.column_stack([table.column(name) for name in columns.extra])
             series = series.replace(extra=extra, extra_names=tuple(columns.extra))
@@ -52,7 +58,7 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
     _, u = _assigned(table, model, columns, "u")
     some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
     try:
-        found = series_from(table, [some], u, columns.time, columns.dt, columns.hold)
+        found = series_from(table, [some], u, *columns.clock)
         return found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)
     except SeriesError as error:
         raise wrong(str(error)) from None
@@ -98,7 +104,9 @@ def _assigned(
 
 
 def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns: Columns) -> str:
-    every = f"every {series.dt:g} s" if series.dt is not None else "at irregular times"
+    every = (
+        f"every {series.dt:g} {series.time_unit}" if series.dt is not None else "at irregular times"
+    )
     channels = [*series.y_names, *series.u_names]
     channels_read = [
         channel if channel == column else f"{channel} from column {column}"
@@ -109,4 +117,8 @@ def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns
     text += f"; {missing} missing" if missing else ""
     text += f"; inputs between samples: {series.hold}" if series.hold != "zoh" else ""
     clock = columns.time or columns.dt or table.dt or any(map(TIME.fullmatch, table.groups))
-    return text + ("" if clock else " (no column of times: a step of 1 s is assumed, see --dt)")
+    return text + (
+        ""
+        if clock
+        else f" (no column of times: a step of 1 {series.time_unit} is assumed, see --dt)"
+    )

@@ -15,7 +15,7 @@ from engine.statespace.model import MixedModel
 from service import stages, strict_json
 from service.cli import references
 from service.cli.ending import Code, Ending, wrong
-from service.cli.files import Columns, series_of
+from service.cli.files import series_of
 from service.cli.meter import Meter, meter
 from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
 from service.cli.state import Asked, Recorder
@@ -40,7 +40,9 @@ def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     with _resumable(asked) as begun:
         with meter(quiet or as_json) as shown:
             job = _prepare(asked, shown)
-            begun.append(Recorder(asked.begin(path, asked.data, shown), asked, shown))
+            begun.append(
+                Recorder(asked.begin(path, [*asked.data, *asked.test], shown), asked, shown)
+            )
             _name_tasks(job, begun[0])
             begun[0].parameters = job.model.parameter_names
             document = _run(job, asked, begun[0], shown)
@@ -79,9 +81,10 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
 def _prepare(asked: Asked, shown: Meter) -> Prepared:
     """All that can be wrong is found here."""
     base = references.model_of(asked.model)
-    columns = Columns(asked.columns, asked.time, asked.dt, hold=asked.hold)
-    both = [series_of(Path(name), base, columns) for name in asked.data]
-    series = [one for one, _ in both]
+    columns = asked.of_columns()
+    both = [series_of(Path(name), base, columns) for name in (*asked.data, *asked.test)]
+    every = [one for one, _ in both]
+    series, test = every[: len(asked.data)], every[len(asked.data) :]
     model = references.with_effects(base, asked.effects, series[0])
     theta = theta_of(model, asked.start, asked.fixed)
     free = free_of(model, asked.free, list(asked.fixed))
@@ -95,7 +98,7 @@ def _prepare(asked: Asked, shown: Meter) -> Prepared:
         parameters=EstimateParameters(),
         options=options_of(asked),
     )
-    return Prepared(request, model, series, theta, free)
+    return Prepared(request, model, series, theta, free, test)
 
 
 def options_of(asked: Asked) -> EstimateOptions:
@@ -231,6 +234,9 @@ def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any])
         units = set(model.outputs.values())
         unit = units.pop() if len(units) == 1 else ""
         lines.append(f"simulation wrong by {words.with_unit(document['rmse'], unit)} rms")
+    for o in (document.get("held_out") or {}).get("outputs", ()):
+        error = words.with_unit(o["rmse"], o["unit"])
+        lines.append(f"on held-out data the simulation of {o['output']} is wrong by {error} rms")
     if bootstrap := document.get("bootstrap"):
         lines.append(
             f"standard errors and intervals from {bootstrap['runs'] - bootstrap['failed']} estimations on "

@@ -52,12 +52,20 @@ Columns = Annotated[
 ]  # fmt: skip
 TimeColumn = Annotated[
     str | None,
-    typer.Option("--time", metavar="COLUMN", help="Column of times in seconds.  [t or time]"),
+    typer.Option("--time", metavar="COLUMN", help="Column of times.  [t or time]"),
 ]
 Step = Annotated[
     float | None,
-    typer.Option("--dt", metavar="SECONDS", help="Time step, where no column has the times.  [1]"),
+    typer.Option("--dt", metavar="STEP", help="Time step, where no column has the times.  [1]"),
 ]
+TimeUnit = Annotated[
+    str | None,
+    typer.Option(
+        "--time-unit", metavar="UNIT",
+        help="What times count, such as min or year: changes printed units and no number.  [as the file "
+        "says, else s]",
+    ),
+]  # fmt: skip
 Hold = Annotated[
     str | None,
     typer.Option(
@@ -80,6 +88,20 @@ Plot = Annotated[
     Path | None,
     typer.Option(metavar="FOLDER", help="Write figures as SVG and PNG (needs rbps[plot])."),
 ]
+Name = Annotated[
+    str, typer.Option(metavar="TEXT", help="What you call it, in the result and the report.")
+]
+Tags = Annotated[
+    list[str],
+    typer.Option("--tag", metavar="WORD,...", help="Words to find it by, kept in the result."),
+]
+Test = Annotated[
+    list[Path],
+    typer.Option(
+        metavar="FILE", exists=True, dir_okay=False,
+        help="Held-out data to measure the error on; repeatable.",
+    ),
+]  # fmt: skip
 Json = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 
@@ -108,4 +130,4 @@ def only_output(ctx: typer.Context, also: Iterable[str]) -> None:
         name = parameter.name or ""
         if name not in MAY_CHANGE.union(also) and given(ctx, name):
             called = "DATA" if name == "data" else parameter.opts[0]
-            raise wrong(f"--resume goes on with what was asked; {called} cannot be given with it")
+            raise wrong(f"--resume continues what was asked; {called} cannot be given with it")

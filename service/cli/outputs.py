@@ -48,13 +48,14 @@ def write_outputs(
 
 def _write(wanted: Experiment, document: dict[str, Any], data: Sequence[str]) -> list[str]:
     written = []
-    text = strict_json.dumps(document)
-    plain = json.loads(text)
+    plain = json.loads(strict_json.dumps(document))
     if wanted.out:
+        text = strict_json.dumps(wanted.labelled(document))
         Path(wanted.out).write_text(text + "\n", encoding="utf-8")
         written.append(wanted.out)
     if wanted.report:
-        about_run = {"data": ", ".join(Path(name).name for name in data), "seed": wanted.seed}
+        about_run: dict[str, object] = {"name": wanted.name, "tags": ", ".join(wanted.tags)}
+        about_run |= {"data": ", ".join(Path(name).name for name in data), "seed": wanted.seed}
         written.append(str(write_report(plain, wanted.report, about_run)))
     if wanted.plot:
         plots.of_document(plain).save(wanted.plot)

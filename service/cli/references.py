@@ -42,6 +42,6 @@ def with_effects(model: MixedModel, effects: Sequence[str], series: Series | Non
     setting = None
     if series is not None:
         span = (float(series.t[0]), float(series.t[-1]))
-        setting = Setting(model, {}, span, float(series.steps[0]))
+        setting = Setting(model, {}, span, float(series.steps[0]), time_unit=series.time_unit)
     with about("--with"):
         return extend(model, effects, setting)

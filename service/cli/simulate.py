@@ -14,6 +14,7 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.presentation import plots
 from engine.statespace.model import Array, MixedModel
+from engine.units import SECOND
 from service import computations, strict_json
 from service.cli import references
 from service.cli.ending import wrong
@@ -116,7 +117,13 @@ def _frame(model: MixedModel, wanted: Wanted) -> Series:
     ]
     blank = np.full((len(t), model.ny), np.nan)
     with about("--hold"):
-        return Series(blank, np.array(u).T if u else None, t=t, hold=wanted.columns.hold or "zoh")
+        return Series(
+            blank,
+            np.array(u).T if u else None,
+            t=t,
+            hold=wanted.columns.hold or "zoh",
+            time_unit=wanted.columns.time_unit or SECOND,
+        )
 
 
 def shape(name: str, text: str, t: Array, rng: np.random.Generator) -> Array:
@@ -144,7 +151,7 @@ def _sizes(model: MixedModel, effects: Mapping[str, float], frame: Series) -> di
     """{parameter: value} of the effects' sizes."""
     out, span = {}, (float(frame.t[0]), float(frame.t[-1]))
     for name, size in effects.items():
-        setting = Setting(model, {}, span, float(frame.steps[0]))
+        setting = Setting(model, {}, span, float(frame.steps[0]), time_unit=frame.time_unit)
         effect = make_effect(name, setting)
         out[effect.size.name] = size
         model = effect.apply(model)

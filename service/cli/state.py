@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,12 +28,14 @@ class Asked(Experiment):
     command: ClassVar[str] = "fit"
     result: ClassVar[str] = "estimation"
     data: list[str]
+    test: list[str] = field(default_factory=list)
     method: str = "quasi-newton"
     first: str = "none"
     particles: int = 50
     trajectories: int | None = None
     iterations: int = 100
     standard_errors: bool = True
+    intervals: str = "symmetric"
     starts: int = 1
     bootstrap: int = 0
 

@@ -1,6 +1,6 @@
 // The JSON calls, for all pages.
 //
-//   get(path), post(path, body), remove(path)   -> the JSON document; throw Problem
+//   get(path), post(path, body), patch(path, body), remove(path)   -> the JSON document; throw Problem
 //   body                       an object (sent as JSON) or FormData (sent as multipart)
 //   Problem                    .status, .title, .detail, .errors = [{field, message, row?, channel?}]
 //   showProblem(form, problem) puts each message beside the element with data-field="<field>" (the
@@ -10,7 +10,8 @@
 //   poll(step)                 calls async step() again and again; step returns the pause in ms, or
 //                              null to end. Waits while the page is hidden. Returns a function that stops it
 //   element(tag, attributes, ...children)       makes DOM; text is never read as HTML
-//   number(x), unit(text), when(iso), duration(seconds)     values as text
+//   number(x), unit(text), when(iso), duration(seconds), value(one)     values as text
+//   words("a, b")              ["a", "b"]
 //
 // With keys configured the first call asks for one; it lives in sessionStorage and goes along as a header.
 
@@ -30,6 +31,7 @@ export class Problem extends Error {
 
 export const get = (path, options) => call("GET", path, undefined, options);
 export const post = (path, body, options) => call("POST", path, body, options);
+export const patch = (path, body, options) => call("PATCH", path, body, options);
 export const remove = (path, options) => call("DELETE", path, undefined, options);
 
 async function call(method, path, body, options = {}) {
@@ -212,6 +214,16 @@ export function number(x, digits = 5) {
 export function unit(text) {
   const raised = (digits) => digits.replace(/[-0-9.]/g, (c) => "⁻·_⁰¹²³⁴⁵⁶⁷⁸⁹"["-._0123456789".indexOf(c)]);
   return text.replace(/\b1e(-?\d+)/g, (_, power) => `10${raised(power)}`).replace(/\^(-?[\d.]+)/g, (_, power) => raised(power));
+}
+
+// A key value of a job: {name, value, standard_error, unit}.
+export function value({ value: x, standard_error: error, unit: text }) {
+  const plain = text && text !== "1" ? ` ${unit(text)}` : "";
+  return `${number(x, 4)}${error === null ? "" : ` ± ${number(error, 2)}`}${plain}`;
+}
+
+export function words(text) {
+  return text.split(",").map((word) => word.trim()).filter(Boolean);
 }
 
 export function when(iso) {

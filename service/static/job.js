@@ -48,13 +48,14 @@ async function look() {
 }
 
 function show(job) {
-  const title = `${KINDS[job.kind] ?? job.kind}: ${job.model}`;
+  const title = job.name || `${KINDS[job.kind] ?? job.kind}: ${job.model}`;
   document.title = `${title} - rbps`;
   by("title").textContent = title;
   by("status").textContent = job.status;
   by("status").className = `badge ${job.status}`;
-  by("when").textContent = [`Job ${id.slice(0, 8)}`, `sent ${when(job.created)}`,
-    job.finished && `ended ${when(job.finished)}`].filter(Boolean).join(", ");
+  by("when").textContent = [job.name && `${KINDS[job.kind]}: ${job.model}`, `Job ${id.slice(0, 8)}`, job.data.join(", "),
+    `sent ${when(job.created)}`, job.finished && `ended ${when(job.finished)}`].filter(Boolean).join(", ");
+  by("tags").replaceChildren(...job.tags.map((tag) => element("li", {}, element("a", { href: `/jobs?tag=${encodeURIComponent(tag)}` }, tag))));
   const going = !ENDED.includes(job.status);
   by("stop").hidden = !going;
   by("resume").hidden = !resumable(job);
@@ -84,8 +85,8 @@ function facts(job) {
     items.push(["running for", duration((Date.now() - new Date(job.started)) / 1000)]);
     if (job.stage === "iterations" && job.iteration && spent > 0) items.push(["rate", rate(job.iteration / spent)]);
   }
-  if (job.stage) items.push(["doing", job.stage]);
-  if (job.estimated_end) items.push(["at most left of it", duration(Math.max(0, (new Date(job.estimated_end) - Date.now()) / 1000))]);
+  if (job.stage) items.push(["stage", job.stage]);
+  if (job.estimated_end) items.push(["left of this stage, at most", duration(Math.max(0, (new Date(job.estimated_end) - Date.now()) / 1000))]);
   if (job.log_likelihood !== null) items.push(["log-likelihood", number(job.log_likelihood, 6)]);
   if (convergence.ess !== null) items.push(["effective sample size", number(convergence.ess, 3)]);
   return items.map(([name, value]) => element("div", {}, element("dt", {}, name), element("dd", {}, value)));
@@ -175,7 +176,7 @@ async function showHowFar(job) {
   showAttempts(tasks);
   await convergence.update(tasks, job.model);
   by("live").hidden = convergence.empty;
-  by("live-title").textContent = "How far it came";
+  by("live-title").textContent = "Convergence up to there";
   if (job.kind === "estimate" && job.status === "dismissed") await showReached();
 }
 

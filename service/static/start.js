@@ -4,7 +4,7 @@
 //   /?job=ID                    what an earlier job asked, with its data
 //   /?job=ID&extension=1        the same with the extension that this diagnosis found, to estimate it
 
-import { announce, element, clearProblem, get, post, Problem, showProblem } from "/static/api.js";
+import { announce, element, clearProblem, get, post, Problem, showProblem, words } from "/static/api.js";
 import { DataCard } from "/static/start/data.js";
 import { ModelCard } from "/static/start/model.js";
 import { ParameterTable } from "/static/start/parameters.js";
@@ -38,12 +38,16 @@ function build() {
   request.parameters = parameters.request(errors);
   request.options = options;
   if (run_seconds) request.run_seconds = run_seconds;
+  if (by("job-name").value.trim()) request.name = by("job-name").value.trim();
+  const tags = words(by("job-tags").value);
+  if (tags.length) request.tags = tags;
+  if (data.job?.names.length) request.data = data.job.names;
   return { request, files, errors };
 }
 
 // A simulation that reads an earlier job's data keeps its length in one place, the series.
-function inputsOnly({ y, u, t, dt, extra }) {
-  return { y, u, t, dt, extra };
+function inputsOnly({ y, u, t, dt, hold, time_unit, extra }) {
+  return { y, u, t, dt, hold, time_unit, extra };
 }
 
 async function send(event) {
@@ -87,7 +91,7 @@ function refresh() {
   const total = parameters.parameters.length;
   const estimating = parameters.estimating;
   const mapped = data.channels.filter((c) => data.job || data.mapping.get(`${c.member}.${c.name}`)).length;
-  const names = data.job ? "data of an earlier job" : data.files.map((one) => one.name).join(", ");
+  const names = data.job ? data.job.names.join(", ") || "data of an earlier job" : data.files.map((one) => one.name).join(", ");
   const optional = task.kind === "simulate" && !data.ready;
   const checks = [
     [Boolean(model.name), model.name ? `Model ${[model.name, ...model.effects].join(" + ")}` : "Choose a model"],
@@ -117,7 +121,9 @@ async function repeat(id, adopt) {
   task.choose(adopt ? "estimate" : asked.kind);
   if (!adopt) task.fill(asked.options, asked.run_seconds);
   await model.choose(found?.model ?? asked.model);
-  if (asked.series.length) data.takeJob(id, asked.series);
+  if (asked.series.length) data.takeJob(id, asked.series, asked.data ?? []);
+  by("job-name").value = asked.name ?? "";
+  by("job-tags").value = (asked.tags ?? []).join(", ");
   const before = asked.parameters.start ?? asked.parameters.values;
   const added = found ? Object.keys(found.theta).filter((name) => !model.models.get(asked.model.name).parameters.some((p) => p.name === name)) : [];
   const free = asked.parameters.free ?? null;

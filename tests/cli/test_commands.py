@@ -210,6 +210,8 @@ def test_starts_and_bootstrap_are_the_services(rbps, flows):
         flows.with_name("a.json").read_text(), dumps(there.results[-1])))  # fmt: skip
     for document in (mine, theirs):
         del document["trace"]["seconds"]
+    labels = {name: mine.pop(name) for name in ("name", "tags", "data", "created")}
+    assert labels["data"] == ["flows.csv"]
     assert mine == theirs
     assert "from 4 estimations on data simulated at the estimate" in result.stdout
     found = [line for line in result.stdout.splitlines() if line.startswith("start ")]
@@ -537,7 +539,7 @@ def test_the_simulation_is_fitted_first(rbps, run, tmp_path):
     assert not list(tmp_path.rglob("*.state"))
     em = rbps(*asked, "--first", "simulation", *QUICK, "--json").json()
     assert em["trace"]["theta"]["omega"][0] == least.theta["omega"]
-    assert "EM left from the fit of the simulation" in em["message"]
+    assert "EM started from the fit of the simulation" in em["message"]
 
 
 @pytest.mark.parametrize("option", [("--starts", 2), ("--first", "simulation"), ("-n", 5)])

@@ -43,9 +43,14 @@ def test_the_commands_from_the_shell_work(rbps, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_fifteen_minutes_end_with_the_friction_that_was_hidden(rbps, tmp_path):
+def test_the_fifteen_minutes_end_with_the_drag_that_was_hidden(rbps, tmp_path):
     said = run_all(rbps, "start.md", tmp_path)
-    diagnosis, estimate = said[-2:]
+    diagnosis, estimate, _, comparison = said[-4:]
     assert "NAMED" in diagnosis
-    assert "coulomb:rate" in diagnosis
-    assert "coulomb_rate" in estimate
+    size, error = re.search(r"\[drag:rate\]: (\S+) \+- (\S+) 1/rad", diagnosis).groups()
+    assert abs(float(size) - 0.4) < 2.0 * float(error)
+    (line,) = (one for one in estimate.splitlines() if one.startswith("drag_rate"))
+    assert float(line.split()[1]) == pytest.approx(0.4, abs=0.1)
+    (likelihood,) = (one for one in comparison.splitlines() if one.startswith("log-likelihood"))
+    assert float(likelihood.split()[-1]) > 10.0  # nats that the drag is worth
+    assert "no drag" in comparison

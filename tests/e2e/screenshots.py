@@ -17,7 +17,7 @@ WIDTH = 1280  # px
 
 
 def take(folder):
-    """Write start.png, running.png, finished.png, diagnosis.png and jobs.png into a folder."""
+    """Write start, running, finished, diagnosis, jobs and compare.png into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     with (
         tempfile.TemporaryDirectory() as state,
@@ -38,11 +38,18 @@ def take(folder):
         page.wait_for_selector("#status.successful")
         page.wait_for_selector("#results .u-wrap canvas")
         keep(page, folder / "diagnosis.png")
-        page.goto(f"{address}/jobs/{submit(address, 200, particles=50)}")
+        first = submit(address, 200, "50 particles", particles=50)
+        page.goto(f"{address}/jobs/{first}")
         page.wait_for_selector("#status.successful")
         page.wait_for_selector("#results .u-wrap canvas")
         keep(page, folder / "finished.png")
-        long = submit(address, 3000, particles=200)
+        second = submit(address, 200, "least squares", method="simulation")
+        page.goto(f"{address}/jobs/{second}")
+        page.wait_for_selector("#status.successful")
+        page.goto(f"{address}/compare?a={second}&b={first}")
+        page.wait_for_selector("#results .u-wrap canvas")
+        keep(page, folder / "compare.png")
+        long = submit(address, 2000, "long record", particles=100, method="rbps-em")
         page.goto(f"{address}/jobs/{long}")
         page.wait_for_selector("#traces canvas")
         page.wait_for_selector("#facts dd:text-matches('^1[2-9] of')")  # of iterations
@@ -53,13 +60,20 @@ def take(folder):
         httpx.delete(f"{address}/jobs/{long}")
 
 
-def submit(address, samples, **options):
-    """Id of an estimation of linear-2 from simulated samples."""
-    y = engine.simulate(engine.get_model("linear-2"), None, samples, np.random.default_rng(1)).y
+def submit(address, samples, name, **options):
+    """Id of an estimation of linear-2 from simulated samples, with others held out."""
+    y, other = (
+        engine.simulate(engine.get_model("linear-2"), None, n, np.random.default_rng(n)).y
+        for n in (samples, 150)
+    )
     request = {
         "kind": "estimate",
         "model": "linear-2",
         "series": [{"y": y.tolist()}],
+        "test": {"y": other.tolist()},
+        "name": name,
+        "tags": ["second order"],
+        "data": [f"record-{samples}.csv"],
         "parameters": {"start": {"theta": 0.5}, "free": ["theta"]},
         "options": options,
     }

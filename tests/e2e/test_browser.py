@@ -137,6 +137,8 @@ def test_diagnose_and_go_on_with_the_extension(visit):
     page.click("#example")
     page.wait_for_selector("#channels .u-wrap canvas")
     assert page.input_value("#time") == "year"
+    assert page.input_value("#time-unit") == "year"
+    assert "1871 to 1970 year" in page.inner_text("#time-facts")
     page.check('input[value="diagnose"]')
     page.click("#options summary")
     page.fill("#diagnose-effects", "step, pulse")
@@ -145,7 +147,8 @@ def test_diagnose_and_go_on_with_the_extension(visit):
     page.wait_for_selector("#status.successful")
     page.wait_for_selector("#extended:visible")
     assert "step" in page.inner_text("#results")
-    assert "1899" in page.inner_text("#results")  # the dam at Aswan
+    assert "1899 year" in page.inner_text("#results")  # the dam at Aswan
+    assert not re.search(r"\d s\b|\[s\]|Hz", page.inner_text("#results").split("seconds")[0][:2000])
     page.click("#extended")
     ready(page)
     assert "step:flow" in page.inner_text("#effects")
@@ -223,8 +226,8 @@ def test_wrong_input_is_said_beside_its_field(visit, tmp_path):
     page.set_input_files("#file", write(tmp_path / "ms.csv", time_ms=[0, 20, 40], y=[1, 2, 3]))
     page.wait_for_selector('#data-facts:has-text("ms.csv")')
     page.select_option("#time", "time_ms")
-    page.wait_for_selector("#time-facts.field-error")
-    assert "seems to be in ms" in page.inner_text("#time-facts")
+    eventually(page, lambda: page.input_value("#time-unit") == "ms")
+    assert "0 to 40 ms, step 20 ms" in page.inner_text("#time-facts")
     empty = tmp_path / "empty.csv"
     empty.write_text("")
     page.set_input_files("#file", empty)
@@ -316,13 +319,103 @@ def test_list_of_jobs(visit, long):
     page.wait_for_selector(f'[data-job="{long}"]', state="detached")
     assert "kind=smooth" in page.url
     page.click("#clear")
-    page.click(f'[data-job="{long}"] button')
+    page.click(f'[data-job="{long}"] .actions button >> text=Stop')
     page.click("#sure-yes")
     page.wait_for_selector(f'[data-job="{long}"] .badge.dismissed')
     page.locator("#jobs tr", has_text="smooth").get_by_text("Repeat").first.click()
     ready(page)
     assert page.is_checked('input[value="smooth"]')
     assert "100 samples" in page.inner_text("#data-facts")
+
+
+def submit(address, name, **more):
+    """A fit of the simulation to a quarter of the Nile flows that is done; its id."""
+    request = {
+        "kind": "estimate", "model": "local-level", "series": [{"y": nile().y[:40].tolist()}],
+        "test": {"y": nile().y[40:].tolist()}, "options": {"method": "rts-em", "iterations": 3},
+        "name": name,
+    } | more  # fmt: skip
+    return httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
+
+
+def test_jobs_are_named_sorted_and_compared(visit):
+    ids = [
+        submit(visit.address, name, tags=["flows", tag])
+        for name, tag in (("zeta", "one"), ("alpha", "two"), ("mu", "two"))
+    ]
+    page = visit("/jobs?tag=flows")
+    for id_ in ids:
+        page.wait_for_selector(f'[data-job="{id_}"] input[type="checkbox"]')
+
+    def shown():
+        return page.locator("#jobs td.name a").all_inner_texts()
+
+    assert shown() == ["mu", "alpha", "zeta"]
+    page.click('th[data-sort="name"] button')
+    eventually(page, lambda: shown() == ["alpha", "mu", "zeta"])
+    assert page.get_attribute('th[data-sort="name"]', "aria-sort") == "ascending"
+    page.click('th[data-sort="name"] button')
+    eventually(page, lambda: shown() == ["zeta", "mu", "alpha"])
+    assert "sort=-name" in page.url
+    row = page.locator(f'[data-job="{ids[0]}"]')
+    assert "log-likelihood" in row.inner_text()
+    assert "held-out error of flow" in row.inner_text()
+    row.get_by_text("Name", exact=True).click()
+    page.fill("#label-name", "omega")
+    page.fill("#label-tags", "flows, a, ,b")
+    page.click("#labels button.primary")
+    eventually(page, lambda: shown() == ["omega", "mu", "alpha"])
+    row.get_by_text("b", exact=True).click()  # a tag filters
+    eventually(page, lambda: shown() == ["omega"])
+    page.fill("#tag", "two")
+    page.press("#tag", "Enter")
+    eventually(page, lambda: shown() == ["mu", "alpha"])
+
+    assert page.get_attribute("#compare", "aria-disabled") == "true"
+    for id_ in ids[1:]:
+        page.check(f'[data-job="{id_}"] input')
+    page.click("#compare")
+    page.wait_for_selector("#results .u-wrap canvas")
+    assert page.inner_text("#title") == "alpha and mu"
+    text = page.inner_text("#results")
+    for words in ("log-likelihood", "held-out error of flow", "standard errors"):
+        assert words in text, words
+    assert page.locator("#results .u-wrap canvas").count() >= 2
+    legend = page.locator("#results .chart-legend").first.inner_text()
+    assert all(name in legend for name in ("alpha", "mu", "measured"))
+    with page.expect_download() as caught:
+        page.click("#report")
+    assert "<svg" in caught.value.path().read_text()
+    page.click("#swap")
+    page.wait_for_selector("#results .u-wrap canvas")
+    assert page.inner_text("#title") == "mu and alpha"
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert page.evaluate("document.documentElement.scrollWidth - innerWidth") == 0
+    page.goto(f"{visit.address}/jobs?tag=flows")
+    page.wait_for_selector(f'[data-job="{ids[0]}"] input[type="checkbox"]')
+    assert page.evaluate("document.documentElement.scrollWidth - innerWidth") == 0
+
+
+def test_a_job_is_named_where_it_is_made(visit, flows):
+    page = visit("/?model=local-level")
+    ready(page)
+    page.set_input_files("#file", flows)
+    page.wait_for_selector("#data-card:visible")
+    page.select_option("select[id='column-y.flow']", "Q")
+    page.fill("#job-name", "Aswan")
+    page.fill("#job-tags", "dam, river")
+    page.check('input[value="smooth"]')
+    page.click("#go")
+    page.wait_for_url("**/jobs/*")
+    page.wait_for_selector("#status.successful")
+    assert page.inner_text("#title") == "Aswan"
+    assert page.locator("#tags li").all_inner_texts() == ["dam", "river"]
+    assert "flows.csv" in page.inner_text("#when")
+    page.click("#repeat")
+    ready(page)
+    assert page.input_value("#job-name") == "Aswan"
+    assert page.input_value("#job-tags") == "dam, river"
+    assert "flows.csv" in page.inner_text("#checks")
 
 
 def test_keys(visit, tmp_path):
@@ -436,6 +529,13 @@ def test_the_simulation_is_fitted_first(visit, tmp_path):
     ready(page)
     page.set_input_files("#file", tmp_path / "run.csv")
     page.wait_for_selector("#channels .u-wrap canvas")
+    page.fill("#time-unit", "min")  # the model counts seconds
+    page.press("#time-unit", "Tab")
+    page.wait_for_selector("#time-facts.field-error")
+    assert "Times are in min, and the model has" in page.inner_text("#time-facts")
+    page.fill("#time-unit", "s")
+    page.press("#time-unit", "Tab")
+    page.wait_for_selector("#time-facts.hint")
     page.click("#options summary")
     assert page.is_visible("#estimate-iterations")
     page.select_option("#estimate-method", "simulation")

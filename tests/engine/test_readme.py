@@ -156,7 +156,8 @@ def test_commands_of_the_shell_page_exist_with_their_options(tmp_path, monkeypat
     from service.cli.commands import app
 
     monkeypatch.chdir(tmp_path)
-    for name in ("flows.csv", "run.csv", "data.csv"):
+    results = ("free.json", "result.json", "drag.json", "plain.json")
+    for name in ("flows.csv", "run.csv", "data.csv", *results):
         Path(name).touch()
     root = typer.main.get_command(app)
     text = "\n".join(SHELL).replace("\\\n", " ")

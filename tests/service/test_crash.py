@@ -107,7 +107,7 @@ def test_a_diagnosis_goes_on_with_what_a_killed_worker_had_finished(
     service = running
     url, worker = catch(service, diagnosis, iterations=31)  # per cent: refits of the first round
     os.kill(worker, signal.SIGKILL)
-    wait(service.client, url, lambda job: "goes on where it was (restart 1" in job["message"])
+    wait(service.client, url, lambda job: "continues where it was (restart 1" in job["message"])
     job = ended(service.client, url)
     assert job["status"] == "successful", job["message"]
     log = (service.state / "log").read_text()

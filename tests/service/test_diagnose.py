@@ -152,7 +152,9 @@ def test_progress_only_goes_forward():
             told.append((k, message))
 
     percent = Percent(Recorded().step)
-    percent("fit", 0.0)
+    for share in (0.0, 0.15, 0.4, 0.7, 1.0, 0.5):
+        percent("fit", share)
+    assert [k for k, _ in told] == [0, 1, 4, 7, 10]  # it moves while the model is fitted
     percent("search", 0.0)
     for _ in range(3):
         for stage in ("screen", "refit"):

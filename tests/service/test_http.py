@@ -45,7 +45,7 @@ def test_head_is_get_without_a_body(client, path):
 def test_allow_names_every_method_of_an_address(client):
     for verb, path, allowed in (
         ("PUT", "/jobs", "GET, HEAD, POST"),
-        ("POST", "/jobs/x", "DELETE, GET, HEAD"),
+        ("POST", "/jobs/x", "DELETE, GET, HEAD, PATCH"),
         ("DELETE", "/jobs", "GET, HEAD, POST"),
         ("GET", "/jobs/x/resume", "POST"),
         ("HEAD", "/preview", "POST"),

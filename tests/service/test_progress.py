@@ -107,7 +107,7 @@ def test_stopped_by_whom_and_where(store: Store, made):
     store.record(attempt, 50, {})  # its rate counts from here, and what is said of it stays
     row = store.job(made)
     assert (row.stage, row.stage_from) == ("iterations", 0.4)
-    assert row.message == "taken up again; goes on where it was"
+    assert row.message == "resumed; continues where it was"
 
 
 @pytest.mark.parametrize("database", ["sqlite"], indirect=True)

@@ -75,7 +75,7 @@ def test_em_leaves_from_it(client, ended, request_, starts):
     series = engine.Series(request["series"][0]["y"], request["series"][0]["u"], dt=0.05)
     least = engine.fit_simulation(engine.get_model("oscillator"), series, free=[name], seed=3)
     if starts == 1:
-        assert "EM left from the fit of the simulation" in found["message"]
+        assert "EM started from the fit of the simulation" in found["message"]
         assert found["trace"]["theta"][name][0] == least.theta[name]
     else:
         first = found["starts"][0]

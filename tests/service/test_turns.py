@@ -127,7 +127,7 @@ def test_an_attempt_leaves_at_a_checkpoint_and_only_there(store):
     assert not store.record(attempt, 3, {3: row}, ran=2.5)
     assert not store.holds(attempt)
     assert store.rows(attempt.job)[0] == [1, 2, 3]
-    assert store.job(attempt.job_id).message == "made room for others; goes on where it was"
+    assert store.job(attempt.job_id).message == "paused for other jobs; resumes where it was"
     again = store.claim("x")
     assert (again.job, again.spent, again.run_seconds) == (attempt.job, 2.5, 100.0)
     assert store.keep(again, 0, "part", ran=1.0)  # the question was to the other

@@ -12,8 +12,8 @@ from engine.diagnose.effects.augmentation import Begin, add_linear_states, besid
 from engine.diagnose.effects.effect import Effect, Split, identifier
 from engine.diagnose.effects.setting import Kind, Setting, each_output
 from engine.diagnose.effects.traits import Traits
-from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.units import frequency_in, product
 
 LATENT = "latent"  # the kind of the force that nobody named
 OSCILLATING = "oscillating"  # the second manner of an unnamed force
@@ -115,7 +115,11 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
     if swings:
         length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
         bounds = setting.limits(0.5 / length, 0.48 / setting.dt)
-        parameters.append(Parameter(f"{name}_frequency", 0.1 / setting.dt, "Hz", bounds))
+        parameters.append(
+            Parameter(
+                f"{name}_frequency", 0.1 / setting.dt, frequency_in(setting.time_unit), bounds
+            )
+        )
         probes = tuple((15.0 * setting.dt, f / setting.dt) for f in (0.02, 0.06, 0.12, 0.25))
     return Effect(
         LATENT,
@@ -144,7 +148,7 @@ def _time_parameter(name: str, setting: Setting) -> Parameter:
     return Parameter(
         f"{name}_time",
         5.0 * setting.dt,
-        "s",
+        setting.time_unit,
         setting.limits(0.3 * setting.dt, longest),
         "correlation time",
     )

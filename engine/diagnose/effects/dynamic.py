@@ -12,6 +12,7 @@ from engine.diagnose.effects.effect import Effect, Split
 from engine.diagnose.effects.setting import Kind, Setting, at_pairs, each_moved, each_state
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.units import frequency_in
 
 
 class _Following:
@@ -80,7 +81,7 @@ def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -
             Parameter(
                 f"{name}_time",
                 10.0 * setting.dt,
-                "s",
+                setting.time_unit,
                 setting.limits(fast, max(slow, 2.0 * fast)),
             ),
         ),
@@ -129,7 +130,7 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
             Parameter(
                 f"{name}_frequency",
                 0.1 / setting.dt,
-                "Hz",
+                frequency_in(setting.time_unit),
                 setting.limits(0.5 / length, 0.48 / setting.dt),
             ),
             Parameter(f"{name}_damping", 0.1, "1", (1e-3, 0.99)),

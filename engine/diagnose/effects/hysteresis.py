@@ -22,9 +22,9 @@ from engine.diagnose.effects.effect import Effect, Split, pushed
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Setting, at_pairs, each_moved, each_state
 from engine.diagnose.effects.traits import Traits
-from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
+from engine.units import product
 
 SHAPES = (-0.8, 0.5)  # delta at which the screen looks: loops that stiffen, that soften
 MOST_SHAPE = 2.0  # of delta; beyond -1 the force grows with the way
@@ -35,7 +35,7 @@ def _bouc_wen(
     shaped: bool, setting: Setting, channel: str, name: str, source: str, target: str
 ) -> Effect:
     """``shaped``: with delta, which tells the way out from the way back; else delta is 0."""
-    unit = product(setting.unit(source), "s")
+    unit = product(setting.unit(source), setting.time_unit)
     width = setting.distance(source, 0.7) * 5.0 * setting.dt
     origin = Origin(setting, name, source)
     own_parameters = [

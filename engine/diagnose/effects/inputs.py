@@ -129,7 +129,13 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect | None:
         f"{channel}_t -> {channel}_t + {name} ({channel}_(t+1) - {channel}_t) / 2",
         (
             Parameter(name, 0.0, "1", (0.0, 2.0), "0: held, 1: linear between samples"),
-            Parameter(f"{name}_step", setting.dt, "s", (POSITIVE, np.inf), "time between samples"),
+            Parameter(
+                f"{name}_step",
+                setting.dt,
+                setting.time_unit,
+                (POSITIVE, np.inf),
+                "time between samples",
+            ),
             Parameter(f"{name}_first", first, setting.unit(channel), description="first input"),
         ),
         extend,

@@ -14,9 +14,9 @@ from engine.diagnose.effects.inputs import INPUT_OFFSET
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Setting, at_outputs
 from engine.diagnose.effects.traits import Traits
-from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
+from engine.units import product
 
 
 def observers(setting: Setting, model: MixedModel, output: str) -> list[str]:
@@ -131,7 +131,7 @@ def _drift(setting: Setting, channel: str, name: str) -> Effect:
         f"{channel} = ... + {name} * (t - {name}_start)",
         (
             Parameter(name, 0.0, setting.rate(channel), description="sensor drift"),
-            Parameter(f"{name}_start", start, "s", description="when it is zero"),
+            Parameter(f"{name}_start", start, setting.time_unit, description="when it is zero"),
         ),
         lambda model: add_to_output(model, channel, lambda v, own: own[0] * (v.t - own[1])),
         probes=((start,),),

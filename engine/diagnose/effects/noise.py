@@ -26,8 +26,8 @@ from engine.diagnose.effects.setting import (
     each_state,
 )
 from engine.diagnose.effects.traits import Traits
-from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.units import product
 from engine.words import with_unit
 
 
@@ -139,14 +139,16 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
             x = np.abs(u[list(model.inputs).index(signal)] - origin.of(own))
         return np.exp(np.clip(0.5 * own[0] * x / own[1], -8.0, 8.0))
 
-    unit = "s" if origin is None else setting.unit(signal)
+    unit = setting.time_unit if origin is None else setting.unit(signal)
     noise = "measurement" if at_output else "process"
     further = [
         Parameter(f"{name}_per", scale, unit, (POSITIVE, np.inf), "to which the size refers")
     ]
     if origin is None:
         what = f"(t - {name}_middle)"
-        further.append(Parameter(f"{name}_middle", middle, "s", description="where it is zero"))
+        further.append(
+            Parameter(f"{name}_middle", middle, setting.time_unit, description="where it is zero")
+        )
     else:
         what = f"|{origin.text(signal)}|"
         further.extend(origin.parameters)

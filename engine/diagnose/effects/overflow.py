@@ -16,9 +16,9 @@ import numpy as np
 from engine.diagnose.effects.effect import Effect, Split, on_base, pushed
 from engine.diagnose.effects.setting import WIDEST, Kind, Setting, at_pairs, each_moved
 from engine.diagnose.effects.traits import Traits
-from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
+from engine.units import product
 
 FULL = (0.7, 0.85, 0.95)  # shares of the record below the limits the screen looks at
 LOWEST = 0.02  # share of the record that is below any limit
@@ -32,7 +32,13 @@ def _overflow(setting: Setting, channel: str, name: str, source: str, target: st
     if not low < high < np.inf:
         low, high = setting.inside(source)
     parameters = [
-        Parameter(name, 0.0, "1/s", setting.limits(0.0, GONE / setting.dt, 0.0), "rate of decay"),
+        Parameter(
+            name,
+            0.0,
+            setting.per_time,
+            setting.limits(0.0, GONE / setting.dt, 0.0),
+            "rate of decay",
+        ),
         Parameter(f"{name}_limit", setting.quantile(source, FULL[0]), unit, (low, high), "limit"),
     ]
     rest: tuple[float, ...] = ()

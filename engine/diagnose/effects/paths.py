@@ -18,8 +18,8 @@ from engine.diagnose.effects.effect import (
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Setting, each_input, each_output, each_path
 from engine.diagnose.effects.traits import Traits
-from engine.diagnose.effects.units import product
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.units import product
 
 
 def _each_reading(setting: Setting) -> Iterator[str]:
@@ -84,7 +84,7 @@ def _path(setting: Setting, channel: str) -> Effect | None:
     )
     members = origin.counted(
         _size(setting, name, *ends),
-        Parameter(f"{name}_time", 10.0 * setting.dt, "s", bounds, "time constant"),
+        Parameter(f"{name}_time", 10.0 * setting.dt, setting.time_unit, bounds, "time constant"),
         before,
         probes=[(samples * setting.dt, first) for samples in (5.0, 30.0)],
     )

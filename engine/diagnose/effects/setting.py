@@ -15,9 +15,9 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect, identifier
 from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
-from engine.diagnose.effects.units import product
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel
+from engine.units import SECOND, product
 
 PROBED = 32  # rows of a record at which a model's structure is looked at
 NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
@@ -29,7 +29,7 @@ ON_TIME = 1e-3  # of a sample: how far off its time a sample may be
 class Record:
     """The samples of one series: ``values`` of states (filtered means), inputs and outputs by channel (n,);
 
-    times ``t`` (n,) and steps ``dt`` (n,) in seconds; ``theta`` of the filter. Outputs may hold NaN.
+    times ``t`` (n,) and steps ``dt`` (n,); ``theta`` of the filter. Outputs may hold NaN.
     """
 
     values: Mapping[str, Array]
@@ -43,12 +43,13 @@ class Setting:
     """The model for which effects are made, with what its data tell about sizes.
 
     ``scale`` maps a channel to its typical variation (standard deviation) in its unit, 1 where unknown;
-    ``span`` is the first and last time in seconds; ``dt`` the median time between samples. ``extra`` are
+    ``span`` is the first and last time; ``dt`` the median time between samples. ``extra`` are
     those inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
     step its readings come in, where they show one. ``record`` is what the series showed, None without
     data. ``zeros`` are the known zeros of channels (default: as the model declares and tells);
     ``substeps`` the steps that the model makes from one sample to the next; ``hold`` what the series says of
-    its inputs between samples; ``held`` the parameters of the model that are not estimated.
+    its inputs between samples; ``held`` the parameters of the model that are not estimated; ``time_unit`` what
+    its times count.
     """
 
     model: MixedModel
@@ -62,6 +63,7 @@ class Setting:
     substeps: int = 1
     hold: str = "zoh"
     held: tuple[str, ...] = ()
+    time_unit: str = SECOND
 
     # ---- sizes --------------------------------------------------------------------------------
 
@@ -168,8 +170,13 @@ class Setting:
         return state in self.model.kinematic or any(state in r.of for r in self._rates.values())
 
     def rate(self, target: str, divided_by: str = "") -> str:
-        """Unit of what enters a state's equation per second, divided by another unit."""
-        return product(self.unit(target), ("s", -1.0), (divided_by, -1.0))
+        """Unit of what enters a state's equation per unit of time, divided by another unit."""
+        return product(self.unit(target), (self.time_unit, -1.0), (divided_by, -1.0))
+
+    @property
+    def per_time(self) -> str:
+        """Unit of a rate of decay."""
+        return product((self.time_unit, -1.0))
 
     def unit(self, channel: str) -> str:
         """Unit of a state, input or output."""
@@ -368,6 +375,7 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         Record(values, t, np.append(steps, steps[-1]), np.asarray(theta, dtype=float)),
         substeps=series.substeps,
         hold=series.hold,
+        time_unit=series.time_unit,
     )
 
 

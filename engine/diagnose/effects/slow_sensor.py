@@ -29,7 +29,11 @@ def _slow_sensor(setting: Setting, channel: str, name: str) -> Effect:
         "measurement",
         f"slow sensor {channel}: a lag of first order",
         f"{name} r' = y - r,  {channel} = r",
-        (Parameter(name, 0.0, "s", setting.limits(0.0, slowest, 0.0), "time constant"),),
+        (
+            Parameter(
+                name, 0.0, setting.time_unit, setting.limits(0.0, slowest, 0.0), "time constant"
+            ),
+        ),
         lambda model: _late(model, setting, channel),
         look_alikes={
             "lag": "is over after one sample",

@@ -19,8 +19,8 @@ from engine.diagnose.effects.effect import (
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Setting, at_pairs, at_states, each_pair
 from engine.diagnose.effects.traits import USUAL, Traits
-from engine.diagnose.effects.units import product
 from engine.statespace.model import MixedModel, Parameter
+from engine.units import product
 
 ODD = "an odd function of the same state; told apart by the amplitudes that were visited"
 FRICTION, STIFFNESS = Traits(suits="rate"), Traits(suits="position")
@@ -143,7 +143,7 @@ def _linear(setting: Setting, channel: str, name: str) -> Effect:
             "saturation": "acts on large values only",
             "deadzone": "acts on small values only",
         },
-        **origin.counted(Parameter(name, 0.0, "1/s", description="rate")),
+        **origin.counted(Parameter(name, 0.0, setting.per_time, description="rate")),
     )
 
 

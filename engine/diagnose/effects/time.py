@@ -28,6 +28,7 @@ from engine.diagnose.effects.setting import (
 )
 from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.units import frequency_in, product
 
 
 def _each_place(setting: Setting) -> Iterator[str]:
@@ -45,12 +46,14 @@ def _signal(
     held: tuple[str, ...] = (),
     traits: Traits = USUAL,
     channels: Channels = _each_place,
+    power: float = 0.0,
 ) -> Kind:
-    """A kind ``size * signal(t)`` added to a state's equation or to an output."""
+    """A kind ``size * signal(t)``, the signal of unit time^power, added to a state's equation or an output."""
 
     def make(setting: Setting, channel: str, name: str) -> Effect:
         at_output = channel in setting.model.outputs
         unit = setting.unit(channel) if at_output else setting.rate(channel)
+        unit = product(unit, (setting.time_unit, -power)) if power else unit
         further = shape(name, setting)
 
         def extend(model: MixedModel) -> MixedModel:
@@ -78,7 +81,11 @@ def _when(name: str, setting: Setting) -> list[Parameter]:
     first, last = setting.span
     return [
         Parameter(
-            f"{name}_time", 0.5 * (first + last), "s", setting.limits(first, last, -np.inf), "when"
+            f"{name}_time",
+            0.5 * (first + last),
+            setting.time_unit,
+            setting.limits(first, last, -np.inf),
+            "when",
         )
     ]
 
@@ -89,7 +96,11 @@ def _frequency(name: str, setting: Setting) -> list[Parameter]:
     return [
         Parameter(f"{name}_sine", 0.0, "", description="amplitude of the sine"),
         Parameter(
-            f"{name}_frequency", 10.0 * lowest, "Hz", setting.limits(lowest, highest), "frequency"
+            f"{name}_frequency",
+            10.0 * lowest,
+            frequency_in(setting.time_unit),
+            setting.limits(lowest, highest),
+            "frequency",
         ),
     ]
 
@@ -140,10 +151,17 @@ def _parameter_change(kind: str, title: str) -> Kind:
             length = max(last - first, setting.dt)
             further = [
                 Parameter(
-                    f"{name}_middle", 0.5 * (first + last), "s", description="where it is zero"
+                    f"{name}_middle",
+                    0.5 * (first + last),
+                    setting.time_unit,
+                    description="where it is zero",
                 ),
                 Parameter(
-                    f"{name}_per", length, "s", (POSITIVE, np.inf), "to which the size refers"
+                    f"{name}_per",
+                    length,
+                    setting.time_unit,
+                    (POSITIVE, np.inf),
+                    "to which the size refers",
                 ),
             ]
 
@@ -193,12 +211,18 @@ def _pulse(t: Any, own: Sequence[Any]) -> Any:
 
 
 def _width(name: str, setting: Setting) -> list[Parameter]:
-    width = Parameter(f"{name}_width", setting.dt, "s", (POSITIVE, np.inf), "how long")
+    width = Parameter(
+        f"{name}_width", setting.dt, setting.time_unit, (POSITIVE, np.inf), "how long"
+    )
     return [*_when(name, setting), width]
 
 
 def _start(name: str, setting: Setting) -> list[Parameter]:
-    return [Parameter(f"{name}_start", setting.span[0], "s", description="when it is zero")]
+    return [
+        Parameter(
+            f"{name}_start", setting.span[0], setting.time_unit, description="when it is zero"
+        )
+    ]
 
 
 KINDS: list[Kind] = [
@@ -231,6 +255,7 @@ KINDS: list[Kind] = [
         held=("start",),
         traits=Traits(swallowed=True),
         channels=each_state,
+        power=1.0,
     ),
     at_signals("harmonic", _harmonic, _each_place),
     _parameter_change("parameter-step", "step"),

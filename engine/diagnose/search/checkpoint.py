@@ -185,6 +185,7 @@ def _of_fit(fit: QuasiFit) -> dict[str, Any]:
         "iterations": int(fit.iterations),
         "converged": bool(fit.converged),
         "given_up": bool(fit.given_up),
+        "rivals": [list(theta) for theta in fit.rivals],
     }
 
 
@@ -198,6 +199,7 @@ def _fit(kept: Mapping[str, Any], model: MixedModel) -> QuasiFit:
         kept["iterations"],
         kept["converged"],
         kept["given_up"],
+        tuple(map(tuple, kept["rivals"])),
     )
 
 

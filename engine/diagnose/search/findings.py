@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 
 
@@ -63,6 +64,7 @@ class Cause:
     equivalent: tuple[str, ...]
     look_alikes: tuple[LookAlike, ...]
     together: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)  # of ``parameters``
 
 
 @dataclass(frozen=True)

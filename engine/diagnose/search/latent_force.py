@@ -11,6 +11,7 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.symptoms.runs import smoothed
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array
+from engine.units import SECOND
 from engine.words import bounds, estimate, number, percent, with_unit
 
 CLEAR = 2.0  # standard deviations off zero
@@ -19,13 +20,14 @@ BELIEVED = 10.0  # standard deviations of the fitted process, which no course of
 
 @dataclass(frozen=True, eq=False)
 class UnnamedForce:
-    """The force on ``target`` at times ``t`` (T,): ``mean`` and standard deviation ``sd`` (T,) in ``unit``."""
+    """The force on ``target`` at times ``t`` (T,): ``mean``, standard deviation ``sd`` (T,) in ``unit``."""
 
     target: str
     unit: str
     t: Array
     mean: Array
     sd: Array
+    time_unit: str = SECOND
 
     @property
     def sentence(self) -> str:
@@ -46,7 +48,8 @@ class UnnamedForce:
         return (
             f"An unnamed force acts on {self.target}: {with_unit(size, self.unit)} rms, clearly different from "
             f"zero for {percent(float(clear.mean()))} of the time, strongest ({peak}) at t = "
-            f"{number(float(self.t[strongest]), 4)} s, within a stretch from {start} to {end} s."
+            f"{number(float(self.t[strongest]), 4)} {self.time_unit}, within a stretch from {start} to {end} "
+            f"{self.time_unit}."
         )
 
 
@@ -70,6 +73,7 @@ def unnamed_force(refit: Refit, series: Series) -> UnnamedForce | None:
         np.asarray(series.t),
         mean,
         np.sqrt(np.maximum(variance, 0.0)),
+        series.time_unit,
     )
 
 

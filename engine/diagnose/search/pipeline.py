@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -20,12 +20,17 @@ from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.diagnose.search.search import LATER, OUTLYING, Search, search
 from engine.diagnose.search.verdict import PATCHES, patchwork, verdict_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, whitening
-from engine.estimation.start import WarmStart
+from engine.estimation.start import LEFT_AFTER, WarmStart
 from engine.filters.sigma_point import moment_path
-from engine.statespace.model import MixedModel, ThetaLike
+from engine.statespace.model import MixedModel, Theta, ThetaLike
 
+RIVALS = (
+    20.0  # nats below the highest maximum, another one is kept for what an effect may make of it
+)
 MANY = 1000.0  # times the model's noise: beyond it a number says nothing more
 MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
+# For progress: of the fits of a continuous model, the first; of a fit, the search for its start.
+FIRST_FIT_SHARE, START_SHARE = 0.5, 0.6
 
 NAMES = (Verdict.NAMED, Verdict.SET)
 
@@ -60,7 +65,13 @@ def find_causes(
     clock = clock or Clock()
     notes = []
     clock.start("fit")
-    base = kept.fit(model, partial(fit_base, model, series, theta, free))
+    # a continuous model has been fitted once before, to find its steps
+    begun = FIRST_FIT_SHARE if model.continuous else 0.0
+
+    def tell(share: float) -> None:
+        clock.progress("fit", begun + (1.0 - begun) * share)
+
+    base = kept.fit(model, partial(fit_base, model, series, theta, free, tell))
     if not base.converged:
         notes.append(
             "The estimation of the base model did not settle; its parameters may be far off. "
@@ -135,14 +146,31 @@ def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> s
 
 
 def fit_base(
-    model: MixedModel, series: Series, theta: ThetaLike, free: Sequence[str] | None
+    model: MixedModel,
+    series: Series,
+    theta: ThetaLike,
+    free: Sequence[str] | None,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> QuasiFit:
-    """The model's own parameters: from the given start, or searched for where none is given."""
-    start = model.theta(theta)
+    """The model's own parameters: from the given start, or searched for where none is given.
+
+    ``progress`` is told which share of it is done.
+    """
+    start, begun = model.theta(theta), 0.0
+    others: list[Theta] = []
     if theta is None:
-        found = WarmStart(model, [series], model.free_indices(free), rivals=0.0)(start)
-        start = found[0] if found else start
-    return quasi_ml(model, series, start, free)
+        begun = START_SHARE
+        indices = model.free_indices(free)
+        ahead = WarmStart(
+            model, [series], indices, rivals=RIVALS, progress=lambda share: progress(begun * share)
+        )
+        start, *others = ahead(start) or [start]
+
+    def tell(k: int) -> None:
+        progress(1.0 - (1.0 - begun) * LEFT_AFTER ** (k - 1))
+
+    fit = quasi_ml(model, series, start, free, callback=tell)
+    return replace(fit, rivals=tuple(tuple(map(float, other)) for other in others))
 
 
 def has_tails(found: Search) -> bool:

@@ -63,6 +63,7 @@ def free_parameters(effect: Effect) -> list[str]:
 def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) -> Refit:
     """Maximum likelihood of the extended model, started at the score's one-step estimate.
 
+    And from the fit's other maxima: with the effect in the model another one may be the highest.
     Given up early where its score seems to stay far below ``best``, the score of another refit; see
     :func:`taken_up`.
     """
@@ -87,6 +88,13 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
         if not np.array_equal(moved, found.theta):
             again = quasi_ml(extended, series, moved, free, tolerance=TOLERANCE)
             found = max(found, again, key=lambda one: one.log_likelihood)
+    for rival in fit.rivals:
+        other = np.concatenate([rival, np.asarray(found.theta)[n:]])
+        at_least = max(target, found.log_likelihood)
+        again = quasi_ml(
+            extended, series, other, free, tolerance=TOLERANCE, target=at_least, hope=HOPE
+        )
+        found = max(found, again, key=lambda one: one.log_likelihood)
     return _with_zero(_weighed(effect, found, zero, series), zero, series)
 
 

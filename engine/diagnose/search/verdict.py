@@ -77,6 +77,7 @@ def cause_of(found: Round) -> Cause:
         best.gain,
         set_of(found),
         _look_alikes(found, best),
+        units={p.name: p.unit for p in effect.parameters},
     )
 
 

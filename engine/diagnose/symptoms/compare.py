@@ -111,7 +111,7 @@ def against_predictions(
         regions += _regions(one, signals, series, spectrum=False)
         if series.dt is not None:
             flat = Errors(name, "standard deviations", z[:, i], 2.0 * half[:, i] / spread[:, i])
-            regions += by_frequency(flat, series.dt)
+            regions += by_frequency(flat, series.dt, series.time_unit)
     known = np.isfinite(settled)
     expected = [_root_mean(spread[known[:, i], i] ** 2) for i in range(model.ny)]
     fits = []
@@ -132,7 +132,7 @@ def _signals(
     named += [("output", n, u) for n, u in model.outputs.items()]
     values = [*x.T, *series.u.T, *y.T]
     out = [(*name, value) for name, value in zip(named, values, strict=True)]
-    out.append(("time", "time", "s", np.asarray(series.t)))
+    out.append(("time", "time", series.time_unit, np.asarray(series.t)))
     return out
 
 
@@ -152,7 +152,7 @@ def _regions(
         done.append(values)
         out += by_signal(errors, kind, name, unit, values)
     if spectrum and series.dt is not None:
-        out += by_frequency(errors, series.dt)
+        out += by_frequency(errors, series.dt, series.time_unit)
     return out
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
 from engine.statespace.model import Array, MixedModel
+from engine.units import SECOND, is_per
 from engine.words import enumerated, number, percent, with_unit
 
 SHORT_SAMPLES = 100  # samples; and ten per parameter
@@ -23,12 +24,14 @@ MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviat
 
 def check_data(model: MixedModel, series: Series) -> tuple[str, ...]:
     """Notes on a series as data for a model, in words with units; empty where nothing is odd."""
-    notes = [*_length(model, series), *_times(series)]
+    notes = [*_length(model, series), *_times(series), *clock_notes(model, series)]
     for column, (name, unit) in enumerate(model.outputs.items()):
         y = series.y[:, column]
         seen = ~np.isnan(y)
         if seen.sum() < 2:
-            notes.append(f"Output {name} has {int(seen.sum())} readings: it tells nothing.")
+            notes.append(
+                f"Output {name} has {int(seen.sum())} readings: it carries no information."
+            )
             continue
         notes += _gaps(name, seen, series)
         values = y[seen]
@@ -66,10 +69,26 @@ def _times(series: Series) -> list[str]:
         return []
     steps, middle = series.steps, float(np.median(series.steps))
     longest = int(np.argmax(steps))
-    text = f"Sampling is irregular: steps of {number(float(steps.min()))} to {number(float(steps.max()))} s"
+    shortest, most = number(float(steps.min())), number(float(steps.max()))
+    text = f"Sampling is irregular: steps of {shortest} to {most} {series.time_unit}"
     if steps[longest] > 5.0 * middle:
-        text += f", the longest after t = {number(float(series.t[longest]), 6)} s"
+        text += f", the longest after t = {number(float(series.t[longest]), 6)} {series.time_unit}"
     return [f"{text}; spectra are not shown."]
+
+
+def clock_notes(model: MixedModel, series: Series) -> list[str]:
+    """A note where times are not in seconds and a unit of the model is per second."""
+    if series.time_unit == SECOND:
+        return []
+    channels = {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}
+    units = channels | {p.name: p.unit for p in model.parameters}
+    found = next(((name, unit) for name, unit in units.items() if is_per(unit, SECOND)), None)
+    if found is None:
+        return []
+    return [
+        f"Times are in {series.time_unit}, and model '{model.name}' has {found[0]} in {found[1]}: its numbers "
+        "are right only if its equations convert, or give the times in s."
+    ]
 
 
 def _gaps(name: str, seen: NDArray[np.bool_], series: Series) -> list[str]:
@@ -77,10 +96,10 @@ def _gaps(name: str, seen: NDArray[np.bool_], series: Series) -> list[str]:
     if missing == 0.0:
         return []
     start, length = _longest(~seen)
-    span = number(length * float(np.median(series.steps)))
+    span, clock = number(length * float(np.median(series.steps))), series.time_unit
     return [
         f"Output {name}: {percent(missing)} of the readings are missing, the longest gap is {length} "
-        f"samples ({span} s) from t = {number(float(series.t[start]), 6)} s."
+        f"samples ({span} {clock}) from t = {number(float(series.t[start]), 6)} {clock}."
     ]
 
 
@@ -196,11 +215,12 @@ def _outliers(name: str, unit: str, y: Array, series: Series) -> list[str]:
     if not far.size or far.size > 0.1 * len(seen):
         return []
     worst = far[int(np.argmax(np.abs(distance[far])))]
+    when = with_unit(float(series.t[seen[worst]]), series.time_unit, 6)
     return [
         f"Output {name}: {far.size} single reading{'s' if far.size > 1 else ''} "
         f"({percent(far.size / len(seen))}) more than {OUTLIER_DEVIATIONS:g} robust standard deviations "
         "off all of the neighbours, the worst by "
-        f"{with_unit(float(distance[worst]), unit)} at t = {number(float(series.t[seen[worst]]), 6)} s."
+        f"{with_unit(float(distance[worst]), unit)} at t = {when}."
     ]
 
 

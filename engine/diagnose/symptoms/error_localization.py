@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from engine.distributions import chi2_sf, normal_isf
 from engine.statespace.model import Array
+from engine.units import SECOND, frequency_in
 
 BANDS = 8  # of a signal or of a spectrum, in which errors are looked for
 # Standard errors: by chance about one in 20 among all intervals of ten signals. Free runs get by with
@@ -151,7 +152,7 @@ def newey_west(d: Array, n: int, lags: int | None = None) -> float:
     return float(np.sqrt(variance)) / max(n, 1)
 
 
-def by_frequency(errors: Errors, dt: float) -> list[Region]:
+def by_frequency(errors: Errors, dt: float, time_unit: str = SECOND) -> list[Region]:
     """Bands of the errors' periodogram, their edges in equal ratios from the lowest frequency.
 
     Missing errors count as zero. The model's own simulations tell what to expect, or, for one-step
@@ -186,7 +187,7 @@ def by_frequency(errors: Errors, dt: float) -> list[Region]:
                 errors.output,
                 "frequency",
                 "frequency",
-                "Hz",
+                frequency_in(time_unit),
                 float(edges[k]),
                 float(edges[k + 1]),
                 k == 0,

@@ -73,7 +73,7 @@ def correlated(output: str, statistic: float, lags: int, p: float) -> str:
 
 
 def _spectral(region: Region, what: str, unit: str) -> str:
-    low, high = bounds(region.low, region.high, "Hz")
+    low, high = bounds(region.low, region.high, region.unit)
     if region.lowest:
         band = f"below {high}"
     elif region.highest:

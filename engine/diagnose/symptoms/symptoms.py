@@ -25,7 +25,7 @@ from engine.diagnose.symptoms.sentences import correlated, overall, sentence
 from engine.filters.sigma_point import moment_path
 from engine.json_values import plain
 from engine.statespace.model import Array, MixedModel, ThetaLike
-from engine.words import number
+from engine.words import with_unit
 
 __all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
 
@@ -124,9 +124,10 @@ def find_symptoms(
                 )
             free = against_run(model, series, y, states, fine)
         else:
+            when = with_unit(float(series.t[row]), series.time_unit, 6)
             sentences.append(
-                f"The free run runs away: from t = {number(float(series.t[row]), 6)} s on it is further off "
-                f"than {AWAY_RANGES:g} times the range of the readings."
+                f"The free run runs away: from t = {when} on it is further off than "
+                f"{AWAY_RANGES:g} times the range of the readings."
             )
     white = whiteness(z, tuple(model.outputs))
     for comparison, what in ((free, "simulation"), (one_step, "prediction")):

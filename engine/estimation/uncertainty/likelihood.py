@@ -124,7 +124,7 @@ def likelihood_intervals(
     theta : Theta, mapping or array
         The estimate.
     series : Series or sequence of Series
-        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     free : sequence of str, optional
         Names of the estimated parameters, where ``errors`` does not give them; all by default.
     level : float

@@ -157,7 +157,7 @@ def standard_errors(
     theta : Theta, mapping, array or EmResult
         The estimate; of an EmResult its free parameters are meant.
     series : Series or sequence of Series
-        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times in seconds.
+        One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     free : sequence of str, optional
         Names of the parameters to estimate; all by default.
     n_particles : int

@@ -7,11 +7,12 @@ outside address; its charts are SVG. It opens from disk, prints, and is dark whe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from engine.errors import OptionError
+from engine.presentation.report.comparison import clocked
 from engine.presentation.report.diagnosis import diagnosis_report
 from engine.presentation.report.estimate import estimate_report, simulation_report, states_report
 from engine.presentation.report.html import Html, join, tag
@@ -25,8 +26,20 @@ from engine.presentation.report.parts import (
 )
 from engine.presentation.report.style import RULES, stylesheet
 from engine.presentation.report.svg import svg_element
+from engine.presentation.report.two_results import comparison_notes, comparison_report
 
-__all__ = ["RULES", "OnPage", "Report", "Section", "make_report", "report_html", "write_report"]
+__all__ = [
+    "RULES",
+    "OnPage",
+    "Report",
+    "Section",
+    "comparison_html",
+    "comparison_notes",
+    "comparison_report",
+    "make_report",
+    "report_html",
+    "write_report",
+]
 
 
 class Documented(Protocol):
@@ -69,9 +82,19 @@ def write_report(
 
 def report_html(document: Document, about: Mapping[str, object] | None = None) -> str:
     """The text of the file."""
-    report = make_report(document)
+    return _file(make_report(document), about or {})
+
+
+def comparison_html(
+    compared: Document, names: Sequence[str], about: Mapping[str, object] | None = None
+) -> str:
+    """The text of a file on two results, from :func:`engine.presentation.two_results.compare_results`."""
+    return _file(comparison_report(compared, names, svg_element), about or {})
+
+
+def _file(report: Report, about: Mapping[str, object]) -> str:
     end = [
-        facts((about or {}).items()),
+        facts(about.items()),
         "Made by rbps. The figures are those of the JSON document.",
     ]
     head = tag(
@@ -91,6 +114,7 @@ def make_report(document: Document, draw: Drawer = svg_element) -> Report:
     """The report's parts; ``draw`` makes its charts."""
     if document.get("diagnosis"):
         document = document["diagnosis"]
+    draw = clocked(draw, document.get("time_unit"))
     if document.get("verdict"):
         if "channels" not in document:
             raise OptionError(

@@ -4,16 +4,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
-from engine.presentation.report.chart import Chart, Numbers, Trace
+from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
 from engine.presentation.report.html import Html, bullets, join, table, tag
 from engine.presentation.report.parts import Document, Drawer, grid, label, measured, pretty, prose
+from engine.units import SECOND, frequency_in
 from engine.words import fit_quality, percent, probability
 
-TIME = "time [s]"
+TIME, FREQUENCY = "time [s]", "frequency [Hz]"  # axes, where times are in seconds
 WHAT = {"free_run": "Free-run simulation", "one_step": "One-step prediction"}
+
+
+AnyChart = TypeVar("AnyChart", Chart, Ranking, Chart | Ranking)
+
+
+def relabelled(chart: AnyChart, time_unit: str | None) -> AnyChart:
+    """The same chart with another unit on its axis of time or of frequency; None are seconds."""
+    if time_unit in (None, SECOND) or isinstance(chart, Ranking):
+        return chart
+    frequency = label("frequency", frequency_in(time_unit))
+    labels = {TIME: label("time", time_unit), FREQUENCY: frequency}
+    return replace(chart, x_label=labels.get(chart.x_label, chart.x_label))
+
+
+def clocked(draw: Drawer, time_unit: str | None) -> Drawer:
+    """The same drawer for times in another unit."""
+
+    def drawn(chart: Chart | Ranking) -> Html:
+        return draw(relabelled(chart, time_unit))
+
+    return drawn
 
 
 def compared(
@@ -160,7 +183,7 @@ def _spectrum(what: str, unit: str, bands: list[dict[str, Any]], role: str) -> C
     expected = [b["expected_rms"] for b in bands]
     return Chart(
         f"Error of {what} by frequency",
-        "frequency [Hz]",
+        FREQUENCY,
         f"rms in the band [{pretty(unit)}]" if unit else "standardised rms in the band",
         edges,
         (

@@ -17,7 +17,7 @@ from engine.presentation.report.comparison import (
     sentences,
     where_it_is,
 )
-from engine.presentation.report.html import Html, join, table, tag
+from engine.presentation.report.html import Html, bullets, join, table, tag
 from engine.presentation.report.parts import (
     Document,
     Drawer,
@@ -27,10 +27,11 @@ from engine.presentation.report.parts import (
     facts,
     grid,
     label,
+    measured,
     pretty,
     section,
 )
-from engine.words import number
+from engine.words import fit_quality, number
 
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
 FEW_STARTS = 7  # starts beside the one taken whose curves are drawn each
@@ -57,6 +58,7 @@ def estimate_report(document: Document, draw: Drawer) -> Report:
             *section("convergence", "Convergence", grid(convergence_figures(document, draw))),
             *_states(document, draw),
             *_simulated(document, draw),
+            *_held_out(document, draw),
             *_examined(document, model, draw),
             *section("attempts", "Attempts", _starts(document), _bootstrap(document, draw)),
             *section(
@@ -269,6 +271,28 @@ def smoothed_figures(series: Document, units: Document, draw: Drawer) -> Iterato
         yield draw(compared(name, y_label, series["t"], (said, mean), band=(low, high)))
 
 
+def _held_out(document: Document, draw: Drawer) -> list[Section]:
+    """The error on data that the estimate has not seen."""
+    held = document.get("held_out")
+    if not held:
+        return []
+    units = {one["output"]: one["unit"] for one in held["outputs"]}
+    said = [f"{held['samples']} samples that the estimate has not seen."]
+    for o in held["outputs"]:
+        error = f"wrong by {measured(o['rmse'], o['unit'])} rms, {fit_quality(o['fit'])}"
+        finite = o["rmse"] is not None
+        said.append(f"Simulation of {o['output']}: {error if finite else 'it runs away'}.")
+    if held["log_density"] is not None:
+        said.append(f"Log-density of the predictions {number(held['log_density'], 6)}.")
+    figures = (
+        draw(compared(f"Simulation of {name}, held out", label(name, units.get(name, "")),
+                      one["t"], ("simulated", y), one["measured"][name]))
+        for one in held["series"]
+        for name, y in one["y"].items()
+    )  # fmt: skip
+    return section("held-out", "On held-out data", bullets(said, "sentences"), grid(figures))
+
+
 def _shifted(mean: float | None, sd: float | None, sign: int) -> float | None:
     return None if mean is None or sd is None else mean + sign * NORMAL * sd
 
@@ -288,7 +312,7 @@ def _examined(document: Document, model: Document, draw: Drawer) -> list[Section
                 f"simulation-{i}", _nth("Simulation and prediction", i, found), one["problem"]
             )
             continue
-        compared = [
+        shown = [
             *against_data(one["free_run"], "free_run", units, draw, wide=True),
             *against_data(one["one_step"], "one_step", units, draw, wide=True),
         ]
@@ -297,7 +321,7 @@ def _examined(document: Document, model: Document, draw: Drawer) -> list[Section
             _nth("Simulation and prediction against the data", i, found),
             sentences(one),
             fits(one),
-            grid(compared),
+            grid(shown),
         )
         parts += section(f"residuals-{i}", _nth("Residuals", i, found), residual_figures(one, draw))
         parts += section(

@@ -11,14 +11,16 @@ export class DataCard {
   constructor(onChange) {
     this.onChange = onChange;
     this.files = []; // [{file, name, preview}]
-    this.job = null; // {id, series}: the data of an earlier job instead of files
+    this.job = null; // {id, series, names of its files}: the data of an earlier job instead of files
     this.channels = []; // [{member: "y" | "u", name, unit}]
     this.mapping = new Map(); // "y.flow" -> column
     this.extra = new Set(); // columns that a diagnosis should ask about
     this.charts = [];
+    this.units = []; // of the model: [name, unit]
     by("file").addEventListener("change", () => this.take([...by("file").files]));
     by("time").addEventListener("change", () => this.look());
     by("dt").addEventListener("input", () => this.draw());
+    by("time-unit").addEventListener("change", () => this.showChannels());
     this.watchDrop(by("drop"));
   }
 
@@ -60,8 +62,9 @@ export class DataCard {
   }
 
   // The data of an earlier job; they are sent again as they are.
-  takeJob(id, series) {
-    [this.files, this.job] = [[], { id, series }];
+  takeJob(id, series, names) {
+    by("time-unit").value = series[0].time_unit ?? "s";
+    [this.files, this.job] = [[], { id, series, names }];
     this.mapping.clear();
     this.extra.clear();
     this.showChannels();
@@ -78,6 +81,7 @@ export class DataCard {
     this.complainAt('[data-field~="t"]', "");
     try {
       if (by("time").value) first.preview = await preview(first.file, first.name, by("time").value);
+      by("time-unit").value = first.preview.time_unit;
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
       this.complainAt('[data-field~="t"]', error.message);
@@ -91,11 +95,13 @@ export class DataCard {
     by("time").replaceChildren(element("option", { value: "" }, "samples at a fixed step"), ...names);
     by("time").value = time && !time.problem ? time.column : "";
     if (dt !== null) by("dt").value = String(dt);
+    by("time-unit").value = this.files[0].preview.time_unit;
   }
 
   setModel(model) {
     const list = (member, channels) => Object.entries(channels).map(([name, unit]) => ({ member, name, unit }));
     this.channels = model ? [...list("y", model.outputs), ...list("u", model.inputs)] : [];
+    this.units = model ? [...[model.nonlinear, model.linear, model.inputs, model.outputs].flatMap(Object.entries), ...model.parameters.map((one) => [one.name, one.unit])] : [];
     this.mapping.clear();
     this.showChannels();
   }
@@ -183,12 +189,13 @@ export class DataCard {
       ...(ignored.length ? [element("span", { class: "muted" }, `not read: ${ignored.join(", ")}`)] : []),
     );
     const time = this.files[0]?.preview.time;
-    const other = by("time").value && notSeconds(by("time").value);
+    const clock = by("time-unit").value.trim() || "s";
+    const other = clock === "s" ? undefined : this.units.find(([, text]) => /(^|[^\p{L}])(s|Hz)(?!\p{L})/u.test(text));
     by("time-facts").className = (time?.problem && by("time").value) || other ? "field-error" : "hint";
-    by("time-facts").textContent = !time ? "The file names no column of times: give the step, or choose a column."
-      : other ? `Times are taken as seconds, and '${by("time").value}' seems to be in ${other}: convert it, or give the step instead.`
-      : time.problem ? `Column '${time.column}': ${time.problem}`
-      : by("time").value && `${number(time.first)} to ${number(time.last)} s, step ${number(time.step)} s${time.regular ? "" : " (median; not regular)"}`;
+    by("time-facts").textContent = time?.problem && by("time").value ? `Column '${time.column}': ${time.problem}`
+      : other ? `Times are in ${clock}, and the model has ${other[0]} in ${other[1]}: its numbers are right only if its equations convert. Else convert the times to s.`
+      : !time ? "The file names no column of times: give the step, or choose a column."
+      : by("time").value && `${number(time.first)} to ${number(time.last)} ${clock}, step ${number(time.step)} ${clock}${time.regular ? "" : " (median; not regular)"}`;
   }
 
   // Columns of the first experiment: {name, rows, missing, minimum, maximum, problem, row, value, gaps}.
@@ -211,7 +218,7 @@ export class DataCard {
       const x = column.row.map(clock);
       this.charts.push(chart(document.querySelector(`[data-plot="${CSS.escape(key)}"]`), {
         x,
-        xLabel: "time [s]",
+        xLabel: `time [${by("time-unit").value.trim()}]`,
         yLabel: withUnit(column.name, channel.unit),
         series: [{ label: column.name, y: column.value, colour: channel.member === "y" ? "data" : "c2", kind: channel.member === "u" ? "steps" : "line" }],
         marks: column.gaps.map(([first, last]) => [clock(first - 0.5), clock(last + 0.5)]),
@@ -274,13 +281,13 @@ export class DataCard {
       columns[member][name] = this.mapping.get(`${member}.${name}`);
       if (!columns[member][name]) errors.push({ field: `series[0].${member}.${name}`, message: "no column is chosen for this channel" });
     }
-    const how = { ...columns };
+    const how = { ...columns, time_unit: by("time-unit").value.trim() || "s" };
     if (by("hold").value) how.hold = by("hold").value;
     if (this.extra.size) how.extra = [...this.extra];
     if (by("time").value) how.t = by("time").value;
     else {
       how.dt = Number(by("dt").value);
-      if (!(how.dt > 0)) errors.push({ field: "series[0].dt", message: "a positive number of seconds is needed" });
+      if (!(how.dt > 0)) errors.push({ field: "series[0].dt", message: "a positive time step is needed" });
     }
     const files = this.files.map(({ name, file }) => [name, file]);
     const request = { series: files.map(([name]) => ({ file: name, ...how })), files };
@@ -338,11 +345,6 @@ function problems(columns) {
     return [`No column can be used: line 2 holds no numbers. If it is a line of units, delete it; the model says which units it needs. (${bad[0].problem})`];
   }
   return bad.map((one) => `Column ${one.name} cannot be used: ${one.problem}`);
-}
-
-// The unit in the name of a column of times, where it is not seconds: "time_ms", "t [min]".
-function notSeconds(name) {
-  return name.match(/[ _([](ms|us|µs|ns|min|minutes|h|hours|days?)[)\]]?$/i)?.[1] ?? "";
 }
 
 // Extra channels of a job's series that the model does not use.

@@ -1,7 +1,7 @@
 // Step 3: the question, and how to answer it.
 
 const kinds = [...document.querySelectorAll('input[name="kind"]')];
-const ONLY_EM = ["first", "iterations", "particles", "starts", "bootstrap"];
+const ONLY_EM = ["first", "iterations", "particles", "starts", "bootstrap", "intervals"];
 const details = document.getElementById("options");
 
 export class TaskCard {
@@ -21,7 +21,7 @@ export class TaskCard {
   }
 
   show() {
-    for (const box of details.querySelectorAll("[data-kind]")) box.hidden = box.dataset.kind !== this.kind;
+    for (const box of details.querySelectorAll("[data-kind]")) box.hidden = !box.dataset.kind.split(" ").includes(this.kind);
     // the fit of the simulation has starts of its own and no iterations of EM
     const simulation = document.getElementById("estimate-method").value === "simulation";
     for (const name of ONLY_EM) document.querySelector(`[data-kind="estimate"] [data-field="options.${name}"]`).hidden = simulation;
@@ -36,7 +36,7 @@ export class TaskCard {
   }
 
   get testFile() {
-    return this.kind === "diagnose" ? document.getElementById("test-file").files[0] ?? null : null;
+    return ["estimate", "diagnose"].includes(this.kind) ? document.getElementById("test-file").files[0] ?? null : null;
   }
 
   fill(options, runSeconds) {

@@ -102,7 +102,7 @@ def test_semicolons_tabs_comments_quotes_and_byte_order_mark():
         (b"t,y\n0,1\n0,2\n", {}, r"a.csv: t repeats at row 1"),
         (b"t,y\n0,1\n-1,2\n", {}, r"a.csv: t decreases at row 1"),
         (b"t,y\n0,1\n,2\n", {}, r"a.csv: t is not finite at row 1"),
-        (b"u,y\n1,2\n3,4\n", {"dt": -1.0}, r"a.csv: dt = -1.0 s; a positive time step"),
+        (b"u,y\n1,2\n3,4\n", {"dt": -1.0}, r"a.csv: dt = -1.0; a positive time step"),
     ],
 )
 def test_csv_errors(text, options, message):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from engine.diagnose.effects.units import product
+from engine.units import product
 
 
 @pytest.mark.parametrize(

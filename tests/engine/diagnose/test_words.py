@@ -165,10 +165,11 @@ def test_a_headline_has_no_size_within_its_error():
 
 
 def test_a_headline_says_when_it_happens():
+    parameters = {"step_y": 3.0, "step_y_time": 1899.0}
     once = replace(
-        cause(("step:y",)), where="time", parameters={"step_y": 3.0, "step_y_time": 1899.0}
+        cause(("step:y",)), where="time", parameters=parameters, units={"step_y_time": "year"}
     )
-    assert "1899 s" in headline(once)
+    assert "time 1899 year" in headline(once)
     lasting = replace(once, where="noise", parameters={"variance_y_time": 18.4})
     assert "18.4" not in headline(lasting)
 

@@ -126,7 +126,7 @@ def test_what_the_check_says(tmp_path):
     assert any("engine.continuous" in one for one in said)
     assert any("lists no equations" in one for one in said)
     cubic = model_from(str(write(tmp_path, "cubic", ("a[:, 0]], np", "a[:, 0] ** 3], np"))))
-    assert "the method rbps-em fits" in model_check(cubic)[1]
+    assert "quasi-newton and rbps-em apply" in model_check(cubic)[1]
     slow = write(tmp_path, "slow", ("theta.c * a[:, 0]", "float(theta.c) * a[:, 0]"))
     assert any(
         "dynamics takes one parameter vector" in one for one in model_check(model_from(str(slow)))

@@ -205,3 +205,27 @@ def test_what_is_wrong_is_named(changes, words):
             5,
             np.random.default_rng(0),
         )
+
+
+def test_a_run_that_runs_away_takes_no_other_with_it():
+    """Beyond all numbers it is lost; beside it the others go on, and a fit tries something else."""
+    from engine.simulation.free_run import run_rows
+
+    def drift(a, u, t, theta):
+        return [theta.k * a[:, 0] ** 3 + np.sin(a[:, 0])], np.zeros((1, 0))
+
+    model = engine.continuous(
+        name="cubic", drift=drift, diffusion=lambda a, u, t, theta: [[1e-4]],
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[1e-4]]),
+        initial=lambda theta: (engine.Gaussian([1.0], [[0.01]]), [], np.zeros((0, 0))),
+        nonlinear={"x": "m"}, linear={}, outputs={"y": "m"},
+        parameters=[engine.Parameter("k", -1.0, "1/m^2/s", (-10.0, 10.0))],
+    )  # fmt: skip
+    series = engine.simulate(model, None, 60, np.random.default_rng(0), dt=0.1).series
+    y, _ = run_rows(model, np.array([[5.0], [-1.0]]), series, np.ones((2, 1)))
+    assert not np.isfinite(y[-1, 0]).any()
+    alone, _ = run_rows(model, np.array([[-1.0]]), series, np.ones((1, 1)))
+    np.testing.assert_allclose(y[:, 1], alone[:, 0], rtol=1e-9)
+    with pytest.raises(ModelError, match="runs away"):
+        engine.free_run(model, {"k": 5.0}, series, [1.0], [])
+    assert engine.fit_simulation(model, series).theta["k"] == pytest.approx(-1.0, abs=0.2)

@@ -9,6 +9,47 @@ _POWER = re.compile(r"\s*(?:\^|\*\*)\s*(-?\d+(?:\.\d+)?)")
 
 Powers = dict[str, float]
 
+SECOND = "s"
+# As the name of a column tells them: {spelling: unit of time}.
+_CLOCKS = {
+    **dict.fromkeys(("ns", "us", "µs", "ms", "min", "h"), ""),
+    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
+    **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("hr", "hour", "hours"), "h"),
+    **{word + end: word for word in ("day", "week", "month", "year") for end in ("", "s")},
+}
+_CLOCK = re.compile(r"(?:(?:t|time)[ _]*)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
+_IN_BRACKETS = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]+(?:\([^()]*\)[^\[\]()]*)*)\s*[\])]\s*")
+
+
+def clock_of(column: str) -> str:
+    """The unit of time that the name of a column tells, ``time [min]``, ``t_ms``, ``year``; "" if none."""
+    found = _CLOCK.fullmatch(column.strip())
+    word = found[1].lower() if found else ""
+    return _CLOCKS[word] or word if word in _CLOCKS else ""
+
+
+def frequency_in(clock: str) -> str:
+    """The unit of a frequency where times are in ``clock``: Hz, or one over it."""
+    return "Hz" if clock == SECOND else product((clock, -1.0))
+
+
+def named_with_unit(column: str) -> tuple[str, str]:
+    """Name and unit of ``pressure [bar]`` or ``pressure (bar)``; the unit is "" where there is none."""
+    found = _IN_BRACKETS.fullmatch(column)
+    return (found[1], found[2].strip()) if found else (column, "")
+
+
+def is_per(unit: str, clock: str) -> bool:
+    """Whether a unit of time occurs in a unit."""
+    symbols = _read(unit)[1]
+    return clock in symbols or (clock == SECOND and "Hz" in symbols)
+
+
+def alike(one: str, other: str) -> bool:
+    """Whether two units are the same up to how they are written."""
+    return product(one) == product(other)
+
 
 def product(*factors: str | tuple[str, float]) -> str:
     """The product of units or of (unit, power); a pure number is ``1``.

@@ -1,0 +1,69 @@
+"""An estimate on data that it has not seen: the error of its simulation, the density of its predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.symptoms.curves import named
+from engine.diagnose.symptoms.runs import noise_free, start_state
+from engine.errors import EngineError
+from engine.filters.sigma_point import moment_filter
+from engine.statespace.model import Array, MixedModel, ThetaLike
+
+
+def held_out(model: MixedModel, theta: ThetaLike, tests: Sequence[Series]) -> dict[str, Any]:
+    """Errors of the simulation on ``tests``, each begun at the state that its own first rows tell.
+
+    ``outputs`` holds the rms over all rows that were measured, in the output's unit, and the fit, 100 (1 - rms
+    / standard deviation) %; ``log_density`` the sum of one-step predictive log-densities by the moment
+    filter, None where it is lost; ``series`` the curves. A run that does not stay finite has no error.
+    """
+    values = np.asarray(model.theta(theta))
+    runs = [_run(model, values, one) for one in tests]
+    errors = np.concatenate([one.y - run for one, run in zip(tests, runs, strict=True)])
+    y = np.concatenate([one.y for one in tests])
+    outputs = []
+    for i, (name, unit) in enumerate(model.outputs.items()):
+        seen = np.isfinite(y[:, i])
+        if not seen.any():
+            continue
+        rmse, spread = float(np.sqrt(np.mean(errors[seen, i] ** 2))), float(y[seen, i].std())
+        fit = 100.0 * (1.0 - rmse / spread) if spread > 0.0 else np.nan
+        outputs.append({"output": name, "unit": unit, "rmse": rmse, "fit": fit})
+    return {
+        "samples": int(sum(one.n_measured for one in tests)),
+        "log_density": _log_density(model, values, tests),
+        "outputs": outputs,
+        "series": [
+            {
+                "t": one.t[one.samples].tolist(),
+                "y": named(run[one.samples], tuple(model.outputs)),
+                "measured": named(one.y[one.samples], tuple(model.outputs)),
+            }
+            for one, run in zip(tests, runs, strict=True)
+        ],
+    }
+
+
+def _run(model: MixedModel, theta: Array, series: Series) -> Array:
+    """The simulation y (T, ny), NaN from where it is lost."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            x1, _ = start_state(model, theta, series)
+            y, _ = noise_free(model, theta, series, x1)
+    except (EngineError, np.linalg.LinAlgError):
+        return np.full_like(series.y, np.nan)
+    return y
+
+
+def _log_density(model: MixedModel, theta: Array, tests: Sequence[Series]) -> float | None:
+    try:
+        found = [moment_filter(model, theta[None], one).log_likelihood[0] for one in tests]
+    except (EngineError, np.linalg.LinAlgError):
+        return None
+    total = float(np.sum(found))
+    return total if np.isfinite(total) else None

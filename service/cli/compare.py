@@ -1,0 +1,95 @@
+"""``rbps compare``: two results that were written with --out, side by side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from engine import words
+from engine.errors import OptionError
+from engine.presentation.report import comparison_html, comparison_notes
+from engine.presentation.two_results import compare_results
+from service import strict_json
+from service.cli.ending import wrong
+from service.cli.outputs import output_path, say_written
+
+WIDTH = 26  # of a column of values
+
+
+def show(one: Path, other: Path, report: Path | None, as_json: bool) -> None:
+    """Print the comparison; write the report where one is asked for."""
+    output_path("--report", report, (".html", ".htm"))
+    documents = [_read(path) for path in (one, other)]
+    names = [
+        document.get("name") or path.stem
+        for document, path in zip(documents, (one, other), strict=True)
+    ]
+    if names[0] == names[1]:
+        names = [f"{name} ({path})" for name, path in zip(names, (one, other), strict=True)]
+    try:
+        found = compare_results(*documents)
+    except OptionError as error:
+        raise wrong(str(error)) from None
+    if report is not None:
+        about = {name: str(path) for name, path in zip(names, (one, other), strict=True)}
+        report.write_text(comparison_html(found, names, about), encoding="utf-8")
+    if as_json:
+        print(strict_json.dumps({"names": names, **found}))
+        return
+    print("\n".join(_lines(found, names)))
+    say_written([str(report)] if report is not None else [])
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise wrong(f"{path}: this is not a result written with --out ({error})") from None
+    if not isinstance(document, dict):
+        raise wrong(f"{path}: this is not a result written with --out")
+    return document
+
+
+def _lines(c: dict[str, Any], names: Sequence[str]) -> Iterator[str]:
+    yield _row("", *names, "difference")
+    yield _row("model", *c["models"])
+    yield _row("outcome", *(one or "" for one in c["outcome"]))
+    for row in c["parameters"]:
+        cells = [
+            "" if value is None else _estimate(value, error, held)
+            for value, error, held in zip(
+                row["values"], row["standard_errors"], row["held"], strict=True
+            )
+        ]
+        difference = "" if row["difference"] is None else words.number(row["difference"], 3)
+        if row["in_errors"] is not None:
+            difference += f" ({words.number(row['in_errors'], 2)} standard errors)"
+        yield _row(row["name"], *cells, difference, words.tidy(row["unit"]))
+    likelihoods = [one and one["value"] for one in c["log_likelihood"]]
+    yield from _numbers("log-likelihood", likelihoods, c["same_data"])
+    held = [{o["output"]: o for o in (one or {}).get("outputs", ())} for one in c["held_out"]]
+    for output in dict.fromkeys([*held[0], *held[1]]):
+        errors = [(each.get(output) or {}).get("rmse") for each in held]
+        yield from _numbers(f"held-out error of {output}", errors, c["same_held_out"])
+    yield from comparison_notes(c, names)
+
+
+def _numbers(title: str, pair: Sequence[float | None], same: bool | None) -> Iterator[str]:
+    first, second = pair
+    if first is None and second is None:
+        return
+    both = first is not None and second is not None and same
+    difference = words.number((second or 0.0) - (first or 0.0), 4) if both else ""
+    yield _row(title, *("" if one is None else words.number(one, 6) for one in pair), difference)
+
+
+def _estimate(value: float, error: float | None, held: bool) -> str:
+    if held:
+        return f"{words.number(value, 5)} held"
+    return words.number(value, 5) + ("" if error is None else f" +- {words.number(error, 2)}")
+
+
+def _row(title: str, *cells: str) -> str:
+    return f"{title:<24}{''.join(f'{cell:<{WIDTH}}' for cell in cells)}".rstrip()

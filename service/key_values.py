@@ -1,0 +1,53 @@
+"""What a result says in a few numbers: its verdict or outcome, the causes, the values that matter."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from engine.json_values import plain
+
+MOST_VALUES = 30  # of a job
+
+
+def found_by(result: Mapping[str, Any]) -> dict[str, str | None]:
+    """The columns ``outcome`` and ``found`` of ``db_schema.jobs``, from a result document."""
+    diagnosis = result.get("diagnosis") or {}
+    causes = [one["effect"] for one in diagnosis.get("causes", ())]
+    values = list(_of_diagnosis(diagnosis) if diagnosis else _of_estimate(result))
+    return {
+        "outcome": diagnosis.get("verdict") or result.get("outcome"),
+        "found": json.dumps(plain({"causes": causes, "values": values[:MOST_VALUES]})),
+    }
+
+
+def _of_diagnosis(d: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for one in d.get("causes", ()):
+        yield _value(one["effect"], one["size"], one["standard_error"], one["unit"])
+    for one in (d.get("gain") or {}).get("outputs", ()):
+        for when in ("before", "after"):
+            name = f"held-out error of {one['output']} {when}"
+            yield _value(name, one[f"rmse_{when}"], None, one["unit"])
+
+
+def _of_estimate(result: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Of an estimation, a smoothing or a simulation."""
+    if likelihood := result.get("log_likelihood"):
+        yield _value("log-likelihood", likelihood["value"], likelihood["standard_error"])
+    for one in (result.get("held_out") or {}).get("outputs", ()):
+        yield _value(f"held-out error of {one['output']}", one["rmse"], None, one["unit"])
+    runs = (result.get("simulation") or {}).get("series", ())
+    errors = [one["rmse"] for one in runs if one.get("rmse") is not None]
+    error = result.get("rmse", errors[0] if len(errors) == 1 else None)
+    if error is not None:
+        units = set((result.get("model") or {}).get("outputs", {}).values())
+        unit = units.pop() if len(units) == 1 else ""
+        yield _value("error of the simulation", error, None, unit)
+    for name, one in (result.get("estimate") or {}).items():
+        if not one.get("fixed"):
+            yield _value(name, one["value"], one["standard_error"], one["unit"])
+
+
+def _value(name: str, value: Any, error: Any, unit: str = "") -> dict[str, Any]:
+    return {"name": name, "value": value, "standard_error": error, "unit": unit}

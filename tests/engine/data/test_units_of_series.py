@@ -1,0 +1,219 @@
+"""Units of a series' times and channels: labels that are printed, kept and compared, and change no number."""
+
+import re
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data import nile
+from engine.data.files import write_series
+from engine.errors import OptionError, SeriesError
+from engine.units import alike, clock_of, frequency_in, is_per, named_with_unit
+
+pd = pytest.importorskip("pandas")
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [
+        ("time [min]", "min"), ("t_ms", "ms"), ("t (h)", "h"), ("Time_hours", "h"), ("year", "year"),
+        ("Days", "day"), ("t_s", "s"), ("t", ""), ("time", ""), ("level", ""), ("tank", ""), ("y", ""),
+    ],
+)  # fmt: skip
+def test_the_unit_that_a_column_of_times_tells(column, unit):
+    assert clock_of(column) == unit
+
+
+def test_units_as_they_are_written():
+    assert (frequency_in("s"), frequency_in("year")) == ("Hz", "1/year")
+    assert named_with_unit("pressure [bar]") == ("pressure", "bar")
+    assert named_with_unit("flow (m^3/(h bar))") == ("flow", "m^3/(h bar)")
+    assert named_with_unit("y") == ("y", "")
+    assert alike("N*s/m", "N s / m")
+    assert not alike("bar", "Pa")
+    assert [is_per(one, "s") for one in ("rad/s", "1/s^1.5", "Hz", "samples", "m")] == [
+        True, True, True, False, False,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", ["csv", "npz", "mat"])
+def test_the_unit_of_time_is_kept_in_files(tmp_path, ending):
+    series = engine.Series([1.0, 2.0, np.nan], dt=0.5, time_unit="day")
+    write_series(series, tmp_path / f"a.{ending}")
+    read = engine.Series.read(tmp_path / f"a.{ending}")
+    assert read.time_unit == "day"
+    assert engine.Series.read(tmp_path / f"a.{ending}", time_unit="h").time_unit == "h"
+    write_series(engine.Series([1.0, 2.0]), tmp_path / f"s.{ending}")
+    assert engine.Series.read(tmp_path / f"s.{ending}").time_unit == "s"
+    if ending == "csv":
+        assert "unit" not in (tmp_path / "s.csv").read_text()
+
+
+def test_the_nile_is_in_years():
+    series = nile()
+    assert series.time_unit == "year"
+    assert "every 1 year, t = 1871 ... 1970 year" in str(series)
+    assert series.part(3, 40).time_unit == series.refined(2).time_unit == "year"
+
+
+def test_series_of_one_call_have_one_unit_of_time():
+    model = engine.get_model("local-level")
+    one, other = (engine.Series([1.0, 2.0, 3.0], time_unit=unit) for unit in ("s", "day"))
+    with pytest.raises(SeriesError, match="in s, of another in day"):
+        engine.rts_em(model, [one, other])
+    with pytest.raises(OptionError, match="time_unit"):
+        engine.Series([1.0, 2.0], time_unit=" ")
+
+
+def test_a_unit_that_is_not_the_models_is_refused():
+    model = engine.get_model("servo")
+    y, u = np.zeros(5), np.ones(5)
+    arguments = {"y_names": ["position"], "u_names": ["drive"]}
+    engine.Series(y, u, **arguments, units={"position": "m"}).check(model)
+    with pytest.raises(
+        SeriesError, match=r"'position' is in mm; model 'servo' takes y channel 'y' in m"
+    ):
+        engine.Series(y, u, **arguments, units={"position": "mm"}).check(model)
+    with pytest.raises(SeriesError, match="no channel 'pos'"):
+        engine.Series(y, units={"pos": "m"})
+
+
+# ---- pandas -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def table():
+    frame = pd.DataFrame(
+        {"pressure [bar]": [1.0, np.nan, 3.0], "valve (%)": [0.0, 50.0, 100.0], "n": 1.0}
+    )
+    frame.index = pd.Index([0.0, 0.5, 1.5], name="time [min]")
+    return frame
+
+
+def test_units_behind_the_names_of_columns_where_asked(table):
+    series = engine.Series.from_frame(table, ["pressure"], ["valve"], units="names", extra=["n"])
+    assert (series.y_names, series.u_names, series.extra_names) == (
+        ("pressure",),
+        ("valve",),
+        ("n",),
+    )
+    assert series.units == {"pressure": "bar", "valve": "%"}
+    assert (series.time_unit, series.t.tolist()) == ("min", [0.0, 0.5, 1.5])
+    assert "bar" in str(series)
+    plain = engine.Series.from_frame(table, ["pressure [bar]"])
+    assert (plain.y_names, plain.units, plain.time_unit) == (("pressure [bar]",), {}, "s")
+
+
+def test_units_from_attrs_and_as_given(table):
+    table = table.rename(columns={"pressure [bar]": "pressure"})
+    table.attrs = {"units": {"pressure": "kPa"}, "time_unit": "h"}
+    series = engine.Series.from_frame(table, ["pressure"], units="attrs")
+    assert (series.units, series.time_unit) == ({"pressure": "kPa"}, "h")
+    given = engine.Series.from_frame(
+        table, ["pressure"], units={"pressure": "MPa"}, time_unit="day"
+    )
+    assert (given.units, given.time_unit) == ({"pressure": "MPa"}, "day")
+    with pytest.raises(SeriesError, match="units: there is no column 'p'"):
+        engine.Series.from_frame(table, ["pressure"], units={"p": "MPa"})
+    with pytest.raises(SeriesError, match="no column 'p'; there are pressure, "):
+        engine.Series.from_frame(table, ["p"])
+    with pytest.raises(OptionError, match="units = 'name'"):
+        engine.Series.from_frame(table, ["pressure"], units="name")
+
+
+def test_dates_are_seconds_whatever_the_index_is_called(table):
+    table.index = pd.date_range("2026-01-01", periods=3, freq="min", name="time [min]")
+    series = engine.Series.from_frame(table, ["pressure"], units="names")
+    assert (series.time_unit, series.t.tolist()) == ("s", [0.0, 60.0, 120.0])
+    table["when"] = table.index
+    again = engine.Series.from_frame(
+        table.reset_index(drop=True), ["pressure"], t="when", units="names"
+    )
+    assert (again.time_unit, again.t.tolist()) == ("s", [0.0, 60.0, 120.0])
+
+
+def test_there_and_back(table):
+    series = engine.Series.from_frame(table, ["pressure"], ["valve"], units="names")
+    back = engine.Series.from_frame(series.to_frame(), ["pressure"], ["valve"], units="attrs")
+    assert (back.units, back.time_unit) == (series.units, "min")
+    np.testing.assert_array_equal(back.y, series.y)
+
+
+# ---- what is printed, and that no number changes ----------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found():
+    """The same diagnosis of the Nile with its times in years and in seconds."""
+    model = engine.get_model("local-level")
+    kinds = ["step", "harmonic", "ramp"]
+    return {
+        unit: engine.diagnose(model, nile().replace(time_unit=unit), effects=kinds)
+        for unit in ("year", "s")
+    }
+
+
+def numbers(value):
+    """All numbers of a document in order, but for what took how long."""
+    if isinstance(value, dict):
+        return [x for key, one in value.items() if key != "seconds" for x in numbers(one)]
+    if isinstance(value, list):
+        return [x for one in value for x in numbers(one)]
+    return [value] if isinstance(value, float) else []
+
+
+def test_the_unit_of_time_changes_printed_units_and_no_number(found):
+    by_year, by_second = (found[unit].to_dict() for unit in ("year", "s"))
+    assert numbers(by_year) == numbers(by_second)
+    assert by_year["time_unit"] == "year"
+    assert by_year["extension"]["model"]["setting"]["time_unit"] == "year"
+
+
+def test_a_diagnosis_in_years_speaks_of_years(found):
+    text = str(found["year"])
+    assert "time 1899 year" in text
+    units = {one.effect: one.unit for one in found["year"].detectable}
+    assert units["ramp:level"] == "1e8 m^3/year^2"
+    assert {p.name: p.unit for p in found["year"].extended.parameters}["step_flow_time"] == "year"
+    body = text.split("Notes")[0]
+    assert not re.search(r"\d s\b|/s\b|Hz", body), body
+    assert "time 1899 s" in str(found["s"])
+
+
+def test_a_report_in_years_has_years_on_its_axes(found, tmp_path):
+    html = found["year"].report(tmp_path / "a.html").read_text()
+    assert "time [year]" in html
+    assert "frequency [1/year]" in html
+    assert "[s]" not in html
+    assert "Hz" not in html
+    figure = found["year"].plot()["gain"]
+    assert "time [year]" in [panel.get_xlabel() for panel in figure.axes]
+
+
+def test_a_saved_diagnosis_keeps_the_unit_of_time(found, tmp_path):
+    loaded = engine.load(found["year"].save(tmp_path / "a.json"))
+    assert loaded.series.time_unit == "year"
+
+
+def test_an_estimate_in_years(tmp_path):
+    fit = engine.rts_em(engine.get_model("local-level"), nile(), n_iterations=3)
+    document = engine.examine(fit, nile(), n_particles=10).to_dict()
+    assert document["time_unit"] == "year"
+    html = engine.examine(fit, nile(), n_particles=10).report(tmp_path / "a.html").read_text()
+    assert "time [year]" in html
+    assert "[s]" not in html
+
+
+def test_times_that_do_not_fit_the_models_units_are_noted():
+    from engine.diagnose.symptoms.data_checks import check_data
+
+    model = engine.get_model("oscillator")
+    rng = np.random.default_rng(0)
+    series = engine.simulate(model, None, 200, rng, u=np.sin(np.arange(200) / 9), dt=0.05).series
+    (note,) = (
+        n for n in check_data(model, series.replace(time_unit="min")) if "Times are in min" in n
+    )
+    assert "omega in rad/s" in note or "1/s" in note
+    assert not any("Times are" in one for one in check_data(model, series))
+    assert not any("Times are" in n for n in check_data(engine.get_model("local-level"), nile()))
