@@ -46,7 +46,7 @@ WRONG = {
     "text in a column": (("fit", "text.csv", *LEVEL), "text.csv, line 3, column 'flow': 'wet' is not a number"),
     "no text": (("fit", "noise.csv", *LEVEL), "noise.csv, line 1: not UTF-8 text"),
     "an ending": (("fit", "flows.xlsx", *LEVEL), "flows.xlsx: the ending must be .csv, .mat or .npz"),
-    "a negative step": (("fit", "flows.csv", *LEVEL, "--dt", "-1"), "dt = -1.0 s; a positive time step"),
+    "a negative step": (("fit", "flows.csv", *LEVEL, "--dt", "-1"), "dt = -1.0; a positive time step"),
     "unknown effect": (("fit", "flows.csv", *LEVEL, "--with", "ghost:flow"), "--with: effect 'ghost:flow' is not known"),
     "an effect elsewhere": (("fit", "flows.csv", *LEVEL, "--with", "bias:rain"), "--with: effect 'bias' cannot enter model 'local-level' at 'rain'; channels are flow"),
     "no folder": (("fit", "flows.csv", *LEVEL, "-o", "no/where.json"), "--out no/where.json: there is no folder"),
@@ -122,7 +122,7 @@ def test_a_model_that_fails(rbps, folder):
     result = rbps("fit", "data.csv", "-m", "mine.py", *QUICK)
     assert result.exit_code == 1
     assert (
-        "ZeroDivisionError: division by zero (mine.py, line 6, in dynamics; called at t = 7 s"
+        "ZeroDivisionError: division by zero (mine.py, line 6, in dynamics; called at t = 7"
         in result.stderr
     )
 

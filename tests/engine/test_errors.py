@@ -42,12 +42,12 @@ NAN, INF = np.nan, np.inf
         ),
         ({"y": Y, "y_names": ["a", "b"]}, "2 names were given for 1 channels of y"),
         ({"y": Y, "u": Y, "u_names": []}, "0 names were given for 1 channels of u"),
-        ({"y": Y, "dt": 0.0}, "dt = 0.0 s; a positive time step is needed"),
-        ({"y": Y, "dt": NAN}, "dt = nan s; a positive time step is needed"),
+        ({"y": Y, "dt": 0.0}, "dt = 0.0; a positive time step is needed"),
+        ({"y": Y, "dt": NAN}, "dt = nan; a positive time step is needed"),
         ({"y": Y, "t": np.arange(9)}, "t has 9 time stamps and y has 10 rows"),
         ({"y": [0, 0, 0], "t": [0, NAN, 1]}, "t is not finite at row 1"),
-        ({"y": [0, 0, 0], "t": [0, 1, 1]}, r"t repeats at row 2 \(1 s\); time must increase"),
-        ({"y": [0, 0, 0], "t": [0, 2, 1]}, r"t decreases at row 2 \(1 s\); time must increase"),
+        ({"y": [0, 0, 0], "t": [0, 1, 1]}, r"t repeats at row 2 \(1\); time must increase"),
+        ({"y": [0, 0, 0], "t": [0, 2, 1]}, r"t decreases at row 2 \(1\); time must increase"),
     ],
 )
 def test_series(arguments, message):

@@ -101,7 +101,7 @@ def test_errors():
         simulate(TANKS, None, 10, rng, u=np.zeros(9))
     with pytest.raises(SeriesError, match="u has 2 channels; model 'tanks' needs 1"):
         simulate(TANKS, None, 10, rng, u=np.zeros((10, 2)))
-    with pytest.raises(SeriesError, match=r"dt = 0.0 s; a positive time step"):
+    with pytest.raises(SeriesError, match=r"dt = 0.0; a positive time step"):
         simulate(LINEAR, None, 10, rng, dt=0.0)
     with pytest.raises(OptionError, match="parameter 'k1' = 7 is not within"):
         simulate(TANKS, {"k1": 7.0}, 10, rng, u=np.zeros(10))
@@ -112,6 +112,6 @@ def test_a_state_that_runs_away_is_named_with_its_time():
         return [a[:, 0] + dt * a[:, 0] ** 3 + 1.0, 0.0], [[0.0], [1.0]], np.zeros((2, 2))
 
     model = replace(scalar(0.5), dynamics=dynamics)
-    message = r"model 'scalar': the simulation runs away; at t = 4\.\d s \(row \d+\) it is not fi"
+    message = r"model 'scalar': the simulation runs away; at t = 4\.\d \(row \d+\) it is not fi"
     with pytest.raises(ModelError, match=message):
         simulate(model, None, 100, np.random.default_rng(0), u=np.zeros(100), dt=0.5)
