@@ -5,6 +5,7 @@ Start with :func:`get_model` or your own :class:`MixedModel`, put measured data 
 """
 
 from engine.data.series import Series
+from engine.design import Bounds, Design, InputBounds, design_experiment
 from engine.diagnose import Diagnosis, diagnose, register_effect
 from engine.diagnose.extended import get_model
 from engine.errors import EngineError, ModelError, NotSettledWarning, OptionError, SeriesError
@@ -43,7 +44,9 @@ from engine.statespace.general import NonlinearModel, as_general
 from engine.statespace.model import Gaussian, MixedModel, Parameter, Theta
 
 __all__ = [
+    "Bounds",
     "Checkpoint",
+    "Design",
     "Diagnosis",
     "EmResult",
     "EngineError",
@@ -51,6 +54,7 @@ __all__ = [
     "Filtered",
     "Gaussian",
     "GaussianMixture",
+    "InputBounds",
     "Iteration",
     "LikelihoodIntervals",
     "MixedModel",
@@ -74,6 +78,7 @@ __all__ = [
     "as_general",
     "condition_on_trajectories",
     "continuous",
+    "design_experiment",
     "diagnose",
     "discretize",
     "examine",

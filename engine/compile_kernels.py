@@ -32,7 +32,9 @@ from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.neighbours import followed
 from engine.filters.rbpf import RESAMPLING, rbpf
 from engine.filters.sigma_point import FilterSteps, Thetas, moment_path
+from engine.kernels.excitation import within_bounds
 from engine.kernels.sensitivities import footprints
+from engine.kernels.whitening import spread, whitened
 from engine.models.registry import get_model
 from engine.simulation.fit import fit_simulation
 from engine.simulation.free_run import free_run
@@ -75,7 +77,17 @@ def warm() -> dict[str, set[Any]]:
     run = free_run(walk, None, Series(np.zeros(SHORTEST)))
     first, x = np.arange(1), np.hstack((run.a, run.z))
     sensitivities(walk, np.asarray(run.theta), run.series, x, first, first, np.full(1, 1e-5))
+    design_kernels()
     return compiled_kernels()
+
+
+def design_kernels() -> None:
+    """Call those of the design of experiments."""
+    one = np.ones((1, 2, 1, 1))
+    seen = np.ones((2, 1), dtype=bool)
+    whitened(one[:, :1].copy(), one, one[:, :1].copy(), one, np.eye(1), one, seen)
+    spread(one[:, :1].copy(), one[:, :1].copy(), np.eye(1))
+    within_bounds(np.ones(2), 0.0, 1.0, 1.0, np.zeros((1, 2)), 0.0)
 
 
 def _kernels() -> Iterator[tuple[str, Any]]:

@@ -48,6 +48,20 @@ EXAMPLES: dict[str, Any] = {
             "options": {"effects": ["step", "pulse", "ramp", "latent"], "seed": 1},
         },
     },
+    "design": {
+        "summary": "The input that tells quadratic drag of an oscillator from Coulomb friction",
+        "value": {
+            "kind": "design",
+            "model": "oscillator",
+            "options": {
+                "causes": {"drag:velocity": 0.2, "coulomb:velocity": 0.3},
+                "bounds": {"inputs": {"drive": {"low": -1.0, "high": 1.0}}, "dt": 0.05},
+                "length": 60,
+                "inputs": 16,
+                "seed": 1,
+            },
+        },
+    },
     "simulate": {
         "summary": "One draw of 50 samples from the linear second-order model",
         "value": {

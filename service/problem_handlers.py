@@ -58,7 +58,9 @@ def _methods(app: FastAPI, scope: Scope) -> set[str]:
 
 
 _BODIES = ("application/json", "multipart/form-data")
-_KINDS = frozenset({"estimate", "smooth", "simulate", "diagnose"})  # tags of the body's union
+_KINDS = frozenset(
+    {"estimate", "smooth", "simulate", "diagnose", "design"}
+)  # tags of the body's union
 
 
 def install(app: FastAPI) -> None:

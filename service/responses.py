@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-Kind = Literal["estimate", "smooth", "simulate", "diagnose"]
+Kind = Literal["estimate", "smooth", "simulate", "diagnose", "design"]
 Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
 
 

@@ -398,7 +398,37 @@ class DiagnoseRequest(_Labelled):
     run_seconds: RunSeconds = None
 
 
+class DesignOptions(_Strict):
+    """What shall be told apart, within which bounds."""
+
+    causes: dict[Annotated[str, Field(max_length=200)], Number | Values] = Field(
+        min_length=1,
+        max_length=20,
+        description="effects with their sizes, or with values of their own and the model's parameters by name",
+    )
+    bounds: dict[str, Any] = Field(
+        description="inputs: {name: {low, high, rate, forbidden, start}}, states and outputs: {name: [low, "
+        "high]}, dt in seconds, sigmas"
+    )
+    length: int = Field(ge=30, le=20_000, description="samples of the experiment")
+    inputs: int = Field(default=400, ge=1, le=5000, description="inputs that are tried")
+    seed: Seed = 0
+
+
+class DesignRequest(_Labelled):
+    """The input within bounds that tells causes apart."""
+
+    kind: Literal["design"]
+    model: ModelChoice
+    series: Annotated[list[InputIn], _FIRST] = Field(
+        default_factory=list, max_length=0, description="none is needed"
+    )
+    parameters: DiagnoseParameters = DiagnoseParameters()
+    options: DesignOptions
+    run_seconds: RunSeconds = None
+
+
 JobRequest = Annotated[
-    EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest,
+    EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest | DesignRequest,
     Field(discriminator="kind"),
 ]

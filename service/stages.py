@@ -21,10 +21,16 @@ from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
 from engine.simulation.problem import REFINED
 from engine.statespace.model import Theta
-from service import computations, diagnoses
+from service import computations, designs, diagnoses
 from service.computations import Progress
 from service.problems import Problem
-from service.schemas import DiagnoseRequest, EstimateRequest, SimulateRequest, SmoothRequest
+from service.schemas import (
+    DesignRequest,
+    DiagnoseRequest,
+    EstimateRequest,
+    SimulateRequest,
+    SmoothRequest,
+)
 from service.validation import Prepared, Request
 
 SIMULATION_STEPS = (
@@ -64,6 +70,8 @@ def steps(job: Prepared) -> int:
         if options.method == "simulation":
             return SIMULATION_STEPS
         return options.iterations * (options.starts + options.bootstrap)
+    if isinstance(job.request, DesignRequest):
+        return designs.PROGRESS_STEPS
     return diagnoses.PROGRESS_STEPS if isinstance(job.request, DiagnoseRequest) else len(job.series)
 
 
@@ -81,6 +89,8 @@ def run(
             return computations.simulate(job, job.request, progress)
         case DiagnoseRequest():
             return diagnoses.diagnose(job, job.request, progress, kept)
+        case DesignRequest():
+            return designs.design(job, job.request, progress)
     stages = plan(job.request)
     first = sum(stages[:-2])  # of the bootstrap's tasks, where there are any
     match roles(stages)[task]:

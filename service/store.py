@@ -378,6 +378,7 @@ def _stopped(job: Row[Any]) -> str:
         if runs
         else f"at iteration {job.iteration}",
         "diagnose": f"at {job.iteration} %",
+        "design": f"at {job.iteration} %",
     }.get(job.kind, f"after {job.iteration} of {job.iterations} series")
     if job.stage.startswith("fitting"):
         where = "while it fitted the simulation"

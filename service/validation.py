@@ -12,6 +12,8 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from engine.data.series import Series
+from engine.design import Bounds
+from engine.design.candidates import before_any
 from engine.diagnose.effects.catalogue import effect_kinds, extend
 from engine.diagnose.effects.setting import Setting
 from engine.errors import EngineError, OptionError, SeriesError
@@ -19,6 +21,7 @@ from engine.models.registry import get_model, source_of
 from engine.statespace.model import Array, MixedModel, Theta
 from service.problems import Problem, invalid
 from service.schemas import (
+    DesignRequest,
     DiagnoseRequest,
     EstimateOptions,
     EstimateRequest,
@@ -31,7 +34,7 @@ from service.schemas import (
 )
 from service.settings import Settings
 
-Request = EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest
+Request = EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest | DesignRequest
 ADAPTER: TypeAdapter[Request] = TypeAdapter(JobRequest)
 
 
@@ -55,7 +58,7 @@ class Prepared:
 def prepare(request: Request) -> Prepared:
     """Check a request against its model. Raises Problem 422."""
     model = find_model(request.model, lambda model: _times(request, model))
-    if isinstance(request, EstimateRequest | DiagnoseRequest):
+    if isinstance(request, EstimateRequest | DiagnoseRequest | DesignRequest):
         values, where = request.parameters.start, "parameters.start"
     else:
         values, where = request.parameters.values, "parameters.values"
@@ -63,10 +66,11 @@ def prepare(request: Request) -> Prepared:
         theta = model.theta(values)
     free: list[str] | None = None
     test: Sequence[Series] = ()
-    if isinstance(request, EstimateRequest | DiagnoseRequest):
+    if isinstance(request, EstimateRequest | DiagnoseRequest | DesignRequest):
         free = request.parameters.free
         with _at("parameters.free"):
             model.free_indices(free)
+    if isinstance(request, EstimateRequest | DiagnoseRequest):
         one = len(request.test) == 1
         test = [
             _series(other, model, "test" if one else f"test[{i}]")
@@ -74,13 +78,17 @@ def prepare(request: Request) -> Prepared:
         ]
     if isinstance(request, DiagnoseRequest):
         check_effects(request.options.effects)
+    if isinstance(request, DesignRequest):
+        _check_design(request, model, theta)
     if isinstance(request, EstimateRequest):
         check_method(request.options)
         with _at("parameters.ranges"):
             for name, (low, high) in request.parameters.ranges.items():
                 model.theta({name: low})
                 model.theta({name: high})
-    if isinstance(request, SimulateRequest):
+    if isinstance(request, DesignRequest):
+        series = []
+    elif isinstance(request, SimulateRequest):
         series = _inputs(request, model)
     else:
         series = [_series(one, model, f"series[{i}]") for i, one in enumerate(request.series)]
@@ -217,6 +225,19 @@ def check_method(options: EstimateOptions) -> None:
                 f"options.{name}",
                 f"the method simulation tries starts of its own and has no bootstrap; leave {name} out",
             )
+
+
+def _check_design(request: DesignRequest, model: MixedModel, theta: Theta) -> None:
+    """Raise Problem 422 for bounds or causes that cannot be used, naming the field."""
+    options = request.options
+    try:
+        bounds = Bounds.of(options.bounds)
+        bounds.check(model)
+        if bounds.dt is None:
+            raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
+        before_any(model, options.causes, theta, bounds.dt, request.parameters.free)
+    except OptionError as error:
+        raise invalid(f"options.{error.field or 'causes'}", str(error)) from None
 
 
 def check_effects(effects: Sequence[str] | None) -> None:

@@ -245,4 +245,5 @@ def _refit(r: Refit, equivalent: bool) -> dict[str, Any]:
         "standard_error": r.standard_error,
         "unit": r.effect.size.unit,
         "equivalent": equivalent,
+        "parameters": r.fit.theta.asdict(),
     }

@@ -27,6 +27,7 @@ from engine.presentation.report.comparison import (
     where_it_is,
 )
 from engine.presentation.report.comparison import against_data as against_data_figures
+from engine.presentation.report.design import input_figures, length_figures, prediction_figures
 from engine.presentation.report.diagnosis_cause import force_figures, rankings
 from engine.presentation.report.diagnosis_gain import held_out_figures
 from engine.presentation.report.estimate import (
@@ -100,11 +101,13 @@ def of_document(document: Document) -> Figures:
 
     Diagnosis: ``wrong``, ``where``, ``residuals``, ``candidates``; ``force`` and ``gain`` where there are
     such. Estimation: ``convergence``, and ``states`` and ``free-run`` of each series. Simulation:
-    ``outputs`` and ``states``.
+    ``outputs`` and ``states``. Design: ``input``, ``predictions`` and ``probability``.
     """
     groups: Iterator[Group] = iter(())
     if diagnosis := document.get("diagnosis"):
         groups = _of_diagnosis(diagnosis)
+    elif design := document.get("design"):
+        groups = _of_design(design)
     elif document.get("examination"):
         groups = _of_estimate(document)
     elif simulation := document.get("simulation"):
@@ -133,6 +136,12 @@ def _of_diagnosis(d: Document) -> Iterator[Group]:
     yield "candidates", _collected(rankings, d["rounds"]), 1
     yield "force", _collected(force_figures, d["unnamed"] or {}), 1
     yield "gain", _collected(held_out_figures, d["gain"] or {}, units), 1
+
+
+def _of_design(d: Document) -> Iterator[Group]:
+    yield "input", _collected(input_figures, d), 1
+    yield "predictions", _collected(prediction_figures, d), 1
+    yield "probability", _collected(length_figures, d), 1
 
 
 def _of_estimate(document: Document) -> Iterator[Group]:

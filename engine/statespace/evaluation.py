@@ -31,7 +31,12 @@ import numpy as np
 from engine.errors import EngineError, ModelError
 from engine.statespace.compare import Result, copies, joined
 from engine.statespace.plan import Plan, plan_of
-from engine.statespace.refutation import calls_split, count_refutation, count_split
+from engine.statespace.refutation import (
+    calls_split,
+    count_refutation,
+    count_split,
+    looks_at_times,
+)
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, is_numeric
 
@@ -170,7 +175,7 @@ class ModelFunction:
         verdict.calls += 1
         if kind is not None and kind.times:
             rows = rows.frozen()
-            if not _identical_times(verdict.times, rows):
+            if looks_at_times() and not _identical_times(verdict.times, rows):
                 verdict.times, verdict.next = rows[1:4], min(verdict.next, verdict.calls)
         return self._with_care(rows, kind, verdict)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -60,3 +61,23 @@ def calls_split() -> int:
 def count_split() -> None:
     """Rows were evaluated in several calls."""
     _here.split = calls_split() + 1
+
+
+@contextmanager
+def times_are_alike() -> Iterator[None]:
+    """Calls of other times than the last are not looked at for that alone, in this thread.
+
+    For a loop over time with many inputs side by side, whose first step was looked at and whose result is:
+    what a function takes at one time it takes at the next, but for what ``Steps.as_alone`` finds.
+    """
+    before = looks_at_times()
+    _here.looks = False
+    try:
+        yield
+    finally:
+        _here.looks = before
+
+
+def looks_at_times() -> bool:
+    """Whether a call of other times than the last is looked at."""
+    return bool(getattr(_here, "looks", True))

@@ -18,7 +18,7 @@ from service.problems import Problem
 
 PAGES = Path(__file__).parent / "pages"
 ORDER = (
-    "start", "equations", "measured", "diagnosis", "effects", "methods", "shell", "http", "settings",
+    "start", "equations", "measured", "diagnosis", "design", "effects", "methods", "shell", "http", "settings",
     "library", "api", "trouble", "reproduction", "contribute",
 )  # fmt: skip
 MADE = {"effects": reference.effects, "api": reference.api}  # what follows the text of a page

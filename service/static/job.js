@@ -4,9 +4,10 @@ import { announce, duration, element, get, number, poll, post, Problem, remove, 
 import { Convergence } from "/static/job/convergence.js";
 import { showReport } from "/static/job/results.js";
 import { download } from "/static/job/download.js";
+import { inputFile, offer } from "/static/job/design.js";
 
 const ENDED = ["successful", "failed", "dismissed"];
-const KINDS = { estimate: "Estimate", smooth: "Smoothed states", simulate: "Simulation", diagnose: "Diagnosis" };
+const KINDS = { estimate: "Estimate", smooth: "Smoothed states", simulate: "Simulation", diagnose: "Diagnosis", design: "Experiment" };
 const ATTEMPTS = 200; // rows of the table of computations
 
 const id = location.pathname.split("/")[2];
@@ -59,7 +60,7 @@ function show(job) {
   const going = !ENDED.includes(job.status);
   by("stop").hidden = !going;
   by("resume").hidden = !resumable(job);
-  by("repeat").hidden = job.status === "dismissed" && !resumable(job);
+  by("repeat").hidden = job.kind === "design" || (job.status === "dismissed" && !resumable(job));
   by("repeat").href = `/?job=${id}`;
   by("progress").hidden = !going;
   if (going) {
@@ -154,7 +155,9 @@ async function showResults(job) {
     by("extended").hidden = !found.causes.length;
     by("extended").href = `/?job=${id}&extension`;
     by("extended").classList.toggle("primary", found.gain?.adopt ?? false);
+    offer(found);
   }
+  if (job.kind === "design") await inputFile(by("input-file"), here, `input-${id.slice(0, 8)}.csv`);
   return undefined;
 }
 

@@ -143,7 +143,7 @@ function actions(job, name) {
   if (job.status === "dismissed" && !kept) return [];
   return [
     button("Name", "labels", () => label(job)),
-    link("Repeat", `/?job=${job.jobID}`, "Repeat with changes"),
+    ...(job.kind === "design" ? [] : [link("Repeat", `/?job=${job.jobID}`, "Repeat with changes")]),
     ...(job.kind === "diagnose" && job.status === "successful" ? [link("Extend", `/?job=${job.jobID}&extension=1`, "Estimate the extension it found")] : []),
     button("Remove", "end", () => end(job, "Remove this job?", "Its data and its results are removed for good.", "Remove")),
   ];

@@ -31,8 +31,8 @@ def run(text: str, capsys) -> tuple[dict, str]:
 
 
 def test_all_blocks_are_run_here():
-    """The glider, the drive, the Nile; two of the cart; three of a measured record; one of saving."""
-    assert len(BLOCKS) == 9
+    """The glider, the drive, the Nile; two of the cart; three of a measured record; saving; an experiment."""
+    assert len(BLOCKS) == 10
 
 
 def test_the_readme_is_short_and_its_links_lead_somewhere():
@@ -55,6 +55,17 @@ def test_from_equations_to_a_model(capsys):
     for name, truth in (("m", 2.0), ("c", 3.0)):
         assert found.theta[name] == pytest.approx(truth, rel=0.05)
     assert "no influence" in printed  # of the variances
+
+
+@pytest.mark.slow
+def test_the_designed_experiment(capsys):
+    """A set, the input that tells its causes apart, the name."""
+    names, printed = run("design_experiment(", capsys)
+    first, last = printed.splitlines()[0], printed.splitlines()[-1]
+    text = (ROOT / "service" / "guide" / "pages" / "design.md").read_text(encoding="utf-8")
+    assert first in text
+    assert last.startswith("named drag:velocity 0.6")
+    assert names["design"].probability > 0.95
 
 
 def test_the_measured_record(capsys, tmp_path, monkeypatch):

@@ -146,6 +146,7 @@ KINDS = {
     "smooth": "SmoothRequest",
     "simulate": "SimulateRequest",
     "diagnose": "DiagnoseRequest",
+    "design": "DesignRequest",
 }
 
 

@@ -15,6 +15,7 @@ from tests.studies import (
     uncertainty,
 )
 from tests.studies.blind.report import BLIND
+from tests.studies.design.report import STUDY as DESIGN
 from tests.studies.foreign.report import FOREIGN, FOREIGN_DEVELOPMENT
 from tests.studies.measured.report import MEASURED
 from tests.studies.study import Study
@@ -40,6 +41,7 @@ STUDIES: dict[str, Study] = {
         FOREIGN,
         FOREIGN_DEVELOPMENT,
         sindy.SINDY,
+        DESIGN,
     )
 }
 # not asked for by ``all``
@@ -52,6 +54,7 @@ BESIDE = (
     "foreign",
     "foreign-dev",
     "sindy",
+    "design",
 )
 DOCUMENTS = tuple(name for name in STUDIES if name not in BESIDE)
 ALIASES = {

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from engine.errors import OptionError
 from engine.presentation.report.comparison import clocked
+from engine.presentation.report.design import design_report
 from engine.presentation.report.diagnosis import diagnosis_report
 from engine.presentation.report.estimate import estimate_report, simulation_report, states_report
 from engine.presentation.report.html import Html, join, tag
@@ -112,6 +113,8 @@ def _file(report: Report, about: Mapping[str, object]) -> str:
 
 def make_report(document: Document, draw: Drawer = svg_element) -> Report:
     """The report's parts; ``draw`` makes its charts."""
+    if document.get("design"):
+        return design_report(document["design"], draw)
     if document.get("diagnosis"):
         document = document["diagnosis"]
     draw = clocked(draw, document.get("time_unit"))

@@ -1,0 +1,202 @@
+"""The next experiment: the input within bounds that tells the causes of a diagnosis apart.
+
+:func:`design_experiment` searches over steps, ramps with reversals, multisines and random binary inputs for the
+one whose least D over all pairs of causes (:mod:`.criterion`) is largest, says how surely a diagnosis of it
+names the true cause, and how short the record may be. Causes that no input within the bounds can tell apart are
+said to be so, with the further sensor that would.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.design.bounds import Bounds, InputBounds
+from engine.design.candidates import Question, before_any, of_diagnosis
+from engine.design.design import Design, Experiment, Undecided
+from engine.design.search import Task, search
+from engine.design.sensors import Sensor
+from engine.design.weighing import LEVEL, Weighing
+from engine.diagnose import LEAST
+from engine.diagnose.diagnosis import Diagnosis
+from engine.errors import OptionError, check_count
+from engine.statespace.model import MixedModel, ThetaLike
+
+__all__ = [
+    "Bounds",
+    "Design",
+    "Experiment",
+    "InputBounds",
+    "Sensor",
+    "Undecided",
+    "design_experiment",
+]
+
+INPUTS = 400  # that are tried, by default
+LONGEST = 100_000  # samples
+
+Callback = Callable[[str, float], Any]
+
+
+def design_experiment(
+    diagnosis: Diagnosis | MixedModel,
+    bounds: Bounds | Mapping[str, Any],
+    length: int,
+    *,
+    causes: Sequence[str] | Mapping[str, Any] | None = None,
+    theta: ThetaLike = None,
+    free: Sequence[str] | None = None,
+    anew: bool = True,
+    inputs: int = INPUTS,
+    seed: int = 0,
+    callback: Callback | None = None,
+) -> Design:
+    """Search for the input that tells causes apart.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis or MixedModel
+        A diagnosis that ended in a ``set`` or ``unknown``; or a model, before any experiment.
+    bounds : Bounds or mapping
+        What the inputs may do, and what states and outputs must not.
+    length : int
+        Samples T of the experiment.
+    causes : sequence of str or mapping, optional
+        Which of the causes that the diagnosis weighed; by default those it could not tell apart. Before any
+        experiment a mapping {"drag:velocity": size}, or of a cause's own parameters by name.
+    theta : Theta, mapping, array or None
+        Parameters before any experiment; the model's defaults where None.
+    free : sequence of str, optional
+        Names of the parameters that a diagnosis estimates, before any experiment; all by default.
+    anew : bool
+        The new record is diagnosed on its own, all free parameters estimated again. False: what the earlier
+        record told of them and of the causes counts too.
+    inputs : int
+        How many inputs are tried.
+    seed : int
+        The same seed gives the same design.
+    callback : callable, optional
+        ``callback(stage, fraction)``; stops the search by raising StopIteration.
+
+    Returns
+    -------
+    Design
+        The input (T, nu), D and the probability of the right name, the shortest record that reaches 95 %, what
+        cannot be told apart; print it for a short table.
+
+    Raises
+    ------
+    OptionError
+        Bounds, causes or another option cannot be used; ``field`` names it.
+    ModelError
+        The model's functions cannot be used.
+    """
+    check_count("length", length)
+    check_count("inputs", inputs)
+    if not LEAST <= length <= LONGEST:
+        raise OptionError(
+            f"length = {length} samples; a diagnosis needs {LEAST} at least, and {LONGEST} are tried at most",
+            "length",
+        )
+    limits, question, model = _asked(diagnosis, bounds, causes, theta, free)
+    task = Task(
+        question.candidates,
+        limits,
+        int(length),
+        float(limits.dt or 1.0),
+        "zoh" if question.series is None else question.series.hold,
+        question.substeps,
+        _measured(model, question),
+        anew,
+    )
+    return designed(model, question, task, int(inputs), seed, callback)
+
+
+def designed(
+    model: MixedModel,
+    question: Question,
+    task: Task,
+    inputs: int,
+    seed: int,
+    callback: Callback | None = None,
+) -> Design:
+    """The design for a question; other arguments as of :func:`design_experiment`."""
+    began = time.process_time()
+
+    def tell(stage: str, share: float) -> None:
+        if callback is not None:
+            callback(stage, min(share, 1.0))
+
+    state = search(task, inputs, seed, partial(tell, "inputs"))
+    weighing = Weighing(task, question, seed)
+    undecided = weighing.undecided(state, inputs, partial(tell, "pairs"))
+    best = weighing.best(state, undecided)
+    shortest = weighing.shortest(best, inputs, undecided, partial(tell, "length"))
+    return Design(
+        model=model,
+        causes=tuple(c.name for c in question.candidates),
+        titles=tuple(c.title for c in question.candidates),
+        bounds=replace(task.bounds, dt=task.dt),
+        dt=task.dt,
+        experiment=best.experiment,
+        shortest=shortest,
+        undecided=tuple(weighing.settled(undecided, best)),
+        predictions=weighing.predictions(best.experiment.u),
+        growth=best.growth,
+        level=LEVEL,
+        anew=task.anew,
+        tried=state.tried,
+        notes=question.notes,
+        seconds=time.process_time() - began,
+    )
+
+
+def _asked(
+    diagnosis: Diagnosis | MixedModel,
+    bounds: Bounds | Mapping[str, Any],
+    causes: Sequence[str] | Mapping[str, Any] | None,
+    theta: ThetaLike,
+    free: Sequence[str] | None,
+) -> tuple[Bounds, Question, MixedModel]:
+    """Bounds with their time step, the question, and the model without the causes."""
+    limits = Bounds.of(bounds)
+    if isinstance(diagnosis, Diagnosis):
+        for name, value in (("theta", theta), ("free", free)):
+            if value is not None:
+                raise OptionError(f"{name}: a diagnosis has its own; leave it out", name)
+        if isinstance(causes, Mapping):
+            raise OptionError("causes: a diagnosis has sizes of its own; give names only", "causes")
+        model = diagnosis.model
+        limits.check(model)
+        dt = limits.dt or diagnosis.series.dt
+        if dt is None:
+            raise OptionError(
+                "bounds.dt is missing: the diagnosed record is not sampled regularly", "bounds.dt"
+            )
+        return replace(limits, dt=dt), of_diagnosis(diagnosis, causes), model
+    if not isinstance(diagnosis, MixedModel):
+        raise OptionError(
+            f"diagnosis is a {type(diagnosis).__name__}; a Diagnosis or a MixedModel is needed",
+            "diagnosis",
+        )
+    limits.check(diagnosis)
+    if limits.dt is None:
+        raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
+    if not isinstance(causes, Mapping):
+        raise OptionError(
+            "causes: before any experiment each needs a size, as {'drag:velocity': 0.6}", "causes"
+        )
+    return limits, before_any(diagnosis, causes, theta, limits.dt, free), diagnosis
+
+
+def _measured(model: MixedModel, question: Question) -> NDArray[np.bool_]:
+    """Which outputs are measured: all but those that the diagnosed record lacks throughout."""
+    if question.series is None:
+        return np.ones(model.ny, dtype=bool)
+    return np.asarray(question.series.observed.any(axis=0))

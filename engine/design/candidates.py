@@ -1,0 +1,294 @@
+"""The causes that an experiment shall tell apart, each as a model with its estimates.
+
+Of a diagnosis they are what it refitted; before any experiment they are named with their sizes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.diagnosis import Diagnosis
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.setting import Setting
+from engine.diagnose.free_run.answer import FreeRunSearch, noise_fit
+from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.refits import further_parameters
+from engine.errors import OptionError
+from engine.estimation.quasi_ml import QuasiFit
+from engine.statespace.model import Array, MixedModel, ThetaLike
+
+MOST = 5  # causes at most: of more, the nearest
+NEAREST = 3  # names that are nearest to an ``unknown``
+NOTHING = "nothing"  # the name of the model without a cause
+ALARM = 12.0  # the statistic from which a diagnosis sees something, where none tells
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A cause as a model.
+
+    ``theta`` its estimates; ``free`` the parameters that a new diagnosis estimates; ``information``
+    (n_free, n_free) what a record told of them, zeros where there was none; ``further`` parameters beside the
+    size, which must earn their place; ``lead`` its score in that record.
+    """
+
+    name: str
+    title: str
+    model: MixedModel
+    theta: Array
+    free: tuple[str, ...]
+    information: Array
+    further: int = 0
+    lead: float = 0.0
+
+    @property
+    def indices(self) -> list[int]:
+        """Positions of the free parameters in theta."""
+        return [self.model.index(name) for name in self.free]
+
+    @property
+    def covariance(self) -> Array:
+        """Of the free parameters (n, n), as far as a record told; zeros where it told nothing."""
+        H = self.information
+        d = np.asarray(np.sqrt(np.maximum(np.diag(H), 0.0)))
+        inverse = np.divide(1.0, d, out=np.zeros_like(d), where=d > 0.0)
+        scaled = H * inverse[:, None] * inverse
+        P = np.linalg.pinv(scaled, rcond=1e-8, hermitian=True)
+        return np.asarray(P * inverse[:, None] * inverse)
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What shall be told apart.
+
+    ``base`` is the model without any of the causes, the rival of all; ``alarm`` the statistic from which a
+    diagnosis sees something; ``series`` the record that was diagnosed; ``substeps`` steps a sample; ``notes``
+    what was left out and why.
+    """
+
+    candidates: tuple[Candidate, ...]
+    base: Candidate
+    alarm: float = ALARM
+    series: Series | None = None
+    substeps: int = 1
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """What a diagnosis weighed: effects that were refitted together, and their score."""
+
+    effects: tuple[Effect, ...]
+    fit: QuasiFit
+    score: float
+
+    @property
+    def name(self) -> str:
+        """Of its effects."""
+        return " + ".join(effect.name for effect in self.effects)
+
+    @property
+    def unsuited(self) -> str:
+        """Why no input can be designed for it; "" where one can."""
+        return next((reason for effect in self.effects if (reason := unsuited(effect))), "")
+
+    def candidate(self) -> Candidate:
+        """As a cause to tell apart; times that the likelihood jumps at stay where they are."""
+        fit = self.fit
+        sought = {name for effect in self.effects for name in effect.sought}
+        free = tuple(name for name in fit.free if name not in sought)
+        keep = [fit.free.index(name) for name in free]
+        return Candidate(
+            self.name,
+            " and ".join(effect.title for effect in self.effects),
+            fit.model,
+            np.asarray(fit.theta),
+            free,
+            np.asarray(fit.information)[np.ix_(keep, keep)],
+            sum(map(further_parameters, self.effects)) + len(self.effects) - 1,
+            self.score,
+        )
+
+
+def of_diagnosis(diagnosis: Diagnosis, causes: Sequence[str] | None) -> Question:
+    """The causes that a diagnosis could not tell apart, or those named.
+
+    Of a ``set`` the causes in it; of an ``unknown`` the nearest names too; else the cause and its nearest
+    rivals. Raises OptionError where there are not two, or one was not refitted.
+    """
+    before, weighed, every = _weighed(diagnosis)
+    chosen, notes = [], []
+    if causes is None:
+        if not weighed:
+            raise OptionError(
+                f"the diagnosis says '{diagnosis.verdict.value}': it weighed no causes that an experiment "
+                "could tell apart; give a model in place of the diagnosis, and causes= with their sizes",
+                "causes",
+            )
+        wanted = weighed
+    else:
+        known = {one.name: one for one in every}
+        for name in causes:
+            if name not in known:
+                raise OptionError(
+                    f"cause '{name}' was not refitted in the diagnosis; there are "
+                    f"{', '.join(known) or 'none'}",
+                    "causes",
+                )
+        wanted = [known[name] for name in dict.fromkeys(causes)]
+    for one in wanted:
+        if one.unsuited:
+            notes.append(f"{one.name} was left out: {one.unsuited}.")
+        else:
+            chosen.append(one)
+    if len(chosen) > MOST:
+        notes.append(f"Of {len(chosen)} causes the {MOST} nearest are compared.")
+    out = [one.candidate() for one in chosen[:MOST]]
+    _check_number([one.name for one in out], notes)
+    if diagnosis.verdict is Verdict.UNKNOWN:
+        notes.append("The diagnosis ended in 'unknown': the true cause may be none of these.")
+    return Question(
+        tuple(out),
+        Candidate(
+            NOTHING,
+            "none of them",
+            before.model,
+            np.asarray(before.theta),
+            tuple(before.free),
+            np.asarray(before.information),
+        ),
+        max(float(diagnosis.search.rounds[0].screen.threshold), 1.0),
+        diagnosis.series,
+        diagnosis.substeps,
+        tuple(notes),
+    )
+
+
+def before_any(
+    model: MixedModel,
+    causes: Mapping[str, Any],
+    theta: ThetaLike,
+    dt: float,
+    free: Sequence[str] | None,
+) -> Question:
+    """Causes by their names with sizes, or mappings of their own parameters, before there is a record."""
+    values = np.asarray(model.theta(theta))
+    setting = Setting(model, dt=dt)
+    out, notes = [], []
+    for name, given in causes.items():
+        effect = make_effect(name, setting)
+        reason = unsuited(effect)
+        if reason:
+            notes.append(f"{name} was left out: {reason}.")
+            continue
+        extended = effect.apply(model)
+        theta_ = np.asarray(extended.theta(_values(effect, given, values, model)))
+        names = [*(model.parameter_names if free is None else free)]
+        names += [p.name for p in effect.parameters if p.name not in effect.held]
+        for one in names:
+            extended.index(one)
+        n = len(names)
+        out.append(
+            Candidate(
+                name,
+                effect.title,
+                extended,
+                theta_,
+                tuple(names),
+                np.zeros((n, n)),
+                further_parameters(effect),
+            )
+        )
+    _check_number([one.name for one in out], notes)
+    names = list(model.parameter_names if free is None else free)
+    base = Candidate(
+        NOTHING, "none of them", model, values, tuple(names), np.zeros((len(names),) * 2)
+    )
+    return Question(tuple(out), base, notes=tuple(notes))
+
+
+def unsuited(effect: Effect) -> str:
+    """Why an input cannot be designed for an effect; "" where it can."""
+    if effect.traits.course is not None:
+        return (
+            "it is an event or a course of time, which no input brings about; repeat the experiment, and what "
+            "does not come back was one"
+        )
+    if effect.traits.unnamed:
+        return "a force without a name has no prediction"
+    if effect.traits.outliers or effect.family == "noise":
+        return "it changes the noise and not what is predicted"
+    return ""
+
+
+def _values(effect: Effect, given: Any, theta: Array, model: MixedModel) -> list[float]:
+    """Values of the model's parameters and the effect's. Raises OptionError naming the field."""
+    where = f"causes.{effect.name}"
+    values = dict(zip(model.parameter_names, theta.tolist(), strict=True))
+    values |= {p.name: p.default for p in effect.parameters}
+    if isinstance(given, Mapping):
+        for key, value in given.items():
+            if key not in values:
+                raise OptionError(
+                    f"{where}.{key}: there is no such parameter; there are {', '.join(values)}",
+                    f"{where}.{key}",
+                )
+            values[key] = _float(value, f"{where}.{key}")
+    else:
+        values[effect.size.name] = _float(given, where)
+    if values[effect.size.name] == 0.0:
+        raise OptionError(f"{where}: its size {effect.size.name} must not be 0", where)
+    return list(values.values())
+
+
+def _float(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+        raise OptionError(f"{where} = {value!r}; a number is needed", where)
+    if not np.isfinite(value):
+        raise OptionError(f"{where} = {value!r}; a finite number is needed", where)
+    return float(value)
+
+
+def _check_number(names: Sequence[str], notes: Sequence[str]) -> None:
+    if len(names) < 2:
+        left = f" ({' '.join(notes)})" if notes else ""
+        raise OptionError(
+            f"{len(names)} causes are left to tell apart{left}; two or more are needed", "causes"
+        )
+
+
+def _weighed(diagnosis: Diagnosis) -> tuple[QuasiFit, list[Weighed], list[Weighed]]:
+    """The fit without the causes, those to tell apart, the best first, and all that were refitted."""
+    told = diagnosis.free_run
+    if told is not None and told.decides and told.search is not None and told.search.found:
+        return _by_free_run(told.search)
+    rounds = [r for r in diagnosis.search.rounds if r.refits]
+    if not rounds:
+        return diagnosis.search.base, [], []
+    chosen = next((r for r in rounds if len(r.equivalent) > 1), rounds[-1])
+    k = rounds.index(chosen)
+    before = diagnosis.search.base if k == 0 else rounds[k - 1].refits[0].fit
+    every = [Weighed((r.effect,), r.fit, r.score) for r in chosen.refits]
+    several = [Weighed((r.effect,), r.fit, r.score) for r in chosen.equivalent]
+    if len(several) < 2 or diagnosis.verdict is Verdict.UNKNOWN:
+        names = {one.name for one in several}
+        several += [one for one in every if one.name not in names][:NEAREST]
+    return before, several, every
+
+
+def _by_free_run(found: FreeRunSearch) -> tuple[QuasiFit, list[Weighed], list[Weighed]]:
+    """The same where the free run decided: groups of refits that run alike, each by its leading name."""
+    rounds = [r for r in found.rounds if r.survivors]
+    chosen = next((r for r in rounds if len(r.survivors) > 1), rounds[-1])
+    leading = [group[0] for group in chosen.survivors]
+    if len(leading) < 2:
+        alike = {c.names for c in chosen.survivors[0]}
+        leading += [c for c in chosen.candidates if c.names not in alike][:NEAREST]
+    several = [Weighed(c.added, noise_fit(c.fit), 0.0) for c in leading]
+    return noise_fit(chosen.fit), several, several

@@ -1,0 +1,86 @@
+"""The job kind ``design``: the input that tells causes apart, and the causes of a stored diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import engine
+from engine.design import Design
+from engine.design.candidates import NEAREST
+from engine.errors import OptionError
+from engine.words import percent
+from service.computations import Progress
+from service.schemas import DesignRequest
+from service.validation import Prepared
+
+PROGRESS_STEPS = 100
+# per cent at which each stage begins, and its share
+STAGES = {"inputs": (0, 60), "pairs": (60, 10), "length": (70, 30)}
+STAGE_MESSAGES = {
+    "inputs": "trying inputs",
+    "pairs": "looking at pairs that none has told apart",
+    "length": "looking for a shorter record",
+}
+
+
+def design(job: Prepared, request: DesignRequest, progress: Progress) -> dict[str, Any]:
+    """The design as JSON; its page is among it."""
+    options = request.options
+
+    def tell(stage: str, share: float) -> None:
+        first, width = STAGES[stage]
+        progress.step(int(first + width * share), STAGE_MESSAGES[stage])
+
+    found = engine.design_experiment(
+        job.model,
+        options.bounds,
+        options.length,
+        causes=options.causes,
+        theta=job.theta,
+        free=job.free,
+        inputs=options.inputs,
+        seed=options.seed,
+        callback=tell,
+    )
+    return document(found)
+
+
+def document(found: Design) -> dict[str, Any]:
+    """The result document."""
+    return {"design": found.to_dict(), "message": in_a_line(found)}
+
+
+def in_a_line(found: Design) -> str:
+    """What the list of jobs says of it."""
+    if not found.decides:
+        return "No input within the bounds tells these causes apart."
+    sure = percent(found.probability)
+    text = f"{len(found.u)} samples ({found.experiment.family}): the right name with {sure}"
+    if found.shortest is not None:
+        text += f"; {len(found.shortest)} samples reach {percent(found.level)}"
+    return f"{text}."
+
+
+def causes_of(diagnosis: Mapping[str, Any]) -> tuple[dict[str, dict[str, float]], list[str]]:
+    """The causes that a diagnosis' document could not tell apart, with their values; what it estimated.
+
+    Raises OptionError where it refitted fewer than two.
+    """
+    rounds = [one for one in diagnosis["rounds"] if one["refitted"]]
+    several = [one for one in rounds if sum(r["equivalent"] for r in one["refitted"]) > 1]
+    chosen = (several or rounds[-1:] or [{"refitted": []}])[0]["refitted"]
+    alike = [one for one in chosen if one["equivalent"]]
+    if len(alike) < 2 or diagnosis["verdict"] == "unknown":
+        alike += [one for one in chosen if not one["equivalent"]][:NEAREST]
+    if len(alike) < 2:
+        raise OptionError(
+            f"the diagnosis says '{diagnosis['verdict']}' and weighed {len(alike)} causes; two or more are "
+            "needed",
+            "causes",
+        )
+    if any("parameters" not in one for one in alike):
+        raise OptionError("the diagnosis was made by an earlier version; run it again", "causes")
+    return {one["effect"]: one["parameters"] for one in alike}, list(
+        diagnosis["base_standard_errors"]
+    )

@@ -1,0 +1,105 @@
+"""``rbps design``: from a diagnosis' JSON, from a saved diagnosis, and before any experiment."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data.files import write_series
+
+BEFORE = (
+    "design", "-m", "oscillator", "--cause", "drag:velocity=0.3", "--cause", "coulomb:velocity=0.5",
+    "--dt", "0.05", "-n", "60", "--tries", "32", "-q",
+)  # fmt: skip
+RANGE = ("--input", "drive=-1:1:20")
+
+
+def test_before_any_experiment(rbps, tmp_path):
+    run = rbps(*BEFORE, *RANGE, "-o", "in.csv", "--report", "in.html")
+    assert run.exit_code == 0, run.stderr
+    assert "right name" in run.stdout
+    rows = list(csv.reader((tmp_path / "in.csv").read_text().splitlines()))
+    u = np.array(rows[1:], dtype=float)
+    assert rows[0] == ["t", "drive"]
+    assert u.shape == (60, 2)
+    assert np.abs(u[:, 1]).max() <= 1.0
+    assert np.abs(np.diff(u[:, 1])).max() <= 1.0 + 1e-9
+    assert "Input drive" in (tmp_path / "in.html").read_text()
+    again = rbps(*BEFORE, *RANGE, "--json").json()["design"]
+    np.testing.assert_allclose(again["experiment"]["u"]["drive"], u[:, 1], rtol=1e-8)
+
+
+def test_bounds_come_from_a_file_and_options_on_top(rbps, tmp_path):
+    given = {"inputs": {"drive": {"low": -2, "high": 2, "forbidden": [[-0.1, 0.1]]}}, "dt": 0.1}
+    (tmp_path / "bounds.json").write_text(json.dumps(given))
+    run = rbps(*BEFORE, "--bounds", "bounds.json", "--limit", "position=-3:3", "--json")
+    bounds = run.json()["design"]["bounds"]
+    assert bounds["inputs"]["drive"]["forbidden"] == [[-0.1, 0.1]]
+    assert bounds["states"] == {"position": [-3.0, 3.0]}
+    assert bounds["dt"] == 0.05
+
+
+@pytest.fixture(scope="module")
+def record():
+    rng = np.random.default_rng(0)
+    model = engine.get_model("oscillator", effects=["coulomb:velocity"])
+    u = np.repeat(rng.uniform(-1, 1, 20), 10)
+    theta = model.theta({"coulomb_velocity": 1.0})
+    return engine.simulate(model, theta, 200, rng, u=u, dt=0.05).series
+
+
+def test_from_a_diagnosis(rbps, tmp_path, record):
+    write_series(record, tmp_path / "run.csv")
+    kinds = ["coulomb:velocity", "drag:velocity"]
+    found = rbps(
+        "diagnose",
+        "run.csv",
+        "-m",
+        "oscillator",
+        "--effects",
+        ",".join(kinds),
+        "-o",
+        "found.json",
+        "-q",
+    )
+    assert found.exit_code == 0, found.stderr
+    own = ("--input", "drive=-1:1", "-n", "60", "--tries", "16", "-q", "--json")
+    run = rbps("design", "found.json", *own)
+    assert run.exit_code == 0, run.stderr
+    design = run.json()["design"]
+    assert {c["effect"] for c in design["causes"]} == {"coulomb:velocity", "drag:velocity"}
+    assert design["dt"] == pytest.approx(0.05)
+    saved = engine.diagnose(engine.get_model("oscillator"), record, effects=kinds, seed=0)
+    saved.save(tmp_path / "found.rbps")
+    there = rbps("design", "found.rbps", *own).json()["design"]
+    assert {c["effect"] for c in there["causes"]} == {c["effect"] for c in design["causes"]}
+    wrong = rbps("design", "found.json", "--cause", "cubic:velocity", *own[:-1])
+    assert wrong.exit_code == 2
+    assert "the diagnosis weighed" in wrong.stderr
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        ((*BEFORE,), "bounds.inputs is missing"),
+        ((*BEFORE, "--input", "drive=1"), "NAME=LOW:HIGH[:RATE] is needed"),
+        ((*BEFORE, "--input", "drive=a:b"), "holds what is no number"),
+        ((*BEFORE, "--input", "drive=1:-1"), "bounds.inputs.drive.low"),
+        ((*BEFORE, *RANGE, "--limit", "height=0:1"), "bounds.states.height"),
+        (("design", "--input", "drive=-1:1"), "DIAGNOSIS is missing"),
+        ((*BEFORE, *RANGE, "-o", "in.txt"), "the ending must be .csv"),
+    ],
+)
+def test_what_cannot_be_asked(rbps, args, said):
+    run = rbps(*args)
+    assert run.exit_code == 2
+    assert said in run.stderr
+
+
+def test_a_file_that_is_no_diagnosis(rbps, tmp_path):
+    (tmp_path / "other.json").write_text("{}")
+    run = rbps("design", "other.json", *RANGE)
+    assert run.exit_code == 2
+    assert "neither the JSON of" in run.stderr
