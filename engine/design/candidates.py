@@ -6,7 +6,7 @@ Of a diagnosis they are what it refitted; before any experiment they are named w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -183,6 +183,8 @@ def before_any(
     out, notes = [], []
     for name, given in causes.items():
         effect = make_effect(name, setting)
+        if isinstance(given, Mapping) and f"{effect.size.name}_zero" in given:
+            effect = make_effect(name, replace(setting, zeros={}))  # it counts from there
         reason = unsuited(effect)
         if reason:
             notes.append(f"{name} was left out: {reason}.")
@@ -220,6 +222,8 @@ def unsuited(effect: Effect) -> str:
             "it is an event or a course of time, which no input brings about; repeat the experiment, and what "
             "does not come back was one"
         )
+    if effect.family == "time":
+        return "it is where one record began, which no input changes"
     if effect.traits.unnamed:
         return "a force without a name has no prediction"
     if effect.traits.outliers or effect.family == "noise":

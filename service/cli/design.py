@@ -54,6 +54,7 @@ def run(wanted: Wanted, as_json: bool, quiet: bool) -> None:
     bounds = _bounds(wanted)
     asked, options = _asked(wanted, bounds)
     with meter(quiet or as_json) as shown:
+        shown.begin(100, timed=False)
 
         def tell(stage: str, share: float) -> None:
             first, width = designs.STAGES[stage]

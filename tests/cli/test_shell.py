@@ -37,9 +37,12 @@ def test_the_commands_from_the_shell_work(rbps, tmp_path):
     from engine.data.files import write_series
 
     write_series(nile(), tmp_path / "flows.csv")
-    said = run_all(rbps, "shell.md", tmp_path)[-1]
-    assert "NAMED" in said
-    assert "coulomb:velocity" in said
+    said = run_all(rbps, "shell.md", tmp_path)
+    (diagnosis,) = (one for one in said if one.startswith("Diagnosis of model"))
+    assert "NAMED" in diagnosis
+    assert "coulomb:velocity" in diagnosis
+    assert "Hardest to tell apart" in said[-1]  # the next experiment, from that diagnosis
+    assert (tmp_path / "input.csv").stat().st_size > 0
 
 
 @pytest.mark.slow

@@ -167,7 +167,7 @@ def test_commands_of_the_shell_page_exist_with_their_options(tmp_path, monkeypat
     from service.cli.commands import app
 
     monkeypatch.chdir(tmp_path)
-    results = ("free.json", "result.json", "drag.json", "plain.json")
+    results = ("free.json", "result.json", "drag.json", "plain.json", "run.json")
     for name in ("flows.csv", "run.csv", "data.csv", *results):
         Path(name).touch()
     root = typer.main.get_command(app)

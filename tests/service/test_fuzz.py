@@ -14,9 +14,10 @@ from service.settings import Settings
 
 CALLS = [
     "GET /", "GET /models", "GET /models/{name}", "POST /models/extend", "POST /preview",
-    "POST /jobs", "POST /jobs/upload", "GET /jobs", "GET /jobs/{job_id}", "GET /jobs/{job_id}/request",
+    "POST /jobs", "POST /jobs/upload", "GET /jobs", "GET /jobs/{job_id}", "PATCH /jobs/{job_id}",
+    "GET /jobs/{job_id}/request",
     "GET /jobs/{job_id}/trace", "GET /jobs/{job_id}/results", "GET /jobs/{job_id}/tasks",
-    "GET /jobs/{job_id}/report", "GET /jobs/{job_id}/charts",
+    "GET /jobs/{job_id}/report", "GET /jobs/{job_id}/charts", "GET /compare", "GET /compare/report",
     "DELETE /jobs/{job_id}", "POST /jobs/{job_id}/resume", "GET /livez", "GET /readyz", "GET /metrics",
 ]  # fmt: skip
 PLAIN = ("GET /", "GET /livez", "GET /readyz")  # nothing in them can be wrong
