@@ -33,6 +33,7 @@ class Column:
     g: Array
 
 
+@np.errstate(over="ignore", invalid="ignore")  # distances are tried that are far too long
 def columns(fit: Fitted, effects: Iterable[Effect]) -> list[Column]:
     """Of every effect at every probe; an effect whose run cannot be had is left out."""
     theta, base = np.asarray(fit.theta), []
