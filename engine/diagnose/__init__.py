@@ -39,7 +39,7 @@ from engine.diagnose.free_run.search import FAMILIES
 from engine.diagnose.free_run.second_opinion import heeding, second_opinion
 from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.adoption import falls_short
-from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved
+from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.records import records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -249,13 +249,16 @@ def diagnose(
         if not named or after is before:
             return None
         history = None if records.tests else train
+        chosen = [r.refits[0].effect for r in found.rounds if r.equivalent]
         # else a test's clock is its own
         later = bool(records.tests) and all(o.t[0] > records.main.t[-1] for o in records.tests)
-        if later or any(cause.where != "time" for cause in named):
-            whole = measure_gain(before, after, fine.records.held_out, history, seed)
+        begins = [e for e in chosen if e.traits.of_record]
+        goes_on = later and len(begins) < len(chosen)
+        if goes_on or any(cause.where != "time" for cause in named):
+            there = without(after, begins) if records.tests else after
+            whole = measure_gain(before, there, fine.records.held_out, history, seed)
         else:
-            rounds = [r for r in found.rounds if r.equivalent]
-            times = [name for r in rounds for name in r.refits[0].effect.sought]
+            times = [name for e in chosen for name in e.sought]
             whole = measure_gain_interleaved(before, after, fine.records.main, times, seed)
         return whole.every(fine.k)
 

@@ -80,7 +80,7 @@ def _start(setting: Setting, channel: str, name: str) -> Effect:
             "force": "goes on pushing",
             "step": "comes later and stays",
         },
-        traits=Traits(plainness=0),
+        traits=Traits(plainness=0, of_record=True),
     )
 
 

@@ -32,7 +32,7 @@ class Traits:
     the one with the least is said. ``suits``: "rate" (friction), "position" (stiffness) or "store" (overflow:
     neither of these), where the kind is natural. ``says_hold``: what a series would say instead, see
     :class:`engine.Series`. ``contains``: plainer kinds that it becomes at the end of the range of its own
-    parameters.
+    parameters. ``of_record``: it says how the record that was searched begins, and nothing of another one.
     """
 
     course: Course | None = None
@@ -45,6 +45,7 @@ class Traits:
     suits: str = ""
     says_hold: str = ""
     contains: tuple[str, ...] = ()
+    of_record: bool = False
 
 
 USUAL = Traits()

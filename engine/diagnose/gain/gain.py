@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
 from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
 from engine.diagnose.gain.simulation_gain import (
     OutputGain,
@@ -144,6 +145,13 @@ def measure_gain_interleaved(
     if len(trials) > 1:
         how = "blocks, each left out of a fit in turn"
     return gain_of(base, [score(trials, series, 0)], how, seed)
+
+
+def without(fit: QuasiFit, effects: Sequence[Effect]) -> QuasiFit:
+    """The fit with the sizes of some of its effects at zero: where they are known not to be."""
+    theta = np.asarray(fit.theta).copy()
+    theta[[fit.model.index(effect.size.name) for effect in effects]] = 0.0
+    return replace(fit, theta=fit.model.theta(theta))
 
 
 @dataclass(frozen=True, eq=False)

@@ -144,3 +144,15 @@ def test_a_long_record_is_not_searched_where_the_model_knows_nothing_of_its_star
         initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), [0.0, 0.0], 1e4 * np.eye(2)),
     )
     assert rows_searched(unknown, None, series) == (begin, end)
+
+
+def test_how_a_record_begins_says_nothing_of_another_one():
+    """It is judged on rows of its own record; a test record later on begins as the model says."""
+    model, series = cell(500, np.random.default_rng(2))
+    part, later = series.part(200, 500), cell(100, np.random.default_rng(5))[1]
+    later = later.replace(t=later.t + series.t[-1] + 10.0)
+    found = diagnose(model, part, test=later, seed=1, effects=["start"])
+    assert "start:charge" in found.causes[0].equivalent
+    assert found.gain is not None
+    assert found.gain.adopt
+    assert found.gain.samples == len(part)
