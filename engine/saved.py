@@ -134,7 +134,7 @@ def _content(found: Kept) -> tuple[str, dict[str, Any]]:
             "a1": found.a1.tolist(),
             "z1": found.z1.tolist(),
             "covariance": found.covariance.tolist(),
-            **{name: list(getattr(found, name)) for name in ("estimated", "silent")},
+            **{name: list(getattr(found, name)) for name in ("estimated", "silent", "tied")},
             **{
                 n: getattr(found, n)
                 for n in ("rmse", "evaluations", "seconds", "success", "message")

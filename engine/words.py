@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -90,3 +91,10 @@ def enumerated(parts: list[str], last: str = "and") -> str:
     if len(parts) < 2:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+
+
+def held_by_bounds(names: Sequence[str]) -> str:
+    """A sentence about parameters that a bound has stopped; empty where there are none."""
+    if not names:
+        return ""
+    return f"Held by a bound, so the data may mean more or less: {', '.join(names)}."

@@ -24,6 +24,7 @@ from engine.presentation.examination import (
     trace_document,
 )
 from engine.presentation.held_out import held_out
+from engine.simulation.fit import LOWER_BOUNDS
 from engine.statespace.model import Array, MixedModel, Theta
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
@@ -95,6 +96,8 @@ def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) 
     errors = found.standard_errors
     estimate = estimate_document(model, found.theta, found.estimated, None)
     for name, error in errors.items():
+        if name in found.tied:
+            continue
         value = estimate[name]["value"]
         estimate[name]["standard_error"] = error
         estimate[name]["interval"] = [value - NORMAL * error, value + NORMAL * error]
@@ -107,8 +110,7 @@ def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) 
         "estimate": estimate,
         "outcome": "converged" if found.success else "evaluations-used-up",
         "message": " ".join([found.message, *clock_notes(model, job.series[0])]),
-        "warning": "Standard errors take the errors of the simulation for white noise, which they hardly "
-        "ever are: read them as lower bounds. Maximum likelihood (rbps-em) gives others.",
+        "warning": LOWER_BOUNDS,
         "rmse": found.rmse,
         **_held_out(job, found.theta),
         "simulation": {

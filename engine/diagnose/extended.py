@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from engine.diagnose.effects.catalogue import extend
 from engine.estimation.quasi_ml import QuasiFit
 from engine.models import registry
@@ -41,9 +39,7 @@ def get_model(name: str, effects: Sequence[str] | None = None) -> MixedModel:
 
 def at_bounds(fit: QuasiFit) -> list[str]:
     """Free parameters that a bound has stopped: their standard errors say nothing."""
-    model, theta = fit.model, np.asarray(fit.theta)
-    stopped = (theta <= model.lower) | (theta >= model.upper)
-    return [name for name in fit.free if stopped[model.index(name)]]
+    return list(fit.model.at_bounds(fit.theta, fit.free))
 
 
 def in_the_library(d: Diagnosis) -> str:

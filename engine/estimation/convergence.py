@@ -20,6 +20,11 @@ from engine.statespace.model import Array
 WINDOW = 20  # W
 
 
+def mean_point(points: Array) -> Array:
+    """Mean (n,) of points (k, n) that leaves no bound they keep: rounding may take it past them all."""
+    return np.asarray(np.clip(points.mean(axis=0), points.min(axis=0), points.max(axis=0)))
+
+
 def drift(iterates: Array) -> tuple[Array, Array]:
     """Difference of the half means of iterates (2 W, n), and its standard error, each (n,)."""
     n = len(iterates)

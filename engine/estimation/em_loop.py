@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import ModelError, OptionError, check_count
-from engine.estimation.convergence import WINDOW, has_settled
+from engine.estimation.convergence import WINDOW, has_settled, mean_point
 from engine.estimation.e_steps import LOST_SHARE, EStep, Expect
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
 from engine.estimation.expectation import parameter_scale
@@ -27,6 +27,7 @@ from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
 from engine.estimation.start import FAR_NATS
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
+from engine.words import held_by_bounds
 
 Callback: TypeAlias = Callable[[Iteration], Any]
 
@@ -303,7 +304,7 @@ class _Log:
         log_likelihood, ess, seconds, collapsed = np.array(self.rows).reshape(-1, 4).T
         theta = trace[-1]
         if outcome is Outcome.CONVERGED and self.memory[-1] is None:
-            theta = trace[-WINDOW:].mean(axis=0)
+            theta = mean_point(trace[-WINDOW:])
         lost = collapsed[-WINDOW:].mean() if self.k else 0.0
         if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
             outcome = Outcome.COLLAPSED
@@ -324,6 +325,9 @@ class _Log:
                 f"{', '.join(stuck)}. Hold them fixed (free=), or start elsewhere."
             )
         estimate = Theta(theta, self.model.parameter_names)
+        if outcome is not Outcome.DIVERGED:
+            held = held_by_bounds(self.model.at_bounds(estimate, names))
+            message = f"{message} {held}".rstrip()
         return EmResult(
             self.model,
             names,

@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.estimation.convergence import mean_point
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.maximization import scoring_step
 from engine.filters.sigma_point import free_thetas
@@ -202,7 +203,7 @@ class Ascent:
         used, settled = window(residuals, last.metric, self.worth)
         if not (used and seen.value > last.value - seen.wide):
             return None
-        middle = images[-used:].mean(axis=0)
+        middle = mean_point(images[-used:])
         here = replace(here, images=used, settled=settled)
         if used >= MIN_IMAGES and _length(middle - here.base, here.metric) > ANCHOR_ERRORS:
             metric = self._metric(replace(seen, x=middle))

@@ -22,8 +22,12 @@ from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
-from engine.words import tidy
+from engine.words import held_by_bounds, tidy
 
+LOWER_BOUNDS = (
+    "Standard errors allow for errors of the run that are correlated over time, but not for process noise "
+    "that the parameters absorb: read them as lower bounds. Maximum likelihood (rbps_em) gives others."
+)
 SHORT = 12  # evaluations that each start gets before the best one is followed to its end
 
 
@@ -50,8 +54,11 @@ class SimulationFit(Shown):
     silent : tuple of str
         Those that were free and cannot change a noise-free run (variances of noise, say); they keep
         their start.
+    tied : tuple of str
+        Those of them that the data only determine together; nothing can be said of one alone.
     covariance : array (n_theta, n_theta)
-        Takes the residuals for white; they hardly ever are, so read it as a lower bound. Zero for
+        From residuals that may be correlated over time. What process noise adds up to the parameters
+        absorb, and no residual shows it: read it as a lower bound where there is such noise. Zero for
         parameters not estimated.
     evaluations : int
         Runs of the model.
@@ -71,6 +78,7 @@ class SimulationFit(Shown):
     z1: Array
     estimated: tuple[str, ...]
     silent: tuple[str, ...]
+    tied: tuple[str, ...]
     covariance: Array
     evaluations: int
     seconds: float
@@ -84,9 +92,12 @@ class SimulationFit(Shown):
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Of the estimated parameters; see ``covariance``."""
+        """Of the estimated parameters; see ``covariance``. Infinite for those that are ``tied``."""
         errors = np.sqrt(np.diag(self.covariance))
-        return {name: float(errors[self.model.index(name)]) for name in self.estimated}
+        return {
+            name: np.inf if name in self.tied else float(errors[self.model.index(name)])
+            for name in self.estimated
+        }
 
     def plot(self) -> Figures:
         """Each series' free run against its data, ``outputs`` and ``states``; extra ``plot``."""
@@ -116,16 +127,21 @@ class SimulationFit(Shown):
     def _view(self) -> View:
         errors = self.standard_errors
         rows = [
-            (p.name, value, errors.get(p.name, self._remark(p.name)), tidy(p.unit))
+            (p.name, value, self._remark(p.name) or errors[p.name], tidy(p.unit))
             for p, value in zip(self.model.parameters, self.theta.tolist(), strict=True)
         ]
         return sheet(
             f"{self.model.name}: simulation-error fit, rms error {self.rmse:.4g}",
             tables().line(self.message),
             tables().table(("parameter", "estimate", "standard error", "unit"), rows),
+            tables().line(LOWER_BOUNDS),
         )
 
     def _remark(self, name: str) -> str:
+        if name in self.tied:
+            return "tied to others"
+        if name in self.estimated:
+            return ""
         return "no influence" if name in self.silent else "held"
 
 
@@ -171,7 +187,7 @@ def fit_simulation(
     Returns
     -------
     SimulationFit
-        Parameters, first states, free runs and a covariance that takes residuals for white.
+        Parameters, first states, free runs and a covariance.
 
     Raises
     ------
@@ -199,7 +215,17 @@ def fit_simulation(
     theta, x1 = problem.split(best.x)
     runs = _runs(model, theta, listed, x1)
     left = np.concatenate([run.residuals[run.series.observed] for run in runs])
-    covariance, flat = problem.covariance(best)
+    found = problem.uncertainty(*problem.evaluate(best.x))
+    k = problem.active.size
+    covariance = np.zeros((theta.size, theta.size))
+    covariance[np.ix_(problem.active, problem.active)] = found.covariance[:k, :k]
+    estimated = problem.names(problem.active)
+    tied = problem.names(problem.active[found.tied[:k]])
+    parts = [
+        _ended(best, len(tried) if stopped else 0),
+        *_remarks(problem.names(problem.silent), tied),
+        held_by_bounds(model.at_bounds(theta, estimated)),
+    ]
     return SimulationFit(
         model=model,
         theta=theta,
@@ -207,13 +233,14 @@ def fit_simulation(
         runs=runs,
         a1=x1[:, : model.na],
         z1=x1[:, model.na :],
-        estimated=problem.names(problem.active),
+        estimated=estimated,
+        tied=tied,
         silent=problem.names(problem.silent),
         covariance=covariance,
         evaluations=problem.evaluations,
         seconds=time.perf_counter() - began,
         success=bool(best.status > 0) and not stopped,
-        message=_message(best, problem.names(problem.silent), flat, len(tried) if stopped else 0),
+        message=" ".join(part for part in parts if part),
     )
 
 
@@ -227,7 +254,7 @@ def with_runs(
         np.array(content[name], dtype=float).reshape(S, n)
         for name, n in (("a1", model.na), ("z1", model.nz))
     )
-    other: dict[str, Any] = {name: tuple(content[name]) for name in ("estimated", "silent")}
+    other: dict[str, Any] = {name: tuple(content[name]) for name in ("estimated", "silent", "tied")}
     for name in ("rmse", "evaluations", "seconds", "success", "message"):
         other[name] = content[name]
     return SimulationFit(
@@ -257,18 +284,19 @@ def _stops(callback: Callable[[int, int], object] | None, done: int, steps: int)
         return True
 
 
-def _message(
-    best: OptimizeResult, silent: tuple[str, ...], flat: tuple[str, ...], stopped: int
-) -> str:
+def _ended(best: OptimizeResult, stopped: int) -> str:
     """How it ended; ``stopped`` is after how many starts, 0 where it was not."""
     if stopped:
-        parts = [f"Stopped after {stopped} of its starts, at the best of them."]
-    elif best.status > 0:
-        parts = ["Converged."]
-    else:
-        parts = ["All evaluations were used up before convergence."]
+        return f"Stopped after {stopped} of its starts, at the best of them."
+    if best.status > 0:
+        return "Converged."
+    return "All evaluations were used up before convergence."
+
+
+def _remarks(silent: tuple[str, ...], tied: tuple[str, ...]) -> list[str]:
+    out = []
     if silent:
-        parts.append(f"No influence on a noise-free run, left at the start: {', '.join(silent)}.")
-    if flat:
-        parts.append(f"Only determined together, keep one of them fixed: {', '.join(flat)}.")
-    return " ".join(parts)
+        out.append(f"No influence on a noise-free run, left at the start: {', '.join(silent)}.")
+    if tied:
+        out.append(f"Only determined together, keep one of them fixed: {', '.join(tied)}.")
+    return out

@@ -15,6 +15,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from engine.data.series import Series
 from engine.errors import ModelError
+from engine.simulation.covariance import Determined, run_covariance
 from engine.simulation.free_run import first_state, free_run, output_scale, run_rows
 from engine.simulation.sensitivities import sensitivities
 from engine.simulation.simulate import propagate
@@ -23,7 +24,6 @@ from engine.simulation.whole_record import SHORTEST, whole_record
 from engine.statespace.model import Array, MixedModel, Theta
 
 STEP = 1e-5  # finite-difference step as a share of a parameter's scale
-FLAT = 1e-4  # a direction this much weaker than the strongest is lost in the differences
 REFINED = 4  # random starts that are followed
 TRIALS = 8  # sizes tried for a parameter of unknown scale
 PRECISE = 1e-7  # relative change of the cost or of p at which the search ends
@@ -282,21 +282,8 @@ class FreeRunProblem:
                 return False
         return True
 
-    def covariance(self, best: OptimizeResult) -> tuple[Array, tuple[str, ...]]:
-        """Covariance (n_theta, n_theta), and the parameters only determined together."""
-        J = np.asarray(best.jac)
-        n, n_p = J.shape
-        size = np.linalg.norm(J, axis=0)
-        size[size == 0.0] = 1.0
-        _, s, Vt = np.linalg.svd(J / size, full_matrices=False)
-        weak = s < FLAT * s.max(initial=0.0)
-        flat: tuple[str, ...] = ()
-        if weak.any():
-            share = np.abs(Vt[weak, : self.active.size]).max(axis=0)
-            flat = self.names(self.active[share > 0.05])
-        variance = 2.0 * float(best.cost) / max(n - n_p, 1)
-        V = (Vt[~weak] / size).T / s[~weak]
-        full = np.zeros((self.theta.size, self.theta.size))
-        k = self.active.size
-        full[np.ix_(self.active, self.active)] = variance * (V @ V.T)[:k, :k]
-        return full, flat
+    def uncertainty(self, e: Array, J: Array) -> Determined:
+        """Covariance of p from residuals (n,) and their derivatives (n, n_p) there."""
+        places = [np.nonzero(one.observed)[0] for one in self.series]
+        record = np.repeat(np.arange(len(places)), [len(rows) for rows in places])
+        return run_covariance(e, J, record, np.concatenate(places))

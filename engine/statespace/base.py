@@ -49,6 +49,9 @@ class Parameter:
     scale: float = 0.0
 
 
+AT_BOUND = 1e-6  # of a parameter's size: searches that stay inside a bound come as near
+
+
 class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):
     """Parameter values as a vector (n_theta,) with names: ``theta[0]``, ``theta["k1"]``.
 
@@ -188,6 +191,15 @@ class BaseModel(Shown):
                 f"{', '.join(self.parameter_names) or 'none'}",
                 name,
             ) from None
+
+    def at_bounds(self, theta: ThetaLike, free: Sequence[str]) -> tuple[str, ...]:
+        """Those of the ``free`` parameters that a bound has stopped: the data draw them to it or beyond."""
+        stopped = set()
+        for p, value in zip(self.parameters, self.theta(theta).tolist(), strict=True):
+            near = AT_BOUND * max(abs(value), abs(p.default), p.scale)
+            if any(abs(value - bound) <= near for bound in p.bounds):
+                stopped.add(p.name)
+        return tuple(name for name in free if name in stopped)
 
     def free_indices(self, free: Sequence[str] | None) -> NDArray[np.intp]:
         """Positions of the free parameters; None means all of them."""

@@ -10,7 +10,6 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
-from engine.diagnose.free_run.covariance import run_covariance
 from engine.diagnose.free_run.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.search import Candidate, FreeRound, Progress, one_round
@@ -170,7 +169,7 @@ def information(fit: Fitted, found: QuasiFit) -> Array:
     """
     n, k = len(fit.free), fit.n_parameters
     out = np.zeros((n, n))
-    covariance = run_covariance(fit)[:k, :k]
+    covariance = fit.covariance[:k, :k]
     shown = [fit.free.index(fit.model.parameter_names[i]) for i in fit.problem.active]
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     good = scale > 0.0

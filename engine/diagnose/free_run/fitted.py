@@ -77,6 +77,11 @@ class Fitted:
         return float(np.sqrt(np.mean(self.e**2)))
 
     @property
+    def covariance(self) -> Array:
+        """Of p (n_p, n_p), from errors that may be correlated over time."""
+        return self.problem.uncertainty(self.e, self.J).covariance
+
+    @property
     def n_parameters(self) -> int:
         """Parameters that were estimated, first states not counted."""
         return int(self.problem.active.size)

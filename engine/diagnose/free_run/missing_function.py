@@ -17,7 +17,6 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.free_function import free_function, hats, knots_of
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.columns import CANNOT, run_of
-from engine.diagnose.free_run.covariance import run_covariance
 from engine.diagnose.free_run.fitted import Fitted, Pick, state_names, with_effects
 from engine.diagnose.free_run.folds import folds_of, losses, p_better
 from engine.diagnose.free_run.linear import orthonormal
@@ -111,7 +110,7 @@ def _curve(found: Fitted, effect: Effect, directions: Array) -> tuple[Array, Arr
     place = {int(i): k for k, i in enumerate(found.problem.active)}
     seen = np.array([i in place for i in at.tolist()])
     own = [place[i] for i in at[seen].tolist()]
-    covariance = run_covariance(found)[np.ix_(own, own)]
+    covariance = found.covariance[np.ix_(own, own)]
     shown = directions[:, seen]
     bend = np.diff(mean, 2, prepend=mean[0], append=mean[-1]) / BENT
     return mean, np.sqrt(np.maximum(np.diag(shown @ covariance @ shown.T), 0.0) + bend**2)
