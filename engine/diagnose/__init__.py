@@ -34,12 +34,13 @@ from engine.diagnose.effects.catalogue import (
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.traits import Course, Traits
-from engine.diagnose.free_run.answer import causes_of
+from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.search import FAMILIES
 from engine.diagnose.free_run.second_opinion import heeding, second_opinion
 from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.adoption import falls_short
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
+from engine.diagnose.gain.narrowing import narrowed
 from engine.diagnose.records import records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -47,6 +48,7 @@ from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.search.pipeline import (
     FIRST_FIT_SHARE,
+    NAMES,
     Callback,
     Clock,
     find_causes,
@@ -55,7 +57,7 @@ from engine.diagnose.search.pipeline import (
 )
 from engine.diagnose.search.search import Search
 from engine.diagnose.search.substeps import is_enough, prepare
-from engine.diagnose.search.verdict import cause_of, detectable_of
+from engine.diagnose.search.verdict import detectable_of, named_by, names_of
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.errors import OptionError, SeriesError
@@ -240,21 +242,23 @@ def diagnose(
             kept=done,
         )
 
-    named = tuple(cause_of(r) for r in found.rounds if r.equivalent)
-    before, after = found.base, found.final
     gain = None
 
-    def measured() -> Gain | None:
-        """What the extension gains where nothing was fitted."""
-        if not named or after is before:
+    def measured(order: Search, beside: FreeRunSearch | None = None) -> Gain | None:
+        """What an extension gains where nothing was fitted: the likelihood's, or one found ``beside`` it."""
+        causes, before, after = named_by(order), order.base, order.final
+        if beside is not None:
+            causes, before, after = causes_of(beside), beside.before, beside.after
+        if not causes or after is before:
             return None
         history = None if records.tests else train
-        chosen = [r.refits[0].effect for r in found.rounds if r.equivalent]
+        rounds = [] if beside is not None else [r for r in order.rounds if r.equivalent]
+        chosen = [r.refits[0].effect for r in rounds]
         # else a test's clock is its own
         later = bool(records.tests) and all(o.t[0] > records.main.t[-1] for o in records.tests)
         begins = [e for e in chosen if e.traits.of_record]
-        goes_on = later and len(begins) < len(chosen)
-        if goes_on or any(cause.where != "time" for cause in named):
+        goes_on = later and (not begins or len(begins) < len(chosen))
+        if goes_on or any(cause.where != "time" for cause in causes):
             there = without(after, begins) if records.tests else after
             whole = measure_gain(before, there, fine.records.held_out, history, seed)
         else:
@@ -262,23 +266,31 @@ def diagnose(
             whole = measure_gain_interleaved(before, after, fine.records.main, times, seed)
         return whole.every(fine.k)
 
+    def by_likelihood(order: Search) -> tuple[Gain | None, str]:
+        """The gain of the likelihood's answer, and what contradicts it."""
+        there = measured(order)
+        promised = 0.0 if there is None else _promised(order, searched, there)
+        return there, "" if there is None else falls_short(there, promised)
+
     clock.start("gain")
+    named, before, after = named_by(found), found.base, found.final
     if asked.decides and asked.search is not None:
-        by_likelihood = named, before, after
         if asked.search.found:
             named = causes_of(asked.search)
             before, after = asked.search.before, asked.search.after
-            gain = measured()
+            gain = measured(found, asked.search)
         decision = None if gain is None else gain.decision
         asked, verdict = heeding(asked, asked.search.verdict, decision)
-        if not asked.decides:
-            named, before, after = by_likelihood
     if not asked.decides:
-        gain = measured()
-        loss = "" if gain is None else falls_short(gain, _promised(base, found, searched, gain))
-        if loss and verdict in (Verdict.NAMED, Verdict.SET):
-            notes.append(loss)
-            verdict = Verdict.UNKNOWN
+        if verdict in NAMES:
+            left = narrowed(found, by_likelihood)
+            found, gain = left.search, left.gain
+            notes.extend(filter(None, (left.note, left.objection)))
+            if left.objection or left.note:
+                verdict = Verdict.UNKNOWN if left.objection else names_of(found)
+        else:
+            gain = measured(found)
+        named, before, after = named_by(found), found.base, found.final
     if gain is not None and model.na and not asked.decides:
         text, contradicts = _particle_word(base, found, searched, seed)
         notes.append(text)
@@ -356,7 +368,7 @@ def _check_data(series: Series) -> None:
         raise SeriesError(f"only {rows} rows hold a measurement; a diagnosis needs {LEAST}")
 
 
-def _promised(base: QuasiFit, found: Search, series: Series, gain: Gain) -> float:
+def _promised(found: Search, series: Series, gain: Gain) -> float:
     """Nats that held-out rows should gain if those searched did not by chance; 0 where that is no promise.
 
     Each parameter gains half a nat where it is fitted and loses as much elsewhere (Akaike 1974). Noise and
@@ -365,8 +377,8 @@ def _promised(base: QuasiFit, found: Search, series: Series, gain: Gain) -> floa
     effects = [r.refits[0].effect for r in found.rounds if r.equivalent]
     if not all(effect.family in FAMILIES for effect in effects):
         return 0.0
-    gained = found.final.log_likelihood - base.log_likelihood
-    further = len(found.final.free) - len(base.free)
+    gained = found.final.log_likelihood - found.base.log_likelihood
+    further = len(found.final.free) - len(found.base.free)
     rows = int(series.observed.any(axis=1).sum())
     return (gained - further) * gain.samples / max(rows, 1)
 

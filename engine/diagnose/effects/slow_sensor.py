@@ -18,6 +18,7 @@ import numpy as np
 from engine.diagnose.effects.augmentation import add_linear_states, add_memory, beside
 from engine.diagnose.effects.effect import Effect, Split, per_point
 from engine.diagnose.effects.setting import Kind, Setting, at_outputs
+from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 
 
@@ -41,6 +42,7 @@ def _slow_sensor(setting: Setting, channel: str, name: str) -> Effect:
             "pole": "changes the motion itself",
         },
         one_sided=True,
+        traits=Traits(contains=("lag",)),  # of less than a sample, it is one
     )
 
 

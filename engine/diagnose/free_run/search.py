@@ -22,6 +22,7 @@ from engine.diagnose.free_run.fitted import Fitted, Pick, finished, with_effects
 from engine.diagnose.free_run.folds import Folds, folds_of, losses, p_better
 from engine.diagnose.free_run.linear import Linear, Share
 from engine.diagnose.free_run.null import Alarm, alarm
+from engine.diagnose.search.contradictions import LEAST
 from engine.diagnose.search.likeness import unnatural
 from engine.statespace.model import Array
 
@@ -255,7 +256,11 @@ def survivors(
     where they have no more of either.
     """
     worth = np.nanmean(own) + np.log1p(-WORTH)
-    gaining = [c for c in judged if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth]
+    gaining = [
+        c
+        for c in judged
+        if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth and _determined(c)
+    ]
     if not gaining:
         return ()
     level = NOT_WORSE / len(judged)  # the best of so many is better than it will be again
@@ -273,7 +278,7 @@ def survivors(
     left = [c for c in left if c.fit.n_parameters <= fewest]
     left.sort(key=lambda c: (c not in close, -c.fit.n_parameters))
     groups: list[list[Candidate]] = []
-    for candidate in map(_to_its_end, left):
+    for candidate in filter(_determined, map(_to_its_end, left)):
         for group in groups:
             if alike(candidate.fit, group[0].fit):
                 group.append(candidate)
@@ -284,6 +289,23 @@ def survivors(
         group.sort(key=lambda c: plainness(c, setting))
     groups.sort(key=lambda group: not _of_the_model(group[0]))
     return tuple(map(tuple, groups))
+
+
+def _determined(candidate: Candidate) -> bool:
+    """Whether the sizes of all that it adds are away from zero; else it stands in for something else."""
+    fit = candidate.fit
+    names = fit.problem.names(fit.problem.active)
+    known = fit.problem.uncertainty(fit.e, fit.J)
+    errors = np.sqrt(np.maximum(np.diag(known.covariance), 0.0))
+    for effect in candidate.added:
+        if effect.one_sided or effect.family == "parameter":  # a start value is no zero
+            continue
+        if effect.size.name not in names:
+            return False
+        k = names.index(effect.size.name)
+        if known.tied[k] or not abs(fit.p[k]) >= LEAST * errors[k]:
+            return False
+    return True
 
 
 def _within(share: float, candidates: Sequence[Candidate]) -> list[Candidate]:

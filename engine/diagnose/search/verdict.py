@@ -25,6 +25,12 @@ def verdict_of(search: Search, alpha: float) -> Verdict:
         return Verdict.UNKNOWN if search.alarm_left else Verdict.NOTHING
     if search.alarm_left or any(unnamed_is_better(r) for r in named) or patchwork(search, alpha):
         return Verdict.UNKNOWN
+    return names_of(search)
+
+
+def names_of(search: Search) -> Verdict:
+    """The verdict of a search whose names hold."""
+    named = [r for r in search.rounds if r.equivalent]
     return Verdict.NAMED if all(len(set_of(r)) == 1 for r in named) else Verdict.SET
 
 
@@ -58,6 +64,11 @@ def set_of(found: Round) -> tuple[str, ...]:
     if generic is not None and generic.score >= found.refits[0].score - UNNAMED_MARGIN:
         names.append(generic.effect.name)
     return tuple(names)
+
+
+def named_by(search: Search) -> tuple[Cause, ...]:
+    """The causes it names, in the order in which they were found."""
+    return tuple(cause_of(r) for r in search.rounds if r.equivalent)
 
 
 def cause_of(found: Round) -> Cause:

@@ -12,6 +12,7 @@ from engine.diagnose import diagnose, extend
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.windows import rows_searched, stretch
+from engine.diagnose.gain.narrowing import narrowed
 from engine.diagnose.screening.score_columns import effect_columns, innovation_columns
 from engine.filters.sigma_point import first_moments, moment_filter, moment_path
 from tests.engine.hidden_effects import DRIVE, hidden
@@ -156,3 +157,37 @@ def test_how_a_record_begins_says_nothing_of_another_one():
     assert found.gain is not None
     assert found.gain.adopt
     assert found.gain.samples == len(part)
+
+
+def test_held_out_data_decide_where_the_record_cannot():
+    """An offset of the sensor and another first charge are the same here, and not in a later record."""
+    model, series = cell(500, np.random.default_rng(2))
+    part, later = series.part(200, 500), cell(100, np.random.default_rng(5))[1]
+    later = later.replace(t=later.t + series.t[-1] + 10.0)
+    found = diagnose(model, part, test=later, seed=1, effects=["start", "bias"])
+    assert found.verdict.value == "named"
+    assert [cause.effect for cause in found.causes] == ["start:charge"]
+    assert found.causes[0].equivalent == ("start:charge",)
+    assert any("the held-out data do" in note and "bias:voltage" in note for note in found.notes)
+    assert found.gain is not None
+    assert found.gain.adopt
+
+
+def test_a_set_whose_members_are_all_contradicted_stays():
+    model, series = cell(500, np.random.default_rng(2))
+    found = diagnose(model, series.part(200, 500), seed=1, effects=["start", "bias"]).search
+    names = [r.effect.name for r in found.rounds[0].equivalent]
+    assert sorted(names) == ["bias:voltage", "start:charge"]
+    asked = []
+
+    def ask(order):
+        asked.append(order.rounds[0].refits[0].effect.name)
+        return None, f"not {asked[-1]}"
+
+    left = narrowed(found, ask)
+    assert asked == names
+    assert left.search is found
+    assert left.objection == f"not {names[0]}"
+    kept = narrowed(found, lambda order: (None, "" if order is found else "never asked"))
+    assert kept.search is found
+    assert (kept.objection, kept.note) == ("", "")

@@ -1,0 +1,74 @@
+"""Of a set that the record cannot tell apart, the members that held-out data do not contradict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from engine.diagnose.gain.gain import Gain
+from engine.diagnose.search.rounds import Round
+from engine.diagnose.search.search import Search
+from engine.words import enumerated
+
+
+def each_in_front(found: Search) -> list[Search]:
+    """The search with each member of its set in front, the first one as it is.
+
+    Only that one where several rounds named something: which of them is contradicted nobody knows.
+    """
+    named = [k for k, r in enumerate(found.rounds) if r.equivalent]
+    if len(named) != 1:
+        return [found]
+    (k,), out = named, [found]
+    one = found.rounds[k]
+    for member in one.equivalent:
+        if member is one.refits[0]:
+            continue
+        refits = (member, *(r for r in one.refits if r is not member))
+        rounds = [*found.rounds]
+        rounds[k] = replace(one, refits=refits)
+        out.append(replace(found, rounds=tuple(rounds), final=member.fit))
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Narrowed:
+    """What is left of a set: the search, its gain on held-out data, what contradicts it there, a note."""
+
+    search: Search
+    gain: Gain | None
+    objection: str = ""
+    note: str = ""
+
+
+def narrowed(found: Search, ask: Callable[[Search], tuple[Gain | None, str]]) -> Narrowed:
+    """The search without the members of its set that ``ask`` objects to.
+
+    ``ask`` measures what an extension gains on held-out data, with a sentence where that contradicts it. Where
+    all members are contradicted the set stays as it is, with the objection to its first one.
+    """
+    orders = each_in_front(found)
+    gain, objection = ask(orders[0])
+    if not objection:
+        return Narrowed(found, gain)
+    asked = [(order, *ask(order)) for order in orders[1:]]
+    kept = [(order, there) for order, there, said in asked if not said]
+    if not kept:
+        return Narrowed(found, gain, objection)
+    first, there = kept[0]
+    left = [_leading(order).refits[0] for order, _ in kept]
+    rounds = tuple(
+        replace(r, equivalent=tuple(x for x in r.equivalent if x in left)) if r.equivalent else r
+        for r in first.rounds
+    )
+    gone = [r.effect.name for r in _leading(found).equivalent if r not in left]
+    kept_names = [r.effect.name for r in left]
+    note = (
+        f"The record does not tell {enumerated([*gone, *kept_names])} apart, the held-out data do: with "
+        f"{enumerated(gone, 'or')} the extension loses there what it should gain."
+    )
+    return Narrowed(replace(first, rounds=rounds), there, note=note)
+
+
+def _leading(found: Search) -> Round:
+    return next(r for r in found.rounds if r.equivalent)
