@@ -40,7 +40,7 @@ from engine.diagnose.free_run.second_opinion import heeding, second_opinion
 from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.adoption import falls_short
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
-from engine.diagnose.gain.narrowing import narrowed
+from engine.diagnose.gain.narrowing import narrowed, with_fair_noise
 from engine.diagnose.records import records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -269,8 +269,12 @@ def diagnose(
     def by_likelihood(order: Search) -> tuple[Gain | None, str]:
         """The gain of the likelihood's answer, and what contradicts it."""
         there = measured(order)
-        promised = 0.0 if there is None else _promised(order, searched, there)
-        return there, "" if there is None else falls_short(there, promised)
+        objection = "" if there is None else falls_short(there, _promised(order, searched, there))
+        if objection:  # noise that was fitted too small loses much elsewhere, and is no other cause
+            fair = measured(with_fair_noise(order, searched))
+            assert fair is not None
+            objection = falls_short(fair, _promised(order, searched, fair))
+        return there, objection
 
     clock.start("gain")
     named, before, after = named_by(found), found.base, found.final

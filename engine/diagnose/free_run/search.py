@@ -22,7 +22,7 @@ from engine.diagnose.free_run.fitted import Fitted, Pick, finished, with_effects
 from engine.diagnose.free_run.folds import Folds, folds_of, losses, p_better
 from engine.diagnose.free_run.linear import Linear, Share
 from engine.diagnose.free_run.null import Alarm, alarm
-from engine.diagnose.search.contradictions import LEAST
+from engine.diagnose.search.contradictions import LEAST_ERRORS
 from engine.diagnose.search.likeness import unnatural
 from engine.statespace.model import Array
 
@@ -257,9 +257,7 @@ def survivors(
     """
     worth = np.nanmean(own) + np.log1p(-WORTH)
     gaining = [
-        c
-        for c in judged
-        if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth and _determined(c)
+        c for c in judged if c.p_gain <= GAINED and np.nanmean(c.losses) <= worth and _determined(c)
     ]
     if not gaining:
         return ()
@@ -303,7 +301,7 @@ def _determined(candidate: Candidate) -> bool:
         if effect.size.name not in names:
             return False
         k = names.index(effect.size.name)
-        if known.tied[k] or not abs(fit.p[k]) >= LEAST * errors[k]:
+        if known.tied[k] or not abs(fit.p[k]) >= LEAST_ERRORS * errors[k]:
             return False
     return True
 

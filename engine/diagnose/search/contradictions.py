@@ -13,7 +13,7 @@ from engine.filters.rbpf import rbpf
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.words import number, with_unit
 
-LEAST = 2.0  # standard errors that a size must be away from zero
+LEAST_ERRORS = 2.0  # standard errors that a size must be away from zero
 PARTICLES = (500, 2000)  # for the particle filter's word on a gain; the second where it contradicts
 REPEATS = 4
 MARGIN = 3.0  # nats, beyond the particle filter's own error, that two filters may differ by
@@ -38,7 +38,7 @@ def _undetermined(refit: Refit) -> str:
     if not np.isfinite(covariance).all():
         return _sentence(refit)
     wald = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
-    return "" if wald >= LEAST**2 else _sentence(refit)
+    return "" if wald >= LEAST_ERRORS**2 else _sentence(refit)
 
 
 def _sentence(refit: Refit) -> str:

@@ -1,0 +1,50 @@
+"""Which candidates survive a round: gaining on rows left out is not enough."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data.series import Series
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.free_run.fitted import Pick, fit_runs, with_effects
+from engine.diagnose.free_run.folds import folds_of, losses
+from engine.diagnose.free_run.search import Candidate, survivors
+from engine.simulation.free_run import free_run
+
+MODEL = engine.get_model("oscillator")
+FREE = ("omega", "zeta", "gain")
+
+
+@pytest.fixture(scope="module")
+def fit():
+    """Cubic stiffness is hidden, readings are nearly free of noise."""
+    rng = np.random.default_rng(2)
+    T, dt = 400, 0.05
+    u = np.convolve(rng.standard_normal(T + 20), np.ones(20) / 5.0)[20 : T + 20]
+    empty = Series(np.full(T, np.nan), u, dt=dt)
+    hidden = engine.get_model("oscillator", ["cubic:position->velocity"])
+    truth = free_run(hidden, {"cubic_position__velocity": -4.0}, empty)
+    series = empty.replace(y=truth.y + 1e-3 * rng.standard_normal((T, 1)))
+    return fit_runs(MODEL, [series], MODEL.theta(), FREE, np.zeros((1, 2)))
+
+
+def candidate(fit, name, own):
+    """Refitted; as if it gained as much as anything can."""
+    setting = setting_for(MODEL, fit.records[0], np.asarray(fit.theta))
+    effect = make_effect(name, setting)
+    found = with_effects(fit, [Pick(effect, 1e-3)])
+    return Candidate(found, (effect,), own - 3.0, 1e-6, 0.5), setting
+
+
+def test_an_effect_whose_size_may_as_well_be_zero_does_not_survive(fit):
+    own = losses(fit, folds_of(fit.records))
+    true, setting = candidate(fit, "cubic:position->velocity", own)
+    (only,) = survivors(own, [true], setting)
+    assert only[0].names == true.names
+    beside = with_effects(true.fit, [Pick(make_effect("bias:y", setting), 1e-3)])
+    (name,) = (effect.size.name for effect in beside.effects[1:])
+    k = beside.problem.names(beside.problem.active).index(name)
+    assert abs(beside.p[k]) < 2.0 * np.sqrt(beside.covariance[k, k])
+    nothing = Candidate(beside, beside.effects, own - 3.0, 1e-6, 0.5)
+    assert survivors(own, [nothing], setting) == ()
