@@ -55,8 +55,10 @@ def falls_short(gain: Gain, expected: float) -> str:
 
     ``expected`` nats are what the likelihood gained in the search promises for so many rows. An effect that
     the held-out data do not excite gains nothing there and loses nothing; one that stands in for something
-    else loses.
+    else loses. What is adopted for its free run is not contradicted by it.
     """
+    if gain.adopt:
+        return ""
     error = gain.standard_error * gain.samples
     if not (math.isfinite(gain.log_density) and gain.log_density < -LOSS_NATS and error > 0.0):
         return ""
