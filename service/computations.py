@@ -219,7 +219,7 @@ def describe(
 
 def _held_out(job: Prepared, theta: Theta) -> dict[str, Any]:
     """The error on data that were held out, where there are any."""
-    return {"held_out": held_out(job.model, theta, job.test)} if job.test else {}
+    return {"held_out": held_out(job.model, theta, job.test, job.series)} if job.test else {}
 
 
 def _tried(compute: Callable[[], Any]) -> tuple[Any, str]:

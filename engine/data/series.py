@@ -260,6 +260,11 @@ class Series(Shown):
         made.setdefault("units", {k: v for k, v in self.units.items() if k in names})
         return Series(**made)
 
+    def follows(self, before: Series) -> bool:
+        """Whether its times go on where those of ``before`` end, a usual step later."""
+        gap, steps = float(self.t[0] - before.t[-1]), np.diff(before.t[before.samples])
+        return bool(0.5 * steps.min() <= gap <= 1.5 * steps.max())
+
     def part(self, start: int, stop: int) -> Series:
         """Rows start .. stop-1 as a series of its own, with its own times.
 

@@ -259,8 +259,10 @@ def diagnose(
         begins = [e for e in chosen if e.traits.of_record]
         goes_on = later and (not begins or len(begins) < len(chosen))
         if goes_on or any(cause.where != "time" for cause in causes):
-            there = without(after, begins) if records.tests else after
-            whole = measure_gain(before, there, fine.records.held_out, history, seed)
+            known = (train, *fine.records.others) if records.tests else ()
+            anew = without(after, begins)
+            tests = fine.records.held_out
+            whole = measure_gain(before, after, tests, history, seed, known, anew)
         else:
             times = [name for e in chosen for name in e.sought]
             whole = measure_gain_interleaved(before, after, fine.records.main, times, seed)

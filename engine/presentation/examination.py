@@ -113,7 +113,7 @@ def examine(
         "trace": trace_document(model.parameter_names, vars(found)),
     }
     if test is not None:
-        document["held_out"] = held_out(model, found.theta, as_series_list(test, model))
+        document["held_out"] = held_out(model, found.theta, as_series_list(test, model), all_series)
     return Examination(plain(document))
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.data.joined import joined, past_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
@@ -90,18 +91,23 @@ def measure_gain(
     tests: Sequence[Series],
     history: Series | None = None,
     seed: int = 0,
+    records: Sequence[Series] = (),
+    anew: QuasiFit | None = None,
 ) -> Gain:
-    """The gain of a fitted extension over the fitted base on ``tests``, each begun anew.
+    """The gain of a fitted extension over the fitted base on ``tests``.
 
     ``history`` is the series that ends right before the only test: both filters then run through it and
-    only the rows of the test are scored.
+    only the rows of the test are scored. So they do through that of the ``records`` which a test goes on with.
+    Other tests begin anew, with ``anew`` for the extension where it is another one there.
     """
     scored = []
     for test in tests:
-        whole = test if history is None else joined(history, test)
+        past = history or past_of(test, records)
+        whole = test if past is None else joined(past, test)
         first = len(whole) - len(test)
         rows = np.arange(len(whole)) >= first
-        scored.append(score([Trial(base, extended, rows)], whole, first))
+        there = extended if past is not None or anew is None else anew
+        scored.append(score([Trial(base, there, rows)], whole, first))
     how = "held-out rows" if history is None else "the last rows, held out"
     if len(tests) > 1:
         how += f" of {len(tests)} records"
@@ -161,19 +167,6 @@ class Trial:
     base: QuasiFit
     extended: QuasiFit
     rows: NDArray[np.bool_]
-
-
-def joined(one: Series, other: Series) -> Series:
-    """Two series one after the other; times that do not follow go on with the usual step."""
-    t = np.asarray(other.t)
-    if t[0] <= one.t[-1]:
-        t = t - t[0] + one.t[-1] + float(np.median(one.steps))
-    return one.replace(
-        y=np.concatenate([one.y, other.y]),
-        u=np.concatenate([one.u, other.u]),
-        t=np.concatenate([one.t, t]),
-        extra=np.concatenate([one.extra, other.extra]),
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from functools import partial
 
 import numpy as np
 
+from engine.data.joined import joined
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.gain.gain import joined
 from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.bootstrap import bootstrap_p
 from engine.diagnose.search.pipeline import Causes, find_causes

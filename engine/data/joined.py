@@ -1,0 +1,32 @@
+"""Records one after the other: a test that goes on where a record ended begins at no state of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from engine.data.series import Series
+
+
+def past_of(test: Series, records: Sequence[Series]) -> Series | None:
+    """The record that ``test`` goes on with, by their times; None where it begins anew."""
+    return next((one for one in records if test.follows(one)), None)
+
+
+def joined(one: Series, other: Series) -> Series:
+    """Two series one after the other; times that do not follow go on with the usual step.
+
+    Where both are refined, so is the step from the last sample of the one to the first of the other.
+    """
+    t, k = np.asarray(other.t), one.substeps
+    step = float(np.median(one.steps))
+    if t[0] <= one.t[-1]:
+        t = t - t[0] + one.t[-1] + step
+    names = ("y", "u", "t", "extra")
+    parts = [{n: getattr(one, n) for n in names}, {n: getattr(other, n) for n in names} | {"t": t}]
+    if k > 1 and t[0] - one.t[-1] > 1.5 * step:
+        ends = {n: np.concatenate([parts[0][n][-1:], parts[1][n][:1]]) for n in names}
+        pair = one.replace(**ends, substeps=1).refined(k)
+        parts.insert(1, {n: getattr(pair, n)[1:k] for n in names})
+    return one.replace(**{n: np.concatenate([part[n] for part in parts]) for n in names})
