@@ -54,6 +54,7 @@ def diagnose(
         free=job.free,
         callback=Percent(progress.step),
         kept=kept,
+        early=lambda document: progress.estimated(so_far(document)),
     )
     try:
         found = ask()
@@ -63,6 +64,17 @@ def diagnose(
         kept.clear()
         found = ask()
     return document(found, request.model.name, request.model.effects)
+
+
+def so_far(early: dict[str, Any]) -> dict[str, Any]:
+    """The result document of a diagnosis whose search goes on."""
+    return {"early": early, "message": " ".join(said_so_far(early))}
+
+
+def said_so_far(early: dict[str, Any]) -> list[str]:
+    """What it knows in sentences: how wrong the simulation is, and what the first screen suspects."""
+    first = early["sentences"][: len(early["outputs"])]
+    return [*first, *([] if early["screen"] is None else [early["screen"]["sentence"]])]
 
 
 def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, Any]:

@@ -1,12 +1,12 @@
 """A diagnosis of differential equations, beside an older commit.
 
-    python -m tests.benchmarks.bench_continuous --against COMMIT [--data FILE.csv]
+    python -m tests.benchmarks.bench_continuous --against COMMIT [--data FILE.csv] [--samples N]
 
 Two water tanks in cascade by Bernoulli's law, written with :func:`engine.continuous`, on a record of columns
 u_V and y_V every 4 s, or on one that is simulated with a rim that the upper tank runs over. The older commit
 is unpacked beside this one; a pass of the filter, one with derivatives by all parameters, and the whole
-diagnosis are run by both, in processes of their own, one after the other, and told in seconds of the
-processor. Writes ``results/continuous.md``.
+diagnosis, of the first N samples if asked, are run by both, in processes of their own, one after the other,
+and told in seconds of the processor. Writes ``results/continuous.md``.
 """
 
 # ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
@@ -102,7 +102,7 @@ def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
     return min(taken), out
 
 
-def measured(file: str | None) -> dict[str, Any]:
+def measured(file: str | None, samples: int | None) -> dict[str, Any]:
     """What this process' engine takes, and what it answers."""
     warm()
     model = water_tanks()
@@ -122,10 +122,11 @@ def measured(file: str | None) -> dict[str, Any]:
         own = one.free_indices([p for p in one.parameter_names if p not in HELD])
         name = f"derivatives by {len(own)} parameters" + "".join(f", with {e}" for e in effects)
         took[name], _ = seconds(lambda one=one, at=at, own=own: derivatives(one, [series], at, own))
-    engine.diagnose(model, series.part(0, 300), HELD, effects=["bias"], free=free)  # compiles
+    part = series if samples is None else series.part(0, samples)
+    engine.diagnose(model, part.part(0, 100), HELD, effects=["bias"], free=free)  # compiles
     started = time.process_time()
-    found = engine.diagnose(model, series, HELD, effects=KINDS, free=free)
-    took["the diagnosis"] = time.process_time() - started
+    found = engine.diagnose(model, part, HELD, effects=KINDS, free=free)
+    took[f"the diagnosis of {len(part)} samples"] = time.process_time() - started
     return {"seconds": took, "page": str(found), "answer": {**found.to_dict(), "seconds": {}}}
 
 
@@ -154,10 +155,10 @@ def agreement(one: Any, other: Any) -> tuple[int, int, list[str]]:
     return len(numbers), sum(same), words
 
 
-def of_commit(folder: Path, file: str | None) -> dict[str, Any]:
+def of_commit(folder: Path, options: list[str]) -> dict[str, Any]:
     """:func:`measured` by the engine in a folder."""
     run = subprocess.run(
-        [sys.executable, __file__, "--only", *(["--data", file] if file else [])],
+        [sys.executable, __file__, "--only", *options],
         env={**os.environ, "PYTHONPATH": str(folder)},
         cwd=folder,
         check=True,
@@ -201,14 +202,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--against", metavar="COMMIT")
     parser.add_argument("--data", metavar="FILE.csv")
+    parser.add_argument("--samples", metavar="N", type=int)
     parser.add_argument("--only", action="store_true", help="this engine's figures as JSON")
     asked = parser.parse_args()
     if not (asked.only or asked.against):
         parser.error("--against COMMIT is missing")
     file = None if asked.data is None else str(Path(asked.data).absolute())
     if asked.only:
-        print(json.dumps(measured(file)))
+        print(json.dumps(measured(file, asked.samples)))
         return
+    options = ["--data", file] if file else []
+    options += ["--samples", str(asked.samples)] if asked.samples else []
     from tests.benchmarks.machine import Watch
 
     with tempfile.TemporaryDirectory() as folder, Watch() as watch:
@@ -216,8 +220,8 @@ def main() -> None:
             ["git", "archive", asked.against], cwd=ROOT, check=True, stdout=subprocess.PIPE
         )
         subprocess.run(["tar", "x", "-C", folder], input=archive.stdout, check=True)
-        before = of_commit(Path(folder), file)
-        now = of_commit(ROOT, file)
+        before = of_commit(Path(folder), options)
+        now = of_commit(ROOT, options)
     load = ", ".join(f"{name} {value:g}" for name, value in watch.figures().items())
     what = "A measured record" if file else "A simulated record"
     about = f"{what} of two water tanks; before: commit {asked.against}. {load}."
