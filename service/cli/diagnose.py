@@ -191,19 +191,14 @@ def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str
 
 def _interrupted(asked: Asked, kept: Kept) -> Ending:
     """What is said at Ctrl-C; what is known so far goes where the result would have gone."""
-    text, known = f"interrupted at {kept.percent} %. ", {}
-    if kept.early is not None:
-        known = {"early": kept.early}
-        document = diagnoses.so_far(kept.early)
-        if written := write_outputs(replace(asked, plot=None), document, asked.data, kept):
-            text += f"What is known so far: {', '.join(map(os.path.relpath, written))}. "
-    return Ending(
-        Code.INTERRUPTED,
-        f"{text}Go on with\n  {kept.file.again}",
-        state=str(kept.file.path),
-        percent=kept.percent,
-        **known,
-    )
+    text = f"interrupted at {kept.percent} %. Go on with\n  {kept.file.again}"
+    known = {} if kept.early is None else diagnoses.so_far(kept.early)
+    if known:
+        written = write_outputs(replace(asked, plot=None), known, asked.data, kept)
+        text += "".join(f"\nWhat is known so far: {os.path.relpath(name)}" for name in written)
+    more = {"early": kept.early} if known else {}
+    state = str(kept.file.path)
+    return Ending(Code.INTERRUPTED, text, state=state, percent=kept.percent, **more)
 
 
 def _check_effects(model: MixedModel, asked: Asked) -> None:

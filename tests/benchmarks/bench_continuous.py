@@ -29,11 +29,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from engine.diagnose.hide import hide
 
 import engine
 from engine.compile_kernels import warm
-from engine.diagnose import extend
+from engine.diagnose import extend, hide
 from engine.diagnose.effects.setting import setting_for
 from engine.estimation.quasi_ml import derivatives
 from engine.filters.sigma_point import moment_filter
