@@ -24,6 +24,12 @@ def effects(
     kind: Annotated[
         list[str], typer.Option(metavar="KIND,...", help="Of these kinds only, such as coulomb.")
     ] = [],  # noqa: B006
+    time_unit: Annotated[
+        str,
+        typer.Option(
+            metavar="UNIT", help="What the model's times count, such as min: rates are per that."
+        ),
+    ] = "s",
     as_json: Json = False,
 ) -> None:
     """List the effects that a diagnosis looks for: equation, units, and what each may be taken for.
@@ -34,4 +40,4 @@ def effects(
         from service.cli.effects import show
         from service.cli.values import names
 
-        show(model, names(kind), as_json)
+        show(model, names(kind), time_unit, as_json)
