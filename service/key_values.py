@@ -40,7 +40,7 @@ def _of_early(d: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield _value(f"error of the simulation of {one['output']}", one["rmse"], None, one["unit"])
     yield _value("log-likelihood", d["log_likelihood"], None)
     for one in (d["screen"] or {}).get("scores", ())[:MOST_SUSPECTS]:
-        name = f"first look: {one['effect']}"
+        name = f"first screen: {one['effect']}"
         yield _value(name, one["size"], one["standard_error"], one["unit"])
     for name, one in d["estimate"].items():
         if not one["fixed"]:

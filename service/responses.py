@@ -297,7 +297,7 @@ class SimulationOut(BaseModel):
 class ExaminationOut(BaseModel):
     """An estimate looked at, series by series.
 
-    Each holds ``sentences``, ``free_run`` (null where it runs away) and ``one_step`` with ``fits``,
+    Each holds ``sentences``, ``free_run`` (null where it diverges) and ``one_step`` with ``fits``,
     ``regions``, ``bands`` and ``curves``, ``residuals`` and ``whiteness``, or a ``problem``.
     """
 

@@ -79,9 +79,9 @@ def _of_screen(screen: Screen) -> dict[str, Any]:
     best = [score for score in screen.scores if score.statistic > 0.0][:SHOWN]
     suspects = [score.effect.name for score in best if score.p_value <= SUSPECT][:SAID]
     sentence = (
-        f"At a first look it may be {enumerated(suspects, 'or')}: nothing is weighed yet."
+        f"The first screen points to {enumerated(suspects, 'or')}; neither refitted nor compared yet."
         if suspects
-        else "At a first look no effect of the catalogue stands out."
+        else "The first screen points to no effect of the catalogue."
     )
     return {
         "screen": {

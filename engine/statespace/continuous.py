@@ -41,7 +41,7 @@ def continuous(
     jacobian: Matrix | None = None,
     **fields: Any,
 ) -> MixedModel:
-    """A model given by differential equations; it knows that its dt is a real one.
+    """A model given by differential equations, discretized for whatever time step the data have.
 
     Parameters
     ----------

@@ -173,7 +173,7 @@ def without_times(page):
 def test_ctrl_c_keeps_what_a_diagnosis_knows_by_then(folder, terminal):
     run = terminal(*DIAGNOSE, "--report", "early.html", "--out", "early.json")
     run.until(r"Free-run simulation of \w+: wrong by [^.]")  # as soon as the model is fitted
-    run.until("At a first look")  # and screened
+    run.until("The first screen points to")  # and screened
     run.type(b"\x03")
     code, printed = run.end()
     assert (code, printed) == (130, "")

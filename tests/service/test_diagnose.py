@@ -179,7 +179,7 @@ def test_what_is_known_while_it_goes_on_and_after_it_was_stopped(client, ended, 
     assert values["error of the simulation of y"]["value"] == fit["rmse"]
     assert values["Fv"]["standard_error"] == early["estimate"]["Fv"]["standard_error"] > 0.0
     assert early["estimate"]["gtau"]["fixed"]
-    eventually(lambda: known("first look: "), 300.0)
+    eventually(lambda: known("first screen: "), 300.0)
     stopped = client.delete(url).json()
     assert stopped["status"] == "dismissed"
     assert stopped["values"]

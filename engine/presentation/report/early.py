@@ -1,4 +1,4 @@
-"""The report of a diagnosis that goes on: the fitted model, what its simulation gets wrong, a first look."""
+"""The report of a diagnosis that goes on: the fitted model, what its simulation gets wrong, a first screen."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def early_report(d: Document, draw: Drawer) -> Report:
                 sentences(symptoms) or tag("p", "Nothing stands out."),
                 fits(symptoms),
             ),
-            *section("screen", "A first look at the cause", *_screen(screen)),
+            *section("screen", "First screen of effects", *_screen(screen)),
             *section("estimate", "The model as it is", _parameters(d)),
         ),
     )

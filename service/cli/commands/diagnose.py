@@ -55,12 +55,13 @@ def diagnose(
         list[str],
         typer.Option(
             metavar="COLUMN,...",
-            help="Columns that the model does not use; asks whether it should.",
+            help="Columns that the model does not use; tests whether it should.",
         ),
     ] = [],  # noqa: B006
     test: Test = [],  # noqa: B006
     alpha: Annotated[
-        float, typer.Option(metavar="P", help="Chance of an alarm where nothing is wrong.")
+        float,
+        typer.Option(metavar="P", help="Probability of a false alarm, where nothing is wrong."),
     ] = 0.05,
     consider: Annotated[
         list[str],
@@ -72,7 +73,7 @@ def diagnose(
             metavar="N",
             min=1,
             max=10,
-            help="Found in turn at most; more than two mean an unknown cause.",
+            help="Effects to find, one after the other; more than two mean an unknown cause.",
         ),
     ] = 3,
     bootstrap: Annotated[

@@ -83,15 +83,15 @@ def fit(
         bool,
         typer.Option(
             "--standard-errors/--no-standard-errors",
-            help="And intervals; they may take longer than the iterations.",
+            help="Compute standard errors and intervals; may take longer than the iterations.",
         ),
     ] = True,
     intervals: Annotated[
         str,
         typer.Option(
             metavar="symmetric|likelihood-ratio",
-            help="Of 95 %. By the likelihood ratio they cover better where the likelihood is no parabola, "
-            "and take several times as long as all the rest.",
+            help="Of 95 %. By the likelihood ratio they cover better where the log-likelihood is far from "
+            "quadratic, and take several times as long as all the rest.",
         ),
     ] = "symmetric",
     starts: Annotated[
