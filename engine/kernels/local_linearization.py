@@ -65,18 +65,26 @@ def step_of(a, f, J, A, Qc, dt):
     width, m = min(B, BLOCK), nx if B == 1 else 1
     F, G, S = np.empty((nx, nx, width)), np.zeros((nx, m, width)), np.empty((nx, nx, width))
     steps, lost = np.empty(width), np.empty(width, dtype=np.bool_)
+    own_J, own_A, own_Qc, own_dt = len(J) > 1, len(A) > 1, len(Qc) > 1, len(dt) > 1
     for first in range(0, B, width):
         count = min(width, B - first)
         for k in range(count):
             b = first + k
-            own_J, own_A, own_Qc = J[b % len(J)], A[b % len(A)], Qc[b % len(Qc)]
-            steps[k], lost[k] = dt[b % len(dt)], False
+            steps[k] = dt[b if own_dt else 0]
+            at_J, at_A, at_Qc = b if own_J else 0, b if own_A else 0, b if own_Qc else 0
+            total = 0.0  # finite if all of it is
             for i in range(nx):
+                for j in range(na):
+                    F[i, j, k] = J[at_J, i, j]
+                    total += abs(F[i, j, k])
+                for j in range(nz):
+                    F[i, na + j, k] = A[at_A, i, j]
+                    total += abs(F[i, na + j, k])
                 for j in range(nx):
-                    F[i, j, k] = own_J[i, j] if j < na else own_A[i, j - na]
-                    S[i, j, k] = 0.5 * (own_Qc[i, j] + own_Qc[j, i])
-                    lost[k] = lost[k] or not (np.isfinite(F[i, j, k]) and np.isfinite(S[i, j, k]))
+                    S[i, j, k] = 0.5 * (Qc[at_Qc, i, j] + Qc[at_Qc, j, i])
+                    total += abs(S[i, j, k])
                 G[i, i if B == 1 else 0, k] = 1.0 if B == 1 else f[b, i]
+            lost[k] = not total < np.inf
             if lost[k]:  # a run that has run away stays lost, and takes no other with it
                 F[:, :, k], S[:, :, k] = 0.0, 0.0
         whole, drive, noise = integrals(F, G, S, steps, count, nz > 0)

@@ -68,18 +68,27 @@ def integrals(F, G, Qc, dt, count, with_A):
     """
     n = len(F)
     h, halvings = np.empty(count), np.zeros(count, dtype=np.int64)
-    orders, most = 1, 0
+    largest, most = 0.0, 0
     for k in range(count):
-        stiffness = dt[k] * _norm(F[:, :, k])
+        norm = 0.0  # the largest sum of absolute values of a row
+        for i in range(n):
+            row = 0.0
+            for j in range(n):
+                row += abs(F[i, j, k])
+            if not row <= norm:  # also where it is NaN
+                norm = row
+        stiffness = dt[k] * norm
         if stiffness > LONGEST:  # seldom: then it is worth to look whether units make it so
-            stiffness = dt[k] * _balanced_norm(F[:, :, k], dt[k])
+            stiffness = dt[k] * min(norm, _balanced_norm(F[:, :, k], dt[k]))
         if stiffness > LONGEST and stiffness < 2.0**MOST_HALVINGS:
             halvings[k] = math.ceil(math.log2(stiffness / LONGEST))
             most = max(most, halvings[k])
         elif not stiffness <= LONGEST:
             dt[k] = np.nan
-        h[k] = dt[k] / 2.0 ** halvings[k]
-        orders = max(orders, _orders(n, stiffness / 2.0 ** halvings[k]))
+        half = 2.0 ** -halvings[k]
+        h[k] = dt[k] * half
+        largest = max(largest, stiffness * half)
+    orders = _orders(n, largest)
     noisy = (Qc[:, :, :count] != 0.0).any()
     with_A = with_A or most > 0
     A, B, Q = _series(F, G, Qc, h, orders, noisy, with_A)
@@ -198,19 +207,6 @@ def _add_where(what, more, total):
 
 
 @njit(cache=True, error_model="numpy")
-def _norm(F):
-    """The largest sum of absolute values of a row."""
-    norm = 0.0
-    for i in range(len(F)):
-        row = 0.0
-        for j in range(len(F)):
-            row += abs(F[i, j])
-        if not row <= norm:  # also where it is NaN
-            norm = row
-    return norm
-
-
-@njit(cache=True, error_model="numpy")
 def _balanced_norm(F, dt):
     """The norm of F in units of the states in which it is small: D^-1 F D with D of powers of two.
 
@@ -244,4 +240,7 @@ def _balanced_norm(F, dt):
                     scaled[j, i] *= factor
         if not moved:
             break
-    return min(_norm(scaled), _norm(F))
+    norm = 0.0
+    for i in range(n):
+        norm = max(norm, np.abs(scaled[i]).sum())
+    return norm

@@ -6,7 +6,7 @@ Two water tanks in cascade by Bernoulli's law, written with :func:`engine.contin
 u_V and y_V every 4 s, or on one that is simulated with a rim that the upper tank runs over. The older commit
 is unpacked beside this one; a pass of the filter, one with derivatives by all parameters, and the whole
 diagnosis, of the first N samples if asked, are run by both, in processes of their own, one after the other,
-and told in seconds of the processor. Writes ``results/continuous.md``.
+and told in seconds of the processor. Writes ``results/continuous.md``, ``continuous-measured.md`` of a file.
 """
 
 # ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
@@ -183,7 +183,7 @@ def table(before: dict[str, Any], now: dict[str, Any], about: str) -> str:
     lines += [
         "",
         f"The answers: {same} of {numbers} numbers agree to {SAME:g} of their size"
-        + (f"; words differ at {', '.join(sorted(set(words)))}." if words else "; all words do."),
+        + (f"; {len(words)} words or their places differ." if words else "; all words do."),
         "",
         "Now:",
         "",
@@ -224,7 +224,8 @@ def main() -> None:
     load = ", ".join(f"{name} {value:g}" for name, value in watch.figures().items())
     what = "A measured record" if file else "A simulated record"
     about = f"{what} of two water tanks; before: commit {asked.against}. {load}."
-    (RESULTS / "continuous.md").write_text(table(before, now, about))
+    name = "continuous-measured.md" if file else "continuous.md"
+    (RESULTS / name).write_text(table(before, now, about))
 
 
 if __name__ == "__main__":
