@@ -110,27 +110,18 @@ class Kept:
         made_of: Callable[[Any], Part],
     ) -> Part:
         """What was kept under a name, or else computed, and kept then."""
-        found = self._kept(name, compute, numbers_of, made_of)
-        self.told(self.where + name, found)
-        return found
-
-    def _kept(
-        self,
-        name: str,
-        compute: Callable[[], Part],
-        numbers_of: Callable[[Part], Any],
-        made_of: Callable[[Any], Part],
-    ) -> Part:
-        if self.parts is None:
-            return compute()
-        known = self.parts.get(self.where + name)
+        known = None if self.parts is None else self.parts.get(self.where + name)
         if known is not None:
             self.spent(known["seconds"])
-            return made_of(known["numbers"])
-        since = time.perf_counter()
-        found = compute()
-        seconds = time.perf_counter() - since
-        self.parts[self.where + name] = {"seconds": seconds, "numbers": numbers_of(found)}
+            found = made_of(known["numbers"])
+        else:
+            since = time.perf_counter()
+            found = compute()
+            seconds = time.perf_counter() - since
+            if self.parts is not None:
+                kept = {"seconds": seconds, "numbers": numbers_of(found)}
+                self.parts[self.where + name] = kept
+        self.told(self.where + name, found)
         return found
 
 
