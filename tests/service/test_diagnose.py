@@ -220,6 +220,20 @@ def test_progress_only_goes_forward():
     assert len({message for _, message in told}) == 8
 
 
+def test_calibrations_of_late_rounds_move_too():
+    """A per cent is long there: the share of the series that are done is told."""
+    told = []
+    percent = Percent(lambda k, message: told.append((k, message)))
+    for _ in range(4):
+        percent("screen", 1.0)
+        for k in range(19):
+            percent("calibration", (k + 1) / 19)
+        percent("refit", 1.0)
+    assert len(set(told)) > 4 * 19
+    assert [k for k, _ in told] == sorted(k for k, _ in told)
+    assert "calibrating p-values on simulated series, 53 % of them" in told[10][1]
+
+
 def test_several_records_and_several_held_out_ones(client, ended, pushed):
     parts = [{"y": pushed[:160], "dt": 1.0}, {"y": pushed[160:220], "dt": 1.0}]
     job = request(pushed) | {"series": parts, "test": [{"y": pushed[220:260]}, {"y": pushed[260:]}]}
