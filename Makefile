@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Byte code is kept whatever the environment says: the tests start a hundred processes.
 PYTEST := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo serve test test-all lint tables measured bench warm load large-bodies chaos bench-dask bench-free-run
+.PHONY: setup demo serve test test-all lint tables measured bench warm load large-bodies chaos bench-dask bench-free-run bench-continuous
 
 setup: .venv/ready
 
@@ -51,6 +51,10 @@ bench: setup
 # Free runs found as a whole beside the loop over time.
 bench-free-run: setup
 	$(BIN)/python -m tests.benchmarks.bench_free_run
+
+# A diagnosis of differential equations beside that of an older commit: AGAINST=commit.
+bench-continuous: setup
+	$(BIN)/python -m tests.benchmarks.bench_continuous --against $(AGAINST)
 
 warm: setup
 	$(BIN)/python -m engine.compile_kernels

@@ -42,7 +42,9 @@ from engine.simulation.sensitivities import sensitivities
 from engine.simulation.simulate import simulate
 from engine.simulation.whole_record import SHORTEST
 from engine.smoothers.linear_cost import rb_ffbsi_linear
+from engine.statespace.continuous import continuous
 from engine.statespace.discretization import discretize
+from engine.statespace.model import Gaussian
 
 
 def compiled_kernels() -> dict[str, set[Any]]:
@@ -74,6 +76,17 @@ def warm() -> dict[str, set[Any]]:
     measured = simulate(tanks, None, SHORTEST, rng, u=np.ones(SHORTEST), dt=4.0).series
     fit_simulation(tanks, measured, free=[tanks.parameter_names[0]], n_starts=1)
     discretize(np.eye(1), dt=1.0)
+    decay = continuous(
+        name="decay",
+        drift=lambda a, u, t, theta: (-a, np.zeros((1, 0))),
+        diffusion=lambda a, u, t, theta: np.eye(1),
+        measurement=lambda a, u, t, theta: (a, np.zeros((1, 0)), np.eye(1)),
+        initial=lambda theta: (Gaussian([0.0], [[1.0]]), [], np.zeros((0, 0))),
+        nonlinear={"x": "1"},
+        outputs={"y": "1"},
+        parameters=[],
+    )
+    decay.transition(np.ones((2, 1)), np.zeros(0), 0.0, 1.0, decay.record(decay.theta()))
     run = free_run(walk, None, Series(np.zeros(SHORTEST)))
     first, x = np.arange(1), np.hstack((run.a, run.z))
     sensitivities(walk, np.asarray(run.theta), run.series, x, first, first, np.full(1, 1e-5))

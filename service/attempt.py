@@ -133,7 +133,7 @@ class StoredProgress:
         self.flush(message, stage=message.partition(",")[0][:60], share=share)
 
     def estimated(self, document: dict[str, Any]) -> None:
-        """The result so far, for whoever asks meanwhile."""
+        """The result so far, for requests that come meanwhile."""
         if not self.store.show(self.attempt, document):
             _leave(self.attempt)
 

@@ -221,6 +221,7 @@ class Attempts:
             known = and_(documents.c.job == attempt.job, documents.c.name == PRELIMINARY)
             sql.execute(delete(documents).where(known))
             put(sql, attempt.job, PRELIMINARY, dumps(result))
+            change_job(sql, attempt.job, found=found_by(result)["found"])
         return True
 
     def finish(self, attempt: Attempt, result: Any, message: str = "") -> bool:

@@ -65,7 +65,7 @@ class Progress(Protocol):
         """Progress of what has no iterations; ``share`` of the message's stage, before its comma, is done."""
 
     def estimated(self, document: dict[str, Any]) -> None:
-        """The result of an estimation before its standard errors."""
+        """The result so far: of an estimation before its standard errors, of a diagnosis before its causes."""
 
     def left(self, task: int) -> Any:
         """What a task of an earlier stage left."""

@@ -17,11 +17,14 @@ from service.validation import Prepared
 PROGRESS_STEPS = 100  # of progress
 # per cent for the base model's fit, for all rounds of search, and for the free run
 FIT_PERCENT, SEARCH_PERCENT, FREE_RUN_PERCENT = 10.0, 60.0, 20.0
+# where each stage of a round begins, and its share of it
+ROUND_SHARES = {"screen": (0.0, 0.3), "calibration": (0.3, 0.3), "refit": (0.6, 0.4)}
 STAGE_PERCENT = {"gain": 92.0, "symptoms": 95.0}
 STAGE_MESSAGES = {
     "fit": "estimating the model without effects",
     "search": "looking for effects",
     "screen": "screening effects",
+    "calibration": "calibrating p-values on simulated series",
     "refit": "estimating the most likely effects",
     "free run": "searching with the free run",
     "bootstrap": "parametric bootstrap of the first p-value",
@@ -54,6 +57,7 @@ def diagnose(
         free=job.free,
         callback=Percent(progress.step),
         kept=kept,
+        early=lambda document: progress.estimated(so_far(document)),
     )
     try:
         found = ask()
@@ -63,6 +67,17 @@ def diagnose(
         kept.clear()
         found = ask()
     return document(found, request.model.name, request.model.effects)
+
+
+def so_far(early: dict[str, Any]) -> dict[str, Any]:
+    """The result document of a diagnosis whose search goes on."""
+    return {"early": early, "message": " ".join(said_so_far(early))}
+
+
+def said_so_far(early: dict[str, Any]) -> list[str]:
+    """What it knows in sentences: how wrong the simulation is, and what the first screen suspects."""
+    first = early["sentences"][: len(early["outputs"])]
+    return [*first, *([] if early["screen"] is None else [early["screen"]["sentence"]])]
 
 
 def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, Any]:
@@ -96,11 +111,12 @@ class Percent:
     """The engine's callback(stage, fraction) as steps that never go back.
 
     How many rounds of screening and refitting there will be is not known: each takes half of what
-    is left, six tenths of it for the screen.
+    is left, six tenths of it for the screen and its calibration. What moves less than a per cent tells its
+    own share.
     """
 
     def __init__(self, step: Callable[[int, str], None]) -> None:
-        self.step, self.done, self.said = step, -1, ""
+        self.step, self.done, self.said, self.message = step, -1, "", ""
         self.round = -1
 
     def __call__(self, stage: str, fraction: float) -> None:
@@ -108,14 +124,18 @@ class Percent:
         if stage == "screen" and self.said != "screen":
             self.round += 1
         done = max(self.done, int(self._percent(stage, min(max(fraction, 0.0), 1.0))))
-        if done > self.done or stage != self.said:
-            self.done, self.said = done, stage
-            self.step(done, STAGE_MESSAGES.get(stage, stage))
+        message = STAGE_MESSAGES.get(stage, stage)
+        if stage == "calibration":
+            message += f", {100.0 * fraction:.0f} % of them"
+        if done > self.done or stage != self.said or message != self.message:
+            self.done, self.said, self.message = done, stage, message
+            self.step(done, message)
 
     def _percent(self, stage: str, fraction: float) -> float:
-        if stage in ("screen", "refit"):
+        if stage in ROUND_SHARES:
             left = 0.5 ** max(self.round, 0)
-            part = 0.6 * fraction if stage == "screen" else 0.6 + 0.4 * fraction
+            begin, width = ROUND_SHARES[stage]
+            part = begin + width * fraction
             return FIT_PERCENT + SEARCH_PERCENT * (1.0 - left + 0.5 * left * part)
         if stage == "fit":
             return FIT_PERCENT * fraction

@@ -9,13 +9,16 @@ from typing import Any
 from engine.json_values import plain
 
 MOST_VALUES = 30  # of a job
+MOST_SUSPECTS = 3  # of a first screen
 
 
 def found_by(result: Mapping[str, Any]) -> dict[str, str | None]:
     """The columns ``outcome`` and ``found`` of ``db_schema.jobs``, from a result document."""
     diagnosis = result.get("diagnosis") or {}
     causes = [one["effect"] for one in diagnosis.get("causes", ())]
-    values = list(_of_diagnosis(diagnosis) if diagnosis else _of_estimate(result))
+    early = result.get("early") or {}
+    of_kind = _of_diagnosis(diagnosis) if diagnosis else _of_early(early) if early else None
+    values = list(of_kind or _of_estimate(result))
     return {
         "outcome": diagnosis.get("verdict") or result.get("outcome"),
         "found": json.dumps(plain({"causes": causes, "values": values[:MOST_VALUES]})),
@@ -29,6 +32,19 @@ def _of_diagnosis(d: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         for when in ("before", "after"):
             name = f"held-out error of {one['output']} {when}"
             yield _value(name, one[f"rmse_{when}"], None, one["unit"])
+
+
+def _of_early(d: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Of a diagnosis that goes on."""
+    for one in (d["symptoms"]["free_run"] or {}).get("fits", ()):
+        yield _value(f"error of the simulation of {one['output']}", one["rmse"], None, one["unit"])
+    yield _value("log-likelihood", d["log_likelihood"], None)
+    for one in (d["screen"] or {}).get("scores", ())[:MOST_SUSPECTS]:
+        name = f"first screen: {one['effect']}"
+        yield _value(name, one["size"], one["standard_error"], one["unit"])
+    for name, one in d["estimate"].items():
+        if not one["fixed"]:
+            yield _value(name, one["value"], one["standard_error"], one["unit"])
 
 
 def _of_estimate(result: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

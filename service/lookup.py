@@ -45,7 +45,7 @@ def find_result(store: Store, row: Any) -> bytes:
 
 
 def has_estimates(store: Store, row: Any) -> bool:
-    """Whether a job that is not successful has a result already, without its standard errors."""
+    """Whether a job that is not successful has a result so far: without standard errors, without causes."""
     open_ = row.status in ("accepted", "running", "dismissed") and not row.removed
     return open_ and store.has_document(row.seq, PRELIMINARY)
 

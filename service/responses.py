@@ -58,7 +58,9 @@ class JobStatus(BaseModel):
         description="of a successful job: the verdict of a diagnosis, how an estimation ended"
     )
     causes: list[str] = Field(description="the effects that a diagnosis found")
-    values: list[KeyValue] = Field(description="what the result comes down to")
+    values: list[KeyValue] = Field(
+        description="what the result comes down to; before its end, what is known so far"
+    )
     links: list[Link]
 
 
@@ -295,7 +297,7 @@ class SimulationOut(BaseModel):
 class ExaminationOut(BaseModel):
     """An estimate looked at, series by series.
 
-    Each holds ``sentences``, ``free_run`` (null where it runs away) and ``one_step`` with ``fits``,
+    Each holds ``sentences``, ``free_run`` (null where it diverges) and ``one_step`` with ``fits``,
     ``regions``, ``bands`` and ``curves``, ``residuals`` and ``whiteness``, or a ``problem``.
     """
 
@@ -326,6 +328,10 @@ class Results(BaseModel):
     trace: Trace | None = None
     states: StatesOut | None = None
     simulation: SimulationOut | None = None
+    early: dict[str, Any] | None = Field(
+        default=None,
+        description="of a diagnosis that goes on or was stopped: estimate, symptoms, screen",
+    )
     diagnosis: dict[str, Any] | None = Field(
         default=None, description="verdict, causes, symptoms, extension, gain, detectable, page"
     )

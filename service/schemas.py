@@ -261,8 +261,8 @@ class EstimateOptions(_Strict):
     intervals: Literal["likelihood-ratio", "symmetric"] = Field(
         default="symmetric",
         description="of 95 %, beside the standard errors; symmetric ones cost nothing more, but cover "
-        "too little where the likelihood is no parabola; by the likelihood ratio they take several times as "
-        "long as all the rest",
+        "too little where the log-likelihood is far from quadratic; by the likelihood ratio they take "
+        "several times as long as all the rest",
     )
     starts: int = Field(default=1, ge=1, description="the best of this many starts is taken")
     bootstrap: int = Field(

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Row, and_, delete, func, insert, select, upda
 from service.db_schema import documents, iterations, jobs, tasks
 from service.strict_json import dumps
 
-PRELIMINARY = "preliminary"  # name of the result of an estimation before its standard errors
+PRELIMINARY = "preliminary"  # name of the result so far: before standard errors, before causes
 KEPT = "kept-"  # names of documents that serve an attempt's successor
 
 

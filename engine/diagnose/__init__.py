@@ -17,6 +17,7 @@ turn is then weighed again, each beside the others. Its verdict is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -24,6 +25,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.diagnosis import Asked, Diagnosis
+from engine.diagnose.early import EarlyAnswer, Told
 from engine.diagnose.effects.catalogue import (
     all_effects,
     effect_kinds,
@@ -100,6 +102,7 @@ def diagnose(
     callback: Callback | None = None,
     bootstrap: int = 0,
     kept: Parts | None = None,
+    early: Told | None = None,
 ) -> Diagnosis:
     """Diagnose a model on measured data.
 
@@ -135,6 +138,9 @@ def diagnose(
     kept : mutable mapping, optional
         Where finished parts are put as JSON values, empty at first; a stopped run goes on from them when
         the same version is asked the same again, and gives the numbers of one that was never stopped.
+    early : callable, optional
+        ``early(document)`` is told what is known while the search goes on, as JSON values: the fitted
+        model and what its simulation gets wrong; then again, with the first screen of effects.
 
     Returns
     -------
@@ -175,6 +181,8 @@ def diagnose(
     clock = Clock(callback)
     done = kept_of(parts, model, records, options, clock.spent)
     plain = records.train
+    if early is not None:
+        done = replace(done, told=EarlyAnswer(early, model, plain, seed))
     part = plain.part(*rows_searched(model, theta, plain))
     clock.start("fit")
 

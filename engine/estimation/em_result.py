@@ -30,7 +30,7 @@ class Iteration:
     ess : float
         Mean effective sample size of the filter.
     seconds : float
-        What it took.
+        Computing time, s.
     collapsed : float
         Share of the rows at which the filter had one particle left.
     memory : array (m,)
@@ -60,7 +60,7 @@ class Checkpoint:
     ess : array (k,)
         Mean effective sample sizes.
     seconds : array (k,)
-        What each iteration took.
+        Computing time of each iteration, s.
     collapsed : array (k,)
         Shares of the rows at which the filter had one particle left.
     memory : array (k, m)
@@ -99,13 +99,13 @@ class EmResult(Shown):
     ess : array (K,)
         Mean effective sample sizes.
     seconds : array (K,)
-        What each iteration took.
+        Computing time of each iteration, s.
     collapsed : array (K,)
         Shares of the rows at which the filter had one particle left.
     outcome : Outcome
         How it ended, and whether ``theta`` is an estimate.
     message : str
-        The same in a sentence, with the particulars.
+        The same in a sentence, with details.
     not_estimated : tuple of str
         Free parameters that nothing could move: they are where they started.
     memory : array (K, m)

@@ -22,7 +22,7 @@ from engine.views import Shown
 
 @dataclass(frozen=True, eq=False)
 class ParticleFiltered(Shown):
-    """What a particle filter leaves behind.
+    """The result of a particle filter.
 
     ``x`` (T, M, nx) are the particles of x = (a, z), ``weights`` (T, M) theirs before resampling;
     ``log_likelihood`` and ``ess`` (T,) as of :class:`engine.Filtered`.

@@ -32,7 +32,7 @@ COLLAPSED = 1.5  # an effective sample size below this means that one particle i
 
 @dataclass(frozen=True, eq=False)
 class Filtered(Shown):
-    """What a RBPF pass leaves behind, for reading and for the backward pass.
+    """The result of an RBPF pass, with what the backward pass needs of it.
 
     B is 1 where a matrix is common to all particles, and M otherwise.
 

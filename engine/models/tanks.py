@@ -4,7 +4,7 @@
 
 u is the pump's voltage; levels are in the sensor's volts. The outflow of the upper tank is the
 inflow of the lower one with the same coefficient: the scale of the upper level is not in the data,
-so k2 = k1. d is a slow inflow nobody measures, a random walk that starts at zero (what is constant
+so k2 = k1. d is a slow unmeasured inflow, a random walk that starts at zero (what is constant
 in it cannot be told from k4 u at once). The upper bound of sigma_inflow is what makes it slow: a
 faster one takes over whatever the equations get wrong (on the cascaded-tanks benchmark with
 sigma_inflow = 4e-3 the likelihood is higher by 20, and the model no longer simulates: 3 V off).

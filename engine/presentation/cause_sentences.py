@@ -60,5 +60,5 @@ def experiment(cause: Cause) -> str:
 
 
 def _force(effect: str) -> bool:
-    """Whether an effect is a force that nobody named."""
+    """Whether an effect is an unnamed force."""
     return effect.partition(":")[0] == LATENT

@@ -61,7 +61,7 @@ def examine(
     seed: int = 0,
     test: Series | Sequence[Series] | None = None,
 ) -> Examination:
-    """Look at an estimate on the series it comes from.
+    """Evaluate an estimate on the series it comes from.
 
     Parameters
     ----------

@@ -63,11 +63,11 @@ class SimulationFit(Shown):
     evaluations : int
         Runs of the model.
     seconds : float
-        What it took.
+        Computing time, s.
     success : bool
         Whether the search converged.
     message : str
-        The same in a sentence, with the particulars.
+        The same in a sentence, with details.
     """
 
     model: MixedModel
@@ -159,7 +159,7 @@ def fit_simulation(
     """Fit the free run to one or several series by least squares.
 
     Estimated are the free parameters and, for each series, those components of the first state that the
-    model's initial density leaves uncertain. The start that gets furthest in a few evaluations is followed
+    model's initial density leaves uncertain. The start with the least error after a few evaluations is followed
     to its end. That is no guarantee: two tanks with their time constants exchanged, say, are a minimum of
     their own, so start near what is known. Outputs are weighed by their standard deviation when there are
     several. Missing measurements are left out.

@@ -20,20 +20,18 @@ systems: a local linearization approach", Statistica Sinica 2 (1992) 113-135.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from engine.statespace.discretization import discretize
+from engine.kernels.local_linearization import beside, difference_quotients, step_of
 from engine.statespace.model import Array, MixedModel
-from engine.statespace.shapes import as_matrix, as_rows
+from engine.statespace.rows import frozen, is_rows
+from engine.statespace.shapes import as_matrix, as_rows, stacked
 
 Drift: TypeAlias = Callable[[Array, Any, Any, Any], tuple[Any, Any]]
 Matrix: TypeAlias = Callable[[Array, Any, Any, Any], Any]
-
-SHORT = 1e-3  # of what a step moves a state: half the distance over which J is a difference
-LEAST = 1e-7  # of the state's value, below which differences are rounding
 
 
 def continuous(
@@ -43,7 +41,7 @@ def continuous(
     jacobian: Matrix | None = None,
     **fields: Any,
 ) -> MixedModel:
-    """A model given by differential equations; it knows that its dt is a real one.
+    """A model given by differential equations, discretized for whatever time step the data have.
 
     Parameters
     ----------
@@ -92,6 +90,26 @@ def continuous(
     return MixedModel(dynamics=dynamics, continuous=True, **fields)
 
 
+class _Repeated:
+    """A record of several parameter vectors, so many times over; the same record gives the same one again."""
+
+    def __init__(self) -> None:
+        self.last: tuple[Any, Any] = (None, None)
+
+    def __call__(self, theta: Any, times: int) -> Any:
+        """The record ``theta`` with each of its arrays (M,) as (``times`` M,)."""
+        known, record = self.last
+        if known is not theta:
+            record = theta._make(
+                frozen(np.tile(value, times)) if is_rows(value) else value for value in theta
+            )
+            self.last = theta, record
+        return record
+
+    def __reduce__(self) -> tuple[Any, ...]:  # a record cannot be pickled, and is made again
+        return _Repeated, ()
+
+
 @dataclass(frozen=True)
 class _Discretized:
     """``dynamics`` of a model from its ``drift`` and ``diffusion``."""
@@ -101,58 +119,40 @@ class _Discretized:
     jacobian: Matrix | None
     na: int
     nz: int
+    repeated: _Repeated = field(default_factory=_Repeated, compare=False, repr=False)
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
-        (M, na), nx, middle = a.shape, self.na + self.nz, t + 0.5 * dt
+        M, nx = a.shape[0], self.na + self.nz
+        middle, length = t + 0.5 * dt, np.array(dt, dtype=float, ndmin=1)
         f, A = self._rates(a, u, middle, theta)
-        Qc = as_matrix(self.diffusion(a, u, middle, theta), M, nx, nx, "diffusion: Qc")
-        J = self._jacobian(a, u, middle, theta, self._reach(a, f, Qc, dt))
-        F, Qc = _common(np.concatenate(_beside(J, A), axis=-1)), _common(Qc)
-        lost = np.asarray(~(np.isfinite(F).all(axis=(-2, -1)) & np.isfinite(Qc).all(axis=(-2, -1))))
-        if lost.any():  # of a run that has run away: it stays lost, and no other with it
-            F, Qc = (np.where(lost[..., None, None], 0.0, matrix) for matrix in (F, Qc))
-        step, drive, Q = discretize(F, np.eye(nx), Qc, dt=dt)
-        moved = drive @ f[:, :, None]
-        moved[:, :na, 0] += a
-        moved[np.broadcast_to(lost, M)] = np.nan
-        return moved[:, :, 0], step[..., na:], Q
+        Qc = stacked(
+            as_matrix(self.diffusion(a.copy(), u, middle, theta), M, nx, nx, "diffusion: Qc")
+        )
+        J = self._jacobian(a, f, Qc, u, middle, length, theta)
+        x, step, Q = step_of(a, f, J, stacked(A), Qc, length)
+        return (x, step, Q) if len(Q) > 1 else (x, step[0], Q[0])
 
     def _rates(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array]:
+        """f (M, nx) and A; in memory of their own, as the function may write into both and into a."""
         M, nx = a.shape[0], self.na + self.nz
-        f, A = self.drift(a, u, t, theta)
-        return as_rows(f, M, nx, "drift: f"), as_matrix(A, M, nx, self.nz, "drift: A")
+        f, A = self.drift(a.copy(), u, t, theta)
+        f = as_rows(f, M, nx, "drift: f")
+        A = as_matrix(A, M, nx, self.nz, "drift: A")
+        return f.copy(), A.copy()
 
-    def _reach(self, a: Array, f: Array, Qc: Array, dt: Any) -> Array:
-        """Half the distance (M, na) of a difference: a share of what the step moves, in any unit."""
-        length = np.reshape(dt, (-1, 1))
-        noise = np.sqrt(np.maximum(np.diagonal(Qc, axis1=-2, axis2=-1), 0.0) * length)
-        h = SHORT * (np.abs(f) * length + noise)[:, : self.na] + LEAST * np.abs(a)
-        return np.where(h > 0.0, h, LEAST)
-
-    def _jacobian(self, a: Array, u: Any, t: Any, theta: Any, h: Array) -> Array:
-        """J = df/da, (nx, na) or (M, nx, na)."""
+    def _jacobian(
+        self, a: Array, f: Array, Qc: Array, u: Any, t: Any, dt: Array, theta: Any
+    ) -> Array:
+        """J = df/da, (1 or M, nx, na): of all states and both sides in one call of the drift."""
         M, nx, na = a.shape[0], self.na + self.nz, self.na
         if self.jacobian is not None:
-            return as_matrix(self.jacobian(a, u, t, theta), M, nx, na, "jacobian: J")
-        J = np.empty((M, nx, na))
-        for i in range(na):
-            ends = []
-            for side in (h[:, i], -h[:, i]):
-                beside = a.copy()
-                beside[:, i] += side
-                ends.append((beside[:, i], self._rates(beside, u, t, theta)[0]))
-            (high, above), (low, below) = ends
-            J[:, :, i] = (above - below) / (high - low)[:, None]
+            given = self.jacobian(a.copy(), u, t, theta)
+            return stacked(as_matrix(given, M, nx, na, "jacobian: J"))
+        if na == 0:
+            return np.empty((1, nx, 0))
+        points, times = beside(a, f, Qc, dt), 2 * na
+        u = np.tile(u, times) if np.ndim(u) > 1 else u
+        t = np.tile(t, times) if np.ndim(t) > 0 else t
+        rates, _ = self._rates(points, u, t, self.repeated(theta, times))
+        J: Array = difference_quotients(points, rates)
         return J
-
-
-def _beside(*matrices: Array) -> list[Array]:
-    """Matrices with leading axes of equal length, apart from their columns."""
-    M = max(len(matrix) if matrix.ndim == 3 else 1 for matrix in matrices)
-    return [np.broadcast_to(matrix, (M, *matrix.shape[-2:])) for matrix in matrices]
-
-
-def _common(matrix: Array) -> Array:
-    """One matrix where those of all rows are equal: what is common to all particles is fast."""
-    alike = matrix.ndim == 3 and (len(matrix) == 1 or bool((matrix == matrix[0]).all()))
-    return np.asarray(matrix[0]) if alike else matrix

@@ -9,7 +9,8 @@ else, it is decided which calls a function takes:
 - When rows first differ in times or parameters, the call is compared with calls of single rows, and
   with the same rows in another order; likewise a call of rows scattered at random, some of them seen
   at other times, whose number fits no matrix by chance. The 16th, 256th, 4096th, ... call is looked
-  at again, and briefly calls of new times and the first of every pass over a record.
+  at again, and briefly the first of every pass over a record and calls whose inputs or times go beyond
+  those of the calls before, or differ by more among their rows.
 - A function that fails is called for each time and parameter vector by itself from then on, which is
   slower and always right. Where results were handed out before the failure was seen, what was made
   of them is made again: see :mod:`engine.statespace.refutation`.
@@ -64,11 +65,11 @@ def hands_rows_on(function: Any) -> Any:
 class _Verdict:
     """Whether calls of a kind are taken, how many there were, and the next one not to be trusted."""
 
-    __slots__ = ("calls", "due", "next", "takes", "times")
+    __slots__ = ("calls", "due", "next", "ranges", "takes")
 
     def __init__(self) -> None:
         self.takes, self.calls = True, 0
-        self.times: tuple[Any, ...] = ()  # u, t and dt of the last call with times of its own
+        self.ranges: Array | None = None  # of inputs and times of the calls so far, see _ranges
         self.due = self.next = 1  # ``due`` is the next call to be looked at thoroughly
 
     def refuse(self) -> None:
@@ -175,8 +176,12 @@ class ModelFunction:
         verdict.calls += 1
         if kind is not None and kind.times:
             rows = rows.frozen()
-            if looks_at_times() and not _identical_times(verdict.times, rows):
-                verdict.times, verdict.next = rows[1:4], min(verdict.next, verdict.calls)
+            if looks_at_times():
+                own = _ranges(rows, kind)
+                if verdict.ranges is None or (own > verdict.ranges).any():
+                    known = own if verdict.ranges is None else verdict.ranges
+                    verdict.ranges = np.maximum(own, known)
+                    verdict.next = min(verdict.next, verdict.calls)
         return self._with_care(rows, kind, verdict)
 
     def _with_care(self, rows: Rows, kind: Kind | None, verdict: _Verdict) -> Result:
@@ -289,5 +294,10 @@ class ModelFunction:
         return joined(parts, len(rows.a))
 
 
-def _identical_times(known: tuple[Any, ...], rows: Rows) -> bool:
-    return bool(known) and all(map(np.array_equal, known, rows[1:4]))
+def _ranges(rows: Rows, kind: Kind) -> Array:
+    """Largest and minus the smallest value of each input and time (3, n) that differs, and how far it goes."""
+    columns = np.array(rows.columns(kind._replace(fields=())), dtype=float)
+    if not len(columns):  # u has no entries
+        return np.zeros((3, 0))
+    highest, lowest = columns.max(axis=1), columns.min(axis=1)
+    return np.array([highest, -lowest, highest - lowest])

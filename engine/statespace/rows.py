@@ -96,7 +96,7 @@ class Rows(NamedTuple):
         """The same with read-only u, t and dt, as a series has them."""
         return self._replace(
             **{
-                name: _frozen(value.view())
+                name: frozen(value.view())
                 for name, value in (("u", self.u), ("t", self.t), ("dt", self.dt))
                 if isinstance(value, np.ndarray)
             }
@@ -108,10 +108,10 @@ class Rows(NamedTuple):
             return self._replace(a=self.a[at])
         return Rows(
             self.a[at],
-            _frozen(self.u[:, at]) if kind.u else self.u,
-            _frozen(self.t[at]) if kind.t else self.t,
-            _frozen(self.dt[at]) if kind.dt else self.dt,
-            self._with(kind.fields, [_frozen(self.theta[i][at]) for i in kind.fields]),
+            frozen(self.u[:, at]) if kind.u else self.u,
+            frozen(self.t[at]) if kind.t else self.t,
+            frozen(self.dt[at]) if kind.dt else self.dt,
+            self._with(kind.fields, [frozen(self.theta[i][at]) for i in kind.fields]),
         )
 
     def alone(self, kind: Kind | None, at: Indices, whole: Kind | None = None) -> Rows:
@@ -124,7 +124,7 @@ class Rows(NamedTuple):
         rows, i = self.take(whole or kind, at), at[0]
         return Rows(
             rows.a,
-            _frozen(self.u[:, i].copy()) if kind.u else rows.u,
+            frozen(self.u[:, i].copy()) if kind.u else rows.u,
             float(self.t[i]) if kind.t else rows.t,
             float(self.dt[i]) if kind.dt else rows.dt,
             rows._with(kind.fields, [float(self.theta[k][i]) for k in kind.fields]),
@@ -132,7 +132,7 @@ class Rows(NamedTuple):
 
     def groups(self, kind: Kind) -> Iterator[Indices]:
         """Indices of the rows that have all arguments in ``kind`` alike, group by group."""
-        columns = self._columns(kind)
+        columns = self.columns(kind)
         if not columns:  # u has no entries
             yield np.arange(len(self.a))
             return
@@ -154,7 +154,7 @@ class Rows(NamedTuple):
             columns = (
                 [self.theta[kind.fields[rng.integers(len(kind.fields))]]] if kind.fields else []
             )
-            columns += self._columns(kind._replace(fields=()))
+            columns += self.columns(kind._replace(fields=()))
             if kind.u and len(self.u) > 1:
                 columns += [self.u.max(axis=0), self.u.min(axis=0)]
         elif columns:
@@ -187,7 +187,7 @@ class Rows(NamedTuple):
             value, low, high = drawn.theta[i], bounds[0][i], bounds[1][i]
             size = np.where(value != 0.0, np.abs(value), min(high - low, 1.0))
             moved = np.clip(value + share * size * rng.uniform(-1.0, 1.0, n), low, high)
-            values.append(_frozen(moved))
+            values.append(frozen(moved))
         return drawn._replace(a=a, theta=drawn._with(kind.fields if kind else (), values))
 
     def nudged(self, sign: float) -> Rows:
@@ -207,7 +207,7 @@ class Rows(NamedTuple):
         when = f"{t[0]:g}" if len(t) == 1 else f"{t.min():g} ... {t.max():g}" if len(t) else "?"
         return f"called at t = {when} with a {np.shape(self.a)}, u {np.shape(self.u)}"
 
-    def _columns(self, kind: Kind) -> list[Array]:
+    def columns(self, kind: Kind) -> list[Array]:
         """All that differs from row to row but a, each (M,)."""
         columns = [self.theta[i] for i in kind.fields]
         columns += list(self.u) if kind.u else []
@@ -225,7 +225,7 @@ class Rows(NamedTuple):
         return self.theta._make(out)
 
 
-def _frozen(array: Array) -> Array:
+def frozen(array: Array) -> Array:
     """Read-only, so that a model may remember what belongs to it."""
     array.setflags(write=False)
     return array

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -49,9 +49,10 @@ def as_matrix(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
 
 def regular(value: Any) -> Array:
     """The one layout that kernels are compiled for: float, C-contiguous, writeable."""
-    if value.flags.carray and value.dtype.char == "d":
-        return cast(Array, value)
-    out: Array = np.ascontiguousarray(value, dtype=float)
+    out: Array = value
+    if out.flags.carray and out.dtype.char == "d":
+        return out
+    out = np.ascontiguousarray(value, dtype=float)
     return out if out.flags.writeable else out.copy()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -66,12 +67,21 @@ class Kept(dict[str, Any]):
         super().__init__(parts or {})
         self.file, self.shown, self.percent = file, shown, percent
         self.interrupt = Interrupt()
+        self.early: dict[str, Any] | None = None
 
     def __setitem__(self, name: str, part: Any) -> None:
         super().__setitem__(name, part)
         if self.file.due:
             self.save()
         self.interrupt.check()
+
+    def tell(self, early: dict[str, Any]) -> None:
+        """Show what is known so far, each sentence once."""
+        before = [] if self.early is None else diagnoses.said_so_far(self.early)
+        self.early = early
+        for sentence in diagnoses.said_so_far(early):
+            if sentence not in before:
+                self.shown.note(sentence)
 
     def step(self, k: int, message: str = "", share: float | None = None) -> None:
         """Per cent done; fewer than before while what was kept is gone through."""
@@ -165,15 +175,11 @@ def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str
                 bootstrap=asked.bootstrap,
                 callback=diagnoses.Percent(kept.step),
                 kept=kept,
+                early=kept.tell,
             )
     except KeyboardInterrupt:
         kept.save()
-        raise Ending(
-            Code.INTERRUPTED,
-            f"interrupted at {kept.percent} %. Go on with\n  {kept.file.again}",
-            state=str(kept.file.path),
-            percent=kept.percent,
-        ) from None
+        raise _interrupted(asked, kept) from None
     except EngineError as error:
         if isinstance(error, OptionError) and error.field == "kept":
             raise wrong(f"--resume: {error}") from None
@@ -181,6 +187,18 @@ def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str
             kept.file.remove()
         raise
     return found, diagnoses.document(found, job.name, asked.effects)
+
+
+def _interrupted(asked: Asked, kept: Kept) -> Ending:
+    """What is said at Ctrl-C; what is known so far goes where the result would have gone."""
+    text = f"interrupted at {kept.percent} %. Go on with\n  {kept.file.again}"
+    known = {} if kept.early is None else diagnoses.so_far(kept.early)
+    if known:
+        written = write_outputs(replace(asked, plot=None), known, asked.data, kept)
+        text += "".join(f"\nWhat is known so far: {os.path.relpath(name)}" for name in written)
+    more = {"early": kept.early} if known else {}
+    state = str(kept.file.path)
+    return Ending(Code.INTERRUPTED, text, state=state, percent=kept.percent, **more)
 
 
 def _check_effects(model: MixedModel, asked: Asked) -> None:

@@ -16,14 +16,21 @@ from service.cli.references import model_of
 WIDTH = 96
 
 
-def show(model: str | None, kinds: Sequence[str], as_json: bool) -> None:
-    """Print the effects of a model, or every kind once."""
+def show(model: str | None, kinds: Sequence[str], time_unit: str, as_json: bool) -> None:
+    """Print the effects of a model, or every kind once, with times in ``time_unit``."""
+    clock = time_unit.strip()
+    if not clock:
+        raise wrong("--time-unit: a unit such as s, min or year is needed")
     for kind in kinds:
         if kind not in effect_kinds():
             raise wrong(
                 f"--kind {kind}: there is no such kind; kinds are {', '.join(effect_kinds())}"
             )
-    found = every_kind() if model is None else all_effects(Setting(model_of(model)))
+    found = (
+        every_kind(clock)
+        if model is None
+        else all_effects(Setting(model_of(model), time_unit=clock))
+    )
     found = [one for one in found if not kinds or one.kind in kinds]
     if as_json:
         print(strict_json.dumps([document(one) for one in found]))
@@ -34,11 +41,11 @@ def show(model: str | None, kinds: Sequence[str], as_json: bool) -> None:
         print("Those of a model, with its channels: rbps effects --model MODEL")
 
 
-def every_kind() -> list[Effect]:
+def every_kind(time_unit: str) -> list[Effect]:
     """Each kind as it enters the first shipped model that it can enter."""
     found: dict[str, Effect] = {}
     for name in model_names():
-        for one in all_effects(Setting(get_model(name))):
+        for one in all_effects(Setting(get_model(name), time_unit=time_unit)):
             found.setdefault(one.kind, one)
     return [found[kind] for kind in sorted(found)]
 

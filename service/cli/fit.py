@@ -199,7 +199,7 @@ def _tell(
 
 
 def _tidy(asked: Asked, state: StateFile) -> None:
-    """Remove a state that nobody can go on with, unless it was asked for by name."""
+    """Remove a state that no run can go on with, unless it was asked for by name."""
     if not asked.keep:
         state.remove()
 

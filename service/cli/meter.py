@@ -24,7 +24,7 @@ class Meter:
         """What is going on now, where that is not a step."""
 
     def stage(self, text: str, share: float | None = None) -> None:
-        """Something before or after the steps is done, for a time that nobody knows where ``share`` is None."""
+        """Something before or after the steps is done, for an unknown time where ``share`` is None."""
 
     def note(self, text: str) -> None:
         """A line that stays."""
@@ -105,7 +105,7 @@ class Bar(Meter):
         self.progress.update(self.task, words=text)
 
     def stage(self, text: str, share: float | None = None) -> None:
-        """A bar of its own, which only moves to and fro where nobody knows how long it takes."""
+        """A bar of its own, which only moves to and fro where it is not known how long it takes."""
         total = None if share is None else 1.0
         done = 0.0 if share is None else share
         self.progress.update(

@@ -42,7 +42,7 @@ def write_outputs(
     except OSError as error:
         state.save()
         raise wrong(
-            f"{about_file(error)}. What was found is kept; once that is mended:\n  {state.file.again}"
+            f"{about_file(error)}. What was found is kept; once that is corrected:\n  {state.file.again}"
         ) from None
 
 

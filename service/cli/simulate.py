@@ -45,7 +45,7 @@ class Wanted:
 
 
 class Steps:
-    """The part of ``computations.Progress`` that a simulation uses; it takes no time to speak of."""
+    """The part of ``computations.Progress`` that a simulation uses; it takes hardly any time."""
 
     def step(self, k: int, message: str = "", share: float | None = None) -> None:
         """Nothing to show."""

@@ -87,7 +87,7 @@ class StateFile:
         self._save_at = now + max(SAVE_SECONDS, SAVE_TIMES * (now - began))
 
     def remove(self) -> None:
-        """Remove a state that nobody can go on with, and the folder of states if it was the last."""
+        """Remove a state that no run can go on with, and the folder of states if it was the last."""
         self.path.unlink(missing_ok=True)
         if self.path.parent.name == FOLDER:
             with suppress(OSError):  # others are in it

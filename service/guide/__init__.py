@@ -25,7 +25,7 @@ MADE = {"effects": reference.effects, "api": reference.api}  # what follows the 
 
 
 def routes(keys_needed: bool) -> list[BaseRoute]:
-    """The pages; they hold nobody's data and need no key."""
+    """The pages; they hold no data of users and need no key."""
 
     def first(request: Request) -> Response:
         return RedirectResponse(f"/guide/{ORDER[0]}")

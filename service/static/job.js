@@ -15,7 +15,7 @@ const here = `/jobs/${id}`;
 const by = (name) => document.getElementById(name);
 const convergence = new Convergence(here, by("traces"));
 let said = "";
-let shown = false; // a result without its standard errors
+let shown = ""; // values of the result that is shown: without standard errors, or causes, while it runs
 
 poll(async () => {
   try {
@@ -45,6 +45,9 @@ async function look() {
     by("facts").replaceChildren(...facts(job));
     if (!shown && hasResults(job)) await showResults(job);
   }
+  // what a diagnosis knows so far comes in two steps
+  const known = job.kind === "diagnose" && job.status === "running" && hasResults(job);
+  if (known && JSON.stringify(job.values) !== shown) await showResults(job);
   return job.status === "accepted" ? 500 : 1000;
 }
 
@@ -144,13 +147,13 @@ function hasResults(job) {
 
 async function showResults(job) {
   const report = await get(`${here}/report`);
-  shown = true;
+  shown = JSON.stringify(job.values);
   by("results").replaceChildren();
   showReport(by("results"), report, here);
   by("report").hidden = by("json").hidden = false;
   download(by("report"), `${here}/report`, `${job.kind}-${id.slice(0, 8)}.html`, "text/html");
   download(by("json"), `${here}/results`, `${job.kind}-${id.slice(0, 8)}.json`, "application/json");
-  if (job.kind === "diagnose") {
+  if (job.kind === "diagnose" && job.status === "successful") {
     const found = (await get(`${here}/results?points=2`)).diagnosis;
     by("extended").hidden = !found.causes.length;
     by("extended").href = `/?job=${id}&extension`;

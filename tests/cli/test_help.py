@@ -32,9 +32,20 @@ def test_those_of_a_model_with_its_units(rbps):
     assert "coulomb:" not in text
     assert rbps("new", "mine.py").exit_code == 0
     assert "angle" in rbps("effects", "-m", "mine.py").stdout
+    wrong = rbps("effects", "--time-unit", " ")
+    assert wrong.exit_code == 2
+    assert "--time-unit: a unit such as s, min or year" in wrong.stderr
     wrong = rbps("effects", "--kind", "magic")
     assert wrong.exit_code == 2
     assert "--kind magic: there is no such kind; kinds are" in wrong.stderr
+
+
+def test_those_of_a_model_whose_times_are_no_seconds(rbps):
+    text = rbps("effects", "-m", "local-level", "--kind", "drift", "--time-unit", "year").stdout
+    assert "1e8 m^3/year" in text
+    assert "/s]" not in text
+    kinds = rbps("effects", "--kind", "slow-sensor", "--time-unit", "min", "--json").json()
+    assert [p["unit"] for one in kinds for p in one["parameters"]] == ["min"]
 
 
 @pytest.mark.parametrize(

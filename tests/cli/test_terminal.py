@@ -170,6 +170,22 @@ def without_times(page):
     return [line for line in page.splitlines() if " s in all: " not in line]
 
 
+def test_ctrl_c_keeps_what_a_diagnosis_knows_by_then(folder, terminal):
+    run = terminal(*DIAGNOSE, "--report", "early.html", "--out", "early.json")
+    run.until(r"Free-run simulation of \w+: wrong by [^.]")  # as soon as the model is fitted
+    run.until("The first screen points to")  # and screened
+    run.type(b"\x03")
+    code, printed = run.end()
+    assert (code, printed) == (130, "")
+    assert re.search(r"Go on with\s+rbps diagnose --resume \S+", run.shown)
+    assert re.search(r"What is known so far: early.html", run.shown)
+    document = json.loads((folder / "early.json").read_text())
+    assert document["early"]["screen"]["scores"]
+    report = (folder / "early.html").read_text()
+    assert "so far" in report
+    assert document["early"]["screen"]["scores"][0]["effect"] in report
+
+
 @pytest.mark.slow
 def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, terminal):
     whole = terminal(*DIAGNOSE)

@@ -10,6 +10,7 @@ import engine
 from engine.data import nile
 from engine.data.files import write_series
 from engine.data.tables import read_csv
+from engine.diagnose import hide
 from service.auth import digest_of
 from service.cli.new import write as write_model
 from service.columns import counts, match
@@ -125,6 +126,41 @@ def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
     page.reload()
     page.wait_for_selector("#status.dismissed")
     assert not page.is_visible("#resume")
+
+
+def test_a_diagnosis_shows_what_it_knows_while_it_goes_on_and_keeps_it(visit, address):
+    """The simulation of the fitted model first, then what a first look suspects; Stop leaves both."""
+    servo, rng = engine.get_model("servo"), np.random.default_rng(2)
+    u = np.repeat(np.random.default_rng(1).uniform(-8, 8, 24), 25)
+    hidden = hide(servo, ["drag:velocity"], {"drag_velocity": 0.6}, 600, rng, u=u, dt=0.02)
+    series = {"y": hidden.series.y.tolist(), "u": hidden.series.u.tolist(), "dt": 0.02}
+    free = ["M", "Fv", "Fc", "offset", "sigma_v", "sigma_load", "sigma_y"]
+    request = {
+        "kind": "diagnose",
+        "model": "servo",
+        "series": [series],
+        "parameters": {"free": free},
+    }
+    job = httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
+    page = visit(f"/jobs/{job}")
+    page.wait_for_selector("#results #wrong table", timeout=300_000)
+    assert page.is_visible("#status.running")
+    assert "Free-run simulation of y: wrong by" in page.inner_text("#results #wrong")
+    page.wait_for_selector("#results .figure.live canvas")
+    page.wait_for_selector(
+        "#results #screen table", timeout=300_000
+    )  # without loading the page again
+    assert page.is_visible("#status.running")
+    page.on("dialog", lambda asked: asked.accept())
+    page.click("#stop")
+    page.wait_for_selector("#status.dismissed")
+    page.wait_for_selector("#results #screen table")
+    page.reload()
+    page.wait_for_selector("#results #screen table")
+    assert "Free-run simulation of y: wrong by" in page.inner_text("#results #wrong")
+    assert page.is_visible("#resume")
+    assert not page.is_visible("#next")
+    httpx.delete(f"{address}/jobs/{job}")
 
 
 def iteration(page):

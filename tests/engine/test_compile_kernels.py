@@ -16,9 +16,18 @@ from tests.engine.models_for_tests import (
     random_walk,
     theta_everywhere,
 )
+from tests.engine.statespace.picklable_cart import cart
 
 # called by estimations from Python; the other kernels are compiled into these, or by studies
-USED = ("backward.", "conditional.", "filtering.", "gaussian.", "resampling.", "trajectory.")
+USED = (
+    "backward.",
+    "conditional.",
+    "filtering.",
+    "gaussian.",
+    "local_linearization.",
+    "resampling.",
+    "trajectory.",
+)
 
 
 def used():
@@ -35,6 +44,9 @@ def test_no_model_needs_a_kernel_in_another_form():
     for m in (theta_everywhere(), theta_everywhere(False), partly_noise_free(), random_walk()):
         y = draw(m, np.zeros((12, 0)), np.arange(12.0), np.random.default_rng(0))
         problems.append((m, Series(y)))
+    problems.append(
+        (cart, simulate(cart, None, 12, np.random.default_rng(0), u=np.ones(12)).series)
+    )
     servo = get_model("servo")
     u = np.sin(np.arange(12.0))[:, None]
     problems.append((servo, simulate(servo, None, 12, np.random.default_rng(0), u=u).series))

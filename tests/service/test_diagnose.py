@@ -8,7 +8,7 @@ import pytest
 
 import engine
 from engine.data import nile
-from engine.diagnose import Verdict, extend
+from engine.diagnose import Verdict, extend, hide
 from service import diagnoses
 from service.diagnoses import Percent, in_a_line
 from service.schemas import DiagnoseRequest
@@ -71,8 +71,9 @@ def test_the_service_says_what_the_engine_says(client, ended, nile_diagnosis):
     }  # fmt: skip
     url = client.post("/jobs", json=job).headers["location"]
     assert ended(client, url, 120.0)["status"] == "successful"
-    there = client.get(f"{url}/results").json()["diagnosis"]
-    here = nile_diagnosis.to_dict()
+    results = client.get(f"{url}/results").json()
+    assert "early" not in results
+    there, here = results["diagnosis"], nile_diagnosis.to_dict()
     # with another number of BLAS threads sums differ in their last digits
     assert there["verdict"] == here["verdict"]
     assert there["p_value"] == pytest.approx(here["p_value"])
@@ -135,13 +136,61 @@ def test_what_was_kept_of_a_model_that_has_changed_since_is_not_used():
         "series": [{"y": flows.y.tolist(), "t": flows.t.tolist()}],
         "options": {"effects": ["step"], "seed": 1},
     }
-    job, silent = load(document), SimpleNamespace(step=lambda k, message="", share=None: None)
+    told = []
+    silent = SimpleNamespace(step=lambda k, message="", share=None: None, estimated=told.append)
+    job = load(document)
     kept = {}
     expected = diagnoses.diagnose(job, job.request, silent, kept)["diagnosis"]
     stale = {"asked": kept["asked"] | {"another model": "0"}, "fit local-level": "not read"}
     found = diagnoses.diagnose(job, job.request, silent, stale)["diagnosis"]
     assert found["causes"] == expected["causes"]
     assert stale.keys() == kept.keys()
+    assert [one["early"]["screen"] is None for one in told] == [True, False] * 2
+
+
+def test_what_is_known_while_it_goes_on_and_after_it_was_stopped(client, ended, eventually):
+    """The fit and its simulation with the status, as a result and as a report; Stop keeps them."""
+    servo = engine.get_model("servo")
+    u = np.repeat(np.random.default_rng(1).uniform(-8, 8, 24), 25)
+    series = hide(
+        servo, ["drag:velocity"], {"drag_velocity": 0.6}, 600, np.random.default_rng(2), u=u, dt=0.02
+    ).series  # fmt: skip
+    url = client.post(
+        "/jobs",
+        json={
+            "kind": "diagnose", "model": "servo",
+            "series": [{"y": series.y.tolist(), "u": series.u.tolist(), "dt": 0.02}],
+            "parameters": {"free": ["M", "Fv", "Fc", "offset", "sigma_v", "sigma_load", "sigma_y"]},
+            "options": {"seed": 1},
+        },
+    ).headers["location"]  # fmt: skip
+
+    def known(name):
+        job = client.get(url).json()
+        assert job["status"] in ("accepted", "running"), job["message"]
+        return any(one["name"].startswith(name) for one in job["values"])
+
+    eventually(lambda: known("error of the simulation of y"), 300.0)
+    job = client.get(url).json()
+    assert {"results", "report"} <= {link["rel"] for link in job["links"]}
+    early = client.get(f"{url}/results").json()["early"]
+    (fit,) = early["symptoms"]["free_run"]["fits"]
+    values = {one["name"]: one for one in job["values"]}
+    assert values["error of the simulation of y"]["value"] == fit["rmse"]
+    assert values["Fv"]["standard_error"] == early["estimate"]["Fv"]["standard_error"] > 0.0
+    assert early["estimate"]["gtau"]["fixed"]
+    eventually(lambda: known("first screen: "), 300.0)
+    stopped = client.delete(url).json()
+    assert stopped["status"] == "dismissed"
+    assert stopped["values"]
+    early = client.get(f"{url}/results").json()["early"]
+    assert early["screen"]["scores"]
+    report = client.get(f"{url}/report", headers={"Accept": "text/html"}).text
+    assert "so far" in report
+    assert "Free-run simulation of y and the data" in report
+    assert early["screen"]["scores"][0]["effect"] in report
+    client.delete(url)  # its data
+    assert client.get(f"{url}/results").status_code == 404
 
 
 def test_progress_only_goes_forward():
@@ -169,6 +218,20 @@ def test_progress_only_goes_forward():
     assert 55 < steps[-5] < 70
     assert steps[-4:] == [80, 91, 92, 95]
     assert len({message for _, message in told}) == 8
+
+
+def test_calibrations_of_late_rounds_move_too():
+    """A per cent is long there: the share of the series that are done is told."""
+    told = []
+    percent = Percent(lambda k, message: told.append((k, message)))
+    for _ in range(4):
+        percent("screen", 1.0)
+        for k in range(19):
+            percent("calibration", (k + 1) / 19)
+        percent("refit", 1.0)
+    assert len(set(told)) > 4 * 19
+    assert [k for k, _ in told] == sorted(k for k, _ in told)
+    assert "calibrating p-values on simulated series, 53 % of them" in told[10][1]
 
 
 def test_several_records_and_several_held_out_ones(client, ended, pushed):

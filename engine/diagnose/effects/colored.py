@@ -1,4 +1,4 @@
-"""Noise with a memory: coloured noise of a sensor, and forces nobody named."""
+"""Noise with a memory: coloured noise of a sensor, and unnamed forces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import frequency_in, product
 
-LATENT = "latent"  # the kind of the force that nobody named
+LATENT = "latent"  # the kind of the unnamed force
 OSCILLATING = "oscillating"  # the second manner of an unnamed force
 
 
@@ -79,7 +79,7 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
 
 
 def _latent(setting: Setting, channel: str) -> Effect | None:
-    """A force nobody named: a random process in one equation; detects "something".
+    """An unnamed force: a random process in one equation; detects "something".
 
     First-order and slow (Ornstein-Uhlenbeck), or, as ``state,oscillating``, of second order: a noise
     that swings about a frequency and forgets its phase.

@@ -43,18 +43,17 @@ def knots_of(values: Array) -> Array:
     return np.array(kept)
 
 
-def hats(x: Any, knots: Array) -> list[Any]:
-    """Values at x (a number or any array) of the functions that are 1 at one knot and 0 at the others.
+def hats(x: Any, knots: Array) -> Array:
+    """Values (K, ...) at x (...) of the functions that are 1 at one knot and 0 at the others.
 
     Straight between knots, level beyond the first and the last.
     """
     x = np.clip(x, knots[0], knots[-1])
-    out = []
-    for k, knot in enumerate(knots):
-        up = (x - knots[k - 1]) / (knot - knots[k - 1]) if k else np.ones_like(x)
-        down = (knots[k + 1] - x) / (knots[k + 1] - knot) if k + 1 < len(knots) else np.ones_like(x)
-        out.append(np.clip(np.minimum(up, down), 0.0, 1.0))
-    return out
+    at = knots.reshape(-1, *(1,) * x.ndim)
+    up, down = np.ones((2, len(knots), *x.shape))
+    up[1:] = (x - at[:-1]) / (at[1:] - at[:-1])
+    down[:-1] = (at[1:] - x) / (at[1:] - at[:-1])
+    return np.asarray(np.clip(np.minimum(up, down), 0.0, 1.0))
 
 
 def free_function(
@@ -70,7 +69,10 @@ def free_function(
     def extend(model: MixedModel) -> MixedModel:
         def term(v: Any, own: Sequence[Any]) -> Any:
             hat = hats(v[source], knots)
-            shapes = [sum(w * b for w, b in zip(row, hat, strict=True)) for row in directions.T]
+            weights = directions.reshape(*directions.shape, *(1,) * (hat.ndim - 1))
+            shapes = (weights * hat[:, None]).sum(
+                axis=0
+            )  # (r, ...), summed in the order of the knots
             return sum(value * shape for value, shape in zip(own, shapes, strict=True))
 
         return add_to_state(model, target, term, (source,) if source in model.linear else ())

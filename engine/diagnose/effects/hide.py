@@ -15,6 +15,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.errors import OptionError
 from engine.simulation.simulate import Simulation, simulate
 from engine.statespace.model import MixedModel, ThetaLike
+from engine.units import SECOND
 
 FINE_STEPS = 16  # steps a sample of a continuous model
 
@@ -30,17 +31,20 @@ def hide(
     u: ArrayLike | None = None,
     dt: float = 1.0,
     hold: str = "zoh",
+    time_unit: str = SECOND,
 ) -> Simulation:
     """A simulation of ``model`` at ``theta`` with effects such as ``"coulomb:velocity"`` in it.
 
     ``values`` gives the effects' own parameters by name, sizes among them; what is left out keeps its
-    default; ``u``, ``dt`` and ``hold`` as in :func:`engine.simulate`. A continuous model makes
-    FINE_STEPS steps a sample, so that effects act within it. Effects that change readings once they are taken
-    (rounding) do just that, instead of adding the noise that stands for it in the extended model. Raises
-    OptionError for an unknown name, ModelError where the simulation runs away.
+    default. ``u``, ``dt``, ``hold`` and ``time_unit`` are as in :func:`engine.simulate`; the last says what
+    the model's times count, which labels rates and times. A continuous model makes FINE_STEPS steps a
+    sample, so that effects act within it. Effects that change readings once they are taken (rounding) do
+    just that, instead of adding the noise that stands for it in the extended model. Raises OptionError for
+    an unknown name, ModelError where the simulation runs away.
     """
     fine = FINE_STEPS if model.continuous else 1
-    setting = Setting(model, span=(0.0, dt * (n_samples - 1)), dt=dt, substeps=fine)
+    span = (0.0, dt * (n_samples - 1))
+    setting = Setting(model, span=span, dt=dt, substeps=fine, time_unit=time_unit)
     setting = replace(setting, zeros=setting.known_zeros)
     extended, changes = model, []
     own = dict(values)
@@ -55,7 +59,7 @@ def hide(
         raise OptionError(f"'{unknown.pop()}' is no parameter of {', '.join(effects)}", "values")
     start: dict[str, Any] = {**model.theta(theta).asdict(), **own}
     blank = np.zeros((n_samples, extended.ny))
-    frame = Series(blank, u, dt=dt, hold=hold).check(extended)
+    frame = Series(blank, u, dt=dt, hold=hold, time_unit=time_unit).check(extended)
     run = _sampled(extended, start, frame, rng, fine)
     if not changes:
         return run
@@ -74,7 +78,10 @@ def _sampled(
 ) -> Simulation:
     """A simulation of k steps a sample over a frame's inputs and times, seen at the samples."""
     fine = frame.refined(k)
-    run = simulate(model, theta, len(fine), rng, u=fine.u, t=fine.t, hold=fine.hold)
+    clock = fine.time_unit
+    run = simulate(
+        model, theta, len(fine), rng, u=fine.u, t=fine.t, hold=fine.hold, time_unit=clock
+    )
     rows = fine.samples
     names = {"y_names": tuple(model.outputs), "u_names": tuple(model.inputs)}
     series = frame.replace(y=run.y[rows], **names)

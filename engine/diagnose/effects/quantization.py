@@ -7,7 +7,7 @@ import numpy as np
 from engine.statespace.model import Array
 
 VISIBLE = 0.5  # steps below this many standard deviations of the noise add little to it
-FEWEST_LEVELS = 3  # levels without which there is no lattice to speak of
+FEWEST_LEVELS = 3  # levels without which there is no lattice
 REPEATED = 0.9  # largest share of distinct values: what is not rounded does not repeat itself
 OFF = 0.02  # of a step: how far off the lattice a level may lie
 

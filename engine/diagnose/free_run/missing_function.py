@@ -172,7 +172,7 @@ class _Courses:
         knots, e = self.knots(source), self.fit.e
         if len(knots) < FEWEST:
             return None
-        G = push.columns([np.stack(hats(c, knots), axis=1) for c in self.of(source)])
+        G = push.columns([np.ascontiguousarray(hats(c, knots).T) for c in self.of(source)])
         if not np.isfinite(G).all():
             return None
         U, strengths, Vt = np.linalg.svd(G - self.basis @ (self.basis.T @ G), full_matrices=False)

@@ -12,7 +12,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -39,30 +39,36 @@ def _nobody(_seconds: float) -> None:
     """Leaves the seconds uncounted."""
 
 
+def _untold(_name: str, _part: Any) -> None:
+    """Tells nobody of a part."""
+
+
 @dataclass(frozen=True)
 class Kept:
     """Parts by name, of which those of a round begin with ``where``; without ``parts`` nothing is kept.
 
     ``of`` begins the names of one search, where there are several.
-    ``spent`` is told the seconds that were once spent on a part which need not be computed again.
+    ``spent`` is told the seconds that were once spent on a part which need not be computed again; ``told``
+    every part by its name, as soon as it is there.
     """
 
     parts: Parts | None = None
     spent: Callable[[float], Any] = _nobody
     where: str = ""
     of: str = ""
+    told: Callable[[str, Any], Any] = _untold
 
     def apart(self, what: str) -> Kept:
         """The same parts, for a search beside the first, whose names may be the same."""
-        return Kept(self.parts, self.spent, f"{what}: ", f"{what}: ")
+        return replace(self, where=f"{what}: ", of=f"{what}: ")
 
     def within(self, where: str) -> Kept:
         """The same parts, named by where in the diagnosis they belong."""
-        return Kept(self.parts, self.spent, f"{self.of}{where}: ", self.of)
+        return replace(self, where=f"{self.of}{where}: ")
 
     def further(self, what: str) -> Kept:
         """The same parts, for what is done with a part that was kept before."""
-        return Kept(self.parts, self.spent, f"{self.where}{what}: ", self.of)
+        return replace(self, where=f"{self.where}{what}: ")
 
     def fit(self, model: MixedModel, compute: Callable[[], QuasiFit]) -> QuasiFit:
         """A fit of ``model``."""
@@ -104,16 +110,18 @@ class Kept:
         made_of: Callable[[Any], Part],
     ) -> Part:
         """What was kept under a name, or else computed, and kept then."""
-        if self.parts is None:
-            return compute()
-        known = self.parts.get(self.where + name)
+        known = None if self.parts is None else self.parts.get(self.where + name)
         if known is not None:
             self.spent(known["seconds"])
-            return made_of(known["numbers"])
-        since = time.perf_counter()
-        found = compute()
-        seconds = time.perf_counter() - since
-        self.parts[self.where + name] = {"seconds": seconds, "numbers": numbers_of(found)}
+            found = made_of(known["numbers"])
+        else:
+            since = time.perf_counter()
+            found = compute()
+            seconds = time.perf_counter() - since
+            if self.parts is not None:
+                kept = {"seconds": seconds, "numbers": numbers_of(found)}
+                self.parts[self.where + name] = kept
+        self.told(self.where + name, found)
         return found
 
 

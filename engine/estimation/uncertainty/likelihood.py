@@ -75,7 +75,7 @@ class LikelihoodIntervals(Shown):
     errors : array (n_theta, 2)
         Monte Carlo standard errors of the ends, NaN where there is no end but a bound.
     maximum : array (n_theta,)
-        Where each profile is highest: the estimate if EM has arrived.
+        Where each profile is highest: the estimate if EM has converged.
     warning : str
         Says so where a maximum is more than a standard error away from the estimate.
     """

@@ -15,6 +15,7 @@ from engine.errors import OptionError
 from engine.presentation.report.comparison import clocked
 from engine.presentation.report.design import design_report
 from engine.presentation.report.diagnosis import diagnosis_report
+from engine.presentation.report.early import early_report
 from engine.presentation.report.estimate import estimate_report, simulation_report, states_report
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.parts import (
@@ -117,6 +118,9 @@ def make_report(document: Document, draw: Drawer = svg_element) -> Report:
         return design_report(document["design"], draw)
     if document.get("diagnosis"):
         document = document["diagnosis"]
+    if document.get("early"):
+        document = document["early"]
+        return early_report(document, clocked(draw, document["time_unit"]))
     draw = clocked(draw, document.get("time_unit"))
     if document.get("verdict"):
         if "channels" not in document:

@@ -85,7 +85,7 @@ def answers(d: Document) -> Html:
 def _wrong_at_a_glance(symptoms: Document) -> Html:
     run = symptoms["free_run"]
     if run is None:
-        return Html("The free-running simulation runs away.")
+        return Html("The free-running simulation diverges.")
     parts = []
     for f in run["fits"]:
         big = tag("b", measured(f["rmse"], f["unit"]))

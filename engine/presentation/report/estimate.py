@@ -281,7 +281,7 @@ def _held_out(document: Document, draw: Drawer) -> list[Section]:
     for o in held["outputs"]:
         error = f"wrong by {measured(o['rmse'], o['unit'])} rms, {fit_quality(o['fit'])}"
         finite = o["rmse"] is not None
-        said.append(f"Simulation of {o['output']}: {error if finite else 'it runs away'}.")
+        said.append(f"Simulation of {o['output']}: {error if finite else 'it diverges'}.")
     if held["log_density"] is not None:
         said.append(f"Log-density of the predictions {number(held['log_density'], 6)}.")
     figures = (

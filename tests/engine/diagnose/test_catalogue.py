@@ -249,6 +249,19 @@ def test_a_missing_mode_is_its_differential_equation():
     np.testing.assert_allclose(x[:, 2], q, atol=1e-6)
 
 
+def test_what_is_hidden_is_labelled_in_the_models_time():
+    effects, values = ["step:flow", "drift:flow"], {"step_flow": -200.0, "step_flow_time": 20.0}
+    level = engine.get_model("local-level")
+    runs = [
+        hide(level, effects, values, 40, np.random.default_rng(0), **clock)
+        for clock in ({}, {"time_unit": "year"})
+    ]
+    np.testing.assert_array_equal(runs[0].y, runs[1].y)  # a label changes no number
+    units = {p.name: p.unit for p in runs[1].model.parameters}
+    assert (units["step_flow_time"], units["drift_flow"]) == ("year", "1e8 m^3/year")
+    assert [run.series.time_unit for run in runs] == ["s", "year"]
+
+
 def test_what_hides_says_what_it_does_not_know():
     rng = np.random.default_rng(0)
     with pytest.raises(engine.OptionError, match="no parameter of bias:reading"):

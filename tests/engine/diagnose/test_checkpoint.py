@@ -13,6 +13,7 @@ from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.search import checkpoint as keeping
 from engine.errors import OptionError
+from engine.presentation.report import report_html
 from tests.engine.hidden_effects import DRIVE, levels
 
 LEVEL = engine.get_model("local-level")
@@ -165,3 +166,53 @@ def twice(a, u, t, theta):
     """Another function under the same name."""
     h, C, R = LEVEL.measurement(a, u, t, theta)
     return h, 2.0 * np.asarray(C), R
+
+
+# ---- what is known while the search goes on -----------------------------------------------------------------
+
+
+def test_it_tells_early_what_it_ends_with():
+    """The fit and its symptoms before any effect is looked at; then the scores of the first screen."""
+    model, series, options = two_effects()
+    told, stages = [], []
+    found = engine.diagnose(
+        model, series, **options, early=lambda d: told.append((d, list(stages))),
+        callback=lambda stage, share: stages.append(stage),
+    )  # fmt: skip
+    (first, before), (second, after) = told
+    assert json.loads(json.dumps(told)) == [[d, s] for d, s in told]
+    assert "screen" not in before
+    assert "refit" not in after
+    assert first["screen"] is None
+    assert second == first | {"screen": second["screen"]}
+    base = found.search.base
+    assert first["log_likelihood"] == base.log_likelihood
+    assert {k: v["value"] for k, v in first["estimate"].items()} == base.theta.asdict()
+    ended = found.to_dict()
+    assert first["symptoms"] == ended["symptoms"]
+    assert first["sentences"] == ended["symptoms"]["sentences"]
+    scores = found.rounds[0].screen.scores
+    assert [s["effect"] for s in second["screen"]["scores"]] == [s.effect.name for s in scores[:8]]
+    assert found.causes[0].effect in second["screen"]["sentence"]
+
+
+def test_a_resumed_one_tells_the_same_early():
+    model, series, options = two_effects()
+    parts, told = {}, []
+    engine.diagnose(model, series, **options, kept=parts, early=told.append)
+    again = []
+    engine.diagnose(
+        model, series, **options, kept=json.loads(json.dumps(parts)), early=again.append
+    )
+    assert again == told
+
+
+def test_what_is_known_early_is_a_report():
+    model, series, options = two_effects()
+    told = []
+    engine.diagnose(model, series, **options, early=told.append)
+    for early in told:
+        page = report_html({"early": early})
+        assert "so far" in page
+        assert "Free-run simulation of reading and the data" in page
+    assert "bias:reading" in page

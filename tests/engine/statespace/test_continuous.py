@@ -229,3 +229,57 @@ def test_a_run_that_runs_away_takes_no_other_with_it():
     with pytest.raises(ModelError, match="runs away"):
         engine.free_run(model, {"k": 5.0}, series, [1.0], [])
     assert engine.fit_simulation(model, series).theta["k"] == pytest.approx(-1.0, abs=0.2)
+
+
+def test_a_drift_may_write_into_what_it_is_given_and_into_what_it_returned():
+    rates, slopes = {}, np.empty((2, 1))
+
+    def drift(a, u, t, theta):
+        f = rates.setdefault(len(a), np.empty((len(a), 2)))
+        np.sin(a[:, 0], out=a[:, 0])
+        f[:, 0], f[:, 1] = 0.0, u[0] - theta.w2 * a[:, 0]
+        slopes[:] = [[1.0], [-DAMPING]]
+        return f, slopes
+
+    u = torque(60)
+    series = Series(np.zeros(60), u, dt=0.05)
+    plain, own = (engine.free_run(m, None, series).y for m in (pendulum(), pendulum(drift=drift)))
+    np.testing.assert_allclose(own, plain, rtol=1e-12, atol=1e-12)
+
+
+def test_a_step_calls_the_drift_twice():
+    """Once where the step begins, and once for all states and sides of the differences together."""
+    sizes = []
+
+    def drift(a, u, t, theta):
+        sizes.append(len(a))
+        return [a[:, 1], -theta.w2 * np.sin(a[:, 0])], np.zeros((2, 0))
+
+    model = pendulum(
+        drift=drift,
+        nonlinear={"angle": "rad", "rate": "rad/s"},
+        linear={},
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[1e-4]]),
+        initial=lambda theta: (Gaussian([0.5, 0.0], np.eye(2)), [], np.zeros((0, 0))),
+    )
+    a, record = np.ones((7, 2)), model.record(model.theta())
+    model.transitions.once(a, np.zeros(1), 0.0, 0.05, record)
+    assert sizes == [7, 28]
+    thetas = model.records(np.linspace(10.0, 90.0, 7)[:, None])
+    together = model.transition(a, np.zeros(1), 0.0, 0.05, thetas)[0]
+    alone = model.transition(a[3:4], np.zeros(1), 0.0, 0.05, model.record([50.0]))[0]
+    np.testing.assert_allclose(together[3], alone[0], rtol=1e-12)
+
+
+def test_it_is_pickled_after_use_as_before():
+    import pickle
+
+    from tests.engine.statespace import picklable_cart
+
+    cart = picklable_cart.cart
+    a, thetas = np.array([[0.1], [0.2]]), np.array([[1.0], [2.0]])
+    before = cart.transition(a, np.ones(1), 0.0, 0.1, cart.records(thetas))
+    again = pickle.loads(pickle.dumps(cart))
+    after = again.transition(a, np.ones(1), 0.0, 0.1, again.records(thetas))
+    for one, other in zip(before, after, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from decimal import Decimal, localcontext
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
@@ -58,6 +62,99 @@ def test_random_systems_against_numerical_integration(seed):
     integral = quad_vec(lambda s: expm(F * s) @ Qc @ expm(F * s).T, 0.0, dt, epsabs=1e-12)[0]
     np.testing.assert_allclose(Q, integral, rtol=1e-8, atol=1e-8 * np.abs(Q).max())
     np.testing.assert_array_equal(Q, Q.T)
+
+
+# ---- against the same series with hundreds of digits ---------------------------------------------------------
+
+UNITS = [1e-9, 1e-6, 1e-3, 1.0, 60.0, 1e5]  # of a state in nanometres, minutes, pascals, ...
+
+
+def series_of(F, G, Qc, dt, digits=260, orders=1200):
+    """A, B, Q by their series, summed with so many digits."""
+    with localcontext() as context:
+        context.prec = digits
+        h = Decimal(float(dt))
+        F, G, Qc = (
+            np.array([[Decimal(float(x)) for x in row] for row in matrix], dtype=object).reshape(
+                np.shape(matrix)
+            )
+            for matrix in (F, G, Qc)
+        )
+        power = np.array([[Decimal(int(i == j)) for j in range(len(F))] for i in range(len(F))])
+        pushed, term = h * G, h * Qc
+        A, B, Q = power, pushed, term
+        for order in range(1, orders):
+            power = F.dot(power) * (h / order)
+            pushed = F.dot(pushed) * (h / (order + 1))
+            half = F.dot(term) * (h / (order + 1))
+            term = half + half.T
+            A, B, Q = A + power, B + pushed, Q + term
+            if max(abs(x) for part in (power, pushed, term) for x in part.ravel()) < Decimal(
+                "1e-60"
+            ):
+                break
+        return tuple(np.array(x, dtype=float) for x in (A, B, Q))
+
+
+@st.composite
+def systems(draw, stiffness):
+    """F, G, Qc and dt, in units D (n,): chains, decoupled states, states without noise among them."""
+    n = draw(st.integers(1, 4))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    dt = draw(st.sampled_from([1e-6, 1e-3, 1.0, 4.0, 3600.0]))
+    F = rng.uniform(-1.0, 1.0, (n, n)) * (rng.random((n, n)) < 0.6)
+    norm = np.abs(F).sum(axis=1).max()
+    F *= draw(st.sampled_from(stiffness)) / (norm * dt) if norm > 0.0 else 0.0
+    root = rng.uniform(-1.0, 1.0, (n, n)) * (rng.random((n, 1)) < 0.7)
+    D = np.array(draw(st.lists(st.sampled_from(UNITS), min_size=n, max_size=n)))
+    return F, rng.uniform(-1.0, 1.0, (n, 2)), root @ root.T, dt, D
+
+
+@given(systems([1e-9, 1e-4, 0.03, 0.2, 0.5]))
+@settings(max_examples=120, deadline=None)
+def test_every_entry_to_rounding_in_any_units(system):
+    """Noise that reaches a state through two others too, however short the step."""
+    F, G, Qc, dt, D = system
+    found = discretize(F * D[:, None] / D, G * D[:, None], Qc * D[:, None] * D, dt=dt)
+    known = series_of(F, G, Qc, dt)
+    sizes = series_of(np.abs(F), np.abs(G), np.abs(Qc), dt)
+    in_units = (D[:, None] / D, D[:, None], D[:, None] * D)
+    for ours, right, size, unit in zip(found, known, sizes, in_units, strict=True):
+        assert (np.abs(ours / unit - right) <= 4e-15 * size).all()
+
+
+@given(systems([1.0, 20.0, 60.0]))
+@settings(max_examples=60, deadline=None)
+def test_stiff_systems_in_any_units(system):
+    """Of norm 1 to 60 in a step; in units in which the norm is up to 1e14 times as large."""
+    F, G, Qc, dt, D = system
+    found = discretize(F * D[:, None] / D, G * D[:, None], Qc * D[:, None] * D, dt=dt)
+    in_units = (D[:, None] / D, D[:, None], D[:, None] * D)
+    for ours, right, unit in zip(found, series_of(F, G, Qc, dt), in_units, strict=True):
+        np.testing.assert_allclose(ours / unit, right, rtol=0.0, atol=1e-12 * np.abs(right).max())
+
+
+def test_a_chain_in_odd_units_is_not_stiff():
+    """An angle in nanoradians and its rate in rad/s: half the digits were lost in 27 doublings."""
+    nano, dt, decay, q = 1e9, 0.05, 0.2, 1e-4
+    F, Qc = [[0.0, nano], [0.0, -decay]], np.diag([0.0, q])
+    A, _, Q = discretize(F, None, Qc, dt=dt)
+    lag = -np.expm1(-decay * dt) / decay
+    np.testing.assert_allclose(A, [[1.0, nano * lag], [0.0, np.exp(-decay * dt)]], rtol=1e-15)
+    _, _, right = series_of([[0.0, 1.0], [0.0, -decay]], np.zeros((2, 0)), Qc, dt)
+    np.testing.assert_allclose(Q, right * np.outer([nano, 1.0], [nano, 1.0]), rtol=1e-14)
+
+
+def test_many_systems_of_which_some_are_stiff():
+    """Side by side as alone: one that is halved leaves the others as they are."""
+    rng = np.random.default_rng(0)
+    F = rng.standard_normal((150, 3, 3)) * 10.0 ** rng.uniform(-4.0, 1.5, (150, 1, 1))
+    Qc = np.diag([1.0, 0.0, 2.0])
+    together = discretize(F, np.eye(3), Qc, dt=1.0)
+    for k in (0, 63, 64, 149):
+        alone = discretize(F[k], np.eye(3), Qc, dt=1.0)
+        for one, other in zip(together, alone, strict=True):
+            np.testing.assert_allclose(one[k], other, rtol=1e-13, atol=1e-13 * np.abs(other).max())
 
 
 def test_several_systems_and_steps_at_once():

@@ -651,3 +651,53 @@ def test_writing_into_the_inputs_is_refused_with_the_remedy():
         engine.rbpf(
             replace(good, dynamics=dynamics), None, drawn(good), 5, np.random.default_rng(0)
         )
+
+
+# ---- inputs that differ from row to row, step after step, as where an effect changes them -------------------
+
+
+def driven(factor, calls):
+    def dynamics(a, u, t, dt, theta):
+        calls.append(len(a))
+        return [0.9 * a[:, 0] + factor(u) * u[0]], np.zeros((1, 0)), [[0.1]]
+
+    return MixedModel(
+        name="driven", dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[0.1]]),
+        initial=lambda theta: (Gaussian([0.0], [[1.0]]), [], np.zeros((0, 0))),
+        nonlinear={"x": "1"}, inputs={"u": "1"}, outputs={"y": "1"}, parameters=[],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "factor",
+    [
+        lambda u: 2.0 if np.any(u[0] > 3.0) else 1.0,  # beyond a level that is reached late
+        lambda u: 1.0 + np.ptp(np.atleast_1d(u[0])),  # by how far the rows differ
+        lambda u: 1.0 + np.mean(u[0]) if np.max(u[0]) < -3.0 else 1.0,
+    ],
+)
+def test_inputs_that_go_further_than_before_are_looked_at(factor):
+    model, rng = driven(factor, []), np.random.default_rng(0)
+    a, record = rng.normal(size=(20, 1)), model.record(model.theta())
+    for k in range(200):
+        u = np.full(20, np.sin(0.3 * k))
+        if k == 40:
+            u = u + 0.5 * rng.random(20)
+        if k == 120:
+            u = 10.0 * rng.normal(size=20)
+        f, _, _ = model.transition(a, u[None], float(k), 1.0, record)
+        alone = [
+            model.transition(a[i : i + 1], u[i : i + 1], float(k), 1.0, record)[0][0, 0]
+            for i in range(20)
+        ]
+        np.testing.assert_allclose(f[:, 0], alone, rtol=1e-12)
+
+
+def test_inputs_within_those_of_before_are_not_looked_at_each_time():
+    calls = []
+    model, rng = driven(lambda u: 1.0, calls), np.random.default_rng(0)
+    a, record = rng.normal(size=(20, 1)), model.record(model.theta())
+    for k in range(1000):
+        model.transition(a, rng.uniform(-1.0, 1.0, (1, 20)), float(k), 1.0, record)
+    assert len(calls) < 1500

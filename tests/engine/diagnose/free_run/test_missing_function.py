@@ -9,7 +9,8 @@ import pytest
 import engine
 from engine.data import nile
 from engine.data.series import Series
-from engine.diagnose.effects.free_function import hats, knots_of
+from engine.diagnose.effects.free_function import free_function, hats, knots_of
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import best_runs, search_free_runs, setting_of
 from engine.diagnose.free_run.folds import folds_of, losses
 from engine.diagnose.free_run.missing_function import missing_function
@@ -17,6 +18,7 @@ from engine.diagnose.search.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.local_level import MODEL as LEVEL
 from tests.engine.diagnose.free_run.test_other_models import DT, cart
+from tests.engine.plain_models import room
 
 FREE = ["k", "c", "gain", "q"]
 T = 300
@@ -100,10 +102,28 @@ def test_the_hats_of_knots_share_one_between_them_everywhere():
     assert len(knots) > 3
     assert (np.diff(knots) > 0.0).all()
     at = np.linspace(values.min() - 1.0, values.max() + 1.0, 97)
-    parts = np.stack(hats(at, knots))
+    parts = hats(at, knots)
     assert np.allclose(parts.sum(axis=0), 1.0, atol=1e-12)
     assert (parts >= 0.0).all()
-    assert np.array_equal(np.stack(hats(knots, knots)), np.eye(len(knots)))
+    assert np.array_equal(hats(knots, knots), np.eye(len(knots)))
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_a_free_function_is_the_sum_of_its_hats(each):
+    """At numbers, and at parameters of each row's own; beyond the knots it is level."""
+    model, rng = room(), np.random.default_rng(1)
+    knots, directions = np.array([15.0, 18.0, 19.0, 25.0]), rng.standard_normal((4, 2))
+    effect = free_function(Setting(model), "air", "air", knots, directions)
+    extended, a = effect.apply(model), rng.uniform(10.0, 30.0, (12, 1))
+    sizes = rng.standard_normal((12 if each else 1, 2))
+    thetas = np.hstack([np.tile(model.theta(), (len(sizes), 1)), sizes])
+    record = extended.records(thetas) if each else extended.record(thetas[0])
+    u = np.array([1.0, 10.0])
+    base = model.transition(a, u, 0.0, 0.5, model.record(model.theta()))[0]
+    pushed = extended.transition(a, u, 0.0, 0.5, record)[0] - base
+    values = hats(a[:, 0], knots).T @ directions
+    np.testing.assert_allclose(pushed[:, 0], 0.5 * (values * sizes).sum(axis=1), rtol=1e-9)
+    assert not pushed[:, 1].any()
 
 
 def test_a_signal_that_stands_still_has_no_curve():

@@ -1,0 +1,107 @@
+"""``rbps design``: the experiment that tells causes apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.ending import guarded
+from service.cli.options import Free, Json, Model, Plot, Quiet, Report, Seed, Step, Values
+
+
+def design(
+    diagnosis: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[DIAGNOSIS]",
+            help="The JSON of 'rbps diagnose --out', or a file of Diagnosis.save. Without one: --model and "
+            "--cause.",
+            exists=True,
+            dir_okay=False,
+        ),
+    ] = None,
+    model: Model = "",
+    cause: Annotated[
+        list[str],
+        typer.Option(
+            metavar="EFFECT[=SIZE]",
+            help="A cause of the diagnosis, or with its size before any experiment; again for more.",
+        ),
+    ] = [],  # noqa: B006
+    values: Values = [],  # noqa: B006
+    free: Free = [],  # noqa: B006
+    length: Annotated[
+        int, typer.Option("--length", "-n", metavar="N", min=30, help="Samples of the experiment.")
+    ] = 500,
+    dt: Step = None,
+    inputs: Annotated[
+        list[str],
+        typer.Option(
+            "--input", metavar="NAME=LOW:HIGH[:RATE]", help="Range of an input, change per second."
+        ),
+    ] = [],  # noqa: B006
+    limit: Annotated[
+        list[str], typer.Option(metavar="STATE=LOW:HIGH", help="What a state must not leave.")
+    ] = [],  # noqa: B006
+    limit_output: Annotated[
+        list[str], typer.Option(metavar="OUTPUT=LOW:HIGH", help="What an output must not leave.")
+    ] = [],  # noqa: B006
+    bounds: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.json",
+            exists=True,
+            dir_okay=False,
+            help="The same and more as JSON: inputs (low, high, rate, forbidden, start), states, outputs, dt.",
+        ),
+    ] = None,
+    tries: Annotated[int, typer.Option(metavar="N", min=1, help="Inputs that are tried.")] = 400,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE.csv", help="Write the input."),
+    ] = None,
+    shortest: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Write the shortest input that reaches 95 %."),
+    ] = None,
+    report: Report = None,
+    plot: Plot = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Design the experiment that tells the causes of a diagnosis apart.
+
+    Searches over steps, ramps with reversals, multisines and random binary inputs within the bounds; says how
+    surely a diagnosis of the new record names the true cause, how short it may be, and which causes no input
+    tells apart.
+    """
+    with guarded(as_json):
+        from service.cli.design import Wanted, run
+        from service.cli.values import names
+
+        run(
+            Wanted(
+                diagnosis=diagnosis,
+                model=model,
+                causes=cause,
+                values=values,
+                free=names(free),
+                bounds=bounds,
+                inputs=inputs,
+                states=limit,
+                outputs=limit_output,
+                dt=dt,
+                length=length,
+                tries=tries,
+                seed=seed,
+                out=out,
+                shortest=shortest,
+                report=report,
+                plot=plot,
+            ),
+            as_json,
+            quiet,
+        )

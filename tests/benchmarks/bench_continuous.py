@@ -1,0 +1,238 @@
+"""A diagnosis of differential equations, beside an older commit.
+
+    python -m tests.benchmarks.bench_continuous --against COMMIT [--data FILE.csv] [--samples N]
+
+Two water tanks in cascade by Bernoulli's law, written with :func:`engine.continuous`, on a record of columns
+u_V and y_V every 4 s, or on one that is simulated with a rim that the upper tank runs over. The older commit
+is unpacked beside this one; a pass of the filter, one with derivatives by all parameters, and the whole
+diagnosis, of the first N samples if asked, are run by both, in processes of their own, one after the other,
+and told in seconds of the processor. Writes ``results/continuous.md``, ``continuous-measured.md`` of a file.
+"""
+
+# ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
+
+from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import engine
+from engine.compile_kernels import warm
+from engine.diagnose import extend, hide
+from engine.diagnose.effects.setting import setting_for
+from engine.estimation.quasi_ml import derivatives
+from engine.filters.sigma_point import moment_filter
+
+ROOT = Path(__file__).parents[2]
+RESULTS = Path(__file__).parent / "results"
+STEP = 4.0  # s
+KINDS = ["overflow", "saturation", "input-saturation", "bias", "lag"]
+HELD = {"k1": 0.0833}
+REPEATS = 5
+SECONDS = " s in all: "  # in the line of a page that tells them
+SAME = 1e-3  # of a number in the answer, or of the largest like it
+
+
+def drift(a: Any, u: Any, t: Any, theta: Any) -> Any:
+    root = np.sqrt(np.maximum(a, 0.0))
+    upper = -theta.k1 * root[:, 0] + theta.k4 * u[0]
+    return [upper, theta.k2 * root[:, 0] - theta.k3 * root[:, 1]], np.zeros((2, 0))
+
+
+def initial(theta: Any) -> Any:
+    return engine.Gaussian([5.0, 5.0], [[4.0, 0.0], [0.0, 1.0]]), [], np.zeros((0, 0))
+
+
+def water_tanks() -> engine.MixedModel:
+    """As the Guide says that models are written: the levels in volts of the sensor."""
+    rate, noise = "V^0.5/s", "noise of the levels, per second"
+    return engine.continuous(
+        name="watertanks",
+        drift=drift,
+        diffusion=lambda a, u, t, theta: [[theta.q, 0.0], [0.0, theta.q]],
+        measurement=lambda a, u, t, theta: ([a[:, 1]], np.zeros((1, 0)), [[theta.r]]),
+        initial=initial,
+        nonlinear={"upper": "V", "lower": "V"},
+        inputs={"u": "V"},
+        outputs={"y": "V"},
+        parameters=[
+            engine.Parameter("k1", 0.05, rate, (1e-3, 1.0), "outflow of the upper tank"),
+            engine.Parameter("k2", 0.05, rate, (1e-3, 1.0), "inflow of the lower tank"),
+            engine.Parameter("k3", 0.05, rate, (1e-3, 1.0), "outflow of the lower tank"),
+            engine.Parameter("k4", 0.05, "1/s", (1e-3, 1.0), "pump"),
+            engine.Parameter("q", 1e-4, "V^2/s", (1e-8, 1.0), noise),
+            engine.Parameter("r", 1e-3, "V^2", (1e-6, 1.0), "variance of a reading"),
+        ],
+    )
+
+
+def record(model: engine.MixedModel, file: str | None) -> engine.Series:
+    if file is not None:
+        table = np.genfromtxt(file, delimiter=",", names=True)
+        return engine.Series(table["y_V"], table["u_V"], dt=STEP)
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.uniform(1.0, 6.0, 30), 25)
+    theta = {**HELD, "k2": 0.08, "k3": 0.08, "k4": 0.05, "overflow_upper": 0.2}
+    theta["overflow_upper_limit"] = 9.0
+    return hide(model, ["overflow:upper"], theta, len(u), rng, u=u, dt=STEP).series
+
+
+def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Processor seconds, the least of some, and what came out."""
+    work()
+    taken = []
+    for _ in range(REPEATS):
+        started = time.process_time()
+        out = work()
+        taken.append(time.process_time() - started)
+    return min(taken), out
+
+
+def measured(file: str | None, samples: int | None) -> dict[str, Any]:
+    """What this process' engine takes, and what it answers."""
+    warm()
+    model = water_tanks()
+    series = record(model, file)
+    theta = np.asarray(model.theta(HELD))
+    free = [name for name in model.parameter_names if name not in HELD]
+    took: dict[str, float] = {}
+    took["a pass of the moment filter"], _ = seconds(
+        lambda: moment_filter(model, theta[None], series)
+    )
+    setting = setting_for(model, series, theta)
+    for effects in ([], ["overflow:upper"], ["bias:y"], ["lag:y"], ["input-saturation:u"]):
+        one = extend(model, effects, setting) if effects else model
+        at = np.asarray(one.theta(HELD))
+        if effects:
+            at[len(theta)] = 0.01
+        own = one.free_indices([p for p in one.parameter_names if p not in HELD])
+        name = f"derivatives by {len(own)} parameters" + "".join(f", with {e}" for e in effects)
+        took[name], _ = seconds(lambda one=one, at=at, own=own: derivatives(one, [series], at, own))
+    part = series if samples is None else series.part(0, samples)
+    engine.diagnose(model, part.part(0, 100), HELD, effects=["bias"], free=free)  # compiles
+    started = time.process_time()
+    found = engine.diagnose(model, part, HELD, effects=KINDS, free=free)
+    took[f"the diagnosis of {len(part)} samples"] = time.process_time() - started
+    return {
+        "seconds": took,
+        "page": str(found),
+        "answer": {**found.to_dict(), "seconds": {}, "page": ""},
+    }
+
+
+def leaves(document: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """All values of a JSON document with the places they stand at."""
+    if isinstance(document, dict):
+        for key, value in document.items():
+            yield from leaves(value, f"{path}.{key}")
+    elif isinstance(document, list):
+        for value in document:  # numbers of one list are of one size
+            yield from leaves(value, f"{path}[]")
+    else:
+        yield path, document
+
+
+def agreement(one: Any, other: Any) -> tuple[int, int, list[str]]:
+    """How many numbers there are, how many agree, and where words differ."""
+    pairs = list(zip(leaves(one), leaves(other), strict=False))
+    sizes: dict[str, float] = {}
+    for (path, x), _ in pairs:
+        if isinstance(x, float):
+            sizes[path] = max(sizes.get(path, 0.0), abs(x))
+    numbers = [(p, x, y) for (p, x), (_, y) in pairs if isinstance(x, float)]
+    same = [isinstance(y, (int, float)) and abs(x - y) <= SAME * sizes[p] for p, x, y in numbers]
+    words = [p for (p, x), (q, y) in pairs if not isinstance(x, float) and (p, x) != (q, y)]
+    return len(numbers), sum(same), words
+
+
+def of_commit(folder: Path, options: list[str]) -> dict[str, Any]:
+    """:func:`measured` by the engine in a folder."""
+    run = subprocess.run(
+        [sys.executable, __file__, "--only", *options],
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        cwd=folder,
+        check=True,
+        stdout=subprocess.PIPE,
+    )
+    return dict(json.loads(run.stdout))
+
+
+def table(before: dict[str, Any], now: dict[str, Any], about: str) -> str:
+    """The result file."""
+    lines = [
+        "# A diagnosis of differential equations, before and now",
+        "",
+        f"{about} Seconds of the processor, of repeated ones the least.",
+        "",
+        "| what | before | now | ratio |",
+        "| --- | --- | --- | --- |",
+    ]
+    for name, took in now["seconds"].items():
+        was = before["seconds"][name]
+        lines.append(f"| {name} | {was:.3g} | {took:.3g} | {was / took:.1f} |")
+    numbers, same, words = agreement(before["answer"], now["answer"])
+    lines += [
+        "",
+        f"The answers: {same} of {numbers} numbers agree to {SAME:g} of their size"
+        + (f"; {len(words)} words or their places differ." if words else "; all words do."),
+        "",
+        "Now:",
+        "",
+        *(f"    {line}".rstrip() for line in now["page"].splitlines()),
+        "",
+    ]
+    pages = [one["page"].splitlines() for one in (before, now)]
+    old, own = ([line for line in page if SECONDS not in line] for page in pages)
+    if own != old:
+        lines += ["Before:", "", *(f"    {line}".rstrip() for line in old), ""]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, compare, write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--against", metavar="COMMIT")
+    parser.add_argument("--data", metavar="FILE.csv")
+    parser.add_argument("--samples", metavar="N", type=int)
+    parser.add_argument("--only", action="store_true", help="this engine's figures as JSON")
+    asked = parser.parse_args()
+    if not (asked.only or asked.against):
+        parser.error("--against COMMIT is missing")
+    file = None if asked.data is None else str(Path(asked.data).absolute())
+    if asked.only:
+        print(json.dumps(measured(file, asked.samples)))
+        return
+    options = ["--data", file] if file else []
+    options += ["--samples", str(asked.samples)] if asked.samples else []
+    from tests.benchmarks.machine import Watch
+
+    with tempfile.TemporaryDirectory() as folder, Watch() as watch:
+        archive = subprocess.run(
+            ["git", "archive", asked.against], cwd=ROOT, check=True, stdout=subprocess.PIPE
+        )
+        subprocess.run(["tar", "x", "-C", folder], input=archive.stdout, check=True)
+        before = of_commit(Path(folder), options)
+        now = of_commit(ROOT, options)
+    load = ", ".join(f"{name} {value:g}" for name, value in watch.figures().items())
+    what = "A measured record" if file else "A simulated record"
+    about = f"{what} of two water tanks; before: commit {asked.against}. {load}."
+    name = "continuous-measured.md" if file else "continuous.md"
+    (RESULTS / name).write_text(table(before, now, about))
+
+
+if __name__ == "__main__":
+    main()
