@@ -226,18 +226,16 @@ class Search:
         return sorted(best, key=self.worth, reverse=True)
 
     def starts(self, n: int, progress: Progress) -> list[Tried]:
-        """Inputs at random, every family in turn; where limits are broken the next are drawn about a best."""
+        """Inputs at random, every family in turn; as often as limits are broken the next are drawn smaller."""
         out: list[Tried] = []
         families = list(FAMILIES)
         nu = self.task.candidates[0].model.nu
         while len(out) < n:
             plans = []
-            good = [one for one in out if one.violation <= 0.0]
+            broken = float(np.mean([one.violation > 0.0 for one in out])) if out else 0.0
             for k in range(BATCH):
                 plan = drawn_plan(self.rng, families[(len(out) + k) % len(families)], nu)
-                if out and not good:
-                    plan = self._shrunk(plan)
-                plans.append(plan)
+                plans.append(self._shrunk(plan) if self.rng.uniform() < broken else plan)
             out += self.evaluate(plans)
             progress(len(out) / n)
         return out

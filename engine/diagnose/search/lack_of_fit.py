@@ -4,6 +4,9 @@ A name stands for a shape, and the nearest shape of a catalogue may win although
 every state's equation is offered a polynomial of second degree in all states and inputs, and the score test
 of :mod:`engine.diagnose.screening.screen`, with all its terms at once, says whether the extended model
 would gain by it.
+
+Noise that was estimated from the same record is too small for such a test: what looks like a lack is tested
+again at the noise of the restricted likelihood, :mod:`engine.estimation.restricted`.
 """
 
 from __future__ import annotations
@@ -14,9 +17,11 @@ from itertools import chain, combinations_with_replacement
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect, Values, add_to_state
+from engine.diagnose.screening.noise_parameters import apart, noise_only
 from engine.diagnose.screening.score_columns import (
     Column,
     Projection,
@@ -26,6 +31,7 @@ from engine.diagnose.screening.score_columns import (
 from engine.distributions import chi2_sf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
+from engine.estimation.restricted import restricted
 from engine.filters.sigma_point import MomentPath, moment_path
 from engine.statespace.model import Array, MixedModel, Parameter
 
@@ -69,8 +75,26 @@ def lack_of_fit(
     ``states`` of the fitted model and its inputs are what polynomials are made of. None where nothing
     can be tested.
     """
-    model, theta = fit.model, np.asarray(fit.theta)
-    projection = Projection(parameter_columns(model, theta, model.free_indices(fit.free), series))
+    model, theta, indices = fit.model, np.asarray(fit.theta), fit.model.free_indices(fit.free)
+    noise = noise_only(model, theta, indices, series, moment_path(model, theta, series))
+    found = _lacking(fit, series, noise, targets, states, seed)
+    if found is None or found.p_value > LEVEL:
+        return found
+    return _lacking(restricted(fit, series, noise), series, noise, targets, states, seed)
+
+
+def _lacking(
+    fit: QuasiFit,
+    series: Series,
+    noise: NDArray[np.bool_],
+    targets: Sequence[str],
+    states: Sequence[str],
+    seed: int,
+) -> LackOfFit | None:
+    """The same at the noise of this fit; ``noise`` (n_free,) marks its parameters."""
+    model, theta, indices = fit.model, np.asarray(fit.theta), fit.model.free_indices(fit.free)
+    columns = parameter_columns(model, theta, indices, series)
+    projection = Projection(apart(columns, noise, series.y.size))
     path = moment_path(model, theta, series)
     around = _around(model, series, path, states)
     rng = np.random.default_rng([seed, 5])
@@ -118,6 +142,7 @@ def _of_target(
             columns.append(column)
     if not columns:
         return None
+    columns = apart(columns, np.zeros(len(columns), dtype=bool), series.y.size)
     s, v = projection(np.array([c.s for c in columns]), np.array([c.v for c in columns]))
     raw = np.array([c.v @ c.v for c in columns])
     size = (v**2).sum(axis=1)

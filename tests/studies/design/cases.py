@@ -19,12 +19,13 @@ Own = dict[str, float]
 class Pair:
     """Two causes with typical values of their parameters; the first is the size.
 
-    ``narrow`` is the share of the inputs' range that is allowed, from its lower end or about its middle.
+    ``narrow`` is the share of the inputs' range that is allowed, about its middle; no size is above ``most``.
     """
 
     system: str
     causes: dict[str, tuple[float, ...]]
     narrow: float = 1.0
+    most: float = np.inf
 
 
 DECIDABLE = (
@@ -39,14 +40,18 @@ DECIDABLE = (
     Pair("tank", {"linear:level": (-0.02,), "force:level": (0.05,)}),
     Pair("tank", {"quadratic:level": (-0.0015,), "cubic-sensor:gauge": (0.0005,)}),
 )
-# the same thing in other words, or things that the bounds keep from happening
+# the same thing in other words, or things that the bounds keep from happening: an overflow above the level
+# that must be kept, inputs too small to leave a dead zone or to overcome friction, or a spring's cubic far
+# below its noise
 UNDECIDABLE = (
     Pair("drive", {"force:velocity": (0.2,), "input-offset:voltage": (0.4,)}),
-    Pair("spring", {"force:velocity": (0.3,), "input-offset:force": (0.3,)}),
     Pair("tank", {"force:level": (0.05,), "input-offset:pump": (1.0,)}),
     Pair("oven", {"force:air": (0.3,), "input-offset:heater": (0.6,)}),
-    Pair("tank", {"overflow:level": (0.05, 15.0), "saturation-sensor:gauge": (0.9, 15.0)}),
-    Pair("drive", {"input-deadzone:voltage": (0.3,), "coulomb:velocity": (0.15,)}, 0.05),
+    Pair(
+        "tank", {"overflow:level": (0.05, 15.0), "saturation-sensor:gauge": (0.7, 15.0)}, most=1.0
+    ),
+    Pair("drive", {"input-deadzone:voltage": (0.3,), "coulomb:velocity": (0.15,)}, 0.02),
+    Pair("spring", {"cubic:position->velocity": (-0.5,), "cubic:velocity": (-0.2,)}, 0.02),
 )
 SPREAD = 0.3  # of the sizes' logarithm
 ROWS = 300  # samples of a designed experiment
@@ -83,8 +88,10 @@ def drawn(pair: Pair, rng: np.random.Generator) -> Case:
     """A case of a pair: sizes and the true one at random."""
     system, causes = SYSTEMS[pair.system], {}
     for name, values in pair.causes.items():
-        own = [values[0] * float(np.exp(SPREAD * rng.standard_normal())), *values[1:]]
-        causes[name] = dict(zip(_names(name), own, strict=False))
+        size = np.inf
+        while size >= pair.most:
+            size = values[0] * float(np.exp(SPREAD * rng.standard_normal()))
+        causes[name] = dict(zip(_names(name), [size, *values[1:]], strict=False))
     return Case(pair, causes, int(rng.integers(2)), _bounds(system, pair.narrow))
 
 

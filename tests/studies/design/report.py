@@ -180,8 +180,9 @@ def _never(table: Table) -> str:
         )
     head = ["causes", "said: no input tells them apart", "... or needs a longer record"]
     text = (
-        "Force and offset are the same thing in other words but for the spring, where a force acts a sample "
-        "later; a dead zone and friction differ, by less than the noise, within so narrow a range.\n\n"
+        "A force and an offset of the input are the same thing in other words there. The others are kept from "
+        "happening by the bounds: an overflow above the level that must be kept; inputs that are too small to "
+        "leave a dead zone or to overcome friction, or for a cubic term to be seen beside the noise.\n\n"
     )
     return f"## What no input decides\n\n{text}" + markdown(head, rows)
 

@@ -24,7 +24,7 @@ from engine.simulation.simulate import simulate
 from tests.studies.design.cases import DECIDABLE, ROWS, UNDECIDABLE, Case, Pair, drawn
 from tests.studies.study import Arm, Row
 
-INPUTS = 64  # tried for a design
+INPUTS = 128  # tried for a design
 ALARM = 5.0  # the statistic at which a diagnosis of two effects alone sees something
 CLOCKS = (1, 8)  # samples that a random binary input holds, at least one of which suits a system
 LONGER = 3  # times the designed length: how far a random binary input is followed

@@ -1,0 +1,48 @@
+"""Which parameters are of the noise alone, and what they have in common with others.
+
+A noise parameter changes the gain of the filter, and so its innovations by z_q, a sum of past innovations that
+has mean zero. What z_q seems to have in common with a direction that moves predictions,
+sum over t of z_k z_q, is therefore noise: its expectation, the information, is zero, and on a record with few
+independent readings of slow noise it is far from it. Projected out as if it were information it takes a
+direction's own with it, and what is left of a right model looks larger than it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.arrays import Array
+from engine.data.series import Series
+from engine.diagnose.screening.score_columns import Column, along_path
+from engine.estimation.expectation import either_side
+from engine.filters.sigma_point import MomentPath
+from engine.statespace.model import MixedModel
+
+DIFFERENCE = 0.01  # of a parameter's scale, by which it is moved
+MEANS = (0, 2, 5)  # of what along_path returns: of the next state, the reading, the first state
+
+
+def noise_only(
+    model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series, path: MomentPath
+) -> NDArray[np.bool_]:
+    """Which of the parameters ``indices`` (n,) change no mean of a step from where the filter was, (n,)."""
+    here = along_path(model, theta, model, series, path)
+    out = np.zeros(len(indices), dtype=bool)
+    for i, k in enumerate(indices):
+        ends = either_side(model, theta, int(k), DIFFERENCE)
+        moved = [along_path(model, end, model, series, path) for end in ends]
+        out[i] = all(np.array_equal(here[m], one[m]) for one in moved for m in MEANS)
+    return out
+
+
+def apart(columns: Sequence[Column], noise: NDArray[np.bool_], readings: int) -> list[Column]:
+    """Columns whose noise parameters have innovations of their own; ``readings`` T ny come first in v."""
+    out = []
+    for column, own in zip(columns, noise, strict=True):
+        z, E = column.v[:readings], column.v[readings:]
+        none = np.zeros(readings)
+        out.append(Column(column.s, np.concatenate([none, E, z] if own else [z, E, none])))
+    return out
