@@ -109,7 +109,8 @@ def _asked(wanted: Wanted, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]
     for name in names:
         if name not in causes:
             raise wrong(f"--cause {name}: the diagnosis weighed {', '.join(causes)}")
-    bounds.setdefault("dt", diagnosis["extension"]["model"]["setting"]["dt"])
+    for name, value in designs.between_samples(diagnosis).items():
+        bounds.setdefault(name, value)
     model = references.model_of(wanted.model or diagnosis["extension"]["model"]["name"])
     return model, {
         "causes": {name: causes[name] for name in names or causes},
