@@ -8,6 +8,8 @@ import pytest
 
 import engine
 from engine.data.files import write_series
+from engine.design.candidates import before_any, of_diagnosis
+from service import designs
 
 BEFORE = (
     "design", "-m", "oscillator", "--cause", "drag:velocity=0.3", "--cause", "coulomb:velocity=0.5",
@@ -47,7 +49,7 @@ def record():
     model = engine.get_model("oscillator", effects=["coulomb:velocity"])
     u = np.repeat(rng.uniform(-1, 1, 20), 10)
     theta = model.theta({"coulomb_velocity": 1.0})
-    return engine.simulate(model, theta, 200, rng, u=u, dt=0.05).series
+    return engine.simulate(model, theta, 200, rng, u=u, dt=0.05, hold="past").series
 
 
 def test_from_a_diagnosis(rbps, tmp_path, record):
@@ -74,10 +76,25 @@ def test_from_a_diagnosis(rbps, tmp_path, record):
     saved = engine.diagnose(engine.get_model("oscillator"), record, effects=kinds, seed=0)
     saved.save(tmp_path / "found.rbps")
     there = rbps("design", "found.rbps", *own).json()["design"]
-    assert {c["effect"] for c in there["causes"]} == {c["effect"] for c in design["causes"]}
+    assert [c["effect"] for c in there["causes"]] == [c["effect"] for c in design["causes"]]
+    _tells_all_that_it_knows(saved, json.loads((tmp_path / "found.json").read_text())["diagnosis"])
+    assert (there["bounds"]["hold"], there["bounds"]["substeps"]) == ("past", 1)
+    assert design["bounds"]["hold"] == "past"
     wrong = rbps("design", "found.json", "--cause", "cubic:velocity", *own[:-1])
     assert wrong.exit_code == 2
     assert "the diagnosis weighed" in wrong.stderr
+
+
+def _tells_all_that_it_knows(saved, document):
+    """The causes of a document are those of the diagnosis, with their values and covariances."""
+    causes, free = designs.causes_of(document)
+    known = of_diagnosis(saved, None).candidates
+    read = before_any(saved.model, causes, document["base_theta"], 0.05, free).candidates
+    for one, other in zip(known, read, strict=True):
+        assert (one.name, one.free, one.further) == (other.name, other.free, other.further)
+        np.testing.assert_allclose(other.theta, one.theta)
+        np.testing.assert_allclose(other.covariance, one.covariance)
+        assert np.diag(one.covariance).min() > 0.0
 
 
 @pytest.mark.parametrize(
