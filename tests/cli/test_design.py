@@ -36,9 +36,11 @@ def test_before_any_experiment(rbps, tmp_path):
 def test_bounds_come_from_a_file_and_options_on_top(rbps, tmp_path):
     given = {"inputs": {"drive": {"low": -2, "high": 2, "forbidden": [[-0.1, 0.1]]}}, "dt": 0.1}
     (tmp_path / "bounds.json").write_text(json.dumps(given))
-    run = rbps(*BEFORE, "--bounds", "bounds.json", "--limit", "position=-3:3", "--json")
+    bands = ("--stopband", "drive=0.5:1", "--stopband", "drive=4:5")
+    run = rbps(*BEFORE, "--bounds", "bounds.json", "--limit", "position=-3:3", *bands, "--json")
     bounds = run.json()["design"]["bounds"]
     assert bounds["inputs"]["drive"]["forbidden"] == [[-0.1, 0.1]]
+    assert bounds["inputs"]["drive"]["stopbands"] == [[0.5, 1.0], [4.0, 5.0]]
     assert bounds["states"] == {"position": [-3.0, 3.0]}
     assert bounds["dt"] == 0.05
 
@@ -105,6 +107,9 @@ def _tells_all_that_it_knows(saved, document):
         ((*BEFORE, "--input", "drive=a:b"), "holds what is no number"),
         ((*BEFORE, "--input", "drive=1:-1"), "bounds.inputs.drive.low"),
         ((*BEFORE, *RANGE, "--limit", "height=0:1"), "bounds.states.height"),
+        ((*BEFORE, *RANGE, "--stopband", "4:5"), "--stopband 4:5: NAME=LOW:HIGH is needed"),
+        ((*BEFORE, *RANGE, "--stopband", "drive=5:4"), "bounds.inputs.drive.stopbands[0]"),
+        ((*BEFORE, "--stopband", "drive=4:5"), "give its range too"),
         (("design", "--input", "drive=-1:1"), "DIAGNOSIS is missing"),
         ((*BEFORE, *RANGE, "-o", "in.txt"), "the ending must be .csv"),
     ],
