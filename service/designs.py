@@ -36,7 +36,7 @@ def design(job: Prepared, request: DesignRequest, progress: Progress) -> dict[st
         job.model,
         options.bounds,
         options.length,
-        causes=options.causes,
+        causes=options.model_dump()["causes"],
         theta=job.theta,
         free=job.free,
         inputs=options.inputs,
@@ -62,8 +62,8 @@ def in_a_line(found: Design) -> str:
     return f"{text}."
 
 
-def causes_of(diagnosis: Mapping[str, Any]) -> tuple[dict[str, dict[str, float]], list[str]]:
-    """The causes that a diagnosis' document could not tell apart, with their values; what it estimated.
+def causes_of(diagnosis: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """The causes that a diagnosis' document could not tell apart, with what is known of them; its parameters.
 
     Raises OptionError where it refitted fewer than two.
     """
@@ -81,6 +81,18 @@ def causes_of(diagnosis: Mapping[str, Any]) -> tuple[dict[str, dict[str, float]]
         )
     if any("parameters" not in one for one in alike):
         raise OptionError("the diagnosis was made by an earlier version; run it again", "causes")
-    return {one["effect"]: one["parameters"] for one in alike}, list(
-        diagnosis["base_standard_errors"]
-    )
+    causes = {one["effect"]: {**one["parameters"], **_told(one)} for one in alike}
+    return causes, list(diagnosis["base_standard_errors"])
+
+
+def _told(one: Mapping[str, Any]) -> dict[str, Any]:
+    """What the record told of a cause's values, where the document has it in numbers."""
+    information = one.get("information")
+    known = information and all(x is not None for row in information["matrix"] for x in row)
+    return {"information": information} if known else {}
+
+
+def between_samples(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """Bounds that a diagnosis' document sets by default: sample time, steps in it, what inputs do meanwhile."""
+    setting = diagnosis["extension"]["model"]["setting"]
+    return {name: setting[name] for name in ("dt", "substeps", "hold") if setting.get(name)}

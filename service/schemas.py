@@ -398,17 +398,28 @@ class DiagnoseRequest(_Labelled):
     run_seconds: RunSeconds = None
 
 
+class InformationIn(_Strict):
+    """What a record told of some parameters: the inverse of their covariance."""
+
+    free: list[Annotated[str, Field(max_length=200)]] = Field(min_length=1, max_length=200)
+    matrix: list[Annotated[list[Number], Field(max_length=200)]] = Field(max_length=200)
+
+
+CauseIn = dict[Annotated[str, Field(max_length=200)], Number | InformationIn]
+
+
 class DesignOptions(_Strict):
     """What shall be told apart, within which bounds."""
 
-    causes: dict[Annotated[str, Field(max_length=200)], Number | Values] = Field(
+    causes: dict[Annotated[str, Field(max_length=200)], Number | CauseIn] = Field(
         min_length=1,
         max_length=20,
-        description="effects with their sizes, or with values of their own and the model's parameters by name",
+        description="effects with their sizes, or with values of their own and the model's parameters by name, "
+        "and the information that a record gave of them",
     )
     bounds: dict[str, Any] = Field(
         description="inputs: {name: {low, high, rate, forbidden, start}}, states and outputs: {name: [low, "
-        "high]}, dt in seconds, sigmas"
+        "high]}, dt in seconds, sigmas, hold, substeps"
     )
     length: int = Field(ge=30, le=20_000, description="samples of the experiment")
     inputs: int = Field(default=400, ge=1, le=5000, description="inputs that are tried")

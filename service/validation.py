@@ -235,7 +235,8 @@ def _check_design(request: DesignRequest, model: MixedModel, theta: Theta) -> No
         bounds.check(model)
         if bounds.dt is None:
             raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
-        before_any(model, options.causes, theta, bounds.dt, request.parameters.free)
+        causes = options.model_dump()["causes"]
+        before_any(model, causes, theta, bounds.dt, request.parameters.free)
     except OptionError as error:
         raise invalid(f"options.{error.field or 'causes'}", str(error)) from None
 

@@ -69,7 +69,8 @@ def design_experiment(
         Samples T of the experiment.
     causes : sequence of str or mapping, optional
         Which of the causes that the diagnosis weighed; by default those it could not tell apart. Before any
-        experiment a mapping {"drag:velocity": size}, or of a cause's own parameters by name.
+        experiment a mapping {"drag:velocity": size}, or of a cause's own parameters by name; "information"
+        among them, {"free": names (n,), "matrix": (n, n)}, is what a record told of them.
     theta : Theta, mapping, array or None
         Parameters before any experiment; the model's defaults where None.
     free : sequence of str, optional
@@ -110,8 +111,8 @@ def design_experiment(
         limits,
         int(length),
         float(limits.dt or 1.0),
-        "zoh" if question.series is None else question.series.hold,
-        question.substeps,
+        limits.hold or "zoh",
+        limits.substeps or 1,
         _measured(model, question),
         anew,
     )
@@ -142,7 +143,7 @@ def designed(
         model=model,
         causes=tuple(c.name for c in question.candidates),
         titles=tuple(c.title for c in question.candidates),
-        bounds=replace(task.bounds, dt=task.dt),
+        bounds=replace(task.bounds, dt=task.dt, hold=task.hold, substeps=task.substeps),
         dt=task.dt,
         experiment=best.experiment,
         shortest=shortest,
@@ -179,7 +180,10 @@ def _asked(
             raise OptionError(
                 "bounds.dt is missing: the diagnosed record is not sampled regularly", "bounds.dt"
             )
-        return replace(limits, dt=dt), of_diagnosis(diagnosis, causes), model
+        hold = limits.hold or diagnosis.series.hold
+        substeps = limits.substeps or diagnosis.substeps
+        limits = replace(limits, dt=dt, hold=hold, substeps=substeps)
+        return limits, of_diagnosis(diagnosis, causes), model
     if not isinstance(diagnosis, MixedModel):
         raise OptionError(
             f"diagnosis is a {type(diagnosis).__name__}; a Diagnosis or a MixedModel is needed",

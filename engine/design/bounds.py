@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from dataclasses import fields as dataclass_fields
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from engine.errors import OptionError
+from engine.data.series import HOLDS
+from engine.errors import OptionError, check_count
 from engine.statespace.model import MixedModel
 
 Band: TypeAlias = tuple[float, float]
@@ -26,6 +28,9 @@ class InputBounds:
         By how much it may change in a second, in its unit per second.
     forbidden : sequence of (float, float)
         Open bands of values that it must not take, in its unit; it may jump over one within a sample.
+    stopbands : sequence of (float, float)
+        Bands of frequency in Hz that it must not excite: of its power about its mean at most
+        :data:`engine.design.inputs.LEAK` lies in them.
     start : float, optional
         Its value before the record, an allowed one, from which the rate counts; anything by default.
     """
@@ -35,6 +40,7 @@ class InputBounds:
     rate: float | None = None
     forbidden: tuple[Band, ...] = ()
     start: float | None = None
+    stopbands: tuple[Band, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,6 +58,11 @@ class Bounds:
         Time between samples, s; that of the diagnosed record by default.
     sigmas : float
         Standard deviations of the free run, from process noise and first state, by which limits are kept.
+    hold : str, optional
+        What inputs do between samples, see :class:`engine.Series`; as in the diagnosed record by default, or
+        "zoh".
+    substeps : int, optional
+        Steps of the model in a sample; as in the diagnosis by default, or 1.
 
     Raises
     ------
@@ -64,6 +75,8 @@ class Bounds:
     outputs: Mapping[str, Band] = field(default_factory=dict)
     dt: float | None = None
     sigmas: float = 2.0
+    hold: str | None = None
+    substeps: int | None = None
 
     def __post_init__(self) -> None:
         given = _mapping(self.inputs, "bounds.inputs")
@@ -79,6 +92,12 @@ class Bounds:
             raise OptionError(
                 f"bounds.sigmas = {self.sigmas}; a number from 0 on is needed", "bounds.sigmas"
             )
+        if self.hold is not None and self.hold not in HOLDS:
+            raise OptionError(
+                f"bounds.hold = {self.hold!r}; one of {', '.join(HOLDS)} is needed", "bounds.hold"
+            )
+        if self.substeps is not None:
+            check_count("bounds.substeps", self.substeps)
 
     @classmethod
     def of(cls, given: Bounds | Mapping[str, Any]) -> Bounds:
@@ -86,8 +105,7 @@ class Bounds:
         if isinstance(given, Bounds):
             return given
         fields = _mapping(given, "bounds")
-        known = ("inputs", "states", "outputs", "dt", "sigmas")
-        _known(fields, known, "bounds")
+        _known(fields, [one.name for one in dataclass_fields(cls)], "bounds")
         if "inputs" not in fields:
             raise OptionError(
                 "bounds.inputs is missing: the range of every input is needed", "bounds.inputs"
@@ -130,6 +148,7 @@ class Bounds:
                     "rate": one.rate,
                     "forbidden": [list(band) for band in one.forbidden],
                     "start": one.start,
+                    "stopbands": [list(band) for band in one.stopbands],
                 }
                 for name, one in self.inputs.items()
             },
@@ -142,6 +161,8 @@ class Bounds:
             },
             "dt": self.dt,
             "sigmas": self.sigmas,
+            "hold": self.hold,
+            "substeps": self.substeps,
         }
 
 
@@ -152,7 +173,7 @@ def _input(given: Any, where: str) -> InputBounds:
         fields = dict(given)
     else:
         fields = dict(zip(("low", "high"), _pair(given, where), strict=True))
-    _known(fields, ("low", "high", "rate", "forbidden", "start"), where)
+    _known(fields, [one.name for one in dataclass_fields(InputBounds)], where)
     for name in ("low", "high"):
         if name not in fields:
             raise OptionError(f"{where}.{name} is missing", f"{where}.{name}")
@@ -173,7 +194,11 @@ def _input(given: Any, where: str) -> InputBounds:
             raise OptionError(
                 f"{where}.start = {start:g} is not within [{low:g}, {high:g}]", f"{where}.start"
             )
-    out = InputBounds(low, high, None if rate is None else float(rate), bands, start)
+    stop = tuple(
+        _stopband(band, f"{where}.stopbands[{i}]")
+        for i, band in enumerate(fields.get("stopbands") or ())
+    )
+    out = InputBounds(low, high, None if rate is None else float(rate), bands, start, stop)
     if start is not None and not allowed(out, start):
         raise OptionError(f"{where}.start = {start:g} is within a forbidden band", f"{where}.start")
     if not any(allowed(out, value) for value in _edges(out)):
@@ -201,6 +226,13 @@ def _forbidden(given: Any, where: str) -> Band:
     if not low < high:
         raise OptionError(f"{where} = [{low:g}, {high:g}]: its ends are not in order", where)
     return float(low), float(high)
+
+
+def _stopband(given: Any, where: str) -> Band:
+    low, high = _forbidden(given, where)
+    if low < 0.0:
+        raise OptionError(f"{where} = [{low:g}, {high:g}] Hz: a frequency is negative", where)
+    return low, high
 
 
 def _limit(given: Any, where: str) -> Band:

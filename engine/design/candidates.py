@@ -26,6 +26,7 @@ from engine.statespace.model import Array, MixedModel, ThetaLike
 MOST = 5  # causes at most: of more, the nearest
 NEAREST = 3  # names that are nearest to an ``unknown``
 NOTHING = "nothing"  # the name of the model without a cause
+INFORMATION = "information"  # among a cause's values: what a record told of them
 ALARM = 12.0  # the statistic from which a diagnosis sees something, where none tells
 
 
@@ -68,15 +69,13 @@ class Question:
     """What shall be told apart.
 
     ``base`` is the model without any of the causes, the rival of all; ``alarm`` the statistic from which a
-    diagnosis sees something; ``series`` the record that was diagnosed; ``substeps`` steps a sample; ``notes``
-    what was left out and why.
+    diagnosis sees something; ``series`` the record that was diagnosed; ``notes`` what was left out and why.
     """
 
     candidates: tuple[Candidate, ...]
     base: Candidate
     alarm: float = ALARM
     series: Series | None = None
-    substeps: int = 1
     notes: tuple[str, ...] = ()
 
 
@@ -165,7 +164,6 @@ def of_diagnosis(diagnosis: Diagnosis, causes: Sequence[str] | None) -> Question
         ),
         max(float(diagnosis.search.rounds[0].screen.threshold), 1.0),
         diagnosis.series,
-        diagnosis.substeps,
         tuple(notes),
     )
 
@@ -195,7 +193,6 @@ def before_any(
         names += [p.name for p in effect.parameters if p.name not in effect.held]
         for one in names:
             extended.index(one)
-        n = len(names)
         out.append(
             Candidate(
                 name,
@@ -203,7 +200,7 @@ def before_any(
                 extended,
                 theta_,
                 tuple(names),
-                np.zeros((n, n)),
+                _information(f"causes.{name}.information", given, names),
                 further_parameters(effect),
             )
         )
@@ -238,6 +235,8 @@ def _values(effect: Effect, given: Any, theta: Array, model: MixedModel) -> list
     values |= {p.name: p.default for p in effect.parameters}
     if isinstance(given, Mapping):
         for key, value in given.items():
+            if key == INFORMATION:
+                continue
             if key not in values:
                 raise OptionError(
                     f"{where}.{key}: there is no such parameter; there are {', '.join(values)}",
@@ -249,6 +248,33 @@ def _values(effect: Effect, given: Any, theta: Array, model: MixedModel) -> list
     if values[effect.size.name] == 0.0:
         raise OptionError(f"{where}: its size {effect.size.name} must not be 0", where)
     return list(values.values())
+
+
+def _information(where: str, given: Any, names: Sequence[str]) -> Array:
+    """What a record told of the parameters ``names`` (n, n); zeros where it is not given."""
+    out = np.zeros((len(names), len(names)))
+    told = given.get(INFORMATION) if isinstance(given, Mapping) else None
+    if told is None:
+        return out
+    if not isinstance(told, Mapping) or {*told} != {"free", "matrix"}:
+        raise OptionError(f"{where}: {{free, matrix}} is needed", where)
+    free = [str(name) for name in told["free"]]
+    try:
+        matrix = np.asarray(told["matrix"], dtype=float)
+    except (TypeError, ValueError):
+        matrix = np.full(0, np.nan)
+    n = len(free)
+    if matrix.shape != (n, n) or not np.isfinite(matrix).all() or len({*free}) < n:
+        raise OptionError(
+            f"{where}.matrix: {n} rows of {n} finite numbers are needed, one for each of free",
+            f"{where}.matrix",
+        )
+    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-6 * np.abs(matrix).max(initial=0.0)):
+        raise OptionError(f"{where}.matrix is not symmetric", f"{where}.matrix")
+    here = [k for k, name in enumerate(free) if name in names]
+    there = [names.index(free[k]) for k in here]
+    out[np.ix_(there, there)] = 0.5 * (matrix + matrix.T)[np.ix_(here, here)]
+    return out
 
 
 def _float(value: Any, where: str) -> float:

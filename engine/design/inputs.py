@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.design.bounds import InputBounds, allowed
 from engine.kernels.excitation import within_bounds
@@ -25,6 +26,10 @@ FAMILIES: dict[str, tuple[int, ...]] = {
     "multisine": (SINES,),
     "binary": (1,),
 }
+LEAK = 0.01  # of an input's power about its mean: what may be left in its stop bands
+STILL = 1e-9  # of its range: an input that moves by less stands still
+FINER = 4  # times the frequencies that a record has of its own, at which stop bands are looked at
+ROUNDS = 30  # of taking stop bands out and bringing the rest back into its range
 SEEDS = 1_000_000  # random sequences of the binary family
 
 
@@ -74,8 +79,48 @@ def played(plan: Plan, bounds: Sequence[InputBounds], T: int, dt: float) -> Arra
     out = np.empty((T, len(plan)))
     for i, (shape, limits) in enumerate(zip(plan, bounds, strict=True)):
         wanted = limits.low + (limits.high - limits.low) * _raw(shape, T)
+        if limits.stopbands:
+            wanted = _quieted(wanted, limits, dt)
         out[:, i] = limited(wanted, limits, dt)
     return out
+
+
+def leakage(u: Array, bounds: InputBounds, dt: float) -> float:
+    """The share of the power of an input (T,) about its mean that lies in its stop bands."""
+    if not bounds.stopbands:
+        return 0.0
+    power = np.abs(np.fft.rfft(u - u.mean(), FINER * len(u))) ** 2
+    total = float(power.sum())
+    if total <= STILL**2 * power.size * len(u) * (bounds.high - bounds.low) ** 2:
+        return 0.0
+    return float(power[_stopped(len(u), bounds, dt)].sum()) / total
+
+
+def _stopped(T: int, bounds: InputBounds, dt: float) -> NDArray[np.bool_]:
+    """Which frequencies are in a stop band; of one between two of them both."""
+    frequency = np.fft.rfftfreq(FINER * T, dt)
+    near = 0.5 * frequency[1]
+    bands = [
+        (frequency >= low - near) & (frequency <= high + near) for low, high in bounds.stopbands
+    ]
+    return np.asarray(np.any(bands, axis=0))
+
+
+def _quieted(wanted: Array, bounds: InputBounds, dt: float) -> Array:
+    """The input (T,) with what lies in its stop bands taken out, about its mean and within its range.
+
+    By turns, as each undoes a part of the other (Papoulis 1975).
+    """
+    stopped, T = _stopped(len(wanted), bounds, dt), len(wanted)
+    u = wanted
+    for _ in range(ROUNDS):
+        middle = u.mean()
+        spectrum = np.fft.rfft(u - middle, FINER * T)
+        spectrum[stopped] = 0.0
+        u = np.clip(middle + np.fft.irfft(spectrum, FINER * T)[:T], bounds.low, bounds.high)
+        if leakage(u, bounds, dt) <= 0.5 * LEAK:
+            break
+    return np.asarray(u)
 
 
 def limited(wanted: Array, bounds: InputBounds, dt: float) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from engine.design.bounds import Bounds
 from engine.design.candidates import Candidate
 from engine.design.criterion import adapted, linear_distances, precision
-from engine.design.inputs import FAMILIES, Plan, drawn_plan, played
+from engine.design.inputs import FAMILIES, LEAK, Plan, drawn_plan, leakage, played
 from engine.design.runs import Experiments, Runs, linearised, simulated
 from engine.errors import OptionError
 from engine.kernels.whitening import spread
@@ -83,6 +83,15 @@ class Task:
         own = [self.bounds.inputs[name] for name in names]
         return played(plan, own, self.length, self.dt)
 
+    def leaked(self, u: Array) -> tuple[float, str]:
+        """What an input (T, nu) has in its stop bands beyond what may be left there, at most, and where."""
+        worst, where = 0.0, ""
+        for i, name in enumerate(self.candidates[0].model.inputs):
+            over = leakage(u[:, i], self.bounds.inputs[name], self.dt) - LEAK
+            if over > worst:
+                worst, where = over, f"bounds.inputs.{name}.stopbands"
+        return worst, where
+
 
 @dataclass(eq=False)
 class Search:
@@ -128,6 +137,10 @@ class Search:
         if not self.tried:
             self._leave_out(experiments)
         truths, broken, which = self._truths(experiments)
+        for b, one in enumerate(u):
+            over, where = task.leaked(one)
+            if over > broken[b]:
+                broken[b], which[b] = over, where
         for i, j in self.ordered():
             rival, own = task.candidates[j], self.active[j]
             runs = linearised(rival.model, self.points[i, j], experiments, own)
@@ -336,9 +349,9 @@ def search(task: Task, n: int, seed: int, progress: Progress, known: Sequence[Pl
             amount, where = state.nearest
             raise OptionError(
                 f"{where or 'bounds'}: none of {state.tried} inputs keeps the limit; the nearest exceeds it "
-                f"by {100 * amount:.2g} % of its range, {task.bounds.sigmas:g} standard deviations of the "
-                "free run counted (bounds.sigmas). Widen the limit, or the inputs' range so that it has "
-                "values that keep it",
+                f"by {100 * amount:.2g} % of its range (a stop band: of the input's power), "
+                f"{task.bounds.sigmas:g} standard deviations of the free run counted (bounds.sigmas). "
+                "Widen the limit, or the inputs' range so that it has values that keep it",
                 where or "bounds",
             )
         first.append(best)

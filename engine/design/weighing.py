@@ -228,6 +228,8 @@ class Weighing:
         high = self.reach(one, hopeless)
         if high is None:
             return None
+        if self.task.leaked(one.experiment.u[:high])[0] > 0.0:
+            return one  # cut off there it would excite a stop band
         cut = self.weighed(
             Tried(one.plan, one.experiment.u[:high], np.zeros((0, 0)), 0.0, one.points), hopeless
         )

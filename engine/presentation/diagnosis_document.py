@@ -159,6 +159,7 @@ def _reference(d: Diagnosis) -> dict[str, Any]:
             "span": setting.span,
             "dt": setting.dt,
             "substeps": d.substeps,
+            "hold": d.series.hold,
             "time_unit": setting.time_unit,
         },
     }
@@ -246,4 +247,5 @@ def _refit(r: Refit, equivalent: bool) -> dict[str, Any]:
         "unit": r.effect.size.unit,
         "equivalent": equivalent,
         "parameters": r.fit.theta.asdict(),
+        "information": {"free": list(r.fit.free), "matrix": r.fit.information.tolist()},
     }

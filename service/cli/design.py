@@ -33,6 +33,7 @@ class Wanted:
     free: list[str]
     bounds: Path | None
     inputs: Sequence[str]
+    stopbands: Sequence[str]
     states: Sequence[str]
     outputs: Sequence[str]
     dt: float | None
@@ -109,7 +110,8 @@ def _asked(wanted: Wanted, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]
     for name in names:
         if name not in causes:
             raise wrong(f"--cause {name}: the diagnosis weighed {', '.join(causes)}")
-    bounds.setdefault("dt", diagnosis["extension"]["model"]["setting"]["dt"])
+    for name, value in designs.between_samples(diagnosis).items():
+        bounds.setdefault(name, value)
     model = references.model_of(wanted.model or diagnosis["extension"]["model"]["name"])
     return model, {
         "causes": {name: causes[name] for name in names or causes},
@@ -140,15 +142,28 @@ def _bounds(wanted: Wanted) -> dict[str, Any]:
     ):
         own: dict[str, Any] = dict(bounds.get(key) or {})
         for text in texts:
-            name, equals, value = text.rpartition("=")
-            if not (equals and name):
-                raise wrong(f"{option} {text}: NAME=LOW:HIGH is needed")
+            name, value = _named(option, text)
             own[name] = _range(option, text, value, key == "inputs")
         if own:
             bounds[key] = own
+    for text in wanted.stopbands:
+        name, value = _named("--stopband", text)
+        one = (bounds.get("inputs") or {}).get(name)
+        if isinstance(one, list) and len(one) == 2:
+            one = bounds["inputs"][name] = dict(zip(("low", "high"), one, strict=True))
+        if not isinstance(one, dict):
+            raise wrong(f"--stopband {text}: give its range too, with --input {name}=LOW:HIGH")
+        one["stopbands"] = [*(one.get("stopbands") or []), _range("--stopband", text, value, False)]
     if wanted.dt is not None:
         bounds["dt"] = wanted.dt
     return bounds
+
+
+def _named(option: str, text: str) -> tuple[str, str]:
+    name, equals, value = text.rpartition("=")
+    if not (equals and name):
+        raise wrong(f"{option} {text}: NAME=LOW:HIGH is needed")
+    return name, value
 
 
 def _range(option: str, text: str, value: str, is_input: bool) -> Any:

@@ -8,6 +8,8 @@ import pytest
 
 import engine
 from engine.data.files import write_series
+from engine.design.candidates import before_any, of_diagnosis
+from service import designs
 
 BEFORE = (
     "design", "-m", "oscillator", "--cause", "drag:velocity=0.3", "--cause", "coulomb:velocity=0.5",
@@ -34,9 +36,11 @@ def test_before_any_experiment(rbps, tmp_path):
 def test_bounds_come_from_a_file_and_options_on_top(rbps, tmp_path):
     given = {"inputs": {"drive": {"low": -2, "high": 2, "forbidden": [[-0.1, 0.1]]}}, "dt": 0.1}
     (tmp_path / "bounds.json").write_text(json.dumps(given))
-    run = rbps(*BEFORE, "--bounds", "bounds.json", "--limit", "position=-3:3", "--json")
+    bands = ("--stopband", "drive=0.5:1", "--stopband", "drive=4:5")
+    run = rbps(*BEFORE, "--bounds", "bounds.json", "--limit", "position=-3:3", *bands, "--json")
     bounds = run.json()["design"]["bounds"]
     assert bounds["inputs"]["drive"]["forbidden"] == [[-0.1, 0.1]]
+    assert bounds["inputs"]["drive"]["stopbands"] == [[0.5, 1.0], [4.0, 5.0]]
     assert bounds["states"] == {"position": [-3.0, 3.0]}
     assert bounds["dt"] == 0.05
 
@@ -47,7 +51,7 @@ def record():
     model = engine.get_model("oscillator", effects=["coulomb:velocity"])
     u = np.repeat(rng.uniform(-1, 1, 20), 10)
     theta = model.theta({"coulomb_velocity": 1.0})
-    return engine.simulate(model, theta, 200, rng, u=u, dt=0.05).series
+    return engine.simulate(model, theta, 200, rng, u=u, dt=0.05, hold="past").series
 
 
 def test_from_a_diagnosis(rbps, tmp_path, record):
@@ -74,10 +78,25 @@ def test_from_a_diagnosis(rbps, tmp_path, record):
     saved = engine.diagnose(engine.get_model("oscillator"), record, effects=kinds, seed=0)
     saved.save(tmp_path / "found.rbps")
     there = rbps("design", "found.rbps", *own).json()["design"]
-    assert {c["effect"] for c in there["causes"]} == {c["effect"] for c in design["causes"]}
+    assert [c["effect"] for c in there["causes"]] == [c["effect"] for c in design["causes"]]
+    _tells_all_that_it_knows(saved, json.loads((tmp_path / "found.json").read_text())["diagnosis"])
+    assert (there["bounds"]["hold"], there["bounds"]["substeps"]) == ("past", 1)
+    assert design["bounds"]["hold"] == "past"
     wrong = rbps("design", "found.json", "--cause", "cubic:velocity", *own[:-1])
     assert wrong.exit_code == 2
     assert "the diagnosis weighed" in wrong.stderr
+
+
+def _tells_all_that_it_knows(saved, document):
+    """The causes of a document are those of the diagnosis, with their values and covariances."""
+    causes, free = designs.causes_of(document)
+    known = of_diagnosis(saved, None).candidates
+    read = before_any(saved.model, causes, document["base_theta"], 0.05, free).candidates
+    for one, other in zip(known, read, strict=True):
+        assert (one.name, one.free, one.further) == (other.name, other.free, other.further)
+        np.testing.assert_allclose(other.theta, one.theta)
+        np.testing.assert_allclose(other.covariance, one.covariance)
+        assert np.diag(one.covariance).min() > 0.0
 
 
 @pytest.mark.parametrize(
@@ -88,6 +107,9 @@ def test_from_a_diagnosis(rbps, tmp_path, record):
         ((*BEFORE, "--input", "drive=a:b"), "holds what is no number"),
         ((*BEFORE, "--input", "drive=1:-1"), "bounds.inputs.drive.low"),
         ((*BEFORE, *RANGE, "--limit", "height=0:1"), "bounds.states.height"),
+        ((*BEFORE, *RANGE, "--stopband", "4:5"), "--stopband 4:5: NAME=LOW:HIGH is needed"),
+        ((*BEFORE, *RANGE, "--stopband", "drive=5:4"), "bounds.inputs.drive.stopbands[0]"),
+        ((*BEFORE, "--stopband", "drive=4:5"), "give its range too"),
         (("design", "--input", "drive=-1:1"), "DIAGNOSIS is missing"),
         ((*BEFORE, *RANGE, "-o", "in.txt"), "the ending must be .csv"),
     ],

@@ -201,6 +201,54 @@ def test_diagnose_and_go_on_with_the_extension(visit):
     page.wait_for_selector("#status.successful")
 
 
+def test_a_diagnosis_leads_to_the_next_experiment(visit, address):
+    rng = np.random.default_rng(0)
+    model = engine.get_model("oscillator", effects=["coulomb:velocity"])
+    u = np.repeat(rng.uniform(-1, 1, 20), 10)
+    record = engine.simulate(
+        model, model.theta({"coulomb_velocity": 1.0}), 200, rng, u=u, dt=0.05
+    ).series
+    asked = {
+        "kind": "diagnose",
+        "model": "oscillator",
+        "series": [{"y": record.y.tolist(), "u": record.u.tolist(), "dt": 0.05, "hold": "foh"}],
+        "options": {"effects": ["coulomb:velocity", "drag:velocity"], "seed": 0},
+    }
+    job = httpx.post(f"{address}/jobs", json=asked).headers["location"]
+    page = visit(job.removeprefix(address))
+    page.wait_for_selector("#status.successful")
+    page.click("#next")
+    assert page.locator("#design-causes input:checked").count() == 2
+    for what, value in (("low", "-1"), ("high", "1"), ("rate", "20"), ("stopbands", "0.5:1, 3:4")):
+        page.fill(f'#design-inputs [data-what="{what}"]', value)
+    page.fill('#design-inputs [data-what="forbidden"]', "0.1:x")
+    page.fill('#design-states tr:first-child [data-what="high"]', "3")
+    page.fill("#design-length", "60")
+    page.click("#design-form button")
+    page.wait_for_selector("#design-problem:visible")
+    assert "forbidden" in page.inner_text("#design-problem")
+    visit.expect("422")
+    page.fill('#design-inputs [data-what="forbidden"]', "-0.1:0.1")
+    page.click("#design-form button")
+    page.wait_for_url(lambda url: "/jobs/" in url and not url.endswith(job))
+    page.wait_for_selector("#status.successful")
+    assert "right name" in page.inner_text("#results")
+    design = httpx.get(f"{page.url}/results").json()["design"]
+    bounds = design["bounds"]
+    assert bounds["inputs"]["drive"] == {
+        "low": -1.0,
+        "high": 1.0,
+        "rate": 20.0,
+        "forbidden": [[-0.1, 0.1]],
+        "start": None,
+        "stopbands": [[0.5, 1.0], [3.0, 4.0]],
+    }
+    assert bounds["states"] == {"position": [None, 3.0]}
+    assert bounds["dt"] == pytest.approx(0.05)
+    assert bounds["hold"] == "foh"
+    assert bounds["substeps"] == 1
+
+
 def test_a_column_that_the_model_does_not_use_is_asked_about(visit, tmp_path):
     rng = np.random.default_rng(0)
     noise, rain = rng.standard_normal((2, 80))

@@ -42,6 +42,13 @@ def design(
             "--input", metavar="NAME=LOW:HIGH[:RATE]", help="Range of an input, change per second."
         ),
     ] = [],  # noqa: B006
+    stopband: Annotated[
+        list[str],
+        typer.Option(
+            metavar="INPUT=LOW:HIGH",
+            help="Frequencies, Hz, that an input must not excite; again for more.",
+        ),
+    ] = [],  # noqa: B006
     limit: Annotated[
         list[str], typer.Option(metavar="STATE=LOW:HIGH", help="What a state must not leave.")
     ] = [],  # noqa: B006
@@ -54,7 +61,8 @@ def design(
             metavar="FILE.json",
             exists=True,
             dir_okay=False,
-            help="The same and more as JSON: inputs (low, high, rate, forbidden, start), states, outputs, dt.",
+            help="The same and more as JSON: inputs (low, high, rate, forbidden, stopbands, start), states, "
+            "outputs, dt, sigmas, hold, substeps.",
         ),
     ] = None,
     tries: Annotated[int, typer.Option(metavar="N", min=1, help="Inputs that are tried.")] = 400,
@@ -91,6 +99,7 @@ def design(
                 free=names(free),
                 bounds=bounds,
                 inputs=inputs,
+                stopbands=stopband,
                 states=limit,
                 outputs=limit_output,
                 dt=dt,

@@ -3,6 +3,8 @@
 import { element, get, post, Problem } from "/static/api.js";
 
 const by = (name) => document.getElementById(name);
+const CELLS = { low: "number", high: "number", rate: "number", forbidden: "text", stopbands: "text" };
+const HINTS = { rate: "any", forbidden: "-0.5:0.5, 2:3", stopbands: "4:6" };
 const SHOWN = 3; // nearest names that are offered where fewer than two cannot be told apart
 
 // What the diagnosis could not tell apart, as in service/designs.py.
@@ -24,9 +26,12 @@ export function offer(diagnosis) {
   by("design-causes").replaceChildren(...causes.map((one) => element("label", { class: "check" },
     element("input", { type: "checkbox", checked: "", value: one.effect }), ` ${one.effect}`)));
   by("design-inputs").replaceChildren(...inputs.map(([name, unit]) => element("tr", {}, element("th", { scope: "row" }, name),
-    ["low", "high", "rate"].map((what) => element("td", {}, element("input", {
-      type: "number", step: "any", "data-input": name, "data-what": what, required: what === "rate" ? null : "",
-      "aria-label": `${name}: ${what}`, placeholder: what === "rate" ? "any" : unit }))))));
+    Object.entries(CELLS).map(([what, type]) => element("td", {}, element("input", {
+      type, step: type === "number" ? "any" : null, "data-name": name, "data-what": what, required: what in HINTS ? null : "",
+      "aria-label": `${name}: ${what}`, placeholder: HINTS[what] ?? unit }))))));
+  by("design-states").replaceChildren(...Object.entries(diagnosis.channels.states).map(([name, unit]) => element("tr", {},
+    element("th", { scope: "row" }, name), ["low", "high"].map((what) => element("td", {}, element("input", {
+      type: "number", step: "any", "data-name": name, "data-what": what, "aria-label": `${name}: ${what}`, placeholder: unit }))))));
   by("design-dt").value = diagnosis.extension.model.setting.dt;
   by("design-form").addEventListener("submit", async (event) => {
     event.preventDefault();
@@ -41,25 +46,48 @@ export function offer(diagnosis) {
   });
 }
 
-function request(diagnosis, causes) {
-  const inputs = {};
-  for (const box of by("design-inputs").querySelectorAll("input")) {
-    inputs[box.dataset.input] ??= {};
-    if (box.value !== "") inputs[box.dataset.input][box.dataset.what] = Number(box.value);
+// "1:2, 3:4" as [[1, 2], [3, 4]]; what is no number is refused by the service, which names the field.
+function bands(text) {
+  return text.split(",").map((band) => band.split(":").map((end) => (end.trim() === "" ? null : Number(end))));
+}
+
+function rows(id) {
+  const found = {};
+  for (const box of by(id).querySelectorAll("input")) {
+    const own = (found[box.dataset.name] ??= {});
+    const text = box.value.trim();
+    if (text !== "") own[box.dataset.what] = box.type === "text" ? bands(text) : Number(text);
   }
+  return found;
+}
+
+function request(diagnosis, causes) {
   const wanted = [...by("design-causes").querySelectorAll("input:checked")].map((box) => box.value);
   const chosen = causes.filter((one) => wanted.includes(one.effect));
-  const setting = diagnosis.extension.model;
+  const { name, setting } = diagnosis.extension.model;
+  const kept = Object.entries(rows("design-states")).filter(([, one]) => "low" in one || "high" in one);
+  const bounds = {
+    inputs: rows("design-inputs"),
+    states: Object.fromEntries(kept.map(([state, one]) => [state, [one.low ?? null, one.high ?? null]])),
+    dt: Number(by("design-dt").value),
+  };
+  if (setting.hold) bounds.hold = setting.hold;
+  if (setting.substeps) bounds.substeps = setting.substeps;
   return {
     kind: "design",
-    model: setting.name,
+    model: name,
     parameters: { start: diagnosis.base_theta, free: Object.keys(diagnosis.base_standard_errors) },
     options: {
-      causes: Object.fromEntries(chosen.map((one) => [one.effect, one.parameters])),
-      bounds: { inputs, dt: Number(by("design-dt").value) },
+      causes: Object.fromEntries(chosen.map((one) => [one.effect, { ...one.parameters, ...told(one) }])),
+      bounds,
       length: Number(by("design-length").value),
     },
   };
+}
+
+// What the record told of a cause's values, where the document has it in numbers.
+function told({ information }) {
+  return information?.matrix.flat().every((value) => value !== null) ? { information } : {};
 }
 
 // A link to the designed input as a CSV file.

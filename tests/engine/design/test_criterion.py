@@ -15,6 +15,7 @@ from engine.design.criterion import (
 )
 from engine.design.runs import Experiments, linearised, simulated
 from engine.design.search import Search, Task
+from engine.errors import OptionError
 from engine.filters.kalman import kalman_smoother
 from engine.filters.sigma_point import moment_filter
 from engine.models.registry import get_model
@@ -191,3 +192,32 @@ def test_linear_distances_agree_with_the_adapted_rival_near_its_own_point():
         away = (best.points[i, j] - rival.theta)[rival.indices]
         linear_ = linear_distances(y, runs, state.precisions[j], away, task.measured(e))[0]
         assert linear_ == pytest.approx(best.D[i, j], rel=0.05, abs=0.05)
+
+
+def test_what_a_record_told_of_a_cause_is_kept():
+    told = {"free": ["k", "drag_velocity"], "matrix": [[4.0, 1.0], [1.0, 9.0]]}
+    causes = {**CAUSES, "drag:velocity": {"drag_velocity": 0.2, "information": told}}
+    found = before_any(drive(), causes, None, 0.1, None).candidates[0]
+    there = [found.free.index(name) for name in told["free"]]
+    np.testing.assert_allclose(found.information[np.ix_(there, there)], told["matrix"])
+    assert np.count_nonzero(found.information) == 4
+    np.testing.assert_allclose(
+        found.covariance[np.ix_(there, there)], np.linalg.inv(told["matrix"])
+    )
+
+
+@pytest.mark.parametrize(
+    ("information", "field"),
+    [
+        ({"free": ["k"]}, "information"),
+        ({"free": ["k"], "matrix": [[1.0, 2.0]]}, "information.matrix"),
+        ({"free": ["k", "k"], "matrix": [[1.0, 0.0], [0.0, 1.0]]}, "information.matrix"),
+        ({"free": ["k", "b"], "matrix": [[1.0, 0.5], [0.0, 1.0]]}, "information.matrix"),
+        ({"free": ["k"], "matrix": [[None]]}, "information.matrix"),
+    ],
+)
+def test_information_that_is_none_is_refused(information, field):
+    causes = {**CAUSES, "drag:velocity": {"drag_velocity": 0.2, "information": information}}
+    with pytest.raises(OptionError) as refused:
+        before_any(drive(), causes, None, 0.1, None)
+    assert refused.value.field == f"causes.drag:velocity.{field}"

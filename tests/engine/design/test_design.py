@@ -8,6 +8,7 @@ import pytest
 import engine
 from engine.design.candidates import before_any
 from engine.design.criterion import adapted, precision
+from engine.design.inputs import LEAK, leakage
 from engine.design.runs import Experiments, simulated
 from engine.diagnose.search.pipeline import find_causes
 from engine.errors import OptionError
@@ -93,6 +94,18 @@ def test_limits_on_states_and_outputs_are_kept_whichever_cause_is_true():
         assert np.mean(inside) > 0.97  # two standard deviations off at the worst time
 
 
+def test_stop_bands_are_left_alone_in_every_record_that_is_offered():
+    band = {"low": -6.0, "high": 6.0, "stopbands": [[0.2, 0.5], [2.0, 4.0]]}
+    made = _designed(bounds={"inputs": {"voltage": band}, "dt": 0.1})
+    limits = made.bounds.inputs["voltage"]
+    for one in (made.experiment, made.shortest):
+        assert one is not None
+        assert leakage(one.u[:, 0], limits, 0.1) <= LEAK
+        assert np.ptp(one.u) > 1.0
+    free = _designed()
+    assert leakage(free.u[:, 0], limits, 0.1) > LEAK
+
+
 def test_limits_that_no_input_keeps_are_named():
     with pytest.raises(OptionError, match="inputs keeps the limit") as refused:
         _designed(bounds={**BOUNDS, "states": {"velocity": (-0.01, 0.01)}})
@@ -119,6 +132,40 @@ def test_a_third_cause_is_told_apart_from_twins():
     ]
     assert made.probability > 0.9
     assert "drag:velocity" in made.smallest[0]
+
+
+def two_tanks():
+    """Two tanks in a row; the lower one's level is measured, and where both begin is not known."""
+
+    def dynamics(a, u, t, dt, th):
+        upper, lower = a[:, 0], a[:, 1]
+        ahead = [upper + dt * (u[0] - upper), lower + dt * (upper - lower)]
+        return ahead, np.zeros((2, 0)), 1e-4 * dt * np.eye(2)
+
+    return engine.MixedModel(
+        name="two-tanks",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: ([a[:, 1]], np.zeros((1, 0)), [[th.r**2]]),
+        initial=lambda th: (engine.Gaussian([0.0, 0.0], np.eye(2)), [], np.zeros((0, 0))),
+        nonlinear={"upper": "m", "lower": "m"},
+        inputs={"pump": "m/s"},
+        outputs={"gauge": "m"},
+        parameters=[engine.Parameter("r", 0.02, "m", (1e-3, 1.0))],
+    )
+
+
+def test_the_sensor_that_tells_twins_apart_is_the_best_of_those_named():
+    """Water that leaves either tank lowers the lower level alike: a gauge on the upper one decides."""
+    causes = {"force:upper": -0.2, "force:lower": -0.2}
+    bounds = {"inputs": {"pump": [0.0, 2.0]}, "dt": 0.2}
+    made = engine.design_experiment(two_tanks(), bounds, 150, causes=causes, inputs=32, seed=1)
+    (one,) = made.undecided
+    assert one.hopeless
+    upper, lower = one.sensors
+    assert (upper.channel, upper.unit, lower.channel) == ("upper", "m", "lower")
+    assert upper.D > 14.5 > 1.0 > lower.D
+    assert upper.noise > 0.0
+    assert "upper" in str(made)
 
 
 def test_another_sensor_is_named_where_one_helps():

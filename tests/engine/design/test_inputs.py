@@ -6,7 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.design.bounds import Bounds, InputBounds
-from engine.design.inputs import FAMILIES, drawn, drawn_plan, limited, played, random_binary
+from engine.design.inputs import (
+    FAMILIES,
+    LEAK,
+    drawn,
+    drawn_plan,
+    leakage,
+    limited,
+    played,
+    random_binary,
+)
 from engine.errors import OptionError
 from tests.engine.design.models_for_design import drive
 
@@ -54,6 +63,34 @@ def test_an_input_waits_at_a_band_that_it_cannot_jump():
     assert limited(np.full(100, 3.0), fast, 0.1)[-1] == 3.0
 
 
+def test_what_lies_in_a_stop_band_is_its_share_of_the_power():
+    t = np.arange(400) * 0.1
+    two = 1.0 + 2.0 * np.sin(2 * np.pi * 0.5 * t) + np.sin(2 * np.pi * 2.0 * t)
+    assert leakage(two, InputBounds(-3.0, 4.0), 0.1) == 0.0
+    around = InputBounds(-3.0, 4.0, stopbands=((1.8, 2.2),))
+    assert leakage(two, around, 0.1) == pytest.approx(0.2, abs=0.02)
+    between = InputBounds(-3.0, 4.0, stopbands=((2.0, 2.0001),))  # narrower than the record tells
+    assert leakage(two, between, 0.1) > 0.04
+    assert leakage(np.full(400, 0.3) + 1e-14 * two, around, 0.1) == 0.0
+
+
+@pytest.mark.parametrize("family", sorted(FAMILIES))
+def test_stop_bands_are_left_alone_and_the_range_is_kept(family):
+    bounds = InputBounds(-3.0, 2.5, stopbands=((0.3, 0.6), (2.0, 3.0)))
+    free = InputBounds(-3.0, 2.5)
+    kept = 0
+    for seed in range(8):
+        plan = (drawn(np.random.default_rng(seed), family),)
+        u = played(plan, [bounds], 300, 0.1)[:, 0]
+        _keeps(u, bounds)
+        left, before = (
+            leakage(one, bounds, 0.1) for one in (u, played(plan, [free], 300, 0.1)[:, 0])
+        )
+        assert left <= max(before, LEAK)
+        kept += left <= LEAK
+    assert kept >= 6
+
+
 def test_random_binary_takes_both_ends():
     u = random_binary([InputBounds(-3.0, 2.5)], 100, 0.1, 4, np.random.default_rng(0))
     assert set(u[:, 0]) == {-3.0, 2.5}
@@ -93,7 +130,17 @@ GOOD = {"low": -1.0, "high": 1.0}
             {"inputs": {"voltage": {**GOOD, "forbidden": [[0.5, 0.1]]}}},
             "bounds.inputs.voltage.forbidden[0]",
         ),
+        (
+            {"inputs": {"voltage": {**GOOD, "stopbands": [[3.0, 2.0]]}}},
+            "bounds.inputs.voltage.stopbands[0]",
+        ),
+        (
+            {"inputs": {"voltage": {**GOOD, "stopbands": [[-1.0, 2.0]]}}},
+            "bounds.inputs.voltage.stopbands[0]",
+        ),
         ({"inputs": {"voltage": 3.0}}, "bounds.inputs.voltage"),
+        ({"inputs": {"voltage": GOOD}, "hold": "linear"}, "bounds.hold"),
+        ({"inputs": {"voltage": GOOD}, "substeps": 0}, "bounds.substeps"),
         ({"inputs": [1.0]}, "bounds.inputs"),
         ({"inputs": {}}, "bounds.inputs.voltage"),
         ({"inputs": {"voltage": GOOD, "current": GOOD}}, "bounds.inputs.current"),
@@ -117,9 +164,19 @@ def test_what_cannot_be_used_is_refused_by_its_field(given_, field):
 def test_bounds_go_through_json():
     bounds = Bounds.of(
         {
-            "inputs": {"voltage": {**GOOD, "rate": 2.0, "forbidden": [[-0.5, 0.5]], "start": 1.0}},
+            "inputs": {
+                "voltage": {
+                    **GOOD,
+                    "rate": 2.0,
+                    "forbidden": [[-0.5, 0.5]],
+                    "start": 1.0,
+                    "stopbands": [[1, 2]],
+                }
+            },
             "states": {"velocity": [None, 2.0]},
             "dt": 0.1,
+            "hold": "foh",
+            "substeps": 3,
         }
     )
     assert Bounds.of(bounds.to_dict()) == bounds
