@@ -3,9 +3,9 @@
 A noise parameter changes the gain of the filter, and so its innovations by z_q, a sum of past innovations that
 has mean zero. What z_q has in common with a direction that inputs drive, sum over t of z_k z_q, is chance: its
 expectation, the information, is zero, and where few independent readings tell of slow noise the sum is far from
-it. Projected out as if it were information it takes a direction's own with it, and what is left of a right model
-looks larger than it is. Of a direction that noise drives the sum is information: states that nothing but noise
-moves are the usual case.
+it. Projected out as if it were information it takes a direction's own with it, and what is left of a right
+model looks larger than it is. Of a direction that noise drives the sum is information: states that nothing
+but noise moves are the usual case.
 """
 
 from __future__ import annotations
