@@ -1,10 +1,11 @@
 """Which parameters are of the noise alone, and what they have in common with others.
 
 A noise parameter changes the gain of the filter, and so its innovations by z_q, a sum of past innovations that
-has mean zero. What z_q seems to have in common with a direction that moves predictions,
-sum over t of z_k z_q, is therefore noise: its expectation, the information, is zero, and on a record with few
-independent readings of slow noise it is far from it. Projected out as if it were information it takes a
-direction's own with it, and what is left of a right model looks larger than it is.
+has mean zero. What z_q has in common with a direction that inputs drive, sum over t of z_k z_q, is chance: its
+expectation, the information, is zero, and where few independent readings tell of slow noise the sum is far from
+it. Projected out as if it were information it takes a direction's own with it, and what is left of a right
+model looks larger than it is. Of a direction that noise drives the sum is information: states that nothing
+but noise moves are the usual case.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from engine.arrays import Array
 from engine.data.series import Series
 from engine.diagnose.screening.score_columns import Column, along_path
+from engine.errors import EngineError
 from engine.estimation.expectation import either_side
 from engine.filters.sigma_point import MomentPath
 from engine.statespace.model import MixedModel
@@ -28,12 +30,18 @@ MEANS = (0, 2, 5)  # of what along_path returns: of the next state, the reading,
 def noise_only(
     model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series, path: MomentPath
 ) -> NDArray[np.bool_]:
-    """Which of the parameters ``indices`` (n,) change no mean of a step from where the filter was, (n,)."""
+    """Which of the parameters ``indices`` (n,) change no mean of a step from where the filter was, (n,).
+
+    Where the model cannot be used beside theta they count as ones that do.
+    """
     here = along_path(model, theta, model, series, path)
     out = np.zeros(len(indices), dtype=bool)
     for i, k in enumerate(indices):
         ends = either_side(model, theta, int(k), DIFFERENCE)
-        moved = [along_path(model, end, model, series, path) for end in ends]
+        try:
+            moved = [along_path(model, end, model, series, path) for end in ends]
+        except (EngineError, np.linalg.LinAlgError):
+            continue
         out[i] = all(np.array_equal(here[m], one[m]) for one in moved for m in MEANS)
     return out
 

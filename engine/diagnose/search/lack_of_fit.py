@@ -5,8 +5,10 @@ every state's equation is offered a polynomial of second degree in all states an
 of :mod:`engine.diagnose.screening.screen`, with all its terms at once, says whether the extended model
 would gain by it.
 
-Noise that was estimated from the same record is too small for such a test: what looks like a lack is tested
-again at the noise of the restricted likelihood, :mod:`engine.estimation.restricted`.
+Noise that was estimated from the same record is too small for such a test, and what its parameters have in
+common with a polynomial may be chance (:mod:`engine.diagnose.screening.noise_parameters`). So what looks like a
+lack is tested again with that left out, and at the noise of :mod:`engine.estimation.restricted`: a name is
+rejected only where all of them say so.
 """
 
 from __future__ import annotations
@@ -77,10 +79,15 @@ def lack_of_fit(
     """
     model, theta, indices = fit.model, np.asarray(fit.theta), fit.model.free_indices(fit.free)
     noise = noise_only(model, theta, indices, series, moment_path(model, theta, series))
-    found = _lacking(fit, series, noise, targets, states, seed)
-    if found is None or found.p_value > LEVEL:
-        return found
-    return _lacking(restricted(fit, series, noise), series, noise, targets, states, seed)
+    found = None
+    for again in (False, True):
+        if again:
+            fit = restricted(fit, series, noise)
+        for kind in (np.zeros_like(noise), noise):
+            found = _lacking(fit, series, kind, targets, states, seed)
+            if found is None or found.p_value > LEVEL:
+                return found
+    return found
 
 
 def _lacking(
@@ -91,7 +98,7 @@ def _lacking(
     states: Sequence[str],
     seed: int,
 ) -> LackOfFit | None:
-    """The same at the noise of this fit; ``noise`` (n_free,) marks its parameters."""
+    """The same at the noise of this fit; ``noise`` (n_free,) marks parameters that share no innovations."""
     model, theta, indices = fit.model, np.asarray(fit.theta), fit.model.free_indices(fit.free)
     columns = parameter_columns(model, theta, indices, series)
     projection = Projection(apart(columns, noise, series.y.size))

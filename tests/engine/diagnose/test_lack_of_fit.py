@@ -16,7 +16,11 @@ from engine.filters.sigma_point import moment_path
 from engine.simulation.simulate import simulate
 from tests.engine.hidden_effects import DRIVE, DT, levels
 from tests.engine.other_units import Units
+from tests.studies.design.systems import SYSTEMS
 
+SPRING = SYSTEMS[
+    "spring"
+].model  # process noise on its velocity alone, of which a record tells little
 N = 400
 STATES = ["speed", "load"]
 SHAPES = {
@@ -57,37 +61,6 @@ def test_a_right_model_lacks_nothing():
     assert sum(p <= 0.1 for p in p_values) < 10
 
 
-def spring():
-    """Measured position; process noise on the velocity alone, so that a record tells little of it."""
-
-    def dynamics(a, u, t, dt, th):
-        x, v = a[:, 0], a[:, 1]
-        v = v + dt * (u[0] - th.k * x - th.c * v)
-        return [x + dt * v, v], np.zeros((2, 0)), [[1e-12, 0.0], [0.0, dt * th.q**2]]
-
-    return engine.MixedModel(
-        name="spring",
-        dynamics=dynamics,
-        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[th.r**2]]),
-        initial=lambda th: (
-            engine.Gaussian([0.0, 0.0], np.diag([0.02, 0.05]) ** 2),
-            [],
-            np.zeros((0, 0)),
-        ),
-        nonlinear={"position": "m", "velocity": "m/s"},
-        kinematic=("position",),
-        inputs={"force": "N"},
-        outputs={"reading": "m"},
-        reference={"position": 0.0, "force": 0.0},
-        parameters=[
-            engine.Parameter("k", 4.0, "1/s^2", (0.1, 100.0)),
-            engine.Parameter("c", 0.5, "1/s", (0.0, 20.0)),
-            engine.Parameter("q", 0.02, "m/s^1.5", (1e-4, 1.0)),
-            engine.Parameter("r", 0.02, "m", (1e-3, 1.0)),
-        ],
-    )
-
-
 def few_steps():
     return np.repeat([1.5, -0.5, 3, -3, 0.8, -1.5, 2.2, 0.3], [50, 20, 45, 40, 30, 45, 40, 30])
 
@@ -105,7 +78,7 @@ def test_a_right_name_is_rejected_no_more_often_than_said(force):
     With noise as estimated, and what its gain happens to have in common with the shapes projected out, seven
     of the 60 with steps were rejected.
     """
-    base, rejected = spring(), 0
+    base, rejected = SPRING, 0
     for name, size in (("coulomb:velocity", 0.12), ("cubic:position->velocity", -1.2)):
         model = make_effect(name, Setting(base, dt=0.1)).apply(base)
         theta = [*base.theta(), size]
@@ -119,20 +92,20 @@ def test_a_right_name_is_rejected_no_more_often_than_said(force):
 
 
 def test_noise_parameters_are_known_and_share_no_innovations_with_others():
-    model = spring()
+    model = SPRING
     theta = np.asarray(model.theta())
     record = simulate(model, None, 60, np.random.default_rng(1), u=np.ones((60, 1)), dt=0.1).series
-    every = np.arange(4)
+    every = np.arange(5)
     noise = noise_only(model, theta, every, record, moment_path(model, theta, record))
-    assert noise.tolist() == [False, False, True, True]
+    assert noise.tolist() == [False, False, False, True, True]
     columns = parameter_columns(model, theta, every, record)
     split = np.array([one.v for one in apart(columns, noise, 60)])
     before = np.array([one.v for one in columns])
     both, own = split @ split.T, before @ before.T
-    np.testing.assert_allclose(both[:2, :2], own[:2, :2])
-    np.testing.assert_allclose(both[2:, 2:], own[2:, 2:])
-    assert np.abs(own[:2, 2:]).min() > 1e-6  # chance
-    assert np.abs(both[:2, 2:] - (before[:2, 60:] @ before[2:, 60:].T)).max() < 1e-9
+    np.testing.assert_allclose(both[:3, :3], own[:3, :3])
+    np.testing.assert_allclose(both[3:, 3:], own[3:, 3:])
+    assert np.abs(own[:3, 3:]).min() > 1e-6  # chance
+    assert np.abs(both[:3, 3:] - (before[:3, 60:] @ before[3:, 60:].T)).max() < 1e-9
 
 
 def test_the_same_in_other_units():
