@@ -94,5 +94,6 @@ def _told(one: Mapping[str, Any]) -> dict[str, Any]:
 
 def between_samples(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     """Bounds that a diagnosis' document sets by default: sample time, steps in it, what inputs do meanwhile."""
-    setting = diagnosis["extension"]["model"]["setting"]
-    return {name: setting[name] for name in ("dt", "substeps", "hold") if setting.get(name)}
+    extension = diagnosis["extension"]
+    known = {**extension["model"]["setting"], "hold": extension.get("hold")}
+    return {name: known[name] for name in ("dt", "substeps", "hold") if known.get(name)}

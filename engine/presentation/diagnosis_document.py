@@ -61,6 +61,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "base_standard_errors": _errors(d.before),
         "extension": {
             "model": _reference(d),
+            "hold": d.series.hold,
             "equations_before": list(d.model.equations),
             "equations": list(d.extended.equations),
             "theta": d.theta.asdict(),
@@ -159,7 +160,6 @@ def _reference(d: Diagnosis) -> dict[str, Any]:
             "span": setting.span,
             "dt": setting.dt,
             "substeps": d.substeps,
-            "hold": d.series.hold,
             "time_unit": setting.time_unit,
         },
     }

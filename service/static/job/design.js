@@ -64,14 +64,14 @@ function rows(id) {
 function request(diagnosis, causes) {
   const wanted = [...by("design-causes").querySelectorAll("input:checked")].map((box) => box.value);
   const chosen = causes.filter((one) => wanted.includes(one.effect));
-  const { name, setting } = diagnosis.extension.model;
+  const { model: { name, setting }, hold } = diagnosis.extension;
   const kept = Object.entries(rows("design-states")).filter(([, one]) => "low" in one || "high" in one);
   const bounds = {
     inputs: rows("design-inputs"),
     states: Object.fromEntries(kept.map(([state, one]) => [state, [one.low ?? null, one.high ?? null]])),
     dt: Number(by("design-dt").value),
   };
-  if (setting.hold) bounds.hold = setting.hold;
+  if (hold) bounds.hold = hold;
   if (setting.substeps) bounds.substeps = setting.substeps;
   return {
     kind: "design",

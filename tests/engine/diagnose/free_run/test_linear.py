@@ -92,8 +92,10 @@ def test_the_gain_on_rows_left_out_is_that_of_least_squares_on_the_others(fit, l
         for i, j in pairs:
             c = linear.C[i, j]
             same = linear.columns[i].effect.name == linear.columns[j].effect.name
-            share = (z[i] ** 2 + z[j] ** 2 - 2 * c * z[i] * z[j]) / (1 - c * c)
-            shares.append(0.0 if same or abs(c) >= 0.97 else share)
+            if same or abs(c) >= 0.97:
+                shares.append(0.0)
+                continue
+            shares.append((z[i] ** 2 + z[j] ** 2 - 2 * c * z[i] * z[j]) / (1 - c * c))
         chosen = [(single,), pairs[int(np.argmax(shares))]]
         gains = []
         for which in chosen:
