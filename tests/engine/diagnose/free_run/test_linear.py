@@ -5,31 +5,20 @@ import itertools
 import numpy as np
 import pytest
 
-import engine
-from engine.data.series import Series
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.columns import columns
-from engine.diagnose.free_run.fitted import fit_runs
 from engine.diagnose.free_run.folds import folds_of
 from engine.diagnose.free_run.linear import Linear
 from engine.simulation.free_run import free_run
+from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
 
-MODEL = engine.get_model("oscillator")
 EFFECTS = ("cubic:position->velocity", "bias:y", "drag:velocity", "input-offset:drive")
-FREE = ("omega", "zeta", "gain")
 
 
 @pytest.fixture(scope="module")
 def fit():
-    rng = np.random.default_rng(1)
-    T, dt = 400, 0.05
-    u = np.convolve(rng.standard_normal(T + 20), np.ones(20) / 5.0)[20 : T + 20]
-    empty = Series(np.full(T, np.nan), u, dt=dt)
-    hidden = engine.get_model("oscillator", ["cubic:position->velocity"])
-    truth = free_run(hidden, {"cubic_position__velocity": -4.0}, empty)
-    series = empty.replace(y=truth.y + 1e-3 * rng.standard_normal((T, 1)))
-    return fit_runs(MODEL, [series], MODEL.theta(), FREE, np.zeros((1, 2)))
+    return fit_beside_cubic(1)
 
 
 @pytest.fixture(scope="module")

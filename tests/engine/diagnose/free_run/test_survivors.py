@@ -3,30 +3,17 @@
 import numpy as np
 import pytest
 
-import engine
-from engine.data.series import Series
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.free_run.fitted import Pick, fit_runs, with_effects
+from engine.diagnose.free_run.fitted import Pick, with_effects
 from engine.diagnose.free_run.folds import folds_of, losses
 from engine.diagnose.free_run.search import Candidate, survivors
-from engine.simulation.free_run import free_run
-
-MODEL = engine.get_model("oscillator")
-FREE = ("omega", "zeta", "gain")
+from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
 
 
 @pytest.fixture(scope="module")
 def fit():
-    """Cubic stiffness is hidden, readings are nearly free of noise."""
-    rng = np.random.default_rng(2)
-    T, dt = 400, 0.05
-    u = np.convolve(rng.standard_normal(T + 20), np.ones(20) / 5.0)[20 : T + 20]
-    empty = Series(np.full(T, np.nan), u, dt=dt)
-    hidden = engine.get_model("oscillator", ["cubic:position->velocity"])
-    truth = free_run(hidden, {"cubic_position__velocity": -4.0}, empty)
-    series = empty.replace(y=truth.y + 1e-3 * rng.standard_normal((T, 1)))
-    return fit_runs(MODEL, [series], MODEL.theta(), FREE, np.zeros((1, 2)))
+    return fit_beside_cubic(2)
 
 
 def candidate(fit, name, own):
