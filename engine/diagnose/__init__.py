@@ -62,7 +62,7 @@ from engine.diagnose.search.substeps import is_enough, prepare
 from engine.diagnose.search.verdict import detectable_of, named_by, names_of
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
-from engine.errors import OptionError, SeriesError
+from engine.errors import EngineError, OptionError, SeriesError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, ThetaLike
 
@@ -281,9 +281,12 @@ def diagnose(
         there = measured(order)
         objection = "" if there is None else falls_short(there, _promised(order, searched, there))
         if objection:  # noise that was fitted too small loses much elsewhere, and is no other cause
-            fair = measured(with_fair_noise(order, searched))
-            assert fair is not None
-            objection = falls_short(fair, _promised(order, searched, fair))
+            try:
+                fair = measured(with_fair_noise(order, searched))
+            except (EngineError, np.linalg.LinAlgError):
+                fair = None
+            if fair is not None:
+                objection = falls_short(fair, _promised(order, searched, fair))
         return there, objection
 
     clock.start("gain")
