@@ -82,7 +82,10 @@ def lack_of_fit(
     found = None
     for again in (False, True):
         if again:
-            fit = restricted(fit, series, noise)
+            try:
+                fit = restricted(fit, series, noise)
+            except (EngineError, np.linalg.LinAlgError):
+                return found
         for kind in (np.zeros_like(noise), noise):
             found = _lacking(fit, series, kind, targets, states, seed)
             if found is None or found.p_value > LEVEL:
