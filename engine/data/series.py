@@ -261,7 +261,13 @@ class Series(Shown):
         return Series(**made)
 
     def follows(self, before: Series) -> bool:
-        """Whether its times go on where those of ``before`` end, a usual step later."""
+        """Whether its times go on where those of ``before`` end, a usual step later, in the same channels."""
+        for one, other in ((self.y, before.y), (self.u, before.u), (self.extra, before.extra)):
+            if one.shape[1] != other.shape[1]:
+                return False
+        clocks = [(one.hold, one.substeps, one.time_unit) for one in (self, before)]
+        if clocks[0] != clocks[1]:
+            return False
         gap, steps = float(self.t[0] - before.t[-1]), np.diff(before.t[before.samples])
         return bool(0.5 * steps.min() <= gap <= 1.5 * steps.max())
 

@@ -119,7 +119,8 @@ def diagnose(
     theta : Theta, mapping, array or None
         Start values; where None, one is searched for.
     test : Series or sequence of Series, optional
-        Held-out data; the last fifth of the longest record by default.
+        Held-out data; the last fifth of the longest record by default. One whose times go on where a
+        record ends is filtered from there, any other from the model's own beginning.
     seed : int
         The same seed gives the same bits.
     alpha : float

@@ -78,7 +78,8 @@ def examine(
     seed : int
         The same seed gives the same bits.
     test : Series or sequence of Series, optional
-        Held-out data, on which the error of the simulation is measured.
+        Held-out data, on which the error of the simulation is measured; times that go on where a series
+        ends say that its last state is where they begin.
 
     Returns
     -------

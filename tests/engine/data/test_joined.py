@@ -40,6 +40,10 @@ def test_what_follows_is_told_by_the_times():
     assert not one.follows(other)
     assert not whole.part(103, 240).follows(one)  # a gap
     assert not other.replace(t=other.t - other.t[0]).follows(one)  # a clock of its own
+    assert not other.replace(hold="foh").follows(one)  # one step could not be both
+    assert not other.refined(2).follows(one)
+    rain = one.replace(extra=np.ones((100, 1)), extra_names=("rain",))
+    assert not other.follows(rain)  # its filter would not know the channel
     milliseconds = [part.replace(t=1e3 * part.t) for part in (one, other)]
     assert milliseconds[1].follows(milliseconds[0])
     assert past_of(other, [other, one]) is one
