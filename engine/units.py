@@ -19,6 +19,12 @@ _CLOCKS = {
     **{word + end: word for word in ("day", "week", "month", "year") for end in ("", "s")},
 }
 _CLOCK = re.compile(r"(?:(?:t|time)[ _]*)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
+_SPELLED = "|".join(_CLOCKS)
+# Without brackets ``t_min`` and ``t_h`` may as well be temperatures. The page has the same in static/start/match.js.
+TIMES = re.compile(
+    rf"(t|time)(s|[ _]*[\[(]\s*({_SPELLED})\s*[\])])?|time[ _]+({_SPELLED})|t[ _]+([nuµm]?s|sec|seconds?)",
+    re.IGNORECASE,
+)
 _IN_BRACKETS = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]+(?:\([^()]*\)[^\[\]()]*)*)\s*[\])]\s*")
 
 

@@ -12,9 +12,10 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from engine.data.files import TIME, is_channel
+from engine.data.files import is_channel
 from engine.data.tables import Table
 from engine.errors import SeriesError
+from engine.units import TIMES
 
 Test = Callable[[str, str, str], bool]  # column, channel, y or u
 
@@ -33,7 +34,7 @@ def match(
     found = dict(given)
     roles = {"y": list(outputs), "u": list(inputs)}
     taken = {*found.values(), *other}
-    left = [name for name in table.columns if name not in taken and not TIME.fullmatch(name)]
+    left = [name for name in table.columns if name not in taken and not TIMES.fullmatch(name)]
 
     def take(channel: str, column: str) -> None:
         found[channel] = column

@@ -5,8 +5,8 @@ Which columns are which channels:
 - ``y`` and ``u`` are lists of column names, or mappings {model channel: column};
 - left out, they are all columns named y or u, alone or followed by something that is not a letter
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
-- ``t`` names the column of time stamps; left out, a column named ``t``, ``time``, ``t_s``, ``time_s`` or
-  ``t [s]`` is used unless ``dt`` is given;
+- ``t`` names the column of time stamps; left out, a column named ``t`` or ``time`` is used unless ``dt`` is
+  given, also with a unit of time behind it (``t [h]``, ``time_min``, ``t_s``);
 - in .mat and .npz a scalar named ``dt`` or ``Ts`` is the time step;
 - ``time_unit`` says what times count (see :class:`engine.Series`); left out, what the file says: a text
   ``time_unit`` in .mat and .npz, a line ``# time unit: min`` at the head of a CSV, or the name of the column of
@@ -32,12 +32,11 @@ from engine.arrays import Array
 from engine.data.series import Series
 from engine.data.tables import Table, read_csv, read_mat, read_npz
 from engine.errors import OptionError, SeriesError
-from engine.units import SECOND, clock_of
+from engine.units import SECOND, TIMES, clock_of
 
 Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
 
 READERS = {".csv": read_csv, ".txt": read_csv, ".mat": read_mat, ".npz": read_npz}
-TIME = re.compile(r"(t|time)([ _]?[\[(]?s[\])]?)?", re.IGNORECASE)
 
 
 def read_series(
@@ -96,7 +95,7 @@ def series_from(
     y_names, y_columns = _channels(table, y, "y")
     u_names, u_columns = _channels(table, u, "u")
     if t is None and dt is None and table.dt is None:
-        t = next((name for name in table.groups if TIME.fullmatch(name)), None)
+        t = next((name for name in table.groups if TIMES.fullmatch(name)), None)
     times = None if t is None else _stacked(table, "t", _lookup(table, "t", t))[:, 0]
     step = dt if dt is not None else table.dt
     try:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from engine.data.files import TIME, read_table, series_from
+from engine.data.files import read_table, series_from
 from engine.data.series import Series
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
+from engine.units import TIMES
 from service.cli.ending import wrong
-from service.columns import match
+from service.columns import counts, match
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,17 @@ def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns
     missing = int((~series.observed).sum())
     text += f"; {missing} missing" if missing else ""
     text += f"; inputs between samples: {series.hold}" if series.hold != "zoh" else ""
-    clock = columns.time or columns.dt or table.dt or any(map(TIME.fullmatch, table.groups))
-    return text + (
-        ""
-        if clock
-        else f" (no column of times: a step of 1 {series.time_unit} is assumed, see --dt)"
-    )
+    clock = columns.time or columns.dt or table.dt or any(map(TIMES.fullmatch, table.groups))
+    if clock:
+        return text
+    text += f" (no column of times: a step of 1 {series.time_unit} is assumed; else --dt STEP"
+    maybe = next((name for name in table.columns if name not in read and _counts(table, name)), None)
+    return text + (f", or, as '{maybe}' counts up evenly, --time '{maybe}')" if maybe else ")")
+
+
+def _counts(table: Table, name: str) -> bool:
+    """Whether a column may be one of times."""
+    try:
+        return counts(table.column(name))
+    except SeriesError:  # words, say
+        return False

@@ -26,6 +26,9 @@ CASES = {  # columns, outputs, inputs, what is found
     "two open": ("year,flow", "level rate", "", {}),
     "an exact name first": ("flow_in,flow", "flow", "", {"flow": "flow"}),
     "time is time": ("time,level_V", "level", "", {"level": "level_V"}),
+    "time with its unit": ("time [h],level_V", "level", "", {"level": "level_V"}),
+    "time, its unit by a line": ("time_min,t_ms,T [days],level", "level", "", {"level": "level"}),
+    "a least temperature": ("t_min,t_h", "t_min t_h", "", {"t_min": "t_min", "t_h": "t_h"}),
 }  # fmt: skip
 
 

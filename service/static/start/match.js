@@ -3,7 +3,8 @@
 // The rules are those of service/columns.py, where they are told; a test compares the two. ``columns``
 // are those that can be used, ``counting`` those of them that only count, as years do.
 
-const TIME = /^(t|time)([ _]?[[(]?s[\])]?)?$/i;
+const CLOCK = "ns|us|µs|ms|h|s|sec|seconds?|min|minutes?|hr|hours?|days?|weeks?|months?|years?";
+const TIME = new RegExp(`^((t|time)(s|[ _]*[[(]\\s*(${CLOCK})\\s*[\\])])?|time[ _]+(${CLOCK})|t[ _]+([nuµm]?s|sec|seconds?))$`, "i");
 const BY_NAME = [
   (column, { name }) => column === name,
   (column, { name }) => column.toLowerCase() === name.toLowerCase(),

@@ -25,6 +25,20 @@ def test_the_unit_that_a_column_of_times_tells(column, unit):
     assert clock_of(column) == unit
 
 
+@pytest.mark.parametrize("column", ["time [h]", "t (min)", "time_min", "Time days", "t_ms", "T [s]"])
+def test_a_column_of_times_is_found_with_its_unit(column, tmp_path):
+    (tmp_path / "a.csv").write_text(f"{column},y\n0,1\n0.5,2\n1,3\n")
+    series = engine.Series.read(tmp_path / "a.csv")
+    assert series.dt == 0.5
+    assert series.time_unit == clock_of(column) != ""
+
+
+@pytest.mark.parametrize("column", ["t_min", "t_h", "time_of_flight", "T [K]", "year"])
+def test_other_columns_are_none_of_times(column, tmp_path):
+    (tmp_path / "a.csv").write_text(f"{column},y\n0,1\n0.5,2\n1,3\n")
+    assert engine.Series.read(tmp_path / "a.csv").dt == 1.0
+
+
 def test_units_as_they_are_written():
     assert (frequency_in("s"), frequency_in("year")) == ("Hz", "1/year")
     assert named_with_unit("pressure [bar]") == ("pressure", "bar")
