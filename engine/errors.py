@@ -15,7 +15,7 @@ from __future__ import annotations
 
 
 class EngineError(ValueError):
-    """Base class: something the caller can put right."""
+    """Base class of errors that the caller can put right; the message says what to do."""
 
 
 class NotSettledWarning(UserWarning):
@@ -23,10 +23,10 @@ class NotSettledWarning(UserWarning):
 
 
 class ModelError(EngineError):
-    """A model returned something that no algorithm can use.
+    """A model's function failed, or returned something that no algorithm can use.
 
-    ``placed``: the message names function, time and shapes already. ``numeric``: a calculation failed
-    at the values it was given, as it may at a trial of the parameters, and not the model as such.
+    ``placed`` says that the message names function, time and shapes already. ``numeric`` says that a calculation
+    failed at the values it was given, as it may at a trial of the parameters; the model itself may be right.
     """
 
     def __init__(self, message: str, *, placed: bool = False, numeric: bool = False) -> None:
@@ -35,11 +35,11 @@ class ModelError(EngineError):
 
 
 class SeriesError(EngineError):
-    """The measured data cannot be used as they are."""
+    """The measured data cannot be used as they are; the message names the row and the channel."""
 
 
 class OptionError(EngineError):
-    """An argument is outside what the algorithm accepts; ``field`` names it."""
+    """An argument is unknown or out of its range; ``field`` names it."""
 
     def __init__(self, message: str, field: str = "") -> None:
         super().__init__(message)

@@ -40,14 +40,14 @@ def save(found: Kept, path: str | Path) -> Path:
     Parameters
     ----------
     found : EmResult, SimulationFit or Diagnosis
-        The result.
+        The result to keep, with the name, file or text of its model.
     path : str or Path
         The file to write.
 
     Returns
     -------
     Path
-        The file.
+        The file that was written.
 
     Raises
     ------
@@ -75,22 +75,22 @@ def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
     Parameters
     ----------
     path : str or Path
-        The file.
+        The file that ``save`` wrote.
     model : MixedModel, optional
-        The model, where it is not found by itself, such as one of a notebook.
+        The model, where it cannot be found by name or file, such as one that was written in a notebook.
     run_source : bool
-        Where the model's own file has gone, run the text of it that was kept. It may do anything that you may:
-        only for files of people you trust.
+        Whether to run the kept text of the model's file where that file no longer exists. The text can do
+        anything that you can do, so allow it only for files of people whom you trust.
 
     Returns
     -------
     EmResult, SimulationFit or Diagnosis
-        What was saved.
+        The result as it was saved, with its model.
 
     Raises
     ------
     OptionError
-        The file is none that ``save`` wrote, or its model is not found or not the same.
+        The file was not written by ``save``, or its model is not found or has changed.
     """
     path = Path(path)
     try:

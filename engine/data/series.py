@@ -34,24 +34,25 @@ class Series(Shown):
         Outputs; NaN is a missing value, of a whole row or a single channel. Columns of a pandas table bring
         their names along, and an index of dates, durations or decimal numbers the times.
     u : array (T, nu) or (T,), optional
-        Inputs.
+        Inputs, without gaps, in the order in which the model lists them; none by default.
     dt : float, optional
-        Time step of a regularly sampled series; 1 where nothing says when rows were measured.
+        Time step of a regularly sampled series, in ``time_unit``; 1 where nothing says when rows were measured.
     t : array (T,), optional
-        Time stamps, one per row, instead of ``dt``. Dates become seconds from the first of them.
+        Increasing time stamps, one per row, instead of ``dt``, in ``time_unit``. Dates become seconds from the
+        first of them.
     y_names, u_names : sequence of str, optional
-        Names of the channels.
+        Names of the columns of y and u; y1, y2, ... and u1, u2, ... by default.
     extra : array (T, n), optional
         Channels that were recorded but that the model does not use; a diagnosis asks whether they matter.
     extra_names : sequence of str, optional
-        Their names.
+        Names of the columns of ``extra``.
     substeps : int
-        Rows from one sample to the next, the first row being a sample, where the series was refined (see
-        :meth:`refined`).
+        Number of rows from one sample to the next, where the series was refined (see :meth:`refined`); its
+        first row is a sample.
     hold : str
-        What inputs did between their samples: held until the next one (``"zoh"``, as a converter holds what
-        a computer sends), on a straight line to it (``"foh"``, as of a signal that was measured like the
-        outputs), or at a row's value since the row before (``"past"``, as loggers write mean currents).
+        What inputs did between their samples. ``"zoh"``: held until the next one, as a converter holds what a
+        computer sends. ``"foh"``: on a straight line to it, as a signal that was measured like the outputs.
+        ``"past"``: at a row's value since the row before, as loggers write mean currents.
     time_unit : str
         What times and steps count, such as ``"min"`` or ``"year"``. A label: it changes the units that are
         printed (``1/year``, ``m/min``) and no number. A model's equations, and the units that it declares,
@@ -62,9 +63,9 @@ class Series(Shown):
     Raises
     ------
     SeriesError
-        The data cannot be used; names the row and the channel.
+        Lengths differ, times do not increase, or an input is missing; names the row and the channel.
     OptionError
-        ``hold`` is another word.
+        ``hold`` is none of the three words, or ``time_unit`` no unit.
     """
 
     y: Array
@@ -235,14 +236,14 @@ class Series(Shown):
         return here + share[:, None] * (following - here)
 
     def held(self, hold: str) -> Series:
-        """The samples, with inputs that do something else between them, as a series that is not refined."""
+        """The samples of this series, not refined, with inputs that do what ``hold`` says between them."""
         at = self.samples
         return self.replace(
             y=self.y[at], u=self.u[at], t=self.t[at], extra=self.extra[at], substeps=1, hold=hold
         )
 
     def replace(self, **changes: Any) -> Series:
-        """The same series with some of its arrays, names, units, ``substeps`` or ``hold`` changed."""
+        """The same series with some of its fields changed, given by their names as for :class:`Series`."""
         kept = {
             "y": self.y,
             "u": self.u,

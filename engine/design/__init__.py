@@ -64,22 +64,23 @@ def design_experiment(
     diagnosis : Diagnosis or MixedModel
         A diagnosis that ended in a ``set`` or ``unknown``; or a model, before any experiment.
     bounds : Bounds or mapping
-        What the inputs may do, and what states and outputs must not.
+        Limits on every input and, where wanted, on states and outputs.
     length : int
-        Samples T of the experiment.
+        Number of samples T of the experiment.
     causes : sequence of str or mapping, optional
-        Which of the causes that the diagnosis weighed; by default those it could not tell apart. Before any
-        experiment a mapping {"drag:velocity": size}, or of a cause's own parameters by name; "information"
-        among them, {"free": names (n,), "matrix": (n, n)}, is what a record told of them.
+        Names of causes that the diagnosis weighed; by default those it could not tell apart. For a model, a
+        mapping {"drag:velocity": size}, or {cause: {parameter: value}} with the effect's own parameters. There
+        "information": {"free": names (n,), "matrix": (n, n)} is the inverse covariance that a record gave.
     theta : Theta, mapping, array or None
-        Parameters before any experiment; the model's defaults where None.
+        Parameters (n_theta,) of a model that has not been diagnosed; its defaults where None.
     free : sequence of str, optional
-        Names of the parameters that a diagnosis estimates, before any experiment; all by default.
+        Names of the parameters that a diagnosis will estimate, for a model that has not been diagnosed; all by
+        default.
     anew : bool
-        The new record is diagnosed on its own, all free parameters estimated again. False: what the earlier
-        record told of them and of the causes counts too.
+        Whether the new record is diagnosed on its own, all free parameters estimated again. With False, what
+        the earlier record told of parameters and causes counts too.
     inputs : int
-        How many inputs are tried.
+        How many inputs are tried, at least 1.
     seed : int
         The same seed gives the same design.
     callback : callable, optional
@@ -88,8 +89,8 @@ def design_experiment(
     Returns
     -------
     Design
-        The input (T, nu), D and the probability of the right name, the shortest record that reaches 95 %, what
-        cannot be told apart; print it for a short table.
+        The input (T, nu), how surely it leads to the right name, the shortest record that reaches 95 %, and
+        what cannot be told apart; print it for a short table.
 
     Raises
     ------

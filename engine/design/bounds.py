@@ -18,21 +18,20 @@ Band: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class InputBounds:
-    """What one input may do.
+    """Limits on one input of an experiment.
 
     Parameters
     ----------
     low, high : float
         The range of its values, in its unit.
     rate : float, optional
-        By how much it may change in a second, in its unit per second.
+        Largest change per second, in the input's unit per second; no limit by default.
     forbidden : sequence of (float, float)
         Open bands of values that it must not take, in its unit; it may jump over one within a sample.
     stopbands : sequence of (float, float)
-        Bands of frequency in Hz that it must not excite: of its power about its mean at most
-        :data:`engine.design.inputs.LEAK` lies in them.
+        Bands of frequency, Hz, that it must not excite: at most 1 % of its power about its mean lies in them.
     start : float, optional
-        Its value before the record, an allowed one, from which the rate counts; anything by default.
+        Value before the record, from which ``rate`` counts; any allowed value by default.
     """
 
     low: float
@@ -45,19 +44,19 @@ class InputBounds:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What an experiment may do.
+    """Limits that a designed experiment keeps.
 
     Parameters
     ----------
     inputs : mapping
-        {name of an input: InputBounds, or (low, high), or a mapping of its fields}; of every input.
+        {name: InputBounds, or (low, high), or a mapping of its fields}, with every input of the model.
     states, outputs : mapping
-        {name: (low, high)} that a state or an output must not leave, whichever of the causes is the true
-        one; None is no limit on that side.
+        {name: (low, high)}, in its unit: limits that hold whichever of the causes is the true one. None in place
+        of a number is no limit on that side.
     dt : float, optional
-        Time between samples, s; that of the diagnosed record by default.
+        Time between samples, s, positive; that of the diagnosed record by default.
     sigmas : float
-        Standard deviations of the free run, from process noise and first state, by which limits are kept.
+        Distance to the limits in standard deviations of the simulation, from process noise and first state.
     hold : str, optional
         What inputs do between samples, see :class:`engine.Series`; as in the diagnosed record by default, or
         "zoh".
@@ -67,7 +66,7 @@ class Bounds:
     Raises
     ------
     OptionError
-        Something cannot be used; ``field`` names it.
+        A value is of the wrong kind or impossible; ``field`` names it.
     """
 
     inputs: Mapping[str, InputBounds]

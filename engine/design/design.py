@@ -64,33 +64,34 @@ class Design(Shown):
     model : MixedModel
         The model without the causes.
     causes : tuple of str
-        Their names (m,).
+        Names (m,) of the causes to tell apart, such as ``drag:velocity``.
     titles : tuple of str
-        The same in words.
+        What each of the causes is, in words.
     bounds : Bounds
-        What the input may do.
+        Limits that the inputs, states and outputs keep.
     dt : float
         Time between samples, s.
     experiment : Experiment
-        The input of the length asked: ``u`` (T, nu), ``D`` (m, m), ``probability`` (m,).
+        The experiment of the length asked for: its input ``u`` (T, nu), ``D`` (m, m) and the ``probability``
+        (m,) of each cause's name.
     shortest : Experiment or None
-        The shortest that was found to reach ``level``; None where none does.
+        The shortest experiment that was found to reach ``level``; None where none does.
     undecided : tuple of Undecided
-        Pairs that no input, or none of this length, tells apart, and the sensors that would.
+        Pairs of causes that no input, or none of this length, tells apart, and the sensors that would.
     predictions : array (m, T, ny)
         The outputs that each cause predicts, as estimated.
     growth : array (k, 1 + m)
-        Lengths in samples, and the probability of each cause's name in so many samples of the input.
+        Lengths in samples (first column), and the probability of each cause's name in a record of that length.
     level : float
-        The probability of the right name that is wanted.
+        Probability of the right name that is aimed at.
     anew : bool
-        Whether the new record is diagnosed on its own.
+        Whether the new record is diagnosed on its own, without what the earlier record told.
     tried : int
-        Inputs that were tried.
+        How many inputs were tried.
     notes : tuple of str
-        What else a reader should know.
+        Sentences on causes left out and on other limits of the design.
     seconds : float
-        Processor time that it took.
+        Processor time that the search took, s.
     """
 
     model: MixedModel
@@ -111,12 +112,12 @@ class Design(Shown):
 
     @property
     def u(self) -> Array:
-        """The input (T, nu) of the length asked, in the inputs' units."""
+        """The input (T, nu) of the length asked for, in the inputs' units."""
         return self.experiment.u
 
     @property
     def D(self) -> float:
-        """That of the smallest pair among those that inputs tell apart; 0 where there is none."""
+        """The smallest D over the pairs of causes that inputs tell apart; 0 where there is none."""
         return self.smallest[1]
 
     @property
@@ -139,14 +140,14 @@ class Design(Shown):
 
     @property
     def probability(self) -> float:
-        """That a diagnosis of the new record names the true cause, whichever it is, at least.
+        """The least probability, over the causes, that a diagnosis of the new record names the true one.
 
         Causes that no input tells apart count as one; 0 where that is all of them.
         """
         return self.experiment.least if self.decides else 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """The same as JSON-able data."""
+        """All of it as JSON values."""
         document: dict[str, Any] = view("design").as_dict(self)
         return document
 
@@ -158,12 +159,12 @@ class Design(Shown):
         path : str or Path
             The file to write.
         shortest : bool
-            The shortest experiment in place of that of the length asked.
+            Whether to write the shortest experiment in place of that of the length asked for.
 
         Returns
         -------
         Path
-            The file.
+            The file that was written.
 
         Raises
         ------
@@ -177,7 +178,7 @@ class Design(Shown):
         return Path(view("report").write_report({"design": self.to_dict()}, path))
 
     def plot(self) -> Figures:
-        """``input``, ``predictions`` and ``probability``; needs the extra ``plot``."""
+        """Draw the figures ``input``, ``predictions`` and ``probability``; needs the extra ``plot``."""
         made: Figures = plots().of_document({"design": self.to_dict()})
         return made
 

@@ -104,58 +104,60 @@ def diagnose(
     kept: Parts | None = None,
     early: Told | None = None,
 ) -> Diagnosis:
-    """Diagnose a model on measured data.
+    """Find what a model leaves out on measured data: what its simulation gets wrong, and which effect explains it.
 
     Extra channels of the series become inputs of the model that nothing depends on, until one is found to
-    matter. A model that declares ``continuous`` makes as many steps a sample as its effects need.
+    matter. A model that declares ``continuous`` makes as many steps from sample to sample as its effects need.
 
     Parameters
     ----------
     model : MixedModel
         The model, paper, eq. (1).
     series : Series or sequence of Series
-        The data: y (T, ny) with NaN where missing, u (T, nu), times. Of several records, each with
-        a first state of its own, the longest is searched by the likelihood; the free run is asked on all.
+        The data: y (T, ny) with NaN where missing, u (T, nu), times. Of several records, each with a first
+        state of its own, the likelihood searches the longest and the free run searches all.
     theta : Theta, mapping, array or None
-        Start values; where None, one is searched for.
+        Start values (n_theta,); where None, they are searched for.
     test : Series or sequence of Series, optional
-        Held-out data; the last fifth of the longest record by default. One whose times go on where a
-        record ends is filtered from there, any other from the model's own beginning.
+        Held-out data; the last fifth of the longest record by default. Where its times go on at the end of a
+        record, it begins at that record's last state, else at the model's initial density.
     seed : int
-        The same seed gives the same bits.
+        Seed of all random numbers; the same seed gives the same result to the last bit.
     alpha : float
-        Family-wise probability of an alarm where nothing is wrong.
+        Probability of a false alarm, over all effects together, where nothing is wrong; between 0 and 1.
     effects : sequence of str, optional
-        Kinds or names of the effects to consider; the whole catalogue by default.
+        Kinds such as ``drag``, or names such as ``drag:velocity``, to look for; the whole catalogue by default.
     max_effects : int
-        Effects found in turn at most; more than two, beside outliers, make the verdict ``unknown``.
+        Upper limit on effects found in turn; more than two, beside outliers, make the verdict ``unknown``.
     free : sequence of str, optional
-        Names of the parameters to estimate; all by default.
+        Names of the parameters to estimate, all by default; the others keep their start value.
     callback : callable, optional
         ``callback(stage, fraction)``; stops the run by raising StopIteration.
     bootstrap : int
-        Simulated series for a second p-value of the first round, 99 or more; each takes as long as a fit
-        and a screen. 0 for none.
+        Number of simulated series for a second p-value of the first round, 99 or more, or 0 for none. Each
+        takes as long as a fit and a screen.
     kept : mutable mapping, optional
-        Where finished parts are put as JSON values, empty at first; a stopped run goes on from them when
-        the same version is asked the same again, and gives the numbers of one that was never stopped.
+        Empty at first; finished parts are put there as JSON values. A run that was stopped goes on from them,
+        when the same version is called with the same arguments, and gives the same numbers as one that was
+        never stopped.
     early : callable, optional
-        ``early(document)`` is told what is known while the search goes on, as JSON values: the fitted
-        model and what its simulation gets wrong; then again, with the first screen of effects.
+        ``early(document)`` is called twice while the search goes on, with JSON values: the fitted model and
+        what its simulation gets wrong; then also the first screen of effects.
 
     Returns
     -------
     Diagnosis
-        Verdict, causes, extension, gain and what was testable; print it for a page.
+        Verdict, causes, extended model, gain on held-out data, and which effects were testable; print it for
+        a page of text.
 
     Raises
     ------
     SeriesError
         The data do not fit the model, or are too few.
     ModelError
-        The model's functions, shapes or covariances cannot be used.
+        A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     """
     _check_options(alpha, max_effects, effects)
     if bootstrap < 0:

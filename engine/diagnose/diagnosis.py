@@ -56,29 +56,30 @@ class Diagnosis(Shown):
     model : MixedModel
         The model that was diagnosed.
     verdict : Verdict
-        Whether it leaves something out, and whether that has a name.
+        ``nothing``, ``named``, ``set`` or ``unknown``: whether the model leaves something out, and whether that
+        has a name.
     causes : tuple of Cause
-        What explains it, in the order found, with sizes and standard errors.
+        Effects that explain it, in the order found, with sizes and standard errors.
     p_value : float
-        Of the first round: the chance of so much evidence where nothing is wrong.
+        Probability of as much evidence as in the first round where nothing is wrong.
     base_theta : Theta
-        The model's parameters as fitted to the data.
+        Parameters (n_theta,) of the model without the causes, as fitted to the data.
     extended : MixedModel
         The model with the causes in it.
     theta : Theta
-        The extended model's parameters.
+        Parameters of the extended model, those of the causes last.
     symptoms : Symptoms
-        What is wrong, whatever the cause.
+        What the fitted model's simulation and predictions get wrong, whatever the cause.
     gain : Gain or None
-        What the extension gains on held-out data.
+        What the extension gains on held-out data; None where nothing was found.
     detectable : tuple of Detectable
-        The sizes from which effects would have been found.
+        The smallest size of each effect that would have been found.
     search : Search
         The rounds of screening and refitting.
     notes : tuple of str
-        What else a reader should know.
+        Sentences on the data and on limits of the answer.
     seconds : dict
-        What each part took.
+        {part: processor time, s}.
     series : Series
         The record that the likelihood searched, the held-out part included.
     records : int
@@ -86,11 +87,11 @@ class Diagnosis(Shown):
     p_bootstrap : float or None
         The first round's p-value from simulated series, where it was asked for.
     free_run : SecondOpinion or None
-        What the free run says of the same question, and whether it decided.
+        What the fit of the simulation without noise finds, and whether it decided the verdict.
     substeps : int
-        Steps a sample that the models made: refine a series by it to run ``extended`` on it.
+        Number of steps from sample to sample that the models made; refine a series by it to run ``extended``.
     asked : Asked or None
-        What was asked and the parts that were finished, by which it can be kept.
+        The arguments and the finished parts, by which :func:`engine.save` keeps the diagnosis.
     """
 
     model: MixedModel
@@ -135,7 +136,7 @@ class Diagnosis(Shown):
 
     @property
     def after(self) -> QuasiFit:
-        """The fit with it."""
+        """The fit with what was found, by the criterion that decided."""
         told = self._told
         return self.search.final if told is None else told.after
 
@@ -155,7 +156,7 @@ class Diagnosis(Shown):
         return str(view("diagnosis_text").page(self))
 
     def to_dict(self) -> dict[str, Any]:
-        """The same content as JSON-able data, with the curves that pictures show."""
+        """All of it as JSON values, with the curves that pictures show."""
         document: dict[str, Any] = view("diagnosis_document").as_dict(self)
         return document
 
@@ -169,7 +170,7 @@ class Diagnosis(Shown):
         return dict(self.plot())
 
     def plot(self) -> Figures:
-        """The same as one object: ``diagnosis.plot().save("figures")``."""
+        """All figures as one object: ``diagnosis.plot().save("figures")`` writes them; needs the extra ``plot``."""
         made: Figures = plots().of_document({"diagnosis": self.to_dict()})
         return made
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def get_model(name: str, effects: Sequence[str] | None = None) -> MixedModel:
-    """The registered model of a name, extended by effects.
+    """Return the registered model of a name, with effects added where asked for.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def get_model(name: str, effects: Sequence[str] | None = None) -> MixedModel:
     Returns
     -------
     MixedModel
-        The model.
+        The registered model, or a new one with the effects in it.
 
     Raises
     ------

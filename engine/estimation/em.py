@@ -51,8 +51,8 @@ def rbps_em(
 ) -> EmResult:
     """Estimate theta from one or several series by maximum likelihood; paper, Algorithm 1 (RBPS-EM).
 
-    Parameters that move what has no noise are moved by :mod:`engine.estimation.likelihood_step`; ``message``
-    of the result says so.
+    Parameters of equations without noise have no M step; they are moved by steps on the likelihood instead, and
+    ``message`` of the result says so.
 
     Parameters
     ----------
@@ -63,42 +63,44 @@ def rbps_em(
     theta0 : Theta, mapping, array or None
         Start values: all as (n_theta,), some by name, or None for the model's defaults.
     free : sequence of str, optional
-        Names of the parameters to estimate; all by default.
+        Names of the parameters to estimate, all by default; the others keep their start value.
     n_particles : int
         Number of particles M.
     n_trajectories : int, optional
         Number of trajectories N; as many as particles by default.
     n_iterations : int
-        Iterations at most.
+        Upper limit on iterations; fewer where the iterates settle.
     seed : int
-        The same seed gives the same bits.
+        Seed of all random numbers; the same seed gives the same result to the last bit.
     callback : callable, optional
         Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
     resume : Checkpoint or EmResult, optional
         Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
     proposal : str or callable
-        ``adapted`` looks at y_t, ``bootstrap`` does not; or a function, see :mod:`engine.filters.proposals`.
+        Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function of
+        a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float
         Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
     smoother : str
-        ``exact`` uses moments of z given whole trajectories of a, which converge as M grows; ``algorithm-3``
-        those of the report, eqs. (61), whose P and M keep the bias of Approximation 2; ``linear-cost`` is
-        ``exact`` with trajectories drawn by MCMC moves, in O(M).
+        Moments of z for the E step. ``exact``: given whole trajectories of a, which converge as M grows.
+        ``algorithm-3``: those of the report, eqs. (61), whose P and M keep the bias of Approximation 2.
+        ``linear-cost``: as ``exact``, with trajectories drawn by Markov chain Monte Carlo moves in O(M).
     recover : bool
         Run a filter that collapsed again with more particles (the papers do not).
     m_step : str
-        ``scoring`` or ``bfgs``, see :mod:`engine.estimation.maximization`.
+        How the M step maximises Q: ``scoring`` by Fisher scoring, ``bfgs`` by quasi-Newton steps.
     tolerance : float, optional
-        Of the convergence rule in :mod:`engine.estimation.convergence`; of the quasi-Newton method, what Monte
-        Carlo noise may cost, 20 nats per parameter times it; None uses all iterations.
+        Share of a parameter's size by which the means of older and newer iterates may differ once they have
+        settled, beside their Monte Carlo error. For ``method="quasi-newton"`` the log-likelihood that Monte
+        Carlo noise may cost is 20 nats per parameter times it. None uses all iterations.
     warm_start : bool
-        Let the first iteration leave from the maximum of an approximate likelihood where ``theta0`` is far
-        less likely, see :mod:`engine.estimation.start`; False always starts at ``theta0``.
+        True starts from the maximum of the moment filter's approximate likelihood where ``theta0`` is far less
+        likely; False always starts at ``theta0``.
     method : str
-        ``quasi-newton`` takes steps on the log-likelihood by the score that the E step gives, see
-        :mod:`engine.estimation.quasi_newton`, and EM's where it cannot; ``em`` is the paper's.
+        ``quasi-newton`` takes steps on the log-likelihood by the score that each E step gives, and steps of EM
+        where it cannot; ``em`` is Algorithm 1 of the paper.
 
     Returns
     -------
@@ -108,11 +110,11 @@ def rbps_em(
     Raises
     ------
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     ModelError
-        The model's functions, shapes or covariances cannot be used.
+        A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     newton = _is_newton(method)
     all_series = as_series_list(series, model)
@@ -164,17 +166,18 @@ def rts_em(
     theta0 : Theta, mapping, array or None
         Start values: all as (n_theta,), some by name, or None for the model's defaults.
     free : sequence of str, optional
-        Names of the parameters to estimate; all by default.
+        Names of the parameters to estimate, all by default; the others keep their start value.
     n_iterations : int
-        Iterations at most.
+        Upper limit on iterations; fewer where the iterates settle.
     callback : callable, optional
         Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
     resume : Checkpoint or EmResult, optional
         Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
     m_step : str
-        ``scoring`` or ``bfgs``.
+        How the M step maximises Q: ``scoring`` or ``bfgs``, as for :func:`rbps_em`.
     tolerance : float, optional
-        Of the convergence rule in :mod:`engine.estimation.convergence`; None uses all iterations.
+        Share of a parameter's size by which iterates may still move once they have settled; None uses all
+        iterations.
     method : str
         ``em``, or ``quasi-newton`` as for :func:`rbps_em`.
 
@@ -188,9 +191,9 @@ def rts_em(
     ModelError
         The model is not linear Gaussian.
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     """
     newton = _is_newton(method)
     all_series = as_series_list(series, model)

@@ -17,16 +17,16 @@ from engine.words import tidy
 
 @dataclass(frozen=True)
 class Iteration:
-    """What the callback sees of one iteration of EM.
+    """One iteration of an estimation, as a callback gets it.
 
     Attributes
     ----------
     k, n_iterations : int
         This iteration, counted from 1, and how many there are at most.
     theta : Theta
-        The parameters after it.
+        Parameters (n_theta,) after it.
     log_likelihood : float
-        Of the parameters before it, as its E step estimated it.
+        Log-likelihood of the parameters before it, as its E step estimated it.
     ess : float
         Mean effective sample size of the filter.
     seconds : float
@@ -49,22 +49,22 @@ class Iteration:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """All that resuming after k iterations needs.
+    """What an estimation needs to go on after k iterations, as ``resume=`` takes it.
 
     Parameters
     ----------
     trace : array (k+1, n_theta)
-        The parameters, the start first.
+        Parameters after each iteration, the start first.
     log_likelihood : array (k,)
-        Of the parameters before each iteration.
+        Log-likelihood of the parameters before each iteration.
     ess : array (k,)
-        Mean effective sample sizes.
+        Effective sample size of the filter in each iteration, mean over time.
     seconds : array (k,)
         Computing time of each iteration, s.
     collapsed : array (k,)
-        Shares of the rows at which the filter had one particle left.
+        Share of the rows, in each iteration, at which the filter had one particle left.
     memory : array (k, m)
-        What the quasi-Newton method needs besides, a row per iteration; NaN, or no columns, after EM's.
+        What the quasi-Newton method needs besides, a row for each iteration; NaN or no columns for EM.
     """
 
     trace: Array
@@ -82,34 +82,34 @@ class Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class EmResult(Shown):
-    """The estimate and how it came about in K iterations.
+    """The estimate and its K iterations; print it for a short table.
 
     Attributes
     ----------
     model : MixedModel or NonlinearModel
-        The model.
+        The model that was estimated.
     free : tuple of str
         The parameters that were estimated; the others kept their start.
     theta : Theta
-        The estimate.
+        The estimate (n_theta,), where ``outcome.success`` is true, else the last iterate.
     trace : array (K+1, n_theta)
-        The parameters, the start first.
+        Parameters after each iteration, the start first.
     log_likelihood : array (K,)
-        Of ``trace[:K]``, as each E step estimated it.
+        Log-likelihood of each row of ``trace[:K]``, as its E step estimated it.
     ess : array (K,)
-        Mean effective sample sizes.
+        Effective sample size of the filter in each iteration, mean over time.
     seconds : array (K,)
         Computing time of each iteration, s.
     collapsed : array (K,)
-        Shares of the rows at which the filter had one particle left.
+        Share of the rows, in each iteration, at which the filter had one particle left.
     outcome : Outcome
         How it ended, and whether ``theta`` is an estimate.
     message : str
-        The same in a sentence, with details.
+        How it ended, in a sentence with details.
     not_estimated : tuple of str
         Free parameters that nothing could move: they are where they started.
     memory : array (K, m)
-        As of a :class:`Checkpoint`.
+        What the quasi-Newton method needs to go on, see :class:`Checkpoint`.
     """
 
     model: BaseModel
@@ -127,7 +127,7 @@ class EmResult(Shown):
 
     @property
     def checkpoint(self) -> Checkpoint:
-        """What ``resume=`` takes to go on from here."""
+        """The iterations as a :class:`Checkpoint`, which ``resume=`` takes to go on from here."""
         columns = (self.log_likelihood, self.ess, self.seconds, self.collapsed)
         return Checkpoint(self.trace, *columns, self.memory)
 

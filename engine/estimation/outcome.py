@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Outcome(Enum):
-    """The end of an estimation; ``value`` is the sentence, ``success`` whether theta is an estimate."""
+    """How an estimation ended; ``value`` says it in a sentence, ``success`` whether theta is an estimate."""
 
     CONVERGED = "Converged: the last iterates show no trend beyond their Monte Carlo noise."
     ITERATIONS_USED_UP = "Iterations used up before the iterates settled: allow more of them."

@@ -69,21 +69,21 @@ def ps_em(
     theta0 : Theta, mapping, array or None
         Start values: all as (n_theta,), some by name, or None for the model's defaults.
     free : sequence of str, optional
-        Names of the parameters to estimate; all by default.
+        Names of the parameters to estimate, all by default; the others keep their start value.
     n_particles : int
         Number of particles M.
     n_trajectories : int, optional
         Number of trajectories N; as many as particles by default.
     n_iterations : int
-        Iterations at most.
+        Upper limit on iterations; fewer where the iterates settle.
     seed : int
-        The same seed gives the same bits.
+        Seed of all random numbers; the same seed gives the same result to the last bit.
     callback : callable, optional
         Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
     resume : Checkpoint or EmResult, optional
         Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
     proposal : str or callable
-        As for :func:`rbps_em`; general models know no other than ``bootstrap``.
+        Density that new particles are drawn from, as for :func:`rbps_em`; ``bootstrap`` only for general models.
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float
@@ -91,9 +91,10 @@ def ps_em(
     recover : bool
         Run a filter that collapsed again with more particles (the papers do not).
     m_step : str, optional
-        ``scoring`` or ``bfgs``; the first by default for mixed models, the second for general ones.
+        How the M step maximises Q: ``scoring``, the default for mixed models, or ``bfgs``, that for general ones.
     tolerance : float, optional
-        Of the convergence rule in :mod:`engine.estimation.convergence`; None uses all iterations.
+        Share of a parameter's size by which iterates may still move once they have settled; None uses all
+        iterations.
 
     Returns
     -------
@@ -103,11 +104,11 @@ def ps_em(
     Raises
     ------
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     ModelError
-        The model's functions, shapes or covariances cannot be used.
+        A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     all_series = as_series_list(series, model)
     N = n_particles if n_trajectories is None else n_trajectories

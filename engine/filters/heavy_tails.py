@@ -77,7 +77,7 @@ def with_student_t(
     Raises
     ------
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     """
     tail = 1.0 - 0.5 ** np.arange(3, TAIL + 1)
     edges = np.concatenate([[0.0, 0.1, 0.25, 0.5, 0.75], tail, [1.0]])
@@ -123,7 +123,7 @@ def with_mixture(
     Raises
     ------
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     """
     mixing = Mixing(
         (

@@ -208,7 +208,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     ModelError
         The model is not linear Gaussian in x = (a, z) at this theta.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     """
     theta = model.theta(theta)
     check_start(model, theta, series.check(model))

@@ -30,7 +30,7 @@ class ParticleFiltered(Shown):
     Attributes
     ----------
     model : MixedModel or NonlinearModel
-        The model it was asked for.
+        The model that was filtered with.
     filtered : Filtered
         The pass of Algorithm 2 on the same model with empty z.
     """
@@ -116,7 +116,7 @@ def particle_filter(
     rng : numpy.random.Generator
         Source of all random numbers.
     proposal : str or callable
-        As for :func:`rbpf`; the report's is ``bootstrap``.
+        Density that new particles are drawn from, as for :func:`rbpf`; the report's is ``bootstrap``.
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float
@@ -130,11 +130,11 @@ def particle_filter(
     Raises
     ------
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     ModelError
-        The model's functions, shapes or covariances cannot be used.
+        A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     full = as_nonlinear(model)
     filtered = rbpf(full, theta, series, n_particles, rng, proposal, resampling, ess_threshold)

@@ -32,24 +32,24 @@ COLLAPSED = 1.5  # an effective sample size below this means that one particle i
 
 @dataclass(frozen=True, eq=False)
 class Filtered(Shown):
-    """The result of an RBPF pass, with what the backward pass needs of it.
+    """The result of :func:`rbpf`, with what a backward pass needs.
 
-    B is 1 where a matrix is common to all particles, and M otherwise.
+    Arrays have B = 1 where a matrix is common to all particles, and B = M otherwise.
 
     Attributes
     ----------
     model : MixedModel
-        The model.
+        The model that was filtered with.
     theta : Theta
-        Its parameters.
+        Parameters (n_theta,) of the pass.
     series : Series
-        The data.
+        The data that were filtered.
     a : array (T, M, na)
         Particles of the nonlinear states.
     z : array (T, M, nz)
         Means z_{t|t} of the linear states given each particle.
     cov : array (T, B, nz, nz)
-        Their covariances P_{t|t}; ``P`` (T, M, nz, nz) is the full view.
+        Covariances P_{t|t} of z given each particle; ``P`` (T, M, nz, nz) is the full view.
     weights, log_weights : array (T, M)
         Normalised weights before resampling, and their logarithms.
     log_likelihood_terms : array (T,)
@@ -63,7 +63,7 @@ class Filtered(Shown):
     L : array (T-1, B, nx, nx)
         Roots of its covariances, L L' = Sigma.
     AP : array (T-1, B, nx, nz)
-        A P_{t|t}.
+        Product A P_{t|t}, which the backward pass uses.
     """
 
     model: MixedModel
@@ -156,7 +156,8 @@ def rbpf(
     rng : numpy.random.Generator
         Source of all random numbers.
     proposal : str or callable
-        ``adapted`` looks at y_t, ``bootstrap`` does not; or a function, see :mod:`engine.filters.proposals`.
+        Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function of
+        a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float
@@ -170,11 +171,11 @@ def rbpf(
     Raises
     ------
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     ModelError
-        The model's functions, shapes or covariances cannot be used.
+        A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     theta = model.theta(theta)
     check_start(model, theta, series.check(model))

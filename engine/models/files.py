@@ -93,7 +93,7 @@ def model_from(reference: str) -> MixedModel:
     Returns
     -------
     MixedModel
-        The model.
+        The model of the file, its functions checked.
 
     Raises
     ------

@@ -55,12 +55,12 @@ def register(model: MixedModel, replace: bool = False) -> MixedModel:
     Returns
     -------
     MixedModel
-        The same model.
+        The model as it was given, now found by :func:`get_model`.
 
     Raises
     ------
     ModelError
-        The model's functions, shapes or covariances cannot be used.
+        A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     with _lock:
         _load()

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from engine.diagnose.effects.colored import LATENT
-from engine.diagnose.search.findings import Cause
+from engine.diagnose.search.findings import Cause, LookAlike
 from engine.words import enumerated, estimate, number, probability
+
+SAME = "says the same in other words here"  # as the search has it of another name for the same thing
 
 
 def headline(cause: Cause) -> str:
@@ -19,15 +23,25 @@ def headline(cause: Cause) -> str:
 
 
 def when(cause: Cause) -> str:
-    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats itself."""
-    if cause.where != "time":
-        return ""
+    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats itself, ``, limit 5 kW``."""
+    wanted = ("time", "frequency") if cause.where == "time" else ("limit",)
     own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
     return "".join(
         f", {word} {number(value, 5)} {cause.units.get(name, '')}".rstrip()
         for word, name, value in own
-        if word in ("time", "frequency")
+        if word in wanted
     )
+
+
+def standing(other: LookAlike, equivalent: Sequence[str]) -> str:
+    """What the data say of another effect in the place of the cause."""
+    if other.ruled_out:
+        return "ruled out"
+    if other.effect in equivalent:
+        return "not told apart"
+    if other.difference == SAME:
+        return "the same here"
+    return "not refitted" if other.gain is None else "behind, its refit left early"
 
 
 def phrased(difference: str) -> str:

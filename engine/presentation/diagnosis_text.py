@@ -12,7 +12,7 @@ from engine.diagnose.gain.adoption import in_full, in_short
 from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
 from engine.diagnose.search.rounds import UNNAMED_MARGIN
 from engine.errors import EngineError
-from engine.presentation.cause_sentences import experiment, headline, phrased
+from engine.presentation.cause_sentences import experiment, headline, phrased, standing
 from engine.presentation.report.priority import asked_first
 from engine.words import (
     enumerated,
@@ -132,8 +132,7 @@ def _cause(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(f"{_marker(d, k)}{headline(cause)}; enters: {cause.where}", "  ")
         yield from _wrapped(cause.equation, "      ")
         for other in cause.look_alikes:
-            state = "ruled out" if other.ruled_out else "NOT ruled out"
-            text = f"{other.effect}: {state} (likeness {number(round(other.likeness, 2))}"
+            text = f"{other.effect}: {standing(other, cause.equivalent)} (likeness {number(round(other.likeness, 2))}"
             if other.gain is not None:
                 gained = number(other.gain) if other.gain > 0.0 else "none"
                 text += f", 2 x log-likelihood gained {gained}"

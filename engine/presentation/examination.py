@@ -33,12 +33,12 @@ AFTER_START = ("log_likelihood", "ess", "seconds")  # of a trace
 
 @dataclass(frozen=True, eq=False)
 class Examination(Shown):
-    """What :func:`examine` found.
+    """The result of :func:`examine`: simulation and prediction against the data, residuals, held-out error.
 
     Attributes
     ----------
     document : dict
-        What pages and reports show.
+        All of it as JSON values, as pages and reports show it.
     """
 
     document: dict[str, Any]
@@ -66,20 +66,20 @@ def examine(
     Parameters
     ----------
     found : EmResult
-        The estimate.
+        The estimate to evaluate, as :func:`rbps_em`, :func:`ps_em` or :func:`rts_em` returns it.
     series : Series or sequence of Series
         One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     errors : StandardErrors, optional
         Its standard errors; with them the simulation's bands hold the parameters' uncertainty.
     intervals : LikelihoodIntervals, optional
-        Shown in place of those that the standard errors give.
+        Likelihood-ratio intervals, shown in place of those that the standard errors give.
     n_particles : int
         Particles and trajectories by which states are smoothed.
     seed : int
-        The same seed gives the same bits.
+        Seed of all random numbers; the same seed gives the same result to the last bit.
     test : Series or sequence of Series, optional
-        Held-out data, on which the error of the simulation is measured; times that go on where a series
-        ends say that its last state is where they begin.
+        Held-out data, on which the error of the simulation is measured. Where its times go on at the end of a
+        series, it begins at the last state of that series.
 
     Returns
     -------
@@ -89,11 +89,11 @@ def examine(
     Raises
     ------
     ModelError
-        The model is no mixed model.
+        The model is no :class:`MixedModel`.
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     """
     model = found.model
     if not isinstance(model, MixedModel):

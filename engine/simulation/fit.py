@@ -33,33 +33,32 @@ SHORT = 12  # evaluations that each start gets before the best one is followed t
 
 @dataclass(frozen=True, eq=False)
 class SimulationFit(Shown):
-    """Estimate by simulation error.
+    """The result of :func:`engine.fit_simulation`; print it for a short table.
 
     Attributes
     ----------
     model : MixedModel
-        The model.
+        The model that was fitted.
     theta : Theta
-        Every parameter.
+        Every parameter: the estimated ones, and the others at their start.
     rmse : float
         Root mean square of all residuals, in the outputs' unit.
     runs : list of FreeRun
-        The free run of each series.
+        The simulation of each of the S series, with ``y`` (T, ny) and the states.
     a1 : array (S, na)
-        Estimated first nonlinear states.
+        Estimated first nonlinear states, a row for each series.
     z1 : array (S, nz)
-        Estimated first linear states.
+        Estimated first linear states, likewise.
     estimated : tuple of str
         The parameters that were estimated.
     silent : tuple of str
-        Those that were free and cannot change a noise-free run (variances of noise, say); they keep
-        their start.
+        Free parameters that cannot change a noise-free run, such as variances of noise; they keep their start.
     tied : tuple of str
-        Those of them that the data only determine together; nothing can be said of one alone.
+        Estimated parameters that the data only determine together; nothing can be said of one alone.
     covariance : array (n_theta, n_theta)
-        From residuals that may be correlated over time. What process noise adds up to the parameters
-        absorb, and no residual shows it: read it as a lower bound where there is such noise. Zero for
-        parameters not estimated.
+        Covariance of the parameters, from residuals that may be correlated over time; zero for parameters not
+        estimated. Where process noise moves the states it is a lower bound: the parameters absorb such noise,
+        and no residual shows it.
     evaluations : int
         Runs of the model.
     seconds : float
@@ -92,7 +91,7 @@ class SimulationFit(Shown):
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Of the estimated parameters; see ``covariance``. Infinite for those that are ``tied``."""
+        """{name: standard error} of the estimated parameters, from ``covariance``; infinite for those that are ``tied``."""
         errors = np.sqrt(np.diag(self.covariance))
         return {
             name: np.inf if name in self.tied else float(errors[self.model.index(name)])
@@ -100,7 +99,7 @@ class SimulationFit(Shown):
         }
 
     def plot(self) -> Figures:
-        """Each series' free run against its data, ``outputs`` and ``states``; extra ``plot``."""
+        """Draw each series' simulation against its data, ``outputs`` and ``states``; needs the extra ``plot``."""
         several = len(self.runs) > 1
         return figures(
             {
@@ -156,13 +155,12 @@ def fit_simulation(
     max_evaluations: int = 200,
     callback: Callable[[int, int], object] | None = None,
 ) -> SimulationFit:
-    """Fit the free run to one or several series by least squares.
+    """Fit the simulation without noise to one or several series by least squares.
 
-    Estimated are the free parameters and, for each series, those components of the first state that the
-    model's initial density leaves uncertain. The start with the least error after a few evaluations is followed
-    to its end. That is no guarantee: two tanks with their time constants exchanged, say, are a minimum of
-    their own, so start near what is known. Outputs are weighed by their standard deviation when there are
-    several. Missing measurements are left out.
+    The free parameters are estimated and, for each series, those components of the first state that the
+    model's initial density leaves uncertain. Several starts are tried, and the one with the least error after
+    a few evaluations is followed to its end. It may be a local minimum, so start near what is known. Several
+    outputs are weighed by their standard deviations. Missing measurements are left out.
 
     Parameters
     ----------
@@ -173,28 +171,28 @@ def fit_simulation(
     theta0 : Theta, mapping, array or None
         Start values: all as (n_theta,), some by name, or None for the model's defaults.
     free : sequence of str, optional
-        Names of the parameters to estimate; all by default.
+        Names of the parameters to estimate, all by default; the others keep their start value.
     n_starts : int
-        Random parameter vectors around ``theta0`` that are tried besides it.
+        How many random parameter vectors around ``theta0`` are tried besides it.
     seed : int
-        The same seed gives the same bits.
+        Seed of all random numbers; the same seed gives the same result to the last bit.
     max_evaluations : int
-        Evaluations at most of the start that is followed to its end.
+        Upper limit on evaluations of the start that is followed to its end.
     callback : callable, optional
-        ``callback(done, steps)`` after each start that is tried and at the end; stops the fit by returning
-        True or raising StopIteration, at the best start so far.
+        ``callback(done, steps)`` is called after each start that is tried and at the end. It stops the fit by
+        returning True or raising StopIteration; the best start so far is the result.
 
     Returns
     -------
     SimulationFit
-        Parameters, first states, free runs and a covariance.
+        Parameters ``theta`` (n_theta,), first states, simulations and a covariance.
 
     Raises
     ------
     ModelError
         The run from every start is not finite.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     """
     began = time.perf_counter()
     listed = as_series_list(series, model)

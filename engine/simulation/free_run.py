@@ -115,12 +115,13 @@ def free_run(
     a1 : array (na,), optional
         First nonlinear state; the mean of the initial density by default.
     z1 : array (nz,), optional
-        First linear state, likewise.
+        First linear state; the mean of the initial density by default.
     initial_rows : int
-        Estimate what the initial density leaves uncertain of the first state by least squares on so many
-        samples; 0 for none, and then y may be missing throughout.
+        Number of samples on which the uncertain components of the first state are estimated by least squares.
+        0 keeps the given or expected first state, and then y may be missing throughout.
     bands : Bands, optional
-        What the Monte Carlo bands of the run shall hold.
+        Which uncertainty the Monte Carlo bands of the run include: parameters, first state, noise. No bands by
+        default.
 
     Returns
     -------
@@ -134,7 +135,7 @@ def free_run(
     OptionError
         A first state has the wrong size.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     """
     series.check(model, measured=initial_rows > 0)
     vector = model.theta(theta)

@@ -28,15 +28,15 @@ class Simulation(Shown):
     Attributes
     ----------
     y : array (T, ny)
-        Outputs.
+        Outputs, with the measurement noise in them.
     a : array (T, na)
-        Nonlinear states.
+        True nonlinear states.
     z : array (T, nz)
-        Linear states.
+        True linear states.
     series : Series
         The outputs with the inputs and times they were made with.
     model : MixedModel
-        The model.
+        The model that was simulated.
     """
 
     y: Array
@@ -46,7 +46,7 @@ class Simulation(Shown):
     model: MixedModel
 
     def plot(self) -> Figures:
-        """``outputs`` and ``states``. Needs the extra ``plot``."""
+        """Draw the figures ``outputs`` and ``states`` over time; needs the extra ``plot``."""
         units = {**self.model.nonlinear, **self.model.linear}
         x = np.concatenate([self.a, self.z], axis=1)
         t, clock = self.series.t, self.series.time_unit
@@ -85,11 +85,11 @@ def simulate(
     rng : numpy.random.Generator
         Source of all random numbers.
     u : array (T, nu) or (T,), optional
-        Inputs, in their units.
+        Inputs, in the units that the model declares; needed where it has inputs.
     dt : float
-        Time step, where ``t`` is not given.
+        Time step in ``time_unit``, where ``t`` is not given.
     t : array (T,), optional
-        Times.
+        Increasing times of the samples, in ``time_unit``.
     hold : str
         What inputs do between samples, see :class:`engine.Series`.
     time_unit : str

@@ -28,7 +28,7 @@ def condition_on_trajectories(smoothed: Smoothed, points: Points | None = None) 
     smoothed : Smoothed
         Trajectories of a, drawn with ``joint=True`` to be exact.
     points : Points, optional
-        The trajectories as evaluation points of the model, if the caller has them.
+        The trajectories as evaluation points of the model, where they were made before; made here by default.
 
     Returns
     -------

@@ -26,9 +26,9 @@ class ParticleSmoothed(Shown):
     filtered : ParticleFiltered
         The pass forward.
     trajectories : array (T, N, nx)
-        The draws.
+        Whole draws of the states x = (a, z).
     index : array (T, N)
-        The filter particle of each point.
+        Number of the filter particle that each point is.
     """
 
     filtered: ParticleFiltered
@@ -71,7 +71,7 @@ def ffbsi(
     filtered : ParticleFiltered
         A pass of :func:`particle_filter`.
     n_trajectories : int
-        Number of trajectories N.
+        Number of trajectories N that are drawn, each of weight 1/N.
     rng : numpy.random.Generator
         Source of all random numbers.
 

@@ -86,9 +86,9 @@ def filter_general(
     SeriesError
         A row has some channels missing, but not all.
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     ModelError
-        The model's functions, shapes or covariances cannot be used.
+        A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     theta = model.theta(theta)
     check_rows(series.check(model))
@@ -132,7 +132,7 @@ def smooth_general(
     filtered : GeneralFiltered
         A pass of :func:`filter_general`.
     n_trajectories : int
-        Number of trajectories N.
+        Number of trajectories N that are drawn, each of weight 1/N.
     rng : numpy.random.Generator
         Source of all random numbers.
 

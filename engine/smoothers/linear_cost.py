@@ -44,19 +44,19 @@ def rb_ffbsi_linear(
     filtered : Filtered
         A pass of :func:`rbpf`.
     n_trajectories : int
-        Number of trajectories N.
+        Number of trajectories N that are drawn, each of weight 1/N.
     rng : numpy.random.Generator
         Source of all random numbers.
     method : str
-        ``mcmc`` needs no bound and its cost is fixed, but a trajectory may keep to the filter's genealogy
-        where hardly any candidate is accepted. ``rejection`` draws exactly what the full weights would; in
-        more than about two dimensions it hardly ever accepts.
+        ``mcmc``: Markov chain Monte Carlo moves at a fixed cost; a trajectory may keep to the filter's
+        genealogy where hardly any candidate is accepted. ``rejection``: draws exactly as the full weights
+        would, but hardly ever accepts in more than about two dimensions.
     moves : int
         Metropolis-Hastings steps from the particle's own ancestor, for ``mcmc``.
     tries : int, optional
         Candidates after which ``rejection`` computes all weights; M / 4, at least 16, by default.
     condition : bool
-        Give the exact moments of z given each a trajectory; without it z are the draws and P = M = 0.
+        True gives the exact moments of z given each trajectory of a; False gives the draws of z, with P = M = 0.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def rb_ffbsi_linear(
     Raises
     ------
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     """
     return backward_draws(filtered, n_trajectories, rng, method, moves, tries, condition)[0]
 

@@ -21,7 +21,7 @@ class Smoothed(Shown):
     """N backward trajectories, each of weight 1/N.
 
     ``cov`` and ``cross`` are moments of z given the trajectory, with an axis of length 1 in place of N where
-    common to all; ``P`` (T, N, nz, nz) and ``M`` (T-1, N, nz, nz) are the full views.
+    all trajectories share them. ``P`` (T, N, nz, nz) and ``M`` (T-1, N, nz, nz) are the full views.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class Smoothed(Shown):
     z : array (T, N, nz)
         Means z_{t|T} of the linear states.
     cov : array (T, N or 1, nz, nz)
-        Their covariances P_{t|T}.
+        Covariances P_{t|T} of z.
     cross : array (T-1, N or 1, nz, nz)
-        Their covariances M_{t|T} with the states of the next row.
+        Covariances M_{t|T} of z with the z of the next row.
     index : array (T, N)
-        The filter particle of each point.
+        Number of the filter particle that each point is.
     trajectories : array (T, N, nx) or None
         Whole joint draws of x = (a, z).
     """
@@ -119,21 +119,21 @@ def rb_ffbsi(
 ) -> Smoothed:
     """Draw backward trajectories; report, Algorithm 3.
 
-    ``z``, ``P`` and ``M`` are the moments of the report, eqs. (61): under Approximation 1, as in the filter's
-    stored moments, and Approximation 2, which leaves a bias in P and M that does not vanish as M grows.
-    :func:`condition_on_trajectories` turns joint trajectories into exact moments of z.
+    The moments ``z``, ``P`` and ``M`` are those of the report, eqs. (61), under its Approximations 1 and 2. The
+    second leaves a bias in P and M that does not vanish as the number of particles grows. Use
+    :func:`condition_on_trajectories`, which turns joint trajectories into exact moments of z.
 
     Parameters
     ----------
     filtered : Filtered
         A pass of :func:`rbpf`.
     n_trajectories : int
-        Number of trajectories N.
+        Number of trajectories N that are drawn, each of weight 1/N.
     rng : numpy.random.Generator
         Source of all random numbers.
     joint : bool
-        Chain the drawn z~ into whole trajectories from the joint smoothing density of (a, z); these converge,
-        and the a of such a run are exact draws too.
+        Whether drawn z~ are chained into whole trajectories of (a, z) from the joint smoothing density, which
+        converge to exact draws as the number of particles grows.
 
     Returns
     -------

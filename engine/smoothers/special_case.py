@@ -34,7 +34,7 @@ from engine.views import Shown
 
 @dataclass(frozen=True, eq=False)
 class SpecialCase(Shown):
-    """A model of eq. (63).
+    """A model whose nonlinear states a do not depend on z and may have any density; report, eq. (63).
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def gaussian_case(model: MixedModel) -> SpecialCase:
     Returns
     -------
     SpecialCase
-        For :func:`rbpf_special`.
+        The model with its density of a, for :func:`rbpf_special`.
     """
     na = model.na
 
@@ -140,16 +140,16 @@ def rbpf_special(
     Returns
     -------
     SpecialFiltered
-        As :func:`rbpf` returns.
+        Particles with moments of z, their weights and the log-likelihood, as :func:`rbpf` returns them.
 
     Raises
     ------
     OptionError
-        An option is not known or out of its range.
+        An option is not known or out of its range; ``field`` names it.
     SeriesError
-        The data do not fit the model.
+        Channels or units are not the model's, or nothing was measured; names the channel.
     ModelError
-        The model's functions, shapes or covariances cannot be used.
+        A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     model = case.model
     theta = model.theta(theta)
@@ -203,11 +203,11 @@ def rb_ffbsi_special(
     filtered : SpecialFiltered
         A pass of :func:`rbpf_special`.
     n_trajectories : int
-        Number of trajectories N.
+        Number of trajectories N that are drawn, each of weight 1/N.
     rng : numpy.random.Generator
         Source of all random numbers.
     joint : bool
-        As for :func:`rb_ffbsi`.
+        Whether drawn z~ are chained into whole trajectories of (a, z), as for :func:`rb_ffbsi`.
 
     Returns
     -------

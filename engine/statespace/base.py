@@ -27,15 +27,15 @@ class Parameter:
     Parameters
     ----------
     name : str
-        Its name, a Python identifier.
+        A Python identifier: the model's functions have the value as ``theta.NAME``.
     default : float
-        Its default value.
+        The value where none is given, from which estimations start.
     unit : str
-        Its unit.
+        A label such as ``N s/m``; "" or "1" for a pure number. No value is converted.
     bounds : tuple of float
-        The closed interval it lies in.
+        The closed interval [low, high] in which the value lies, in the same unit; infinite by default.
     description : str
-        What it means.
+        What it means, in a few words.
     scale : float
         A typical size, in the same unit; only a parameter whose default is 0 may need one, and estimations
         find it from the data where it is 0.
@@ -58,9 +58,9 @@ class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):
     Parameters
     ----------
     values : array (n_theta,)
-        The values, which are copied.
+        One number for each parameter, in its unit; they are copied.
     names : sequence of str
-        Their names.
+        The parameters' names, in the same order.
     """
 
     names: tuple[str, ...]
@@ -84,7 +84,7 @@ class Theta(np.ndarray[tuple[int], np.dtype[np.float64]]):
         return type(self), (self.tolist(), self.names)
 
     def asdict(self) -> dict[str, float]:
-        """{name: value}."""
+        """The values as a dict {name: value}."""
         return dict(zip(self.names, self.tolist(), strict=True))
 
 
@@ -132,7 +132,7 @@ class BaseModel(Shown):
 
     @cached_property
     def derived(self) -> dict[str, Any]:
-        """Other forms of the model, made once."""
+        """Other forms of the model that algorithms made from it, kept so that each is made once."""
         return {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -140,7 +140,7 @@ class BaseModel(Shown):
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def record(self, theta: Sequence[Any] | Array) -> Any:
-        """Theta as the record handed to the model's functions."""
+        """The parameter vector (n_theta,) as the record that the model's functions get as ``theta``."""
         return self._record(*(theta.tolist() if isinstance(theta, np.ndarray) else theta))
 
     def records(self, thetas: Array, copies: int = 1) -> Any:

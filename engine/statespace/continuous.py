@@ -41,17 +41,18 @@ def continuous(
     jacobian: Matrix | None = None,
     **fields: Any,
 ) -> MixedModel:
-    """A model given by differential equations, discretized for whatever time step the data have.
+    """A model given by differential equations, discretised for whatever time step the data have.
 
     Parameters
     ----------
     drift : function (a, u, t, theta) -> f, A
-        Rates: f (M, nx) or a list of rows, A (nx, nz) or (M, nx, nz), each state's unit per second. What may
-        be written is as for ``dynamics`` in :mod:`engine.statespace.model`; t is the middle of the step.
+        Rates of change of x = (a, z): f (M, nx) or a list of rows, A (nx, nz) or (M, nx, nz), in each state's
+        unit per unit of time. It is written as ``dynamics`` of :class:`engine.MixedModel`; t is the middle
+        of the step.
     diffusion : function (a, u, t, theta) -> Qc
-        Intensity of the noise (nx, nx) or (M, nx, nx): covariance per second.
+        Intensity of the process noise (nx, nx) or (M, nx, nx): covariance per unit of time.
     jacobian : function (a, u, t, theta) -> J, optional
-        df/da, (nx, na) or (M, nx, na) per second; by default differences of f.
+        Derivatives df/da, (nx, na) or (M, nx, na), per unit of time; by default differences of f.
     **fields
         The other fields of :class:`engine.MixedModel`: name, measurement, initial, nonlinear, linear, inputs,
         outputs, parameters, ...
@@ -59,7 +60,7 @@ def continuous(
     Returns
     -------
     MixedModel
-        With ``continuous=True``.
+        The model with its ``dynamics`` and ``continuous=True``; a diagnosis may step it more finely than the data.
 
     Raises
     ------

@@ -35,11 +35,11 @@ class StudentT:
         object.__setattr__(self, "nu", float(nu))
 
     def sample(self, rng: np.random.Generator, n: int) -> Array:
-        """Draw (n, len(scale))."""
+        """Draw n independent points, (n, len(scale))."""
         return np.asarray(rng.standard_t(self.nu, (n, self.scale.size)) * self.scale)
 
     def log_density(self, e: Array) -> Array:
-        """Evaluate at e (K, n) -> (K,)."""
+        """Logarithm of the density (K,) at points e (K, n)."""
         nu = self.nu
         c = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
         each = c - np.log(self.scale) - 0.5 * (nu + 1.0) * np.log1p((e / self.scale) ** 2 / nu)
@@ -55,11 +55,11 @@ class GaussianMixture:
     shares : array (k,)
         Probabilities of the normal densities; scaled to the sum 1.
     means : array (k,)
-        Their means.
+        Expected value of each normal density.
     sds : array (k,)
-        Their standard deviations.
+        Standard deviation of each normal density, positive.
     n : int
-        Number of components.
+        Number of independent components.
     """
 
     shares: Array
@@ -75,12 +75,12 @@ class GaussianMixture:
         object.__setattr__(self, "n", n)
 
     def sample(self, rng: np.random.Generator, n: int) -> Array:
-        """Draw (n, self.n)."""
+        """Draw n independent points, (n, self.n)."""
         which = np.searchsorted(np.cumsum(self.shares)[:-1], rng.random((n, self.n)), side="right")
         return np.asarray(self.means[which] + self.sds[which] * rng.standard_normal((n, self.n)))
 
     def log_density(self, e: Array) -> Array:
-        """Evaluate at e (K, n) -> (K,)."""
+        """Logarithm of the density (K,) at points e (K, n)."""
         r = (e[:, :, None] - self.means) / self.sds
         each = -0.5 * r**2 - np.log(self.sds * np.sqrt(2.0 * np.pi))
         return np.asarray(logsumexp(each, axis=2, b=self.shares).sum(axis=1))

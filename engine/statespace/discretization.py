@@ -34,18 +34,18 @@ def discretize(
     *,
     dt: float | Array,
 ) -> tuple[Array, Array, Array]:
-    """Discretize a linear system with noise over a step: A, B, Q by matrix exponentials.
+    """Discretise dx = (F x + G u) dt + dw over a step, inputs held: A, B, Q by matrix exponentials (van Loan 1978).
 
     Parameters
     ----------
     F : array (..., n, n)
-        System matrix, 1/s.
+        System matrix, per unit of time.
     G : array (..., n, m), optional
-        Input matrix, per second.
+        Input matrix, per unit of time; no inputs by default.
     Qc : array (..., n, n), optional
-        Intensity of the noise, per second.
+        Intensity of the noise, E dw dw' = Qc dt: covariance per unit of time; no noise by default.
     dt : float or array (...)
-        Time step, s; leading axes are broadcast.
+        Time step, positive, in the unit of time of the matrices; leading axes are broadcast.
 
     Returns
     -------

@@ -51,14 +51,24 @@ DENSITY_DRAWS = 3  # of each density, to look at
 
 @dataclass(frozen=True)
 class NonlinearModel(BaseModel):
-    """A general state-space model, poster, eq. (1); see the module's docstring.
+    """A general state-space model x' = f(x) + g(x) v, y = h(x) + s(x) e with any noise; poster, eq. (1).
+
+    The functions are called with K points at once, x (K, nx), as those of :class:`engine.MixedModel` are. A
+    density is any object with ``sample(rng, n)`` and ``log_density(values)``.
 
     Parameters
     ----------
     name : str
-        Its name.
-    dynamics, measurement, initial, process_noise, measurement_noise : callable
-        The functions of the module's docstring.
+        The name that results and reports show.
+    dynamics : callable
+        ``dynamics(x, u, t, dt, theta)`` returns f (K, nx) and g: (nx, nx), (K, nx, nx), or None for the unit
+        matrix.
+    measurement : callable
+        ``measurement(x, u, t, theta)`` returns h (K, ny) and s: (ny, ny), (K, ny, ny), or None.
+    initial : callable
+        ``initial(theta)`` returns the density of the first state x_1.
+    process_noise, measurement_noise : callable
+        ``process_noise(theta)`` returns the density of v, ``measurement_noise(theta)`` that of e.
     states, outputs : mapping
         {name: unit} of the states x and of the outputs y.
     parameters : sequence of Parameter
@@ -68,7 +78,7 @@ class NonlinearModel(BaseModel):
     description : str
         What is modelled, in a sentence.
     equations : sequence of str
-        Lines of text for people.
+        The equations as lines of text, which pages and reports show.
 
     Raises
     ------
@@ -103,7 +113,7 @@ class NonlinearModel(BaseModel):
     def draw_next(
         self, x: Array, u: Any, t: Any, dt: Any, theta: Any, rng: np.random.Generator
     ) -> Array:
-        """x_{t+1} (K, nx) given x_t = x (K, nx)."""
+        """Draw x_{t+1} (K, nx) given x_t = x (K, nx)."""
         f, g = self.transition(x, u, t, dt, theta)
         v = self.process_noise(theta).sample(rng, len(x))
         return f + (v if g is None else through(g, v))
@@ -111,7 +121,7 @@ class NonlinearModel(BaseModel):
     def transition(
         self, x: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array | None]:
-        """f (K, nx) and g, of which None stands for the unit matrix."""
+        """Evaluate f (K, nx) and g of the step; None stands for the unit matrix."""
         f, g = self.transitions(x, u, t, dt, theta)
         return f, g
 
@@ -130,7 +140,7 @@ class NonlinearModel(BaseModel):
         )
 
     def log_transition(self, x_next: Array, f: Array, g: Array | None, theta: Any) -> Array:
-        """log p(x_{t+1} | x_t) for x_next (..., nx), f (..., nx) and g as ``transition`` gives them."""
+        """Evaluate log p(x_{t+1} | x_t) for x_next (..., nx), f (..., nx) and g as ``transition`` gives them."""
         r = x_next - f
         shape = r.shape[:-1]
         v, log_scale = _unscale(r, g, self.name, "g")
@@ -138,7 +148,7 @@ class NonlinearModel(BaseModel):
         return np.asarray(log_p - log_scale)
 
     def output(self, x: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array | None]:
-        """h (K, ny) and s, of which None stands for the unit matrix."""
+        """Evaluate h (K, ny) and s of the reading; None stands for the unit matrix."""
         h, s = self.observations(x, u, t, 0.0, theta)
         return h, s
 
@@ -157,7 +167,7 @@ class NonlinearModel(BaseModel):
         )
 
     def log_measurement(self, y: Array, x: Array, u: Any, t: Any, theta: Any) -> Array:
-        """log p(y_t | x_t) for x (K, nx), y (ny,) or (K, ny) -> (K,)."""
+        """Evaluate log p(y_t | x_t) (K,) for x (K, nx) and y (ny,) or (K, ny)."""
         h, s = self.output(x, u, t, theta)
         e, log_scale = _unscale(y - h, s, self.name, "s")
         return np.asarray(self.measurement_noise(theta).log_density(e) - log_scale)

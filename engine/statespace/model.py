@@ -11,7 +11,7 @@ with all particles of one time step at once:
     measurement(a, u, t, theta)  -> h, C, R
     initial(theta)               -> p(a_1), z_{1|0}, P_{1|0}
 
-``a`` is (M, na); ``u`` is (nu,); ``t`` and ``dt`` are seconds; ``theta`` is a record, so
+``a`` is (M, na); ``u`` is (nu,); ``t`` and ``dt`` are in the data's unit of time; ``theta`` is a record, so
 ``theta.k1`` and ``k1, k2 = theta`` both work. What may be returned (nx = na + nz):
 
     f, h      (M, nx), (M, ny)          or a list of rows, each a number or (M,)
@@ -77,9 +77,9 @@ class Gaussian:
     Parameters
     ----------
     mean : array (n,)
-        Its mean.
+        Expected value of each component.
     cov : array (n, n)
-        Its covariance; a singular one fixes components exactly.
+        Covariance, symmetric and non-negative; a singular one fixes components exactly.
     """
 
     mean: Array
@@ -96,7 +96,7 @@ class Gaussian:
         object.__setattr__(self, "cov", P.reshape(m.size, m.size))
 
     def sample(self, rng: np.random.Generator, n: int) -> Array:
-        """Draw (n, na)."""
+        """Draw n independent points, (n, na)."""
         from engine.kernels.gaussian import psd_cholesky
 
         return cast(
@@ -104,7 +104,7 @@ class Gaussian:
         )
 
     def log_density(self, a: Array) -> Array:
-        """Evaluate at a (M, na) -> (M,); a fixed component contributes nothing."""
+        """Logarithm of the density (M,) at points a (M, na); a fixed component contributes nothing."""
         from engine.kernels.gaussian import log_normal_common, psd_cholesky
 
         return cast(
@@ -120,37 +120,50 @@ Initial: TypeAlias = Callable[[Any], tuple[Density, Any, Any]]
 
 @dataclass(frozen=True)
 class MixedModel(BaseModel):
-    """A mixed linear/nonlinear state-space model, paper, eq. (1); see the module's docstring.
+    """A mixed linear/nonlinear state-space model, paper, eq. (1).
+
+    Each function is called with the M particles of one time step. ``a`` is (M, na) and ``u`` (nu,); ``t`` and
+    ``dt`` are in the data's unit of time; ``theta`` has the parameters by name, such as ``theta.k1``. Row i of
+    what is returned may depend on row i of ``a`` only, so write ``a[:, 0]`` and ``np.where``. Matrices may have
+    a leading axis of M.
 
     Parameters
     ----------
     name : str
-        Its name.
-    dynamics, measurement, initial : callable
-        The functions of the module's docstring.
+        The name by which :func:`engine.get_model` finds the model, once it is registered.
+    dynamics : callable
+        ``dynamics(a, u, t, dt, theta)`` returns f (M, nx), A (nx, nz) and Q (nx, nx) of the step from t to
+        t + dt, with x = (a, z). Q is symmetric and non-negative, and may be singular.
+    measurement : callable
+        ``measurement(a, u, t, theta)`` returns h (M, ny), C (ny, nz) and R (ny, ny), the covariance of a
+        reading's noise, with no zero on its diagonal.
+    initial : callable
+        ``initial(theta)`` returns the density of a_1, such as :class:`engine.Gaussian`, the mean z_{1|0} (nz,)
+        and the covariance P_{1|0} (nz, nz), which may be zero.
     outputs : mapping
         {name of an output y: its unit}.
     parameters : sequence of Parameter
         The components of theta.
     nonlinear, linear, inputs : mapping
-        {name: unit} of the states a and z and of the inputs u.
+        {name: unit} of the states a, of the states z and of the inputs u.
     description : str
         What is modelled, in a sentence.
     equations : sequence of str
-        Lines of text for people.
+        The equations as lines of text, which pages and reports show.
     kinematic : sequence of str
         States whose equation holds by definition, as q' = v does: a diagnosis adds nothing to it.
     reference : mapping
         {channel: the value of its natural zero, in its unit}, such as 20 for a temperature that is counted
         from room temperature. Effects that have a zero of their own (drag, a gain error) count from there.
     continuous : bool
-        dt is a real time step: two half-steps agree with one, A and Q included, up to the order of the
-        scheme, so that a diagnosis may step more finely than the data (checked when it is used).
+        Whether the model may be stepped more finely than the data: two half-steps agree with one, A and Q
+        included, up to the order of the scheme. This is checked when a diagnosis uses it.
 
     Raises
     ------
     ModelError
-        Names, bounds or defaults cannot be used.
+        Names, bounds or defaults cannot be used. What the functions return is checked when they are first
+        used with data.
     """
 
     name: str
@@ -223,12 +236,12 @@ class MixedModel(BaseModel):
     def transition(
         self, a: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array, Array]:
-        """f (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
+        """Evaluate the step: f (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
         f, A, Q = self.transitions(a, u, t, dt, theta)
         return f, A, Q
 
     def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
-        """h (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
+        """Evaluate the reading: h (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
         h, C, R = self.observations(a, u, t, 0.0, theta)
         return h, C, R
 

@@ -19,7 +19,7 @@ from service.problems import Problem
 PAGES = Path(__file__).parent / "pages"
 ORDER = (
     "start", "equations", "measured", "diagnosis", "design", "effects", "methods", "shell", "http", "settings",
-    "library", "api", "trouble", "reproduction", "contribute",
+    "library", "api", "words", "trouble", "reproduction", "contribute",
 )  # fmt: skip
 MADE = {"effects": reference.effects, "api": reference.api}  # what follows the text of a page
 

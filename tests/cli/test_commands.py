@@ -557,3 +557,15 @@ def test_an_exact_method_for_a_model_that_is_not_linear_is_wrong_usage(rbps, tmp
     assert result.exit_code == 2
     assert "--method rts-em: model 'pendulum' is not linear Gaussian" in result.stderr
     assert "use quasi-newton" in result.stderr
+
+
+def test_a_column_that_may_hold_the_times_is_pointed_out(rbps, flows, tmp_path):
+    """A step of 1 that nobody asked for is said, and with which column it would not be."""
+    lines = (tmp_path / flows).read_text().splitlines()
+    rows = [f"{0.5 * k},{line.split(',')[-1]}" for k, line in enumerate(lines[1:])]
+    (tmp_path / "hours.csv").write_text("\n".join(["hours,flow", *rows]))
+    said = rbps("fit", "hours.csv", "-m", "local-level", *QUICK).stderr
+    assert "a step of 1 s is assumed; else --dt STEP, or, as 'hours' counts up evenly" in said
+    named = rbps("fit", "hours.csv", "-m", "local-level", "--time", "hours", *QUICK).stderr
+    assert "100 samples every 0.5 h" in named
+    assert "assumed" not in named

@@ -63,11 +63,12 @@ def register_effect(kind: str, maker: Maker, channels: Channels, replace: bool =
     Parameters
     ----------
     kind : str
-        What stands before the colon in ``kind:channel``.
+        The name before the colon in ``kind:channel``.
     maker : callable
-        ``maker(setting, channel)`` returns an :class:`Effect`, or None where the channel is not of its sort.
+        ``maker(setting, channel)`` returns an :class:`engine.diagnose.Effect`, or None where the effect cannot
+        enter that channel.
     channels : callable
-        ``channels(setting)`` lists where it may enter a given model.
+        ``channels(setting)`` lists the channels that the effect may enter, for the model in ``setting``.
     replace : bool
         Whether a kind of that name may be replaced.
 

@@ -232,7 +232,7 @@ KINDS: list[Kind] = [
         "[t >= time]",
         lambda t, own: 1.0 * (t >= own[0]),
         _when,
-        {"ramp": "goes on growing", "pulse": "is over at once"},
+        {"ramp": "goes on growing", "pulse": "lasts one sample"},
         traits=Traits(Course.STEP, swallowed=True, plainness=1),
     ),
     _signal(

@@ -64,9 +64,9 @@ class LikelihoodIntervals(Shown):
     Attributes
     ----------
     model : MixedModel
-        The model.
+        The model that was estimated.
     theta : Theta
-        The estimate.
+        The estimate (n_theta,) about which the intervals are.
     level : float
         Confidence of each interval, such as 0.95.
     values : array (n_theta, 2)
@@ -75,9 +75,9 @@ class LikelihoodIntervals(Shown):
     errors : array (n_theta, 2)
         Monte Carlo standard errors of the ends, NaN where there is no end but a bound.
     maximum : array (n_theta,)
-        Where each profile is highest: the estimate if EM has converged.
+        Value at which each profile is highest: the estimate, if it is the maximum.
     warning : str
-        Says so where a maximum is more than a standard error away from the estimate.
+        A sentence where a maximum is more than a standard error away from the estimate, else "".
     """
 
     model: MixedModel
@@ -122,7 +122,7 @@ def likelihood_intervals(
     model : MixedModel
         The model, paper, eq. (1).
     theta : Theta, mapping or array
-        The estimate.
+        The estimate (n_theta,), in the parameters' units.
     series : Series or sequence of Series
         One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     free : sequence of str, optional
@@ -134,11 +134,11 @@ def likelihood_intervals(
     n_particles : int
         Number of particles M.
     n_trajectories : int
-        Number of trajectories N.
+        Number of trajectories N that are drawn, each of weight 1/N.
     replicates : int
         Smoothers that each slope is averaged over; some eight slopes are needed for each parameter.
     seed : int
-        The same seed gives the same bits.
+        Seed of all random numbers; the same seed gives the same result to the last bit.
     exact : bool
         Use the Kalman smoother instead of particles (linear Gaussian models).
     callback : callable, optional

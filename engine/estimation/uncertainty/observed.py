@@ -61,27 +61,27 @@ class StandardErrors:
     Attributes
     ----------
     model : MixedModel
-        The model.
+        The model that was estimated.
     theta : Theta
         Where the errors were computed.
     names : tuple of str
         The n free parameters that are not at a bound.
     covariance : array (n, n)
-        Their covariance C.
+        Covariance C of the named parameters, in their units.
     score : array (n,)
         Derivatives s of the log-likelihood, which are zero at the maximum up to ``score_error``.
     score_error : array (n,)
         Monte Carlo standard errors of the score.
     relative_error : array (n,)
-        Those of the standard errors themselves, relative to them.
+        Monte Carlo errors of the standard errors themselves, as shares of them.
     decrement : float
         s' C s: the squared distance, in standard errors, between theta and the maximum that s and C point to
         (Newton's decrement; twice what the log-likelihood can still gain).
     settled : bool
-        False where that is more than a quarter and its Monte Carlo noise, or a parameter is held at a bound
-        from which the likelihood draws it away: then these are no errors of an estimate.
+        Whether theta is a maximum of the likelihood. False where the decrement exceeds a quarter by more than
+        its Monte Carlo noise, or where the likelihood draws a parameter away from the bound that holds it.
     warning : str
-        Says so.
+        A sentence where it is not settled, and the errors are none of an estimate; else "".
     """
 
     model: MixedModel
@@ -155,20 +155,20 @@ def standard_errors(
     model : MixedModel
         The model, paper, eq. (1).
     theta : Theta, mapping, array or EmResult
-        The estimate; of an EmResult its free parameters are meant.
+        The estimate (n_theta,), in the parameters' units; an EmResult also says which parameters are free.
     series : Series or sequence of Series
         One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     free : sequence of str, optional
-        Names of the parameters to estimate; all by default.
+        Names of the parameters to estimate, all by default; the others keep their start value.
     n_particles : int
         Number of particles M.
     n_trajectories : int
-        Number of trajectories N.
+        Number of trajectories N that are drawn, each of weight 1/N.
     replicates : int, optional
-        Smoothers that each of the 2 n scores is averaged over: by default 4 where the moment filter's
-        information is a good guess, else 8. A number given is used with the differences alone.
+        Number of smoothers that each of the 2 n scores is averaged over. By default 4 where the moment filter's
+        information is a good guess, else 8; a number given is used with the differences alone.
     seed : int
-        The same seed gives the same bits.
+        Seed of all random numbers; the same seed gives the same result to the last bit.
     exact : bool
         Use the Kalman smoother instead of particles (linear Gaussian models).
 

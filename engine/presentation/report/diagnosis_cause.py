@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from engine.diagnose.search.findings import LookAlike
+from engine.presentation.cause_sentences import standing
 from engine.presentation.report.chart import Chart, Ranking, Trace
 from engine.presentation.report.comparison import TIME
 from engine.presentation.report.html import Html, table, tag
@@ -48,7 +50,7 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
         if cause["experiment"]:
             parts.append(tag("p", cause["experiment"], class_="advice"))
         if cause["look_alikes"]:
-            parts += [tag("h4", "Look-alikes"), _look_alikes(cause["look_alikes"])]
+            parts += [tag("h4", "Look-alikes"), _look_alikes(cause)]
     if not d["causes"]:
         parts.append(tag("p", "None named."))
     if d["unnamed"]:
@@ -139,17 +141,17 @@ def _missing(one: Document | None, draw: Drawer) -> list[object]:
     return [tag("p", f"{one['sentence']} {told}"), grid([draw(chart)])]
 
 
-def _look_alikes(found: list[dict[str, Any]]) -> Html:
+def _look_alikes(cause: Document) -> Html:
+    others = [LookAlike(**one) for one in cause["look_alikes"]]
     rows = [
         (
-            tag("code", o["effect"]),
-            tag("span", "ruled out" if o["ruled_out"] else "not ruled out",
-                class_="good" if o["ruled_out"] else "warn"),
-            number(round(o["likeness"], 2)),
-            "" if o["gain"] is None else number(o["gain"]) if o["gain"] > 0.0 else "none",
-            o["difference"],
+            tag("code", o.effect),
+            tag("span", standing(o, cause["equivalent"]), class_="good" if o.ruled_out else "warn"),
+            number(round(o.likeness, 2)),
+            "" if o.gain is None else number(o.gain) if o.gain > 0.0 else "none",
+            o.difference,
         )
-        for o in found
+        for o in others
     ]  # fmt: skip
     head = (
         "effect",

@@ -101,8 +101,11 @@ def _expected(f: Document) -> str:
     """How much of the error is laid at the process noise, which says nothing for the model."""
     room = measured(f["expected_rmse"], f["unit"])
     if f["rmse"] <= f["expected_rmse"]:
-        return f"The model's process noise has room for {room}: that hides an error, and explains none."
-    return f"The model's process noise accounts for {room} only."
+        return (
+            f"The model's process noise alone would give {room}, so an error of the model can hide in it. "
+            "That is no evidence that the model is right."
+        )
+    return f"The model's process noise alone would give {room} only."
 
 
 def _place(region: Document) -> str:

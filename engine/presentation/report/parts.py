@@ -81,14 +81,19 @@ SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 def pretty(unit: str) -> str:
     """A unit as it is printed: ``1e8 m^3`` becomes ``10⁸ m³``, ``N*s/m`` becomes ``N s/m``."""
-    text = re.sub(r"\b1e(-?\d+)", lambda m: "10" + m[1].translate(SUPERSCRIPT), tidy(unit))
+    text = re.sub(r"\b1e(-?\d+)", lambda m: "10" + _above(m[1]), tidy(unit))
     return _raised(text).replace("*", " ")
 
 
 def prose(sentence: str) -> str:
     """A sentence with its units and signs as they are printed."""
-    text = re.sub(r"\bx 1e(-?\d+)", lambda m: "× 10" + m[1].translate(SUPERSCRIPT), sentence)
+    text = re.sub(r"\bx 1e(-?\d+)", lambda m: "× 10" + _above(m[1]), sentence)
     return _raised(text).replace("+-", "±")
+
+
+def _above(power: str) -> str:
+    """An exponent as superscripts, without the zero that Python writes before it."""
+    return str(int(power)).translate(SUPERSCRIPT)
 
 
 def _raised(text: str) -> str:

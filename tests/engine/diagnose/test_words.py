@@ -22,7 +22,7 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.symptoms.residuals import autocorrelation
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.linear_2 import MODEL as LINEAR
-from engine.presentation.cause_sentences import experiment, headline
+from engine.presentation.cause_sentences import SAME, experiment, headline, standing, when
 from engine.presentation.report import report_html
 from engine.presentation.report.parts import pretty, prose
 from engine.simulation.simulate import simulate
@@ -45,6 +45,7 @@ def test_units_without_what_says_nothing(unit, said):
 
 
 def test_powers_are_raised_and_brackets_kept():
+    assert pretty("1e-08/m^3/year") == "10⁻⁸/m³/year"
     assert pretty("1/(kg m^2)") == "1/(kg m²)"
     assert pretty("(m/s)^(-1)") == "(m/s)⁻¹"
     assert prose("3 +- 1 rad/s/(rad/s)^2") == "3 ± 1 rad/s/(rad/s)²"
@@ -162,6 +163,31 @@ def test_a_headline_has_no_size_within_its_error():
     assert "0 +-" not in headline(cause(("linear:air",), size=0.0, error=1122.0))
     assert "inf" not in headline(cause(("linear:air",), error=np.inf))
     assert "1 +- 0.1 1/s" in headline(cause(("linear:air",)))
+
+
+def test_what_the_data_say_of_others_is_no_more_than_they_do():
+    """Only what was refitted to its end and lost is ruled out; a refit that was left is behind, and no more."""
+    chosen = ("linear:air", "cubic:air")
+    said = [
+        standing(LookAlike(name, 0.9, gain, out, why), chosen)
+        for name, gain, out, why in (
+            ("cubic:air", 39.0, False, ""),
+            ("drag:air", 4.0, True, ""),
+            ("colored:room", 12.0, False, ""),
+            ("bias:room", None, False, ""),
+            ("saturation:air", 41.0, False, SAME),
+        )
+    ]
+    assert said == [
+        "not told apart", "ruled out", "behind, its refit left early", "not refitted", "the same here",
+    ]  # fmt: skip
+
+
+def test_a_headline_says_at_which_limit_a_signal_saturates():
+    values = {"clip_heating": 1.0, "clip_heating_limit": 5.03, "clip_heating_side": 1.0}
+    found = replace(cause(("linear:air",)), parameters=values, units={"clip_heating_limit": "kW"})
+    assert when(found) == ", limit 5.03 kW"
+    assert ", limit 5.03 kW, p = 0.01" in headline(found)
 
 
 def test_a_headline_says_when_it_happens():
