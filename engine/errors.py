@@ -25,8 +25,9 @@ class NotSettledWarning(UserWarning):
 class ModelError(EngineError):
     """A model's function failed, or returned something that no algorithm can use.
 
-    ``placed`` says that the message names function, time and shapes already. ``numeric`` says that a calculation
-    failed at the values it was given, as it may at a trial of the parameters; the model itself may be right.
+    ``placed`` says that the message names function, time and shapes already. ``numeric`` says that a
+    calculation failed at the values it was given, as it may at a trial of the parameters; the model itself may
+    be right.
     """
 
     def __init__(self, message: str, *, placed: bool = False, numeric: bool = False) -> None:

@@ -20,7 +20,7 @@ _CLOCKS = {
 }
 _CLOCK = re.compile(r"(?:(?:t|time)[ _]*)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
 _SPELLED = "|".join(_CLOCKS)
-# Without brackets ``t_min`` and ``t_h`` may as well be temperatures. The page has the same in static/start/match.js.
+# Without brackets ``t_min`` and ``t_h`` may as well be temperatures. static/start/match.js has the same.
 TIMES = re.compile(
     rf"(t|time)(s|[ _]*[\[(]\s*({_SPELLED})\s*[\])])?|time[ _]+({_SPELLED})|t[ _]+([nuµm]?s|sec|seconds?)",
     re.IGNORECASE,

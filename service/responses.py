@@ -19,7 +19,7 @@ class Link(BaseModel):
 
 
 class KeyValue(BaseModel):
-    """A number that a result comes down to."""
+    """One of the few numbers that sum up a result, for lists."""
 
     name: str
     value: float | None
@@ -31,7 +31,7 @@ class JobStatus(BaseModel):
     """The state of one job."""
 
     jobID: str  # noqa: N815 - the name OGC API - Processes gives it
-    name: str = Field(description="what its sender calls it")
+    name: str = Field(description="the name that the request gave it")
     tags: list[str]
     data: list[str] = Field(description="names of the files that its data are from")
     kind: Kind
@@ -52,14 +52,16 @@ class JobStatus(BaseModel):
         "not known"
     )
     message: str
-    estimate: dict[str, float] | None = Field(description="latest estimate")
+    estimate: dict[str, float] | None = Field(
+        description="value of each parameter in the latest iteration"
+    )
     log_likelihood: float | None
     outcome: str | None = Field(
         description="of a successful job: the verdict of a diagnosis, how an estimation ended"
     )
     causes: list[str] = Field(description="the effects that a diagnosis found")
     values: list[KeyValue] = Field(
-        description="what the result comes down to; before its end, what is known so far"
+        description="the few numbers that sum up the result; before its end, those known so far"
     )
     links: list[Link]
 
@@ -90,7 +92,7 @@ class TaskOut(BaseModel):
     iteration: int = 0
     restarts: int = Field(default=0, description="how often its worker was lost")
     estimate: dict[str, float | None] | None = Field(
-        default=None, description="its latest estimate"
+        default=None, description="value of each parameter in its latest iteration"
     )
     log_likelihood: float | None = None
 
@@ -223,7 +225,7 @@ class PreviewOut(BaseModel):
 
 
 class ProblemOut(BaseModel):
-    """RFC 9457."""
+    """A problem document (RFC 9457); `errors` name the fields of the request that are wrong."""
 
     type: str
     title: str
@@ -310,15 +312,23 @@ class Results(BaseModel):
     model: dict[str, Any] | None = Field(
         default=None, description="name, equations, states, inputs and outputs with units"
     )
-    time_unit: str | None = Field(default=None, description="what times count")
+    time_unit: str | None = Field(
+        default=None, description="what times of the data count, such as s or year"
+    )
     estimate: dict[str, Estimated] | None = None
     parameters: dict[str, float] | None = None
-    method: str | None = Field(default=None, description="simulation: least squares on it")
-    rmse: float | None = Field(default=None, description="of a fit of the simulation")
+    method: str | None = Field(
+        default=None,
+        description="`simulation` where least squares on the simulation was used, else null",
+    )
+    rmse: float | None = Field(
+        default=None, description="root mean square error of a fit of the simulation"
+    )
     outcome: str | None = None
     message: str | None = None
     warning: str | None = Field(
-        default=None, description="why standard errors and intervals are none of an estimate"
+        default=None,
+        description="why standard errors and intervals cannot be trusted, where the estimate is no maximum",
     )
     log_likelihood: Uncertain | None = None
     held_out: dict[str, Any] | None = Field(

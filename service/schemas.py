@@ -98,9 +98,9 @@ TimeUnit = Annotated[str, Field(min_length=1, max_length=20, pattern=r"^[^\W\d_]
 
 
 class SettingIn(_Strict):
-    """What data told when effects were made: typical sizes by channel, first and last time, time step.
+    """The data for which effects were made: typical sizes by channel, first and last time, time step.
 
-    `substeps` are the steps from one sample to the next that the model makes, where its time step is real.
+    `substeps` is the number of steps from one sample to the next that the model makes.
     """
 
     scale: Values = Field(default_factory=dict)
@@ -118,7 +118,7 @@ class SettingIn(_Strict):
 
 
 class ModelReference(_Strict):
-    """A registered model, by name; `with` lists effects added to it, `setting` as a diagnosis gave it."""
+    """A registered model, by name; `with` lists effects added to it, for data as `setting` has them."""
 
     model_config = ConfigDict(extra="forbid", strict=True, serialize_by_alias=True)
     name: str = Field(max_length=200)
@@ -160,7 +160,7 @@ class _Timed(_Strict):
     )
     time_unit: TimeUnit = Field(
         default="s",
-        description="what times count, such as min or year: a label, which changes printed units and no number",
+        description="unit of time, such as min or year: a label, which changes printed units and no number",
     )
 
     @model_validator(mode="after")
@@ -183,7 +183,7 @@ class _Recorded(_Timed):
         default=None,
         max_length=50,
         description="channels by name that were recorded beside y and u, without gaps; a diagnosis asks "
-        "whether the model should use them, and a model that does takes them for its inputs of these names",
+        "whether the model should use them. A model that has inputs of these names takes them from here",
     )
 
 
@@ -204,7 +204,10 @@ class InputIn(_Recorded):
 class DiagnoseParameters(_Strict):
     """Where the model's own estimation starts and what it may change."""
 
-    start: Values = Field(default_factory=dict, description="start values; else the defaults")
+    start: Values = Field(
+        default_factory=dict,
+        description="start values by name; parameters that are not named start at their defaults",
+    )
     free: Names | None = Field(
         default=None, min_length=1, description="parameters to estimate; null means all"
     )
@@ -227,21 +230,32 @@ class EstimateParameters(DiagnoseParameters):
 
 
 class FixedParameters(_Strict):
-    """Parameter values."""
+    """Values of the model's parameters, in their units."""
 
-    values: Values = Field(default_factory=dict, description="values; else the defaults")
+    values: Values = Field(
+        default_factory=dict,
+        description="values by name; parameters that are not named have their defaults",
+    )
 
 
-Seed = Annotated[int, Field(ge=0, lt=2**63, description="the same seed gives the same bits")]
+Seed = Annotated[
+    int,
+    Field(
+        ge=0,
+        lt=2**63,
+        description="seed of random numbers; the same seed gives the same result to the last bit",
+    ),
+]
 RunSeconds = Annotated[
-    float | None, Field(gt=0, allow_inf_nan=False, description="fail if it takes longer, s")
+    float | None,
+    Field(gt=0, allow_inf_nan=False, description="the job fails if it takes longer, s"),
 ]
 Particles = Annotated[int, Field(ge=2)]
 Trajectories = Annotated[Particles | None, Field(description="null means as many as particles")]
 
 
 class EstimateOptions(_Strict):
-    """How to estimate."""
+    """Options of an estimation: method, particles, iterations, starts, standard errors."""
 
     method: Literal["quasi-newton", "simulation", "rbps-em", "ps-em", "rts-em"] = Field(
         default="quasi-newton",
@@ -257,11 +271,13 @@ class EstimateOptions(_Strict):
     trajectories: Trajectories = None
     iterations: int = Field(default=100, ge=1)
     seed: Seed = 0
-    standard_errors: bool = Field(default=True, description="takes about as long as the rest")
+    standard_errors: bool = Field(
+        default=True, description="whether to compute them, which takes about as long as the rest"
+    )
     intervals: Literal["likelihood-ratio", "symmetric"] = Field(
         default="symmetric",
-        description="of 95 %, beside the standard errors; symmetric ones cost nothing more, but cover "
-        "too little where the log-likelihood is far from quadratic; by the likelihood ratio they take "
+        description="how the 95 % intervals are computed. Symmetric ones cost nothing more, but cover "
+        "too little where the log-likelihood is far from quadratic. By the likelihood ratio they take "
         "several times as long as all the rest",
     )
     starts: int = Field(default=1, ge=1, description="the best of this many starts is taken")
@@ -271,7 +287,7 @@ class EstimateOptions(_Strict):
 
 
 class SmoothOptions(_Strict):
-    """How to smooth."""
+    """Options of smoothing: numbers of particles and trajectories."""
 
     particles: Particles = 200
     trajectories: Trajectories = None
@@ -282,22 +298,29 @@ class SimulateOptions(_Strict):
     """`free-run` has no noise; `stochastic` draws the model's noise."""
 
     mode: Literal["free-run", "stochastic"] = "stochastic"
-    samples: int | None = Field(default=None, ge=2, description="length, where no u gives it")
+    samples: int | None = Field(
+        default=None, ge=2, description="number of samples, where no u gives it"
+    )
     seed: Seed = 0
 
 
 class DiagnoseOptions(_Strict):
     """What to look for, and how sure to be."""
 
-    alpha: float = Field(default=0.05, gt=0, lt=1, description="chance of an alarm without cause")
+    alpha: float = Field(
+        default=0.05, gt=0, lt=1, description="probability of an alarm where nothing is wrong"
+    )
     effects: Names | None = Field(
-        default=None, min_length=1, max_length=500, description="kinds or names; null means all"
+        default=None,
+        min_length=1,
+        max_length=500,
+        description="kinds or names of effects to look for; null means all",
     )
     max_effects: int = Field(
         default=3,
         ge=1,
         le=10,
-        description="found in turn at most; more than two mean an unknown cause",
+        description="upper limit on effects found in turn; more than two mean an unknown cause",
     )
     seed: Seed = 0
 
@@ -309,10 +332,12 @@ JobName = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f]*$")]
 
 
 class _Labelled(_Strict):
-    """What tells jobs apart in a list; nothing is computed by it."""
+    """Labels by which jobs are told apart in a list; no computation uses them."""
 
-    name: JobName = Field(default="", description="what you call the job")
-    tags: Tags = Field(default_factory=list, description="words to find it by")
+    name: JobName = Field(default="", description="a name for the job, shown in lists and reports")
+    tags: Tags = Field(
+        default_factory=list, description="words by which the job is found in the list"
+    )
     data: list[JobName] = Field(
         default_factory=list,
         max_length=100,
@@ -399,7 +424,7 @@ class DiagnoseRequest(_Labelled):
 
 
 class InformationIn(_Strict):
-    """What a record told of some parameters: the inverse of their covariance."""
+    """Information of a record on some parameters: the inverse (n, n) of their covariance."""
 
     free: list[Annotated[str, Field(max_length=200)]] = Field(min_length=1, max_length=200)
     matrix: list[Annotated[list[Number], Field(max_length=200)]] = Field(max_length=200)
@@ -409,7 +434,7 @@ CauseIn = dict[Annotated[str, Field(max_length=200)], Number | InformationIn]
 
 
 class DesignOptions(_Strict):
-    """What shall be told apart, within which bounds."""
+    """Causes to tell apart, and the bounds of the experiment."""
 
     causes: dict[Annotated[str, Field(max_length=200)], Number | CauseIn] = Field(
         min_length=1,
@@ -421,8 +446,8 @@ class DesignOptions(_Strict):
         description="inputs: {name: {low, high, rate, forbidden, start}}, states and outputs: {name: [low, "
         "high]}, dt in seconds, sigmas, hold, substeps"
     )
-    length: int = Field(ge=30, le=20_000, description="samples of the experiment")
-    inputs: int = Field(default=400, ge=1, le=5000, description="inputs that are tried")
+    length: int = Field(ge=30, le=20_000, description="number of samples of the experiment")
+    inputs: int = Field(default=400, ge=1, le=5000, description="how many inputs are tried")
     seed: Seed = 0
 
 

@@ -45,7 +45,7 @@ class Series(Shown):
     extra : array (T, n), optional
         Channels that were recorded but that the model does not use; a diagnosis asks whether they matter.
     extra_names : sequence of str, optional
-        Names of the columns of ``extra``.
+        One name for each column of ``extra``.
     substeps : int
         Number of rows from one sample to the next, where the series was refined (see :meth:`refined`); its
         first row is a sample.

@@ -51,8 +51,8 @@ class Bounds:
     inputs : mapping
         {name: InputBounds, or (low, high), or a mapping of its fields}, with every input of the model.
     states, outputs : mapping
-        {name: (low, high)}, in its unit: limits that hold whichever of the causes is the true one. None in place
-        of a number is no limit on that side.
+        {name: (low, high)}, in its unit: limits that hold whichever of the causes is the true one. None in
+        place of a number is no limit on that side.
     dt : float, optional
         Time between samples, s, positive; that of the diagnosed record by default.
     sigmas : float

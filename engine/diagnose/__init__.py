@@ -104,7 +104,7 @@ def diagnose(
     kept: Parts | None = None,
     early: Told | None = None,
 ) -> Diagnosis:
-    """Find what a model leaves out on measured data: what its simulation gets wrong, and which effect explains it.
+    """Find what a model gets wrong on measured data, and which effect that it leaves out explains it.
 
     Extra channels of the series become inputs of the model that nothing depends on, until one is found to
     matter. A model that declares ``continuous`` makes as many steps from sample to sample as its effects need.

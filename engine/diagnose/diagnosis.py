@@ -170,7 +170,7 @@ class Diagnosis(Shown):
         return dict(self.plot())
 
     def plot(self) -> Figures:
-        """All figures as one object: ``diagnosis.plot().save("figures")`` writes them; needs the extra ``plot``."""
+        """All figures as one object: ``.plot().save("figures")`` writes them; needs the extra ``plot``."""
         made: Figures = plots().of_document({"diagnosis": self.to_dict()})
         return made
 

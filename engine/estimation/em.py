@@ -75,10 +75,11 @@ def rbps_em(
     callback : callable, optional
         Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
     resume : Checkpoint or EmResult, optional
-        Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
+        Earlier iterations to go on from, in place of ``theta0``; the result is that of a run that was never
+        stopped, to the last bit.
     proposal : str or callable
-        Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function of
-        a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
+        Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function
+        of a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float
@@ -172,7 +173,8 @@ def rts_em(
     callback : callable, optional
         Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
     resume : Checkpoint or EmResult, optional
-        Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
+        Earlier iterations to go on from, in place of ``theta0``; the result is that of a run that was never
+        stopped, to the last bit.
     m_step : str
         How the M step maximises Q: ``scoring`` or ``bfgs``, as for :func:`rbps_em`.
     tolerance : float, optional

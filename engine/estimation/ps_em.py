@@ -81,9 +81,10 @@ def ps_em(
     callback : callable, optional
         Called with every :class:`Iteration`; stops the run by returning True or raising StopIteration.
     resume : Checkpoint or EmResult, optional
-        Go on from there, to the same bits as a run that was never stopped; comes before ``theta0``.
+        Earlier iterations to go on from, in place of ``theta0``; the result is that of a run that was never
+        stopped, to the last bit.
     proposal : str or callable
-        Density that new particles are drawn from, as for :func:`rbps_em`; ``bootstrap`` only for general models.
+        Density that new particles are drawn from, as for :func:`rbps_em`; general models need ``bootstrap``.
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float
@@ -91,7 +92,7 @@ def ps_em(
     recover : bool
         Run a filter that collapsed again with more particles (the papers do not).
     m_step : str, optional
-        How the M step maximises Q: ``scoring``, the default for mixed models, or ``bfgs``, that for general ones.
+        How the M step maximises Q: ``scoring``, the default for mixed models, or ``bfgs``.
     tolerance : float, optional
         Share of a parameter's size by which iterates may still move once they have settled; None uses all
         iterations.

@@ -65,7 +65,7 @@ class ParticleFiltered(Shown):
 
     @property
     def weights(self) -> Array:
-        """Normalized weights (T, M)."""
+        """Normalised weights (T, M)."""
         return self.filtered.weights
 
     @property

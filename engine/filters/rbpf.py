@@ -156,8 +156,8 @@ def rbpf(
     rng : numpy.random.Generator
         Source of all random numbers.
     proposal : str or callable
-        Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function of
-        a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
+        Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function
+        of a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float

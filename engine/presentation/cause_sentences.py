@@ -8,7 +8,9 @@ from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import Cause, LookAlike
 from engine.words import enumerated, estimate, number, probability
 
-SAME = "says the same in other words here"  # as the search has it of another name for the same thing
+SAME = (
+    "says the same in other words here"  # as the search has it of another name for the same thing
+)
 
 
 def headline(cause: Cause) -> str:
@@ -23,7 +25,7 @@ def headline(cause: Cause) -> str:
 
 
 def when(cause: Cause) -> str:
-    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats itself, ``, limit 5 kW``."""
+    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats, ``, limit 5 kW``."""
     wanted = ("time", "frequency") if cause.where == "time" else ("limit",)
     own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
     return "".join(

@@ -77,7 +77,7 @@ def undecided_sentence(one: Undecided, d: Design) -> str:
 
 
 def as_dict(d: Design) -> dict[str, Any]:
-    """The content as JSON-able data, with the curves that pictures show."""
+    """The content as JSON values, with the curves that pictures show."""
     t = d.dt * np.arange(len(d.u))
     (true, rival), D = d.smallest
     data = {

@@ -1,4 +1,4 @@
-"""A diagnosis as JSON-able data, with all that its pages and reports show."""
+"""A diagnosis as JSON values, with all that its pages and reports show."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SCREENED_EFFECTS = 12  # screened effects of a round
 
 
 def as_dict(d: Diagnosis) -> dict[str, Any]:
-    """All of it as JSON-able data: numbers that are not finite become None."""
+    """All of it as JSON values: numbers that are not finite become None."""
     causes = []
     for cause in d.causes:
         entry = asdict(cause)

@@ -132,7 +132,8 @@ def _cause(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(f"{_marker(d, k)}{headline(cause)}; enters: {cause.where}", "  ")
         yield from _wrapped(cause.equation, "      ")
         for other in cause.look_alikes:
-            text = f"{other.effect}: {standing(other, cause.equivalent)} (likeness {number(round(other.likeness, 2))}"
+            state = standing(other, cause.equivalent)
+            text = f"{other.effect}: {state} (likeness {number(round(other.likeness, 2))}"
             if other.gain is not None:
                 gained = number(other.gain) if other.gain > 0.0 else "none"
                 text += f", 2 x log-likelihood gained {gained}"

@@ -50,7 +50,7 @@ def compare_results(one: Document, other: Document) -> dict[str, Any]:
 
 
 def _numbers(document: Document) -> dict[str, Any]:
-    """What a result comes down to, whatever its kind."""
+    """The few figures by which results of any kind are compared."""
     if diagnosis := document.get("diagnosis"):
         return _of_diagnosis(diagnosis)
     if not any(document.get(name) for name in ("estimate", "parameters", "states", "simulation")):

@@ -91,7 +91,7 @@ class SimulationFit(Shown):
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """{name: standard error} of the estimated parameters, from ``covariance``; infinite for those that are ``tied``."""
+        """{name: standard error} of the estimated parameters; infinite for those that are ``tied``."""
         errors = np.sqrt(np.diag(self.covariance))
         return {
             name: np.inf if name in self.tied else float(errors[self.model.index(name)])
@@ -99,7 +99,7 @@ class SimulationFit(Shown):
         }
 
     def plot(self) -> Figures:
-        """Draw each series' simulation against its data, ``outputs`` and ``states``; needs the extra ``plot``."""
+        """Draw each series' simulation and data, ``outputs`` and ``states``; needs the extra ``plot``."""
         several = len(self.runs) > 1
         return figures(
             {

@@ -34,6 +34,11 @@ def condition_on_trajectories(smoothed: Smoothed, points: Points | None = None) 
     -------
     Smoothed
         The same trajectories with exact ``z`` (T, N, nz), ``P`` and ``M``.
+
+    Raises
+    ------
+    ModelError
+        A function of the model fails on the trajectories; names the function and the time.
     """
     filtered = smoothed.filtered
     model, series = filtered.model, filtered.series

@@ -79,6 +79,11 @@ def ffbsi(
     -------
     ParticleSmoothed
         ``trajectories`` (T, N, nx) of x_{1:T} given y_{1:T}.
+
+    Raises
+    ------
+    OptionError
+        ``n_trajectories`` is no positive whole number.
     """
     draws = rb_ffbsi(filtered.filtered, n_trajectories, rng)
     return ParticleSmoothed(filtered, draws.a, draws.index)

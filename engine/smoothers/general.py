@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.errors import SeriesError
+from engine.errors import SeriesError, check_count
 from engine.filters.rbpf import COLLAPSED, check_options
 from engine.kernels import resampling as schemes
 from engine.kernels.categorical import pick_each
@@ -140,7 +140,13 @@ def smooth_general(
     -------
     array (T, N, nx)
         Draws of x_{1:T} given y_{1:T}.
+
+    Raises
+    ------
+    OptionError
+        ``n_trajectories`` is no positive whole number.
     """
+    check_count("n_trajectories", n_trajectories)
     model, series, x = filtered.model, filtered.series, filtered.x
     T, N, record = len(x), n_trajectories, model.record(filtered.theta)
     draws = np.empty((T, N, model.nx))

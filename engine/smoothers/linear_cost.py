@@ -56,7 +56,7 @@ def rb_ffbsi_linear(
     tries : int, optional
         Candidates after which ``rejection`` computes all weights; M / 4, at least 16, by default.
     condition : bool
-        True gives the exact moments of z given each trajectory of a; False gives the draws of z, with P = M = 0.
+        True gives the exact moments of z given each trajectory of a; False the draws of z, with P = M = 0.
 
     Returns
     -------

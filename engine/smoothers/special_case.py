@@ -39,7 +39,7 @@ class SpecialCase(Shown):
     Parameters
     ----------
     model : MixedModel
-        Its rows of z and y; the rows of a are not used.
+        The model, of whose equations those of z and y are used; those of a are replaced by ``sample``.
     sample : callable
         ``sample(a, u, t, dt, theta, rng)`` draws a_{t+1} (M, na) for each row of a (M, na).
     log_density : callable
@@ -57,7 +57,7 @@ class SpecialCase(Shown):
     def linear(
         self, a: Array, u: Any, t: float, dt: float, theta: Any
     ) -> tuple[Array, Array, Array]:
-        """f_z (M, nz), A_z (B, nz, nz), Q_z (B, nz, nz) of eq. (63b)."""
+        """Evaluate f_z (M, nz), A_z (B, nz, nz) and Q_z (B, nz, nz) of eq. (63b) at particles a (M, na)."""
         f, A, Q = self.model.transition(a, u, t, dt, theta)
         na = self.model.na
         rows = np.ascontiguousarray
@@ -70,7 +70,7 @@ def gaussian_case(model: MixedModel) -> SpecialCase:
     Parameters
     ----------
     model : MixedModel
-        A model with A_a = 0 and Q_az = 0, which is checked where it is evaluated.
+        A model with A_a = 0 and Q_az = 0; :func:`rbpf_special` checks that where it evaluates the model.
 
     Returns
     -------

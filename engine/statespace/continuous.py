@@ -60,7 +60,7 @@ def continuous(
     Returns
     -------
     MixedModel
-        The model with its ``dynamics`` and ``continuous=True``; a diagnosis may step it more finely than the data.
+        The model with its ``dynamics`` and ``continuous=True``: a diagnosis may step it more finely.
 
     Raises
     ------

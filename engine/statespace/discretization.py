@@ -34,7 +34,7 @@ def discretize(
     *,
     dt: float | Array,
 ) -> tuple[Array, Array, Array]:
-    """Discretise dx = (F x + G u) dt + dw over a step, inputs held: A, B, Q by matrix exponentials (van Loan 1978).
+    """Discretise dx = (F x + G u) dt + dw over a step with held inputs, by matrix exponentials (van Loan 1978).
 
     Parameters
     ----------

@@ -140,7 +140,7 @@ class NonlinearModel(BaseModel):
         )
 
     def log_transition(self, x_next: Array, f: Array, g: Array | None, theta: Any) -> Array:
-        """Evaluate log p(x_{t+1} | x_t) for x_next (..., nx), f (..., nx) and g as ``transition`` gives them."""
+        """Evaluate log p(x_{t+1} | x_t) for x_next (..., nx), with f (..., nx) and g of ``transition``."""
         r = x_next - f
         shape = r.shape[:-1]
         v, log_scale = _unscale(r, g, self.name, "g")

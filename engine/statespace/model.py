@@ -236,12 +236,12 @@ class MixedModel(BaseModel):
     def transition(
         self, a: Array, u: Any, t: Any, dt: Any, theta: Any
     ) -> tuple[Array, Array, Array]:
-        """Evaluate the step: f (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
+        """The step: f (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
         f, A, Q = self.transitions(a, u, t, dt, theta)
         return f, A, Q
 
     def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
-        """Evaluate the reading: h (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
+        """The reading: h (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
         h, C, R = self.observations(a, u, t, 0.0, theta)
         return h, C, R
 

@@ -121,7 +121,9 @@ def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns
     if clock:
         return text
     text += f" (no column of times: a step of 1 {series.time_unit} is assumed; else --dt STEP"
-    maybe = next((name for name in table.columns if name not in read and _counts(table, name)), None)
+    maybe = next(
+        (name for name in table.columns if name not in read and _counts(table, name)), None
+    )
     return text + (f", or, as '{maybe}' counts up evenly, --time '{maybe}')" if maybe else ")")
 
 

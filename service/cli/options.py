@@ -70,11 +70,15 @@ Hold = Annotated[
     str | None,
     typer.Option(
         "--hold", metavar="zoh|foh|past",
-        help="Inputs between samples: held, on a straight line, or held since the row before.  [zoh]",
+        help="Inputs between samples: held (zoh), on a straight line (foh), or held since the row before "
+        "(past).  [zoh]",
     ),
 ]  # fmt: skip
 Seed = Annotated[
-    int, typer.Option(metavar="N", min=0, help="The same seed gives the same numbers.")
+    int,
+    typer.Option(
+        metavar="N", min=0, help="Seed of random numbers: the same seed gives the same result."
+    ),
 ]
 Out = Annotated[
     Path | None,
@@ -89,7 +93,7 @@ Plot = Annotated[
     typer.Option(metavar="FOLDER", help="Write figures as SVG and PNG (needs rbps[plot])."),
 ]
 Name = Annotated[
-    str, typer.Option(metavar="TEXT", help="What you call it, in the result and the report.")
+    str, typer.Option(metavar="TEXT", help="A name for it, kept in the result and the report.")
 ]
 Tags = Annotated[
     list[str],

@@ -218,8 +218,14 @@ export function unit(text) {
 
 // A key value of a job: {name, value, standard_error, unit}.
 export function value({ value: x, standard_error: error, unit: text }) {
-  const plain = text && text !== "1" ? ` ${unit(text)}` : "";
+  const plain = text && text !== "1" ? `${/^\d+e/.test(text) ? " ×" : ""} ${unit(text)}` : "";
   return `${number(x, 4)}${error === null ? "" : ` ± ${number(error, 2)}`}${plain}`;
+}
+
+// A sentence of the engine with its units and signs as they are printed.
+export function printed(text) {
+  return text.replace(/\bx (1e-?\d+)/g, (_, factor) => `× ${unit(factor)}`).replace(/\+-/g, "±")
+    .replace(/(?<=\p{L})\^-?\d+(?![\d.])/gu, (power) => unit(`x${power}`).slice(1));
 }
 
 export function words(text) {

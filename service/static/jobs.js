@@ -1,7 +1,7 @@
 // The list of jobs. Its filter, its order and its place are in the address, as the JSON call has them:
 // /jobs?status=running&kind=estimate&model=servo&tag=pump&sort=-duration&cursor=17
 
-import { announce, duration, element, get, number, patch, poll, Problem, remove, value, when, words } from "/static/api.js";
+import { announce, duration, element, get, number, patch, poll, printed, Problem, remove, value, when, words } from "/static/api.js";
 
 const by = (id) => document.getElementById(id);
 const FILTERS = ["status", "kind", "model", "outcome", "tag", "search"];
@@ -71,7 +71,7 @@ function row(job) {
       job.name ? element("span", { class: "muted" }, ` ${job.kind}`) : null,
       job.tags.map((tag) => element("button", { type: "button", class: "tag", "aria-label": `Only jobs with the tag ${tag}`, onclick: () => filter("tag", tag) }, tag))),
     element("td", {}, element("span", { class: `badge ${job.status}` }, job.status)),
-    element("td", {}, model, effects.length ? element("span", { class: "muted" }, ` + ${effects.join(" + ")}`) : null),
+    element("td", {}, element("span", { class: "model" }, model), effects.length ? element("span", { class: "muted" }, ` + ${effects.join(" + ")}`) : null),
     element("td", { class: "data" }, job.data.join(", ")),
     element("td", {}, element("time", { datetime: job.created }, when(job.created))),
     element("td", { class: "progress" }, ...progress(job, name)),
@@ -112,7 +112,7 @@ function progress(job, name) {
     const left = job.estimated_end ? (new Date(job.estimated_end) - Date.now()) / 1000 : null;
     return [
       element("progress", { max: 100, value: job.progress, "aria-label": `Progress of ${name}` }),
-      element("span", { class: "small muted" }, `${job.progress} %${job.stage && !["iterations"].includes(job.stage) ? `, ${job.stage}` : left > 0 ? `, iterations ${duration(left)} more at most` : ""}`),
+      element("span", { class: "small muted" }, `${job.progress} %${job.stage && job.stage !== "iterations" ? `, ${job.stage}` : left > 0 ? `, iterations: ${duration(left)} left at most` : ""}`),
     ];
   }
   if (job.status === "accepted") return [element("span", { class: "muted" }, "waits")];
@@ -122,7 +122,7 @@ function progress(job, name) {
 
 function outcome(job) {
   const verdict = job.outcome ? element("span", { class: `badge ${VERDICTS[job.outcome] ?? ""}` }, job.outcome.replaceAll("-", " ")) : null;
-  if (job.status !== "successful" || job.kind === "diagnose") return [verdict, " ", job.message || latest(job)];
+  if (job.status !== "successful" || job.kind === "diagnose") return [verdict, " ", printed(job.message) || latest(job)];
   const items = job.values.map((one) => element("div", {}, element("dt", {}, one.name), element("dd", {}, value(one))));
   const list = (some) => element("dl", { class: "values" }, some);
   return [verdict, list(items.slice(0, VALUES)),

@@ -1,4 +1,4 @@
-"""All that a user reads, as (place, text): docstrings, the Guide and README, the command line's help, the HTTP schema."""
+"""All that a user reads, {place: text}: docstrings, Guide, README, help of the commands, HTTP schema, pages."""
 
 import inspect
 import re

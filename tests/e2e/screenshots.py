@@ -1,4 +1,7 @@
-"""Pictures of the pages for the documentation: ``python -m tests.e2e.screenshots [FOLDER]``."""
+"""Pictures of the pages for the documentation: ``python -m tests.e2e.screenshots [FOLDER [WIDTH]]``.
+
+A WIDTH of 390 shows them as a phone does.
+"""
 
 import io
 import sys
@@ -16,7 +19,7 @@ FOLDER = Path(__file__).parents[1] / "benchmarks" / "results" / "screenshots"
 WIDTH = 1280  # px
 
 
-def take(folder):
+def take(folder, width=WIDTH):
     """Write start, running, finished, diagnosis, jobs and compare.png into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     with (
@@ -24,7 +27,7 @@ def take(folder):
         service(Path(state)) as address,
         browser() as chrome,
     ):
-        page = chrome.new_page(viewport={"width": WIDTH, "height": 800}, color_scheme="light")
+        page = chrome.new_page(viewport={"width": width, "height": 800}, color_scheme="light")
         page.set_default_timeout(PATIENCE)
         page.goto(f"{address}/")
         page.wait_for_selector("form[data-ready]")
@@ -61,24 +64,29 @@ def take(folder):
 
 
 def submit(address, samples, name, **options):
-    """Id of an estimation of linear-2 from simulated samples, with others held out."""
-    y, other = (
-        engine.simulate(engine.get_model("linear-2"), None, n, np.random.default_rng(n)).y
-        for n in (samples, 150)
-    )
+    """Id of an estimation of the oscillator from simulated samples, with others held out."""
+    series, other = (simulated(n) for n in (samples, 150))
     request = {
         "kind": "estimate",
-        "model": "linear-2",
-        "series": [{"y": y.tolist()}],
-        "test": {"y": other.tolist()},
+        "model": "oscillator",
+        "series": [series],
+        "test": other,
         "name": name,
-        "tags": ["second order"],
+        "tags": ["test rig"],
         "data": [f"record-{samples}.csv"],
-        "parameters": {"start": {"theta": 0.5}, "free": ["theta"]},
+        "parameters": {"start": {"omega": 5.0}, "free": ["omega", "zeta"]},
         "options": options,
     }
     answer = httpx.post(f"{address}/jobs", json=request, timeout=60)
     return answer.raise_for_status().json()["jobID"]
+
+
+def simulated(samples):
+    """A record of the oscillator, driven by a new level each second."""
+    rng = np.random.default_rng(samples)
+    drive = np.repeat(rng.uniform(-1.0, 1.0, samples // 50 + 1), 50)[:samples]
+    run = engine.simulate(engine.get_model("oscillator"), None, samples, rng, u=drive, dt=0.02)
+    return {"y": run.y.tolist(), "u": drive.tolist(), "dt": 0.02}
 
 
 def keep(page, path):
@@ -93,4 +101,5 @@ def keep(page, path):
 if __name__ == "__main__":
     if chromium() is None:
         sys.exit("screenshots need Chromium, which is not installed")
-    take(Path(sys.argv[1]) if sys.argv[1:] else FOLDER)
+    where, wide = Path(sys.argv[1]) if sys.argv[1:] else FOLDER, int((*sys.argv[2:], WIDTH)[0])
+    take(where, wide)

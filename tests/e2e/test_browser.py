@@ -556,7 +556,8 @@ def test_columns_are_matched_as_the_service_does(visit):
     """The page has the rules of ``service.columns`` once more; here they meet the same files."""
     page = visit("/")
     ready(page)
-    words = ["flow", "Flow", "flow_in", "flow_V", "y", "y1", "u_flow", "level", "t", "year", "rain"]
+    words = ["flow", "Flow", "flow_in", "flow_V", "y", "y1", "u_flow", "level", "t", "time [h]"]
+    words += ["t_min", "year", "rain"]
     rng = np.random.default_rng(1)
     cases = [CASES[name][:3] for name in CASES]
     for _ in range(200):

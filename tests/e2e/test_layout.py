@@ -1,9 +1,12 @@
 """Narrow screens, paper, and curves too long to draw all their points, in a real Chromium."""
 
+import io
 import re
 
 import httpx
+import numpy as np
 import pytest
+from PIL import Image
 
 from engine.data import nile
 from tests.e2e.browser import eventually, ready
@@ -247,3 +250,47 @@ def test_fingers_zoom_and_scroll(visit, long):
     )  # Chromium takes a tap right after two fingers for a part of their gesture
     page.locator(".chart-all").first.tap()
     page.wait_for_selector(".chart-all", state="hidden")
+
+
+@pytest.fixture(scope="module")
+def estimate(post):
+    series = [{"y": nile().y.tolist(), "t": nile().t.tolist()}]
+    request = {"kind": "estimate", "model": "local-level", "series": series, "tags": ["two words"]}
+    options = {"method": "rts-em", "iterations": 3}
+    return post(request | {"name": "a name of several words", "options": options})
+
+
+BROKEN = """[...document.querySelectorAll('#jobs .tag, #jobs .badge, #jobs .model, #jobs dd, #jobs time')]
+    .filter(one => one.getBoundingClientRect().height > 1.9 * parseFloat(getComputedStyle(one).lineHeight))
+    .map(one => one.textContent)"""
+
+
+def test_the_list_of_jobs_breaks_no_number_and_prints_units(visit, diagnosis, estimate):
+    page = visit("/jobs")
+    page.wait_for_selector(f'[data-job="{estimate}"] dd')
+    assert page.evaluate(BROKEN) == []
+    assert wider_than_the_screen(page) == 0
+    row = page.locator(f'[data-job="{diagnosis}"]').inner_text()
+    assert re.search(r"-258 ± \d+ × 10⁸ m³", row)
+    assert "× 10¹⁶ m⁶" in page.locator(f'[data-job="{estimate}"]').inner_text()
+    printed = """async (text) => (await import("/static/api.js")).printed(text)"""
+    assert page.evaluate(printed, "2 +- 1 x 1e-8 m^2 s^-1.") == "2 ± 1 × 10⁻⁸ m² s⁻¹."
+
+
+@pytest.mark.parametrize(
+    ("screen", "shaded"), [({"width": 1280, "height": 900}, False), (PHONE, True)]
+)
+def test_only_what_scrolls_to_the_side_looks_as_if_it_did(visit, screen, shaded):
+    """A shade at the right edge of a table says that there is more; elsewhere the edge is as the card is."""
+    page = visit("/", viewport=screen, color_scheme="light")
+    ready(page)
+    page.click("#example")
+    page.wait_for_selector("#parameters tbody tr")
+    table = page.locator(".scroll:has(#parameters)")
+    table.scroll_into_view_if_needed()
+    scrolls = table.evaluate("one => one.scrollWidth > one.clientWidth")
+    assert scrolls == shaded
+    picture = Image.open(io.BytesIO(table.screenshot(animations="disabled"))).convert("L")
+    edge = np.asarray(picture)[:, -6:]
+    darkest = edge.min(axis=0).min() if not shaded else np.median(edge, axis=0).min()
+    assert (darkest < 225) == shaded

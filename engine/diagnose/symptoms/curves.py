@@ -1,4 +1,4 @@
-"""What pictures of a comparison need, as JSON-able data: curves over time, bands of signals, residuals.
+"""What pictures of a comparison need, as JSON values: curves over time, bands of signals, residuals.
 
 Numbers of curves are rounded to seven significant digits, which no picture shows and which halves
 the size of the documents.

@@ -19,7 +19,10 @@ def compare(
         ),
     ],
     other: Annotated[
-        Path, typer.Argument(metavar="B.json", exists=True, dir_okay=False, help="Another.")
+        Path,
+        typer.Argument(
+            metavar="B.json", exists=True, dir_okay=False, help="Another result written with --out."
+        ),
     ],
     report: Report = None,
     as_json: Json = False,

@@ -69,10 +69,11 @@ def fit(
         ),
     ] = "none",
     iterations: Annotated[
-        int, typer.Option("--iterations", "-n", metavar="N", min=1, help="At most.")
+        int,
+        typer.Option("--iterations", "-n", metavar="N", min=1, help="Upper limit on iterations."),
     ] = 100,
     particles: Annotated[
-        int, typer.Option(metavar="N", min=2, help="Particles of the filter.")
+        int, typer.Option(metavar="N", min=2, help="How many particles the filter has.")
     ] = 50,
     trajectories: Annotated[
         int | None,
@@ -90,8 +91,8 @@ def fit(
         str,
         typer.Option(
             metavar="symmetric|likelihood-ratio",
-            help="Of 95 %. By the likelihood ratio they cover better where the log-likelihood is far from "
-            "quadratic, and take several times as long as all the rest.",
+            help="How the 95 % intervals are computed. By the likelihood ratio they cover better where the "
+            "log-likelihood is far from quadratic, and take several times as long as all the rest.",
         ),
     ] = "symmetric",
     starts: Annotated[

@@ -12,20 +12,28 @@ from service.cli.options import Json
 
 def jobs(
     text: Annotated[
-        str, typer.Argument(metavar="[TEXT]", help="In name, tags, data, model or message.")
+        str,
+        typer.Argument(
+            metavar="[TEXT]", help="Only jobs with this text in name, tags, data, model or message."
+        ),
     ] = "",
     tag: Annotated[
-        list[str], typer.Option(metavar="WORD,...", help="With all of these tags.")
+        list[str], typer.Option(metavar="WORD,...", help="Only jobs with all of these tags.")
     ] = [],  # noqa: B006
-    kind: Annotated[list[str], typer.Option(metavar="KIND,...", help="Of these kinds.")] = [],  # noqa: B006
+    kind: Annotated[
+        list[str],
+        typer.Option(metavar="KIND,...", help="Only jobs of these kinds, such as diagnose."),
+    ] = [],  # noqa: B006
     sort: Annotated[
         str,
         typer.Option(
             metavar="KEY",
-            help="By what: created, name, model, outcome, ...; -KEY for the other way.",
+            help="Sort by created, name, model, outcome, ...; -KEY for the other way.",
         ),
     ] = "-created",
-    most: Annotated[int, typer.Option("--most", "-n", metavar="N", min=1, help="At most.")] = 20,
+    most: Annotated[
+        int, typer.Option("--most", "-n", metavar="N", min=1, help="Upper limit on jobs listed.")
+    ] = 20,
     as_json: Json = False,
 ) -> None:
     """List the jobs of the service on this machine: name, verdict, key values; it need not be running."""

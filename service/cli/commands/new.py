@@ -12,7 +12,7 @@ from service.cli.options import Json
 
 
 def new(
-    file: Annotated[Path, typer.Argument(metavar="FILE.py", help="The file to write.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.py", help="The Python file to write.")],
     as_json: Json = False,
 ) -> None:
     """Write a commented model that runs, to be changed into your own.

@@ -25,7 +25,9 @@ def test_the_unit_that_a_column_of_times_tells(column, unit):
     assert clock_of(column) == unit
 
 
-@pytest.mark.parametrize("column", ["time [h]", "t (min)", "time_min", "Time days", "t_ms", "T [s]"])
+@pytest.mark.parametrize(
+    "column", ["time [h]", "t (min)", "time_min", "Time days", "t_ms", "T [s]"]
+)
 def test_a_column_of_times_is_found_with_its_unit(column, tmp_path):
     (tmp_path / "a.csv").write_text(f"{column},y\n0,1\n0.5,2\n1,3\n")
     series = engine.Series.read(tmp_path / "a.csv")
