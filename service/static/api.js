@@ -225,7 +225,7 @@ export function value({ value: x, standard_error: error, unit: text }) {
 // A sentence of the engine with its units and signs as they are printed.
 export function printed(text) {
   return text.replace(/\bx (1e-?\d+)/g, (_, factor) => `× ${unit(factor)}`).replace(/\+-/g, "±")
-    .replace(/(?<=\p{L})\^-?\d+(?![\d.])/gu, (power) => unit(`x${power}`).slice(1));
+    .replace(/(?<=\p{L})\^-?\d+(?!\.?\d)/gu, (power) => unit(`x${power}`).slice(1));
 }
 
 export function words(text) {

@@ -98,7 +98,7 @@ def _above(power: str) -> str:
 
 def _raised(text: str) -> str:
     """With powers of names and of brackets as superscripts: ``m^2``, ``(m/s)^(-1)``."""
-    power = r"(?<=[^\W_]|\))\^(?:\((-?\d+)\)|(-?\d+)(?![\d.]))"
+    power = r"(?<=[^\W_]|\))\^(?:\((-?\d+)\)|(-?\d+)(?!\.?\d))"
     return re.sub(power, lambda m: (m[1] or m[2]).translate(SUPERSCRIPT), text)
 
 

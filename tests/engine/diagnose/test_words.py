@@ -46,6 +46,7 @@ def test_units_without_what_says_nothing(unit, said):
 
 def test_powers_are_raised_and_brackets_kept():
     assert pretty("1e-08/m^3/year") == "10⁻⁸/m³/year"
+    assert prose("From 2 m^3 to 5 x 1e8 m^3. Or V^1.5.") == "From 2 m³ to 5 × 10⁸ m³. Or V^1.5."
     assert pretty("1/(kg m^2)") == "1/(kg m²)"
     assert pretty("(m/s)^(-1)") == "(m/s)⁻¹"
     assert prose("3 +- 1 rad/s/(rad/s)^2") == "3 ± 1 rad/s/(rad/s)²"
