@@ -130,6 +130,9 @@ class ComparisonOut(BaseModel):
     time_unit: str
     models: list[str]
     outcome: list[str | None]
+    methods: list[str | None] = Field(
+        description="`simulation` for least squares on the simulation, else null"
+    )
     parameters: list[dict[str, Any]] = Field(
         description="name, unit, values, standard_errors, held, difference, in_errors"
     )

@@ -36,6 +36,7 @@ def compare_results(one: Document, other: Document) -> dict[str, Any]:
         "time_unit": clocks.pop(),
         "models": [each["model"] for each in both],
         "outcome": [each["outcome"] for each in both],
+        "methods": [each["method"] for each in both],
         "parameters": list(_parameters([each["parameters"] for each in both])),
         "free_parameters": [each["free"] for each in both],
         "same_data": _same_readings(curves, "simulation"),
@@ -70,6 +71,7 @@ def _numbers(document: Document) -> dict[str, Any]:
         "time_unit": document.get("time_unit") or SECOND,
         "log_likelihood": document.get("log_likelihood"),
         "outcome": document.get("outcome"),
+        "method": document.get("method"),
         "held_out": held or None,
         "curves": [*_curves_of(document), *_held_out_curves(held)],
     }
@@ -110,6 +112,7 @@ def _of_diagnosis(d: Document) -> dict[str, Any]:
         "time_unit": d.get("time_unit") or SECOND,
         "log_likelihood": None,
         "outcome": d["verdict"],
+        "method": None,
         "held_out": {"samples": gain["samples"], "log_density": None, "outputs": found}
         if found
         else None,

@@ -74,7 +74,10 @@ def submit(address, samples, name, **options):
         "name": name,
         "tags": ["test rig"],
         "data": [f"record-{samples}.csv"],
-        "parameters": {"start": {"omega": 5.0}, "free": ["omega", "zeta"]},
+        "parameters": {
+            "start": {"omega": 5.5, "sigma_y": 0.1},
+            "free": ["omega", "zeta", "sigma_y"],
+        },
         "options": options,
     }
     answer = httpx.post(f"{address}/jobs", json=request, timeout=60)
@@ -85,12 +88,14 @@ def simulated(samples):
     """A record of the oscillator, driven by a new level each second."""
     rng = np.random.default_rng(samples)
     drive = np.repeat(rng.uniform(-1.0, 1.0, samples // 50 + 1), 50)[:samples]
-    run = engine.simulate(engine.get_model("oscillator"), None, samples, rng, u=drive, dt=0.02)
+    theta = {"sigma_y": 0.05}
+    run = engine.simulate(engine.get_model("oscillator"), theta, samples, rng, u=drive, dt=0.02)
     return {"y": run.y.tolist(), "u": drive.tolist(), "dt": 0.02}
 
 
 def keep(page, path):
     """The whole page, in 64 colours so that the file is small; by octree, which keeps rare ones."""
+    page.evaluate("scrollTo(0, 0)")  # else the head of the page stands in its middle
     for name in ("beforeprint", "afterprint"):  # draws what is not yet in view
         page.evaluate("name => dispatchEvent(new Event(name))", name)
     picture = Image.open(io.BytesIO(page.screenshot(full_page=True, animations="disabled")))

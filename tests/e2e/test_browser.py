@@ -103,6 +103,37 @@ def test_watch_a_job_and_stop_it(visit, long):
     assert page.locator("#traces canvas").count() >= 2  # and their curves
 
 
+def test_held_parameters_have_no_curve_from_the_first_iteration_on(visit, address):
+    """Their curve, once drawn, would stand still beside the others."""
+    model = engine.get_model("oscillator")
+    y = engine.simulate(model, None, 200, np.random.default_rng(5), u=np.ones(200), dt=0.05).y
+    request = {
+        "kind": "estimate",
+        "model": "oscillator",
+        "series": [{"y": y.tolist(), "u": [1.0] * 200, "dt": 0.05}],
+        "parameters": {"start": {"omega": 5.0}, "free": ["omega"]},
+        "options": {"method": "rbps-em", "particles": 500, "iterations": 10_000},
+    }
+    job = httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
+
+    def no_further_than_the_first(route):
+        trace = route.fetch().json()
+        n = sum(k <= 1 for k in trace["iteration"])
+        theta = {name: values[:n] for name, values in trace["theta"].items()}
+        rest = {key: trace[key][:n] for key in ("iteration", "log_likelihood", "ess", "seconds")}
+        route.fulfill(json=rest | {"theta": theta})
+
+    page = visit("/jobs")
+    page.route("**/trace?*", no_further_than_the_first)
+    page.goto(f"{address}/jobs/{job}")
+    page.wait_for_selector("#traces canvas")
+    titles = page.locator("#traces .chart-title").all_inner_texts()
+    page.unroute_all(behavior="ignoreErrors")
+    httpx.delete(f"{address}/jobs/{job}")
+    assert "omega" in titles
+    assert not set(titles) & {"zeta", "gain", "sigma_v", "sigma_y"}
+
+
 def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
     page = visit(f"/jobs/{long}")
     page.wait_for_selector("#traces canvas")

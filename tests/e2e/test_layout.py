@@ -64,6 +64,10 @@ def test_narrow_screens_need_no_scrolling_to_the_side(visit, diagnosis):
     page.wait_for_selector(f'[data-job="{diagnosis}"]')
     assert wider_than_the_screen(page) == 0
     assert page.is_visible(f'[data-job="{diagnosis}"] >> text=Remove')
+    head = page.evaluate(
+        "[...document.querySelector('.top').children].map(one => one.getBoundingClientRect().top)"
+    )
+    assert max(head) - min(head) < 20  # px: in one line
     page.goto(f"{visit.address}/jobs/{diagnosis}")
     page.wait_for_selector("#results .u-wrap canvas")
     draw_all(page)

@@ -70,6 +70,7 @@ def test_parameters_errors_curves_and_held_out_errors_side_by_side(client, jobs,
     assert omega["in_errors"] == pytest.approx(omega["difference"] / larger)
     assert omega["unit"] == estimates[0]["unit"]
     assert found["free_parameters"] == [2, 2]
+    assert found["methods"] == ["simulation", None]
     assert (found["same_data"], found["same_held_out"]) == (True, True)
     assert found["log_likelihood"] == [None, results[1]["log_likelihood"]]
     assert [one["name"] for one in found["jobs"]] == ["first", "second"]
@@ -123,6 +124,7 @@ def test_a_diagnosis_beside_an_estimate(compare, client, jobs):
 def test_the_report_as_parts_and_as_a_file(compare):
     parts = compare("first", "second", "/compare/report").json()
     assert parts["title"] == "first and second"
+    assert "standard errors of first are of a fit of the simulation" in parts["summary"]
     assert {one["id"] for one in parts["sections"]} == {"parameters", "curves"}
     assert all(len(one["x"]) <= 3000 for one in parts["charts"])
     file = compare("first", "second", "/compare/report", Accept="text/html")

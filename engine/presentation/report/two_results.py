@@ -120,6 +120,12 @@ def comparison_notes(c: Document, names: Sequence[str]) -> list[str]:
             "Both estimates come from the same data, so their errors are not independent: a difference of less "
             "than one standard error may still be systematic."
         )
+    fitted = [name for name, how in zip(names, c["methods"], strict=True) if how == "simulation"]
+    if fitted and any(row["in_errors"] is not None for row in c["parameters"]):
+        out.append(
+            f"The standard errors of {' and '.join(fitted)} are of a fit of the simulation: lower bounds, "
+            "where process noise moves the states. Smaller ones do not mean a better estimate."
+        )
     return out
 
 

@@ -96,7 +96,7 @@ function aligned(traces, pick) {
 
 function constant(columns) {
   const values = columns.flat().filter((value) => value !== null);
-  return values.length > 2 && values.every((value) => value === values[0]);
+  return values.length > 1 && values.every((value) => value === values[0]);
 }
 
 function series(columns) {
