@@ -15,7 +15,7 @@ from service import strict_json
 from service.cli.ending import wrong
 from service.cli.outputs import output_path, say_written
 
-WIDTH = 26  # of a column of values
+COLUMNS = 5  # what it is, both results, their difference, its unit
 
 
 def show(one: Path, other: Path, report: Path | None, as_json: bool) -> None:
@@ -53,9 +53,20 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _lines(c: dict[str, Any], names: Sequence[str]) -> Iterator[str]:
-    yield _row("", *names, "difference")
-    yield _row("model", *c["models"])
-    yield _row("outcome", *(one or "" for one in c["outcome"]))
+    """A table whose columns are as wide as what is in them, and the notes."""
+    rows = [(*row, *[""] * (COLUMNS - len(row))) for row in _rows(c, names)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(
+            f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)
+        ).rstrip()
+    yield from comparison_notes(c, names)
+
+
+def _rows(c: dict[str, Any], names: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    yield "", *names, "difference"
+    yield "model", *c["models"]
+    yield "outcome", *(one or "" for one in c["outcome"])
     for row in c["parameters"]:
         cells = [
             "" if value is None else _estimate(value, error, held)
@@ -66,30 +77,27 @@ def _lines(c: dict[str, Any], names: Sequence[str]) -> Iterator[str]:
         difference = "" if row["difference"] is None else words.number(row["difference"], 3)
         if row["in_errors"] is not None:
             difference += f" ({words.number(row['in_errors'], 2)} standard errors)"
-        yield _row(row["name"], *cells, difference, words.tidy(row["unit"]))
+        yield row["name"], *cells, difference, words.tidy(row["unit"])
     likelihoods = [one and one["value"] for one in c["log_likelihood"]]
     yield from _numbers("log-likelihood", likelihoods, c["same_data"])
     held = [{o["output"]: o for o in (one or {}).get("outputs", ())} for one in c["held_out"]]
     for output in dict.fromkeys([*held[0], *held[1]]):
         errors = [(each.get(output) or {}).get("rmse") for each in held]
         yield from _numbers(f"held-out error of {output}", errors, c["same_held_out"])
-    yield from comparison_notes(c, names)
 
 
-def _numbers(title: str, pair: Sequence[float | None], same: bool | None) -> Iterator[str]:
+def _numbers(
+    title: str, pair: Sequence[float | None], same: bool | None
+) -> Iterator[tuple[str, ...]]:
     first, second = pair
     if first is None and second is None:
         return
     both = first is not None and second is not None and same
     difference = words.number((second or 0.0) - (first or 0.0), 4) if both else ""
-    yield _row(title, *("" if one is None else words.number(one, 6) for one in pair), difference)
+    yield title, *("" if one is None else words.number(one, 6) for one in pair), difference
 
 
 def _estimate(value: float, error: float | None, held: bool) -> str:
     if held:
         return f"{words.number(value, 5)} held"
     return words.number(value, 5) + ("" if error is None else f" +- {words.number(error, 2)}")
-
-
-def _row(title: str, *cells: str) -> str:
-    return f"{title:<24}{''.join(f'{cell:<{WIDTH}}' for cell in cells)}".rstrip()
