@@ -8,9 +8,8 @@ from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import Cause, LookAlike
 from engine.words import enumerated, estimate, number, probability
 
-SAME = (
-    "says the same in other words here"  # as the search has it of another name for the same thing
-)
+# As the search has it of another name for the same thing.
+SAME = "says the same in other words here"
 
 
 def headline(cause: Cause) -> str:
@@ -43,7 +42,7 @@ def standing(other: LookAlike, equivalent: Sequence[str]) -> str:
         return "not told apart"
     if other.difference == SAME:
         return "the same here"
-    return "not refitted" if other.gain is None else "behind, its refit left early"
+    return "not ruled out" if other.gain is None else "behind, its refit left early"
 
 
 def phrased(difference: str) -> str:

@@ -180,7 +180,7 @@ def test_what_the_data_say_of_others_is_no_more_than_they_do():
         )
     ]
     assert said == [
-        "not told apart", "ruled out", "behind, its refit left early", "not refitted", "the same here",
+        "not told apart", "ruled out", "behind, its refit left early", "not ruled out", "the same here",
     ]  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 import engine
-from engine.errors import ModelError, SeriesError
+from engine.errors import ModelError, OptionError, SeriesError
 from engine.estimation.expectation import expectation
 from engine.estimation.general_em import TrajectoryQ
 from engine.estimation.ps_em import ps_em
@@ -206,3 +206,12 @@ def test_what_cannot_be_used_is_named() -> None:
     filtered = filter_general(singular, None, engine.Series(np.zeros((5, 1))), 10, rng)
     with pytest.raises(ModelError, match="singular"):
         smooth_general(filtered, 5, rng)
+
+
+@pytest.mark.parametrize("n_trajectories", [0, -1, 2.5])
+def test_draws_are_counted_by_positive_whole_numbers(n_trajectories: float) -> None:
+    rng = np.random.default_rng(0)
+    series = engine.simulate(scalar_linear.MODEL, None, 20, rng).series
+    filtered = filter_general(scalar_linear.GENERAL, None, series, 10, rng)
+    with pytest.raises(OptionError, match="a positive whole number is needed"):
+        smooth_general(filtered, n_trajectories, rng)
