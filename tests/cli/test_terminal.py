@@ -186,6 +186,17 @@ def test_ctrl_c_keeps_what_a_diagnosis_knows_by_then(folder, terminal):
     assert document["early"]["screen"]["scores"][0]["effect"] in report
 
 
+def interrupted(run):
+    """Type Ctrl-C: how many per cent were done, and the command that goes on."""
+    run.type(b"\x03")
+    code, printed = run.end()
+    assert (code, printed) == (130, "")
+    assert "Traceback" not in run.shown
+    told = re.search(r"interrupted at (\d+) %. Go on with\s+rbps (\w+ --resume \S+)", run.shown)
+    assert told, run.shown
+    return int(told[1]), told[2].split()
+
+
 @pytest.mark.slow
 def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, terminal):
     whole = terminal(*DIAGNOSE)
@@ -200,16 +211,8 @@ def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, ter
         if not stage:
             break
         run.until(rf"━.* \d+/100 .*({stage})")
-        run.type(b"\x03")
-        code, printed = run.end()
-        assert (code, printed) == (130, "")
-        assert "Traceback" not in run.shown
-        told = re.search(
-            r"interrupted at (\d+) %. Go on with\s+rbps (diagnose --resume \S+)", run.shown
-        )
-        assert told, run.shown
-        assert int(told[1]) >= at
-        at, command = int(told[1]), told[2].split()
+        before, (at, command) = at, interrupted(run)
+        assert at >= before
         assert command[-1] == ".rbps/data-diagnosis.state"
     run.until(rf"going on at {at} %")
     code, page = run.end()
@@ -253,16 +256,8 @@ def test_ctrl_c_while_designing_and_going_on_end_with_the_same_input(folder, ter
     for percent in (r"[1-9]\d*", r"[4-9]\d"):
         run = terminal(*command)
         run.until(rf"━.* {percent}/100 .*trying inputs")
-        run.type(b"\x03")
-        code, printed = run.end()
-        assert (code, printed) == (130, "")
-        assert "Traceback" not in run.shown
-        told = re.search(
-            r"interrupted at (\d+) %. Go on with\s+rbps (design --resume \S+)", run.shown
-        )
-        assert told, run.shown
-        assert int(told[1]) >= at
-        at, command = int(told[1]), told[2].split()
+        before, (at, command) = at, interrupted(run)
+        assert at >= before
         assert command[-1] == ".rbps/input.state"
         assert not (folder / "input.csv").exists()
     refused = terminal(*command, "--seed", "2")
