@@ -81,6 +81,8 @@ def run(store: Store, attempt: Attempt) -> None:
         job = load(json.loads(request))
         progress = StoredProgress(store, attempt)
         kept = StoredParts(store, attempt)
+        if kept:  # what they are is gone through before anything new is reached
+            progress.reached(store.job(attempt.job_id))
         result = stages.run(job, attempt.task, progress, kept)
         progress.flush()
         written = store.finish(attempt, result, str(result.get("message", "")))
@@ -127,9 +129,13 @@ class StoredProgress:
         if time.monotonic() - self._written > FLUSH_SECONDS:
             self.flush(ran=time.monotonic() - self._begun, stage=ITERATIONS)
 
+    def reached(self, job: Any) -> None:
+        """How far earlier attempts came at the only task of a job."""
+        self.k = 0 if job is None else job.iteration
+
     def step(self, k: int, message: str = "", share: float | None = None) -> None:
         """Progress without a checkpoint."""
-        self.k = k
+        self.k = max(self.k, k)
         self.flush(message, stage=message.partition(",")[0][:60], share=share)
 
     def estimated(self, document: dict[str, Any]) -> None:

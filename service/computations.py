@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, MutableMapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 import engine
 from engine.data.series import Series
 from engine.diagnose.symptoms.data_checks import clock_notes
-from engine.errors import ModelError, NotSettledWarning
+from engine.errors import ModelError, NotSettledWarning, OptionError
 from engine.estimation.uncertainty import LikelihoodIntervals, StandardErrors
 from engine.presentation.examination import (
     estimate_document,
@@ -69,6 +69,22 @@ class Progress(Protocol):
 
     def left(self, task: int) -> Any:
         """What a task of an earlier stage left."""
+
+
+Found = TypeVar("Found")
+
+
+def anew_where_another(
+    compute: Callable[[], Found], kept: MutableMapping[str, Any] | None
+) -> Found:
+    """What is computed with ``kept`` parts; without them where a model or the catalogue has changed since."""
+    try:
+        return compute()
+    except OptionError as error:
+        if kept is None or error.field != "kept":
+            raise
+        kept.clear()
+        return compute()
 
 
 # ---- estimate -------------------------------------------------------------------------------

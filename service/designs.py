@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from typing import Any
 
-import engine
-from engine.design import Design
+from engine.design import Design, asked_of
 from engine.design.candidates import NEAREST
 from engine.errors import OptionError
 from engine.words import percent
-from service.computations import Progress
+from service.computations import Progress, anew_where_another
 from service.schemas import DesignRequest
 from service.validation import Prepared
 
@@ -24,26 +23,42 @@ STAGE_MESSAGES = {
 }
 
 
-def design(job: Prepared, request: DesignRequest, progress: Progress) -> dict[str, Any]:
-    """The design as JSON; its page is among it."""
+def design(
+    job: Prepared,
+    request: DesignRequest,
+    progress: Progress,
+    kept: MutableMapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The design as JSON; its page is among it. What is ``kept`` of another one is not used."""
     options = request.options
-
-    def tell(stage: str, share: float) -> None:
-        first, width = STAGES[stage]
-        progress.step(int(first + width * share), STAGE_MESSAGES[stage])
-
-    found = engine.design_experiment(
+    asked = asked_of(
         job.model,
         options.bounds,
         options.length,
-        causes=options.model_dump()["causes"],
-        theta=job.theta,
-        free=job.free,
-        inputs=options.inputs,
-        seed=options.seed,
-        callback=tell,
+        options.model_dump()["causes"],
+        job.theta,
+        job.free,
+        alarm=options.alarm,
+        measured=options.measured,
     )
-    return document(found)
+
+    def made() -> Design:
+        return asked.designed(options.inputs, options.seed, telling(progress.step), kept)
+
+    return document(anew_where_another(made, kept))
+
+
+def telling(step: Callable[[int, str], Any]) -> Callable[[str, float], None]:
+    """The engine's callback(stage, share) as steps that never go back."""
+    done = 0
+
+    def tell(stage: str, share: float) -> None:
+        nonlocal done
+        first, width = STAGES[stage]
+        done = max(done, int(first + width * share))
+        step(done, STAGE_MESSAGES[stage])
+
+    return tell
 
 
 def document(found: Design) -> dict[str, Any]:
@@ -92,8 +107,19 @@ def _told(one: Mapping[str, Any]) -> dict[str, Any]:
     return {"information": information} if known else {}
 
 
+def seen_by(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """How a new record would be seen, as far as a diagnosis' document tells: ``alarm`` and ``measured``."""
+    rounds = diagnosis["rounds"]
+    alarm = rounds[0].get("threshold") if rounds else None
+    return {"alarm": alarm, "measured": diagnosis.get("measured")}
+
+
 def between_samples(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     """Bounds that a diagnosis' document sets by default: sample time, steps in it, what inputs do meanwhile."""
     extension = diagnosis["extension"]
     known = {**extension["model"]["setting"], "hold": extension.get("hold")}
+    if extension.get(
+        "dt"
+    ):  # of the record; that of the setting may be of a part, and rounded otherwise
+        known["dt"] = extension["dt"]
     return {name: known[name] for name in ("dt", "substeps", "hold") if known.get(name)}

@@ -9,23 +9,47 @@ from typing import Any
 import engine
 from engine import words
 from engine.diagnose import Cause, Diagnosis, Verdict
-from engine.errors import OptionError
-from service.computations import Progress
+from service.computations import Progress, anew_where_another
 from service.schemas import DiagnoseRequest
 from service.validation import Prepared
 
 PROGRESS_STEPS = 100  # of progress
-# per cent for the base model's fit, for all rounds of search, and for the free run
-FIT_PERCENT, SEARCH_PERCENT, FREE_RUN_PERCENT = 10.0, 60.0, 20.0
-# where each stage of a round begins, and its share of it
-ROUND_SHARES = {"screen": (0.0, 0.3), "calibration": (0.3, 0.3), "refit": (0.6, 0.4)}
-STAGE_PERCENT = {"gain": 92.0, "symptoms": 95.0}
+# of what is left when a stage begins: whether others follow, and how often, nobody knows by then
+SHARES = {
+    "fit": 0.07,
+    "search": 0.0,
+    "screen": 0.08,
+    "calibration": 0.35,
+    "refit swallowed": 0.1,
+    "calibration of refits": 0.35,
+    "refit": 0.3,
+    "looking back": 0.5,
+    "contradictions": 0.05,
+    "free run": 0.5,
+    "bootstrap": 0.9,
+    "gain": 0.5,
+    "symptoms": 1.0,
+}
+LATEST = {"gain": 90.0, "symptoms": 95.0}  # per cent: nothing that takes long follows these
+COUNTED = {  # of steps whose number is known
+    "screen",
+    "calibration",
+    "refit swallowed",
+    "calibration of refits",
+    "refit",
+    "looking back",
+    "bootstrap",
+}
 STAGE_MESSAGES = {
     "fit": "estimating the model without effects",
     "search": "looking for effects",
     "screen": "screening effects",
     "calibration": "calibrating p-values on simulated series",
+    "refit swallowed": "estimating effects that noise may hide",
+    "calibration of refits": "calibrating these on simulated series",
     "refit": "estimating the most likely effects",
+    "looking back": "weighing what was found once more together",
+    "contradictions": "looking for what contradicts it",
     "free run": "searching with the free run",
     "bootstrap": "parametric bootstrap of the first p-value",
     "gain": "measuring the gain on held-out data",
@@ -59,13 +83,7 @@ def diagnose(
         kept=kept,
         early=lambda document: progress.estimated(so_far(document)),
     )
-    try:
-        found = ask()
-    except OptionError as error:
-        if kept is None or error.field != "kept":
-            raise
-        kept.clear()
-        found = ask()
+    found = anew_where_another(ask, kept)
     return document(found, request.model.name, request.model.effects)
 
 
@@ -110,38 +128,24 @@ def _cause(one: Cause) -> str:
 class Percent:
     """The engine's callback(stage, fraction) as steps that never go back.
 
-    How many rounds of screening and refitting there will be is not known: each takes half of what
-    is left, six tenths of it for the screen and its calibration. What moves less than a per cent tells its
-    own share.
+    Each stage takes its share of what is left. Those of steps that are counted tell how many of them are done,
+    by which the time is known that is left of the stage: a per cent of the whole may be long.
     """
 
-    def __init__(self, step: Callable[[int, str], None]) -> None:
-        self.step, self.done, self.said, self.message = step, -1, "", ""
-        self.round = -1
+    def __init__(self, step: Callable[[int, str, float | None], object]) -> None:
+        self.step, self.stage, self.told = step, "", (-1, "")
+        self.begun = self.at = self.fraction = 0.0
 
     def __call__(self, stage: str, fraction: float) -> None:
         """Tell the store where something has changed."""
-        if stage == "screen" and self.said != "screen":
-            self.round += 1
-        done = max(self.done, int(self._percent(stage, min(max(fraction, 0.0), 1.0))))
-        message = STAGE_MESSAGES.get(stage, stage)
-        if stage == "calibration":
-            message += f", {100.0 * fraction:.0f} % of them"
-        if done > self.done or stage != self.said or message != self.message:
-            self.done, self.said, self.message = done, stage, message
-            self.step(done, message)
-
-    def _percent(self, stage: str, fraction: float) -> float:
-        if stage in ROUND_SHARES:
-            left = 0.5 ** max(self.round, 0)
-            begin, width = ROUND_SHARES[stage]
-            part = begin + width * fraction
-            return FIT_PERCENT + SEARCH_PERCENT * (1.0 - left + 0.5 * left * part)
-        if stage == "fit":
-            return FIT_PERCENT * fraction
-        if stage == "free run":
-            return FIT_PERCENT + SEARCH_PERCENT + FREE_RUN_PERCENT * fraction
-        if stage == "bootstrap":
-            searched = FIT_PERCENT + SEARCH_PERCENT + FREE_RUN_PERCENT
-            return searched + (STAGE_PERCENT["gain"] - searched) * fraction
-        return STAGE_PERCENT.get(stage, FIT_PERCENT if stage == "search" else 0.0)
+        if stage != self.stage:
+            self.stage, self.fraction = stage, 0.0
+            self.begun = max(self.at, LATEST.get(stage, 0.0))
+        self.fraction = max(self.fraction, min(fraction, 1.0))
+        self.at = self.begun + (PROGRESS_STEPS - self.begun) * SHARES[stage] * self.fraction
+        message, share = STAGE_MESSAGES[stage], None
+        if stage in COUNTED:
+            message, share = f"{message}, {100.0 * self.fraction:.0f} % of them", self.fraction
+        if (int(self.at), message) != self.told:
+            self.told = int(self.at), message
+            self.step(int(self.at), message, share)

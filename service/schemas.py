@@ -447,6 +447,16 @@ class DesignOptions(_Strict):
         "high]}, dt in seconds, sigmas, hold, substeps"
     )
     length: int = Field(ge=30, le=20_000, description="number of samples of the experiment")
+    alarm: float | None = Field(
+        default=None,
+        gt=0,
+        allow_inf_nan=False,
+        description="statistic from which a diagnosis sees something, as the threshold of an earlier one's "
+        "first round; null where there is none",
+    )
+    measured: Names | None = Field(
+        default=None, min_length=1, description="outputs that are measured; null means all"
+    )
     inputs: int = Field(default=400, ge=1, le=5000, description="how many inputs are tried")
     seed: Seed = 0
 

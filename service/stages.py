@@ -80,7 +80,7 @@ def run(
 ) -> dict[str, Any]:
     """What one task leaves; what the last leaves is the job's result.
 
-    ``kept`` is what earlier attempts at a diagnosis have finished, and where this one puts it.
+    ``kept`` is what earlier attempts at a diagnosis or a design have finished, and where this one puts it.
     """
     match job.request:
         case SmoothRequest():
@@ -90,7 +90,7 @@ def run(
         case DiagnoseRequest():
             return diagnoses.diagnose(job, job.request, progress, kept)
         case DesignRequest():
-            return designs.design(job, job.request, progress)
+            return designs.design(job, job.request, progress, kept)
     stages = plan(job.request)
     first = sum(stages[:-2])  # of the bootstrap's tasks, where there are any
     match roles(stages)[task]:

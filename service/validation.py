@@ -236,7 +236,8 @@ def _check_design(request: DesignRequest, model: MixedModel, theta: Theta) -> No
         if bounds.dt is None:
             raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
         causes = options.model_dump()["causes"]
-        before_any(model, causes, theta, bounds.dt, request.parameters.free)
+        free = request.parameters.free
+        before_any(model, causes, theta, bounds.dt, free, options.alarm, options.measured)
     except OptionError as error:
         raise invalid(f"options.{error.field or 'causes'}", str(error)) from None
 

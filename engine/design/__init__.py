@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 
 from engine.design.bounds import Bounds, InputBounds
 from engine.design.candidates import Question, before_any, of_diagnosis
+from engine.design.checkpoint import kept_of
 from engine.design.design import Design, Experiment, Undecided
 from engine.design.search import Task, search
 from engine.design.sensors import Sensor
 from engine.design.weighing import LEVEL, Weighing
 from engine.diagnose import LEAST
 from engine.diagnose.diagnosis import Diagnosis
+from engine.diagnose.search.checkpoint import Parts
 from engine.errors import OptionError, check_count
 from engine.statespace.model import MixedModel, ThetaLike
 
@@ -99,74 +101,85 @@ def design_experiment(
     ModelError
         The model's functions cannot be used.
     """
-    check_count("length", length)
     check_count("inputs", inputs)
+    asked = asked_of(diagnosis, bounds, length, causes, theta, free, anew=anew)
+    return asked.designed(int(inputs), seed, callback)
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What an experiment shall tell apart, of which ``model`` without the causes, and what it may do."""
+
+    model: MixedModel
+    question: Question
+    task: Task
+
+    def designed(
+        self,
+        inputs: int = INPUTS,
+        seed: int = 0,
+        callback: Callback | None = None,
+        kept: Parts | None = None,
+    ) -> Design:
+        """The design; ``kept`` is filled with finished parts, from which a stopped one goes on.
+
+        Other arguments as of :func:`design_experiment`. Raises OptionError where ``kept`` is of another design.
+        """
+        began, earlier = time.process_time(), [0.0]
+        question, task = self.question, self.task
+
+        def tell(stage: str, share: float) -> None:
+            if callback is not None:
+                callback(stage, min(share, 1.0))
+
+        done = kept_of(kept, question, task, inputs, seed, earlier.append)
+        state = search(task, inputs, seed, partial(tell, "inputs"), kept=done.within("inputs"))
+        weighing = Weighing(task, question, seed, done)
+        undecided = weighing.undecided(state, inputs, partial(tell, "pairs"))
+        best = weighing.best(state, undecided)
+        shortest = weighing.shortest(best, inputs, undecided, partial(tell, "length"))
+        return Design(
+            model=self.model,
+            causes=tuple(c.name for c in question.candidates),
+            titles=tuple(c.title for c in question.candidates),
+            bounds=replace(task.bounds, dt=task.dt, hold=task.hold, substeps=task.substeps),
+            dt=task.dt,
+            experiment=best.experiment,
+            shortest=shortest,
+            undecided=tuple(weighing.settled(undecided, best)),
+            predictions=weighing.predictions(best.experiment.u),
+            growth=best.growth,
+            level=LEVEL,
+            anew=task.anew,
+            tried=state.tried,
+            notes=question.notes,
+            seconds=time.process_time() - began + sum(earlier),
+        )
+
+
+def asked_of(
+    diagnosis: Diagnosis | MixedModel,
+    bounds: Bounds | Mapping[str, Any],
+    length: int,
+    causes: Sequence[str] | Mapping[str, Any] | None = None,
+    theta: ThetaLike = None,
+    free: Sequence[str] | None = None,
+    *,
+    anew: bool = True,
+    alarm: float | None = None,
+    measured: Sequence[str] | None = None,
+) -> Asked:
+    """What :func:`design_experiment` is asked, once it is seen that it can be.
+
+    With a model in place of a diagnosis, ``alarm`` and ``measured`` are what the document of one told: the
+    statistic from which it sees something, and the outputs that are measured. Raises as it does.
+    """
+    check_count("length", length)
     if not LEAST <= length <= LONGEST:
         raise OptionError(
             f"length = {length} samples; a diagnosis needs {LEAST} at least, and {LONGEST} are tried at most",
             "length",
         )
-    limits, question, model = _asked(diagnosis, bounds, causes, theta, free)
-    task = Task(
-        question.candidates,
-        limits,
-        int(length),
-        float(limits.dt or 1.0),
-        limits.hold or "zoh",
-        limits.substeps or 1,
-        _measured(model, question),
-        anew,
-    )
-    return designed(model, question, task, int(inputs), seed, callback)
-
-
-def designed(
-    model: MixedModel,
-    question: Question,
-    task: Task,
-    inputs: int,
-    seed: int,
-    callback: Callback | None = None,
-) -> Design:
-    """The design for a question; other arguments as of :func:`design_experiment`."""
-    began = time.process_time()
-
-    def tell(stage: str, share: float) -> None:
-        if callback is not None:
-            callback(stage, min(share, 1.0))
-
-    state = search(task, inputs, seed, partial(tell, "inputs"))
-    weighing = Weighing(task, question, seed)
-    undecided = weighing.undecided(state, inputs, partial(tell, "pairs"))
-    best = weighing.best(state, undecided)
-    shortest = weighing.shortest(best, inputs, undecided, partial(tell, "length"))
-    return Design(
-        model=model,
-        causes=tuple(c.name for c in question.candidates),
-        titles=tuple(c.title for c in question.candidates),
-        bounds=replace(task.bounds, dt=task.dt, hold=task.hold, substeps=task.substeps),
-        dt=task.dt,
-        experiment=best.experiment,
-        shortest=shortest,
-        undecided=tuple(weighing.settled(undecided, best)),
-        predictions=weighing.predictions(best.experiment.u),
-        growth=best.growth,
-        level=LEVEL,
-        anew=task.anew,
-        tried=state.tried,
-        notes=question.notes,
-        seconds=time.process_time() - began,
-    )
-
-
-def _asked(
-    diagnosis: Diagnosis | MixedModel,
-    bounds: Bounds | Mapping[str, Any],
-    causes: Sequence[str] | Mapping[str, Any] | None,
-    theta: ThetaLike,
-    free: Sequence[str] | None,
-) -> tuple[Bounds, Question, MixedModel]:
-    """Bounds with their time step, the question, and the model without the causes."""
     limits = Bounds.of(bounds)
     if isinstance(diagnosis, Diagnosis):
         for name, value in (("theta", theta), ("free", free)):
@@ -184,24 +197,38 @@ def _asked(
         hold = limits.hold or diagnosis.series.hold
         substeps = limits.substeps or diagnosis.substeps
         limits = replace(limits, dt=dt, hold=hold, substeps=substeps)
-        return limits, of_diagnosis(diagnosis, causes), model
-    if not isinstance(diagnosis, MixedModel):
+        question = of_diagnosis(diagnosis, causes)
+    elif isinstance(diagnosis, MixedModel):
+        model = diagnosis
+        limits.check(model)
+        if limits.dt is None:
+            raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
+        if not isinstance(causes, Mapping):
+            raise OptionError(
+                "causes: before any experiment each needs a size, as {'drag:velocity': 0.6}",
+                "causes",
+            )
+        question = before_any(model, causes, theta, limits.dt, free, alarm, measured)
+    else:
         raise OptionError(
             f"diagnosis is a {type(diagnosis).__name__}; a Diagnosis or a MixedModel is needed",
             "diagnosis",
         )
-    limits.check(diagnosis)
-    if limits.dt is None:
-        raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
-    if not isinstance(causes, Mapping):
-        raise OptionError(
-            "causes: before any experiment each needs a size, as {'drag:velocity': 0.6}", "causes"
-        )
-    return limits, before_any(diagnosis, causes, theta, limits.dt, free), diagnosis
+    task = Task(
+        question.candidates,
+        limits,
+        int(length),
+        float(limits.dt or 1.0),
+        limits.hold or "zoh",
+        limits.substeps or 1,
+        _measured(model, question),
+        anew,
+    )
+    return Asked(model, question, task)
 
 
 def _measured(model: MixedModel, question: Question) -> NDArray[np.bool_]:
-    """Which outputs are measured: all but those that the diagnosed record lacks throughout."""
-    if question.series is None:
+    """Which outputs (ny,) are measured: all but those that the diagnosed record lacks throughout."""
+    if question.measured is None:
         return np.ones(model.ny, dtype=bool)
-    return np.asarray(question.series.observed.any(axis=0))
+    return np.array([name in question.measured for name in model.outputs])

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.series import Series
 from engine.diagnose.diagnosis import Diagnosis
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.effect import Effect
@@ -28,6 +27,7 @@ NEAREST = 3  # names that are nearest to an ``unknown``
 NOTHING = "nothing"  # the name of the model without a cause
 INFORMATION = "information"  # among a cause's values: what a record told of them
 ALARM = 12.0  # the statistic from which a diagnosis sees something, where none tells
+LEAST_ALARM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +69,14 @@ class Question:
     """What shall be told apart.
 
     ``base`` is the model without any of the causes, the rival of all; ``alarm`` the statistic from which a
-    diagnosis sees something; ``series`` the record that was diagnosed; ``notes`` what was left out and why.
+    diagnosis sees something; ``measured`` the outputs that are, all where None; ``notes`` what was left out and
+    why.
     """
 
     candidates: tuple[Candidate, ...]
     base: Candidate
     alarm: float = ALARM
-    series: Series | None = None
+    measured: tuple[str, ...] | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -162,10 +163,15 @@ def of_diagnosis(diagnosis: Diagnosis, causes: Sequence[str] | None) -> Question
             tuple(before.free),
             np.asarray(before.information),
         ),
-        max(float(diagnosis.search.rounds[0].screen.threshold), 1.0),
-        diagnosis.series,
+        alarm_of(diagnosis.search.rounds[0].screen.threshold),
+        diagnosis.measured,
         tuple(notes),
     )
+
+
+def alarm_of(threshold: float) -> float:
+    """The statistic that counts as an alarm, from a screen's threshold."""
+    return max(float(threshold), LEAST_ALARM)
 
 
 def before_any(
@@ -174,8 +180,13 @@ def before_any(
     theta: ThetaLike,
     dt: float,
     free: Sequence[str] | None,
+    alarm: float | None = None,
+    measured: Sequence[str] | None = None,
 ) -> Question:
-    """Causes by their names with sizes, or mappings of their own parameters, before there is a record."""
+    """Causes by their names with sizes, or mappings of their own parameters, without a diagnosis at hand.
+
+    ``alarm`` and ``measured`` as of :class:`Question`, where an earlier diagnosis told them.
+    """
     values = np.asarray(model.theta(theta))
     setting = Setting(model, dt=dt)
     out, notes = [], []
@@ -209,7 +220,16 @@ def before_any(
     base = Candidate(
         NOTHING, "none of them", model, values, tuple(names), np.zeros((len(names),) * 2)
     )
-    return Question(tuple(out), base, notes=tuple(notes))
+    seen = None if measured is None else tuple(measured)
+    for name in seen or ():
+        if name not in model.outputs:
+            there = ", ".join(model.outputs)
+            raise OptionError(
+                f"measured: there is no output '{name}'; there are {there}", "measured"
+            )
+    return Question(
+        tuple(out), base, ALARM if alarm is None else alarm_of(alarm), seen, tuple(notes)
+    )
 
 
 def unsuited(effect: Effect) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from engine.design.candidates import Candidate
 from engine.design.criterion import adapted, linear_distances, precision
 from engine.design.inputs import FAMILIES, LEAK, Plan, drawn_plan, leakage, played
 from engine.design.runs import Experiments, Runs, linearised, simulated
+from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.errors import OptionError
 from engine.kernels.whitening import spread
 from engine.statespace.model import Array
@@ -67,6 +69,17 @@ class Task:
     seen: NDArray[np.bool_]
     anew: bool
 
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """What an input may break, by the fields of the bounds; first that it breaks nothing."""
+        own = self.bounds
+        return (
+            "",
+            *(f"bounds.states.{name}" for name in own.states),
+            *(f"bounds.outputs.{name}" for name in own.outputs),
+            *(f"bounds.inputs.{name}.stopbands" for name in own.inputs),
+        )
+
     def experiments(self, u: Array) -> Experiments:
         """Of inputs (B, T, nu)."""
         return Experiments.of(u, self.dt, self.hold, self.substeps)
@@ -99,10 +112,13 @@ class Search:
 
     ``points`` are the rivals' parameters about which the next inputs' D is linear. ``dead`` are pairs that no
     input has told apart once the rival had adapted; ``by`` is the best input for each pair on its own.
+    ``kept`` is what an interrupted search found, in the order in which it is asked again.
     """
 
     task: Task
     rng: np.random.Generator
+    kept: Kept = NOTHING
+    asked: int = 0
     points: dict[Pair, Array] = field(default_factory=dict)
     active: list[list[int]] = field(default_factory=list)
     by: dict[Pair, Tried] = field(default_factory=dict)
@@ -129,13 +145,37 @@ class Search:
 
     def evaluate(self, plans: Sequence[Plan]) -> list[Tried]:
         """Each plan's input with its D and what it breaks."""
+        u = np.array([self.task.play(plan) for plan in plans])
+        if not self.tried:
+            self._leave_out(self.task.experiments(u))
+        found = self._once(partial(self._worths, u))
+        m = len(self.task.candidates)
+        D, broken = found[:, : m * m].reshape(-1, m, m), found[:, -2]
+        which = [self.task.limits[int(k)] for k in found[:, -1]]
+        out = []
+        for k, plan in enumerate(plans):
+            one = Tried(plan, u[k], D[k], float(broken[k]), dict(self.points))
+            if one.violation < self.nearest[0]:
+                self.nearest = one.violation, which[k]
+            if one.violation <= 0.0:
+                for i, j in self.ordered():
+                    if i > j and self._is_better(one, (i, j)):
+                        self.by[i, j] = one
+            out.append(one)
+        self.tried += len(plans)
+        return out
+
+    def _once(self, compute: Callable[[], Array]) -> Array:
+        """The next of the arrays that take the time, or as it was kept."""
+        self.asked += 1
+        return self.kept.array(f"{self.asked}", compute)
+
+    def _worths(self, u: Array) -> Array:
+        """Of inputs (B, T, nu): D, row by row, by how much a limit is broken, and which (B, m m + 2)."""
         task = self.task
-        u = np.array([task.play(plan) for plan in plans])
         experiments = task.experiments(u)
         seen = task.measured(experiments)
-        D = np.zeros((len(plans), len(task.candidates), len(task.candidates)))
-        if not self.tried:
-            self._leave_out(experiments)
+        D = np.zeros((len(u), len(task.candidates), len(task.candidates)))
         truths, broken, which = self._truths(experiments)
         for b, one in enumerate(u):
             over, where = task.leaked(one)
@@ -149,18 +189,8 @@ class Search:
             away = (self.points[i, j] - rival.theta)[own]
             D[:, i, j] = linear_distances(truths[i], runs, held, away, seen)
             broken[runs.lost] = np.inf
-        out = []
-        for k, plan in enumerate(plans):
-            one = Tried(plan, u[k], D[k], float(broken[k]), dict(self.points))
-            if one.violation < self.nearest[0]:
-                self.nearest = one.violation, which[k]
-            if one.violation <= 0.0:
-                for i, j in self.ordered():
-                    if i > j and self._is_better(one, (i, j)):
-                        self.by[i, j] = one
-            out.append(one)
-        self.tried += len(plans)
-        return out
+        number = [float(task.limits.index(name)) for name in which]
+        return np.column_stack([D.reshape(len(u), -1), broken, number])
 
     def _is_better(self, one: Tried, pair: Pair) -> bool:
         known = self.by.get(pair)
@@ -201,22 +231,33 @@ class Search:
         """An input with the D that is left once all rivals have adapted, and their parameters there."""
         if one.refined or one.violation > 0.0:
             return one
-        task, D, points = self.task, np.zeros_like(one.D), dict(one.points)
-        experiment = task.experiments(one.u[None])
-        seen = task.measured(experiment)
-        for i, true in enumerate(task.candidates):
-            y, _ = simulated(true.model, true.theta, experiment)
-            for j, rival in enumerate(task.candidates):
-                if i != j:
-                    points[i, j], _, D[i, j] = adapted(
-                        y, rival, self.precisions[j], experiment, seen, one.points[i, j]
-                    )
+        candidates = self.task.candidates
+        m = len(candidates)
+        found = self._once(partial(self._adapted, one))
+        ends = np.cumsum([m * m, *(len(candidates[j].theta) for _, j in self.ordered())])
+        D, *rest = np.split(found, ends[:-1])
+        D, points = D.reshape(m, m), dict(zip(self.ordered(), rest, strict=True))
         made = replace(one, D=D, points=points, refined=True)
         for pair in [(i, j) for i, j in self.ordered() if i > j]:
             known = self.by.get(pair)
             if known is None or not known.refined or self._is_better(made, pair):
                 self.by[pair] = made
         return made
+
+    def _adapted(self, one: Tried) -> Array:
+        """D, row by row, and behind it the parameters of each pair's rival, all in one row."""
+        task, D, points = self.task, np.zeros_like(one.D), []
+        experiment = task.experiments(one.u[None])
+        seen = task.measured(experiment)
+        for i, true in enumerate(task.candidates):
+            y, _ = simulated(true.model, true.theta, experiment)
+            for j, rival in enumerate(task.candidates):
+                if i != j:
+                    theta, _, D[i, j] = adapted(
+                        y, rival, self.precisions[j], experiment, seen, one.points[i, j]
+                    )
+                    points.append(theta)
+        return np.concatenate([D.ravel(), *points])
 
     def ranked(self, found: Sequence[Tried]) -> list[Tried]:
         """The best inputs, rivals adapted; pairs that none of these tells apart no longer count."""
@@ -333,12 +374,19 @@ def _width(low: float, high: float) -> float:
     return max((abs(end) for end in (low, high) if np.isfinite(end)), default=1.0) or 1.0
 
 
-def search(task: Task, n: int, seed: int, progress: Progress, known: Sequence[Plan] = ()) -> Search:
-    """Some n inputs, the best first in ``leaders``; ``known`` plans are among them.
+def search(
+    task: Task,
+    n: int,
+    seed: int,
+    progress: Progress,
+    known: Sequence[Plan] = (),
+    kept: Kept = NOTHING,
+) -> Search:
+    """Some n inputs, the best first in ``leaders``; ``known`` plans are among them, ``kept`` is done already.
 
     Raises OptionError where all break a limit.
     """
-    state = Search(task, np.random.default_rng(seed))
+    state = Search(task, np.random.default_rng(seed), kept)
     first = state.evaluate(known) if known else []
     first += state.starts(BATCH, lambda share: None)
     state.points = state.refined(max(first, key=state.worth)).points

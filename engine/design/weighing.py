@@ -16,6 +16,7 @@ from engine.design.runs import simulated
 from engine.design.search import Pair, Search, Task, Tried, search
 from engine.design.sensors import sensors
 from engine.diagnose import LEAST
+from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.errors import OptionError
 
 LEVEL = 0.95  # the probability of the right name that is wanted
@@ -44,11 +45,12 @@ class Weighed:
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """Of the inputs that a search has found for a question."""
+    """Of the inputs that a search has found for a question; what further searches find is ``kept``."""
 
     task: Task
     question: Question
     seed: int
+    kept: Kept = NOTHING
 
     def best(self, state: Search, undecided: Sequence[Undecided]) -> Weighed:
         """The best of the leading inputs once rivals adapt: by the least probability, then the least D."""
@@ -197,6 +199,7 @@ class Weighing:
                 self.seed + 1000 * k,
                 lambda share: None,
                 known=[plan, other],
+                kept=self.kept.within(f"length {k}"),
             )
         except OptionError:
             return None

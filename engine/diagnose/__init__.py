@@ -303,7 +303,7 @@ def diagnose(
         asked, verdict = heeding(asked, asked.search.verdict, decision)
     if not asked.decides:
         if verdict in NAMES:
-            left = narrowed(found, by_likelihood)
+            left = narrowed(found, by_likelihood, clock.progress)
             found, gain = left.search, left.gain
             notes.extend(filter(None, (left.note, left.objection)))
             if left.objection or left.note:
@@ -325,6 +325,7 @@ def diagnose(
 
     clock.start("symptoms")
     symptoms = find_symptoms(model, before.theta, plain, covariance_of(before), seed=seed)
+    clock.progress("symptoms", 1.0)
 
     clock.stop()
     return Diagnosis(

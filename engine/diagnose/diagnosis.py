@@ -129,6 +129,12 @@ class Diagnosis(Shown):
         return "free run" if self.free_run is not None and self.free_run.decides else "likelihood"
 
     @property
+    def measured(self) -> tuple[str, ...]:
+        """The outputs of which the record has readings."""
+        seen = self.series.observed
+        return tuple(name for i, name in enumerate(self.model.outputs) if seen[:, i].any())
+
+    @property
     def before(self) -> QuasiFit:
         """The fit without what was found, by the criterion that decided."""
         told = self._told

@@ -36,6 +36,14 @@ TRIALS = 8  # sizes tried for a parameter of unknown scale
 PATIENCE = 3  # iterations before a search may be given up as hopeless
 DAMPING = 1e-8  # of the information scaled to a unit diagonal
 RIDGE = 1e-12
+LEFT_AFTER = (
+    0.8  # of what is left of a search, after each iteration: nobody knows how many it needs
+)
+
+
+def share_done(k: int) -> float:
+    """The share of a search that is told as done when its iteration k begins."""
+    return 1.0 - LEFT_AFTER ** (k - 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
-from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
+from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta
 
@@ -29,9 +29,7 @@ HOPE = 10.0  # far from a maximum a search gains more than it expects, up to so 
 RIVAL_NATS = 5.0  # below the highest maximum, another may be the higher one of the true likelihood
 MOST_MAXIMA = 3  # are compared
 SAME_ERRORS = 1.0  # standard errors that two ends of a search for the same maximum may be apart
-# Of the whole search: the points. Nobody knows how many iterations a search needs: each is told as a share of
-# what is left of it.
-CANDIDATES_SHARE, LEFT_AFTER = 0.15, 0.8
+CANDIDATES_SHARE = 0.15  # of the whole search: the points
 
 
 class WarmStart:
@@ -93,7 +91,7 @@ def moment_maxima(
         highest = max((fit.log_likelihood for fit in found), default=-np.inf)
 
         def tell(k: int, i: int = i) -> None:
-            done = (i + 1.0 - LEFT_AFTER ** (k - 1)) / len(starts)
+            done = (i + share_done(k)) / len(starts)
             progress(CANDIDATES_SHARE + (1.0 - CANDIDATES_SHARE) * done)
 
         try:

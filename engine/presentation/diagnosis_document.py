@@ -49,6 +49,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             "inputs": dict(d.model.inputs),
             "outputs": dict(d.model.outputs),
         },
+        "measured": list(d.measured),
         "time_unit": d.series.time_unit,
         "samples": len(d.series),
         "verdict": d.verdict.value,
@@ -62,6 +63,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "extension": {
             "model": _reference(d),
             "hold": d.series.hold,
+            "dt": d.series.dt,
             "equations_before": list(d.model.equations),
             "equations": list(d.extended.equations),
             "theta": d.theta.asdict(),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import engine
-from engine.design import Design, design_experiment
+from engine.design import INPUTS, Design, asked_of
 from engine.diagnose import Diagnosis
 from engine.errors import EngineError
 from engine.presentation import plots
@@ -17,65 +17,85 @@ from engine.presentation.report import write_report
 from service import designs, strict_json
 from service.cli import references
 from service.cli.ending import about_file, wrong
+from service.cli.experiment import Run
 from service.cli.meter import meter
-from service.cli.outputs import figure_folder, output_path, say_written
+from service.cli.outputs import check_outputs, kept_if_not_written, output_path, say_written
+from service.cli.parts import Kept
+from service.cli.state_file import StateFile, beside, can_be, read
 from service.cli.values import about, numbers
 
 
-@dataclass(frozen=True, kw_only=True)
-class Wanted:
-    """As it was asked for; ``diagnosis`` is a file, else ``model`` and ``causes`` are given."""
+@dataclass(kw_only=True)
+class Asked(Run):
+    """A design as it was asked for; of a ``diagnosis`` in a file, else of ``model`` and ``causes``."""
 
-    diagnosis: Path | None
-    model: str
-    causes: Sequence[str]
-    values: Sequence[str]
-    free: list[str]
-    bounds: Path | None
-    inputs: Sequence[str]
-    stopbands: Sequence[str]
-    states: Sequence[str]
-    outputs: Sequence[str]
-    dt: float | None
-    length: int
-    tries: int
-    seed: int
-    out: Path | None
-    shortest: Path | None
-    report: Path | None
-    plot: Path | None
+    command: ClassVar[str] = "design"
+    result: ClassVar[str] = "design"
+    same_version: ClassVar[bool] = True
+    diagnosis: str | None = None
+    causes: list[str] = field(default_factory=list)
+    values: list[str] = field(default_factory=list)
+    bounds: str | None = None
+    inputs: list[str] = field(default_factory=list)
+    stopbands: list[str] = field(default_factory=list)
+    states: list[str] = field(default_factory=list)
+    outputs: list[str] = field(default_factory=list)
+    length: int = 500
+    tries: int = INPUTS
+    shortest: str | None = None
 
 
-def run(wanted: Wanted, as_json: bool, quiet: bool) -> None:
-    """Design, write the files, print the table."""
-    output_path("--out", wanted.out, (".csv",))
-    output_path("--shortest", wanted.shortest, (".csv",))
-    output_path("--report", wanted.report, (".html", ".htm"))
-    figure_folder("--plot", wanted.plot)
-    bounds = _bounds(wanted)
-    asked, options = _asked(wanted, bounds)
+def design(wanted: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
+    """A new design; its state goes to ``state`` or beside the output."""
+    named = wanted.diagnosis or wanted.model.partition(":")[0] or "rbps"
+    path = state or beside(wanted.out, f"{Path(named).stem}-design")
+    wanted.keep = state is not None
+    _check(wanted)
+    output_path("--state", can_be(state, path))
     with meter(quiet or as_json) as shown:
-        shown.begin(100, timed=False)
-
-        def tell(stage: str, share: float) -> None:
-            first, width = designs.STAGES[stage]
-            shown.at(int(first + width * share), designs.STAGE_MESSAGES[stage])
-
-        with about("design"):
-            found = design_experiment(
-                asked,
-                bounds,
-                wanted.length,
-                inputs=wanted.tries,
-                seed=wanted.seed,
-                callback=tell,
-                **options,
-            )
-    _tell(found, wanted, as_json)
+        asked = _asked(wanted)
+        files = [name for name in (wanted.diagnosis, wanted.bounds) if name]
+        kept = Kept(wanted.begin(path, files, shown), shown)
+        found = _run(asked, wanted, kept)
+    _tell(found, wanted, kept, as_json)
 
 
-def _asked(wanted: Wanted, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """A diagnosis, or a model with its causes; what else ``design_experiment`` is given."""
+def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
+    """Go on with a design; ``changes`` are members of Asked that may differ."""
+    wanted, rows, left = read(path, Asked)
+    wanted.change(changes)
+    _check(wanted)
+    with meter(quiet or as_json) as shown:
+        asked = _asked(wanted)
+        kept = Kept(StateFile(path, wanted), shown, dict(left), int(rows[0, 0]))
+        shown.note(f"going on at {kept.percent} %")
+        found = _run(asked, wanted, kept)
+    _tell(found, wanted, kept, as_json)
+
+
+def _check(wanted: Asked) -> None:
+    """Refuse files that cannot be written before any time is spent."""
+    check_outputs(wanted, ".csv")
+    output_path("--shortest", Path(wanted.shortest) if wanted.shortest else None, (".csv",))
+
+
+def _run(asked: engine.design.Asked, wanted: Asked, kept: Kept) -> Design:
+    """The design; when it is interrupted, what is done is saved."""
+    kept.shown.begin(designs.PROGRESS_STEPS, kept.percent, timed=False)
+    with kept.going(kept.interrupted):
+        return asked.designed(wanted.tries, wanted.seed, designs.telling(kept.step), kept)
+
+
+def _asked(wanted: Asked) -> engine.design.Asked:
+    """All that can be wrong is found here."""
+    bounds = _bounds(wanted)
+    of, known = _of(wanted, bounds)
+    with about("design"):
+        return asked_of(of, bounds, wanted.length, **known)
+
+
+def _of(wanted: Asked, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """A diagnosis, or a model with its causes; what else ``engine.design.asked_of`` is given."""
     names = [name for text in wanted.causes for name in text.split(",") if name]
     if wanted.diagnosis is None:
         if not wanted.model:
@@ -90,7 +110,7 @@ def _asked(wanted: Wanted, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]
             "theta": theta,
             "free": wanted.free or None,
         }
-    document = _read(wanted.diagnosis)
+    document = _read(Path(wanted.diagnosis))
     if "rbps" in document:
         try:
             own = references.model_of(wanted.model) if wanted.model else None
@@ -117,6 +137,7 @@ def _asked(wanted: Wanted, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]
         "causes": {name: causes[name] for name in names or causes},
         "theta": diagnosis["base_theta"],
         "free": free,
+        **designs.seen_by(diagnosis),
     }
 
 
@@ -132,9 +153,9 @@ def _read(path: Path) -> dict[str, Any]:
     return document
 
 
-def _bounds(wanted: Wanted) -> dict[str, Any]:
+def _bounds(wanted: Asked) -> dict[str, Any]:
     """From the file and the options, which come on top of it."""
-    bounds = {} if wanted.bounds is None else _read(wanted.bounds)
+    bounds = {} if wanted.bounds is None else _read(Path(wanted.bounds))
     for option, key, texts in (
         ("--input", "inputs", wanted.inputs),
         ("--limit", "states", wanted.states),
@@ -177,22 +198,12 @@ def _range(option: str, text: str, value: str, is_input: bool) -> Any:
     return dict(zip(("low", "high", "rate"), ends, strict=False)) if is_input else ends
 
 
-def _tell(found: Design, wanted: Wanted, as_json: bool) -> None:
-    """Write the files and print the table."""
+def _tell(found: Design, wanted: Asked, kept: Kept, as_json: bool) -> None:
+    """Write the files and print the table; then the state is removed, unless --state named it."""
     document = json.loads(strict_json.dumps(designs.document(found)))
-    written = []
-    try:
-        if wanted.out:
-            written.append(str(found.to_csv(wanted.out)))
-        if wanted.shortest and found.shortest is not None:
-            written.append(str(found.to_csv(wanted.shortest, shortest=True)))
-        if wanted.report:
-            written.append(str(write_report(document, wanted.report, {"seed": wanted.seed})))
-        if wanted.plot:
-            plots.of_document(document).save(wanted.plot)
-            written.append(str(wanted.plot))
-    except OSError as error:
-        raise wrong(about_file(error)) from None
+    with kept_if_not_written(kept):
+        written = _written(found, wanted, document)
+    kept.settle()
     if as_json:
         print(strict_json.dumps(document))
         return
@@ -200,3 +211,17 @@ def _tell(found: Design, wanted: Wanted, as_json: bool) -> None:
     say_written(written)
     if wanted.shortest and found.shortest is None:
         print("No shortest record was written: none reaches the probability that is wanted.")
+
+
+def _written(found: Design, wanted: Asked, document: dict[str, Any]) -> list[str]:
+    written = []
+    if wanted.out:
+        written.append(str(found.to_csv(wanted.out)))
+    if wanted.shortest and found.shortest is not None:
+        written.append(str(found.to_csv(wanted.shortest, shortest=True)))
+    if wanted.report:
+        written.append(str(write_report(document, wanted.report, {"seed": wanted.seed})))
+    if wanted.plot:
+        plots.of_document(document).save(wanted.plot)
+        written.append(wanted.plot)
+    return written

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
-
-import numpy as np
 
 import engine
 from engine.data.series import Series
 from engine.diagnose import Verdict, all_effects, effect_kinds
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.spare_inputs import with_inputs
-from engine.errors import EngineError, OptionError
 from engine.presentation.diagnosis_text import page
 from engine.statespace.model import MixedModel
 from service import diagnoses, strict_json
 from service.cli import references
-from service.cli.ending import Code, Ending, Interrupt, wrong
+from service.cli.ending import Code, Ending, wrong
 from service.cli.experiment import Experiment
 from service.cli.files import series_of
 from service.cli.meter import Meter, meter
 from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
+from service.cli.parts import Kept
 from service.cli.state_file import StateFile, beside, can_be, read
 from service.cli.values import free_of, theta_of
 
@@ -35,6 +33,7 @@ class Asked(Experiment):
 
     command: ClassVar[str] = "diagnose"
     result: ClassVar[str] = "diagnosis"
+    same_version: ClassVar[bool] = True
     data: list[str]
     extra: list[str] = field(default_factory=list)
     test: list[str] = field(default_factory=list)
@@ -45,35 +44,11 @@ class Asked(Experiment):
     every: bool = False
     exit_code: bool = False
 
-    def check(self) -> None:
-        """Refuse to go on where something is not what it was."""
-        super().check()
-        if self.version != version("rbps"):
-            raise wrong(
-                f"--resume: the diagnosis was begun by rbps {self.version}, whose numbers may differ; "
-                "start it anew"
-            )
 
+class Early(Kept):
+    """The finished parts, and what is known before all of them are."""
 
-class Kept(dict[str, Any]):
-    """The finished parts on a state file, and the place where Ctrl-C ends the diagnosis.
-
-    Rows of the file: one, the per cent done.
-    """
-
-    def __init__(
-        self, file: StateFile, shown: Meter, parts: dict[str, Any] | None = None, percent: int = 0
-    ) -> None:
-        super().__init__(parts or {})
-        self.file, self.shown, self.percent = file, shown, percent
-        self.interrupt = Interrupt()
-        self.early: dict[str, Any] | None = None
-
-    def __setitem__(self, name: str, part: Any) -> None:
-        super().__setitem__(name, part)
-        if self.file.due:
-            self.save()
-        self.interrupt.check()
+    early: dict[str, Any] | None = None
 
     def tell(self, early: dict[str, Any]) -> None:
         """Show what is known so far, each sentence once."""
@@ -82,16 +57,6 @@ class Kept(dict[str, Any]):
         for sentence in diagnoses.said_so_far(early):
             if sentence not in before:
                 self.shown.note(sentence)
-
-    def step(self, k: int, message: str = "", share: float | None = None) -> None:
-        """Per cent done; fewer than before while what was kept is gone through."""
-        self.percent = max(self.percent, k)
-        self.shown.at(self.percent, message)
-        self.interrupt.check()
-
-    def save(self) -> None:
-        """Write the state."""
-        self.file.save(np.array([[self.percent]]), list(self.items()))
 
 
 def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
@@ -102,7 +67,7 @@ def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> No
     output_path("--state", can_be(state, path))
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
-        kept = Kept(asked.begin(path, [*asked.data, *asked.test], shown), shown)
+        kept = Early(asked.begin(path, [*asked.data, *asked.test], shown), shown)
         found, document = _run(job, asked, kept)
     _tell(asked, found, document, kept, as_json)
 
@@ -114,7 +79,7 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     _check(asked)
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
-        kept = Kept(StateFile(path, asked), shown, dict(left), int(rows[0, 0]))
+        kept = Early(StateFile(path, asked), shown, dict(left), int(rows[0, 0]))
         shown.note(f"going on at {kept.percent} %")
         found, document = _run(job, asked, kept)
     _tell(asked, found, document, kept, as_json)
@@ -157,48 +122,35 @@ def _prepare(asked: Asked, shown: Meter) -> Job:
     return Job(base.name, model, series, test, theta if asked.start else None, free)
 
 
-def _run(job: Job, asked: Asked, kept: Kept) -> tuple[engine.Diagnosis, dict[str, Any]]:
+def _run(job: Job, asked: Asked, kept: Early) -> tuple[engine.Diagnosis, dict[str, Any]]:
     """The diagnosis and its document; when it is interrupted, what is done is saved."""
     kept.shown.begin(diagnoses.PROGRESS_STEPS, kept.percent, timed=False)
-    try:
-        with kept.interrupt.held():
-            found = engine.diagnose(
-                job.model,
-                job.series,
-                job.theta,
-                job.test,
-                seed=asked.seed,
-                alpha=asked.alpha,
-                effects=asked.consider or None,
-                max_effects=asked.max_effects,
-                free=job.free,
-                bootstrap=asked.bootstrap,
-                callback=diagnoses.Percent(kept.step),
-                kept=kept,
-                early=kept.tell,
-            )
-    except KeyboardInterrupt:
-        kept.save()
-        raise _interrupted(asked, kept) from None
-    except EngineError as error:
-        if isinstance(error, OptionError) and error.field == "kept":
-            raise wrong(f"--resume: {error}") from None
-        if not asked.keep:  # from here nothing leads on
-            kept.file.remove()
-        raise
+    with kept.going(partial(_interrupted, asked, kept)):
+        found = engine.diagnose(
+            job.model,
+            job.series,
+            job.theta,
+            job.test,
+            seed=asked.seed,
+            alpha=asked.alpha,
+            effects=asked.consider or None,
+            max_effects=asked.max_effects,
+            free=job.free,
+            bootstrap=asked.bootstrap,
+            callback=diagnoses.Percent(kept.step),
+            kept=kept,
+            early=kept.tell,
+        )
     return found, diagnoses.document(found, job.name, asked.effects)
 
 
-def _interrupted(asked: Asked, kept: Kept) -> Ending:
+def _interrupted(asked: Asked, kept: Early) -> Ending:
     """What is said at Ctrl-C; what is known so far goes where the result would have gone."""
-    text = f"interrupted at {kept.percent} %. Go on with\n  {kept.file.again}"
-    known = {} if kept.early is None else diagnoses.so_far(kept.early)
+    text, known = "", {} if kept.early is None else diagnoses.so_far(kept.early)
     if known:
         written = write_outputs(replace(asked, plot=None), known, asked.data, kept)
-        text += "".join(f"\nWhat is known so far: {os.path.relpath(name)}" for name in written)
-    more = {"early": kept.early} if known else {}
-    state = str(kept.file.path)
-    return Ending(Code.INTERRUPTED, text, state=state, percent=kept.percent, **more)
+        text = "".join(f"\nWhat is known so far: {os.path.relpath(name)}" for name in written)
+    return kept.interrupted(text, **({"early": kept.early} if known else {}))
 
 
 def _check_effects(model: MixedModel, asked: Asked) -> None:
@@ -224,15 +176,12 @@ def _tell(
     asked: Asked,
     found: engine.Diagnosis,
     document: dict[str, Any],
-    kept: Kept,
+    kept: Early,
     as_json: bool,
 ) -> None:
     """Write the files and print the page; then the state is removed, unless --state named it."""
     written = write_outputs(asked, document, asked.data, kept)
-    if asked.keep:
-        kept.save()
-    else:
-        kept.file.remove()
+    kept.settle()
     if as_json:
         print(strict_json.dumps(document))
     else:

@@ -17,40 +17,16 @@ from service.cli.values import names, numbers, pairs
 
 
 @dataclass(kw_only=True)
-class Experiment(Sealed):
-    """As it was asked for; paths are absolute."""
+class Run(Sealed):
+    """What can be resumed, as it was asked for; paths are absolute."""
 
-    data: list[str] = field(default_factory=list)
     model: str
-    effects: list[str] = field(default_factory=list)
-    start: dict[str, float] = field(default_factory=dict)
-    fixed: dict[str, float] = field(default_factory=dict)
     free: list[str] = field(default_factory=list)
-    columns: dict[str, str] = field(default_factory=dict)
-    time: str | None = None
     dt: float | None = None
-    time_unit: str | None = None
-    hold: str | None = None
     seed: int = 0
-    name: str = ""
-    tags: list[str] = field(default_factory=list)
     out: str | None = None
     report: str | None = None
     plot: str | None = None
-    keep: bool = False  # the state file, when there is nothing to go on with any more
-
-    def of_columns(self, extra: Sequence[str] = ()) -> Columns:
-        """Which columns of the data are which."""
-        return Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
-
-    def labelled(self, document: dict[str, Any]) -> dict[str, Any]:
-        """The document with what tells it apart from others."""
-        labels = {
-            "name": self.name,
-            "tags": self.tags,
-            "data": [Path(one).name for one in self.data],
-        }
-        return {**labels, "created": datetime.now(UTC).isoformat(timespec="seconds"), **document}
 
     def begin(self, path: Path, files: Sequence[str], shown: Meter) -> StateFile:
         """The state file of a new run; an earlier one of that name is moved aside."""
@@ -66,6 +42,35 @@ class Experiment(Sealed):
         for name, value in changes.items():
             setattr(self, name, value)
         self.check()
+
+
+@dataclass(kw_only=True)
+class Experiment(Run):
+    """The same of an estimation or a diagnosis."""
+
+    data: list[str] = field(default_factory=list)
+    effects: list[str] = field(default_factory=list)
+    start: dict[str, float] = field(default_factory=dict)
+    fixed: dict[str, float] = field(default_factory=dict)
+    columns: dict[str, str] = field(default_factory=dict)
+    time: str | None = None
+    time_unit: str | None = None
+    hold: str | None = None
+    name: str = ""
+    tags: list[str] = field(default_factory=list)
+
+    def of_columns(self, extra: Sequence[str] = ()) -> Columns:
+        """Which columns of the data are which."""
+        return Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
+
+    def labelled(self, document: dict[str, Any]) -> dict[str, Any]:
+        """The document with what tells it apart from others."""
+        labels = {
+            "name": self.name,
+            "tags": self.tags,
+            "data": [Path(one).name for one in self.data],
+        }
+        return {**labels, "created": datetime.now(UTC).isoformat(timespec="seconds"), **document}
 
 
 def parsed(

@@ -133,5 +133,5 @@ def only_output(ctx: typer.Context, also: Iterable[str]) -> None:
     for parameter in ctx.command.params:
         name = parameter.name or ""
         if name not in MAY_CHANGE.union(also) and given(ctx, name):
-            called = "DATA" if name == "data" else parameter.opts[0]
+            called = name.upper() if parameter.param_type_name == "argument" else parameter.opts[0]
             raise wrong(f"--resume continues what was asked; {called} cannot be given with it")

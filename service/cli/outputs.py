@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -12,7 +13,7 @@ from engine.presentation import plots
 from engine.presentation.report import write_report
 from service import strict_json
 from service.cli.ending import about_file, wrong
-from service.cli.experiment import Experiment
+from service.cli.experiment import Experiment, Run
 from service.cli.state_file import StateFile
 from service.cli.values import about
 
@@ -26,9 +27,9 @@ class Kept(Protocol):
         """Write the state."""
 
 
-def check_outputs(wanted: Experiment) -> None:
+def check_outputs(wanted: Run, suffix: str = ".json") -> None:
     """Refuse ``--out``, ``--report`` and ``--plot`` that cannot be written before any time is spent."""
-    output_path("--out", Path(wanted.out) if wanted.out else None, (".json",))
+    output_path("--out", Path(wanted.out) if wanted.out else None, (suffix,))
     output_path("--report", Path(wanted.report) if wanted.report else None, (".html", ".htm"))
     figure_folder("--plot", Path(wanted.plot) if wanted.plot else None)
 
@@ -37,8 +38,15 @@ def write_outputs(
     wanted: Experiment, document: dict[str, Any], data: Sequence[str], state: Kept
 ) -> list[str]:
     """Write what was asked for; the paths. Where that fails, ``state`` writes it without computing anew."""
-    try:
+    with kept_if_not_written(state):
         return _write(wanted, document, data)
+
+
+@contextmanager
+def kept_if_not_written(state: Kept) -> Iterator[None]:
+    """Save the state where a file cannot be written within, and say how to go on."""
+    try:
+        yield
     except OSError as error:
         state.save()
         raise wrong(

@@ -39,8 +39,10 @@ class Sealed:
 
     command: ClassVar[str]
     result: ClassVar[str]  # what the command makes, for messages
+    same_version: ClassVar[bool] = False  # must go on with it, as parts are kept and not iterations
     sha256: dict[str, str] = field(default_factory=dict)
     version: str = ""
+    keep: bool = False  # the state file, when there is nothing to go on with any more
 
     def seal(self, files: Sequence[Path]) -> None:
         """Note what the files hold now, and who computes."""
@@ -48,7 +50,7 @@ class Sealed:
         self.version = version("rbps")
 
     def check(self) -> None:
-        """Refuse to go on where a file is not what it was."""
+        """Refuse to go on where a file is not what it was, or what was kept is of another version."""
         for name, known in self.sha256.items():
             if not Path(name).is_file():
                 raise wrong(f"--resume: {name} is gone; the {self.result} needs it")
@@ -56,6 +58,11 @@ class Sealed:
                 raise wrong(
                     f"--resume: {name} has changed since the {self.result} began; start it anew"
                 )
+        if self.same_version and self.version != version("rbps"):
+            raise wrong(
+                f"--resume: the {self.result} was begun by rbps {self.version}, whose numbers may differ; "
+                "start it anew"
+            )
 
 
 Asked = TypeVar("Asked", bound=Sealed)

@@ -79,6 +79,9 @@ def test_from_a_diagnosis(rbps, tmp_path, record):
     saved.save(tmp_path / "found.rbps")
     there = rbps("design", "found.rbps", *own).json()["design"]
     assert [c["effect"] for c in there["causes"]] == [c["effect"] for c in design["causes"]]
+    assert there["experiment"]["u"] == design["experiment"]["u"]
+    for told in ("D", "probability"):  # the file's times have been rounded
+        np.testing.assert_allclose(there["experiment"][told], design["experiment"][told], rtol=1e-6)
     _tells_all_that_it_knows(saved, json.loads((tmp_path / "found.json").read_text())["diagnosis"])
     assert (there["bounds"]["hold"], there["bounds"]["substeps"]) == ("past", 1)
     assert design["bounds"]["hold"] == "past"

@@ -9,7 +9,7 @@ import pytest
 
 import engine
 from engine.data.files import write_series
-from service.cli import diagnose
+from service.cli import design, diagnose
 from service.cli.state import Asked
 from service.cli.state_file import read
 from tests.cli.conftest import RBPS
@@ -186,6 +186,17 @@ def test_ctrl_c_keeps_what_a_diagnosis_knows_by_then(folder, terminal):
     assert document["early"]["screen"]["scores"][0]["effect"] in report
 
 
+def interrupted(run):
+    """Type Ctrl-C: how many per cent were done, and the command that goes on."""
+    run.type(b"\x03")
+    code, printed = run.end()
+    assert (code, printed) == (130, "")
+    assert "Traceback" not in run.shown
+    told = re.search(r"interrupted at (\d+) %. Go on with\s+rbps (\w+ --resume \S+)", run.shown)
+    assert told, run.shown
+    return int(told[1]), told[2].split()
+
+
 @pytest.mark.slow
 def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, terminal):
     whole = terminal(*DIAGNOSE)
@@ -200,16 +211,8 @@ def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, ter
         if not stage:
             break
         run.until(rf"━.* \d+/100 .*({stage})")
-        run.type(b"\x03")
-        code, printed = run.end()
-        assert (code, printed) == (130, "")
-        assert "Traceback" not in run.shown
-        told = re.search(
-            r"interrupted at (\d+) %. Go on with\s+rbps (diagnose --resume \S+)", run.shown
-        )
-        assert told, run.shown
-        assert int(told[1]) >= at
-        at, command = int(told[1]), told[2].split()
+        before, (at, command) = at, interrupted(run)
+        assert at >= before
         assert command[-1] == ".rbps/data-diagnosis.state"
     run.until(rf"going on at {at} %")
     code, page = run.end()
@@ -236,6 +239,53 @@ def test_a_killed_diagnosis_leaves_its_parts(folder):
     assert len(more) >= len(parts)
     assert after[0, 0] >= percent[0, 0]  # it may have been killed near its end
     assert "mixed-4" in (folder / "out.html").read_text()
+
+
+DESIGN = (
+    *("design", "-m", "oscillator", "--cause", "drag:velocity=0.3", "--cause", "coulomb:velocity=0.5"),
+    *("--dt", "0.05", "-n", "120", "--tries", "80", "--input", "drive=-1:1:20"),
+)  # fmt: skip
+
+
+def test_ctrl_c_while_designing_and_going_on_end_with_the_same_input(folder, terminal):
+    whole = terminal(*DESIGN, "--out", "whole.csv")
+    code, expected = whole.end()
+    assert code == 0
+    assert not list(folder.rglob("*.state"))
+    at, command = 0, (*DESIGN, "--out", "input.csv")
+    for percent in (r"[1-9]\d*", r"[4-9]\d"):
+        run = terminal(*command)
+        run.until(rf"━.* {percent}/100 .*trying inputs")
+        before, (at, command) = at, interrupted(run)
+        assert at >= before
+        assert command[-1] == ".rbps/input.state"
+        assert not (folder / "input.csv").exists()
+    refused = terminal(*command, "--seed", "2")
+    assert refused.end()[0] == 2
+    assert "--seed cannot be given with it" in refused.shown
+    run = terminal(*command)
+    run.until(rf"going on at {at} %")
+    code, table = run.end()
+    assert code == 0
+    assert table == expected.replace("whole.csv", "input.csv")
+    assert (folder / "input.csv").read_bytes() == (folder / "whole.csv").read_bytes()
+    assert not list(folder.rglob("*.state"))
+    assert not (folder / ".rbps").exists()
+
+
+def test_a_killed_design_leaves_its_parts(folder):
+    run = subprocess.Popen([*RBPS, *DESIGN, "-q", "--state", "kept.state"], cwd=folder)
+    path = folder / "kept.state"
+    eventually(lambda: path.exists() or run.poll() is not None)
+    run.kill()
+    run.wait()
+    _, _, parts = read(path, design.Asked)
+    assert [name for name, _ in parts][:2] == ["asked", "inputs: 1"]
+    again = [*RBPS, "design", "--resume", "kept.state", "--json"]
+    found = subprocess.run(again, cwd=folder, capture_output=True, check=True)
+    assert len(json.loads(found.stdout)["design"]["experiment"]["u"]["drive"]) == 120
+    _, _, more = read(path, design.Asked)
+    assert len(more) >= len(parts)
 
 
 def test_plain_lines_where_the_terminal_is_dumb_or_none(folder):

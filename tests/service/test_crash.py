@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import engine
+from service.examples import EXAMPLES
 
 
 @pytest.fixture
@@ -118,6 +119,31 @@ def test_a_diagnosis_goes_on_with_what_a_killed_worker_had_finished(
     assert ended(service.client, whole)["status"] == "successful"
     results = [service.client.get(f"{one}/results").json() for one in (url, whole)]
     assert without_times(results[0]) == without_times(results[1])
+
+
+def test_a_design_goes_on_with_what_a_killed_worker_had_finished(running, catch, wait, ended):
+    service, example = running, EXAMPLES["design"]["value"]
+    long = {**example, "options": {**example["options"], "length": 150, "inputs": 160}}
+    url, worker = catch(service, long, iterations=10)  # per cent: random inputs
+    os.kill(worker, signal.SIGKILL)
+    wait(service.client, url, lambda job: "continues where it was (restart 1" in job["message"])
+    seen = []
+    over = ("successful", "failed")
+    job = wait(
+        service.client,
+        url,
+        lambda job: seen.append(job["progress"]) or job["status"] in over,
+        200.0,
+    )
+    assert job["status"] == "successful", job["message"]
+    assert min(seen) >= 10
+    kept = re.search(r"goes on with (\d+) finished parts", (service.state / "log").read_text())
+    assert kept
+    assert int(kept[1]) >= 3
+    whole = service.client.post("/jobs", json=long).headers["location"]
+    assert ended(service.client, whole)["status"] == "successful"
+    one, other = (service.client.get(f"{job}/results").json()["design"] for job in (url, whole))
+    assert one | {"seconds": 0.0} == other | {"seconds": 0.0}
 
 
 def kill_worker(service, workers, eventually, dead):

@@ -1,7 +1,13 @@
 """The job kind design: accepted, computed, refused by the field."""
 
+import json
+
+import numpy as np
 import pytest
 
+import engine
+from engine.design.candidates import ALARM, before_any, of_diagnosis
+from service import designs, diagnoses, strict_json
 from service.examples import EXAMPLES
 
 REQUEST = EXAMPLES["design"]["value"]
@@ -52,3 +58,67 @@ def test_the_page_of_a_diagnosis_has_the_form(client, ended):
     assert 'id="next"' in html
     assert 'id="design-form"' in html
     assert client.get("/static/job/design.js").status_code == 200
+
+
+@pytest.fixture(scope="module")
+def diagnosed():
+    """A diagnosis and its document as it is stored."""
+    model, rng = (
+        engine.get_model("oscillator", effects=["coulomb:velocity"]),
+        np.random.default_rng(0),
+    )
+    u = np.repeat(rng.uniform(-1, 1, 20), 10)
+    series = engine.simulate(model, {"coulomb_velocity": 1.0}, 200, rng, u=u, dt=0.05).series
+    kinds = ["coulomb:velocity", "drag:velocity"]
+    found = engine.diagnose(engine.get_model("oscillator"), series, effects=kinds, alpha=0.2)
+    return found, json.loads(strict_json.dumps(diagnoses.document(found, "oscillator", [])))
+
+
+def test_a_stored_diagnosis_asks_for_the_same_as_the_diagnosis_itself(client, ended, diagnosed):
+    found, stored = diagnosed
+    document = stored["diagnosis"]
+    bounds = {"inputs": {"drive": {"low": -1.0, "high": 1.0}}}
+    own = engine.design_experiment(found, bounds, 60, inputs=16, seed=1)
+    causes, free = designs.causes_of(document)
+    seen = designs.seen_by(document)
+    assert seen["alarm"] == found.search.rounds[0].screen.threshold != ALARM
+    assert seen["measured"] == ["y"]
+    request = {  # as the page of a diagnosis sends it
+        "kind": "design",
+        "model": "oscillator",
+        "parameters": {"start": document["base_theta"], "free": free},
+        "options": {
+            "causes": causes,
+            "bounds": {**bounds, **designs.between_samples(document)},
+            "length": 60,
+            "inputs": 16,
+            "seed": 1,
+            **seen,
+        },
+    }
+    url = client.post("/jobs", json=request).headers["location"]
+    assert ended(client, url, 120.0)["status"] == "successful"
+    there = client.get(f"{url}/results").json()["design"]
+    assert there["experiment"] == json.loads(strict_json.dumps(own.to_dict()))["experiment"]
+    assert there["growth"] == json.loads(strict_json.dumps(own.to_dict()))["growth"]
+
+
+def test_an_older_document_falls_back(diagnosed):
+    found, stored = diagnosed
+    document = json.loads(json.dumps(stored["diagnosis"]))
+    del document["measured"], document["rounds"][0]["threshold"]
+    assert designs.seen_by(document) == {"alarm": None, "measured": None}
+    causes, free = designs.causes_of(document)
+    read = before_any(found.model, causes, document["base_theta"], 0.05, free)
+    assert read.alarm == ALARM
+    assert of_diagnosis(found, None).alarm != ALARM
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [({"alarm": 0.0}, "options.alarm"), ({"measured": ["height"]}, "options.measured")],
+)
+def test_what_a_diagnosis_cannot_have_told_is_refused(client, options, field):
+    answer = client.post("/jobs", json=_with(**options))
+    assert answer.status_code == 422, answer.text
+    assert field in [one["field"] for one in answer.json()["errors"]]

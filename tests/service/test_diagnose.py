@@ -10,7 +10,7 @@ import engine
 from engine.data import nile
 from engine.diagnose import Verdict, extend, hide
 from service import diagnoses
-from service.diagnoses import Percent, in_a_line
+from service.diagnoses import SHARES, STAGE_MESSAGES, Percent, in_a_line
 from service.schemas import DiagnoseRequest
 from service.validation import load
 
@@ -195,43 +195,47 @@ def test_what_is_known_while_it_goes_on_and_after_it_was_stopped(client, ended, 
 
 def test_progress_only_goes_forward():
     told = []
-
-    class Recorded:
-        def step(self, k, message="", share=None):
-            told.append((k, message))
-
-    percent = Percent(Recorded().step)
+    percent = Percent(lambda k, message, share: told.append((k, message, share)))
     for share in (0.0, 0.15, 0.4, 0.7, 1.0, 0.5):
         percent("fit", share)
-    assert [k for k, _ in told] == [0, 1, 4, 7, 10]  # it moves while the model is fitted
+    assert [k for k, _, _ in told] == [0, 1, 2, 4, 7]  # it moves while the model is fitted
     percent("search", 0.0)
     for _ in range(3):
         for stage in ("screen", "refit"):
             for k in range(10):
                 percent(stage, k / 10)
+    percent("looking back", 0.5)
     percent("free run", 0.5)
     percent("bootstrap", 0.5)
     percent("gain", 0.0)
     percent("symptoms", 0.0)
-    steps = [k for k, _ in told]
+    percent("symptoms", 1.0)
+    steps = [k for k, _, _ in told]
     assert steps == sorted(steps)
-    assert 55 < steps[-5] < 70
-    assert steps[-4:] == [80, 91, 92, 95]
-    assert len({message for _, message in told}) == 8
+    assert steps[-3:] == [91, 95, 100]
+    assert set(STAGE_MESSAGES) == set(SHARES)
 
 
-def test_calibrations_of_late_rounds_move_too():
-    """A per cent is long there: the share of the series that are done is told."""
+def test_stages_of_counted_steps_tell_their_own_share():
+    """A per cent of the whole may be long; by that share the time is known that is left of the stage."""
     told = []
-    percent = Percent(lambda k, message: told.append((k, message)))
+    percent = Percent(lambda k, message, share: told.append((k, message, share)))
     for _ in range(4):
         percent("screen", 1.0)
         for k in range(19):
             percent("calibration", (k + 1) / 19)
-        percent("refit", 1.0)
-    assert len(set(told)) > 4 * 19
-    assert [k for k, _ in told] == sorted(k for k, _ in told)
-    assert "calibrating p-values on simulated series, 53 % of them" in told[10][1]
+        for k in range(12):
+            percent("refit", k / 12)
+    for k in range(30):
+        percent("looking back", k / 30)
+    assert len(set(told)) > 4 * 19 + 4 * 12 + 30 - 4
+    assert [k for k, _, _ in told] == sorted(k for k, _, _ in told)
+    assert told[10][1:] == (
+        "calibrating p-values on simulated series, 53 % of them",
+        pytest.approx(10 / 19),
+    )
+    percent("gain", 0.0)
+    assert told[-1][2] is None
 
 
 def test_several_records_and_several_held_out_ones(client, ended, pushed):

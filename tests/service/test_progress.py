@@ -4,10 +4,15 @@ import json
 from datetime import datetime
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+import engine
+from engine.filters.sigma_point import FilterSteps
+from service.diagnoses import Percent
 from service.serializers import job_status
 from service.store import Store
+from tests.engine.diagnose.test_checkpoint import two_effects
 
 ROW = {
     "id": "1", "kind": "estimate", "model": "m", "status": "running", "created": 0.0, "started": 10.0,
@@ -56,10 +61,54 @@ def test_a_bootstrap_a_diagnosis_and_an_end():
     many = status(stages="[1, 50, 1]", iteration=2550, iterations=5100)
     assert many.progress == 47
     assert status(kind="diagnose", iteration=100, stage="measuring the gain").progress == 99
-    assert left(status(kind="diagnose", stage="screening effects")) is None
+    assert left(status(kind="diagnose", stage="measuring the gain")) is None
+    assert left(status(kind="diagnose", stage="refits", stage_share=0.25)) == pytest.approx(240.0)
     assert status(stage="", stage_begun=None, stage_from=None).estimated_end is None
     ended = status(status="successful", stage="comparing simulation and prediction with the data")
     assert (ended.progress, ended.stage, ended.estimated_end) == (100, "", None)
+
+
+@pytest.fixture
+def passes(monkeypatch):
+    """Of the filter over the record, as they are made: the work of a diagnosis."""
+    made, init = [0], FilterSteps.__init__
+
+    def counted(self, *args):
+        made[0] += 1
+        init(self, *args)
+
+    monkeypatch.setattr(FilterSteps, "__init__", counted)
+    return made
+
+
+def test_the_progress_of_a_diagnosis_is_in_step_with_its_work(passes):
+    """Two effects are found, and each weighed again beside the other."""
+    model, series, options = two_effects()
+    options |= {"effects": ["bias", "cubic", "gain", "drag", "coulomb", "latent"]}
+    told = []  # (stage, per cent, passes by then) where something new was shown
+    stage = [""]
+    percent = Percent(lambda k, message, share: told.append((stage[0], k, passes[0])))
+
+    def callback(name, share):
+        stage[0] = name
+        percent(name, share)
+
+    found = engine.diagnose(model, series, **options, callback=callback)
+    assert len(found.causes) == 2
+    assert told[-1][1] == 100
+    steps = np.array([k for _, k, _ in told])
+    done = np.array([n for _, _, n in told]) / passes[0]
+    assert (np.diff(steps) >= 0).all()
+    assert np.diff(steps).max() <= 10
+    assert np.diff(done, append=1.0).max() <= 0.1, "nothing stands still for long"
+    names = [name for name, _, _ in told]
+    assert names.count("looking back") >= 8
+    for name in set(names):
+        own = [i for i, one in enumerate(names[:-1]) if one == name]
+        work = sum(done[i + 1] - done[i] for i in own)
+        shown = sum(steps[i + 1] - steps[i] for i in own) / 100
+        if work > 0.1:
+            assert 1 / 3 < shown / work < 3, (name, shown, work)
 
 
 def test_a_job_goes_through_its_stages_and_never_back(client, estimation, eventually):

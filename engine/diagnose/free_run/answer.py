@@ -12,14 +12,16 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
-from engine.diagnose.free_run.search import Candidate, FreeRound, Progress, one_round
+from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, Progress, one_round
 from engine.diagnose.search.findings import Cause, LookAlike, Verdict
+from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.simulation.fit import fit_simulation
 from engine.simulation.free_run import first_state
 from engine.statespace.model import Array, MixedModel, Theta
 
 STARTS = 4  # random ones beside each that is known
+STARTED, SEARCHED = 0.25, 0.9  # of the search: its starts, and with them all rounds
 ROUNDS = 3
 SHOWN = 5  # look-alikes listed at most
 LEFT = 0.05  # of the free run's error before: so little is not worth another round
@@ -91,7 +93,8 @@ def search_free_runs(
     windows of the ``whole`` ones; to these both models are fitted in the end. ``alpha`` is the level of the
     first round's alarm, ``later`` that of the others: small patches go on being significant.
     """
-    fit = best_runs(base.model, records, [base.theta, theta], base.free, seed)
+    starting = part_of(progress, 0.0, STARTED)
+    fit = best_runs(base.model, records, [base.theta, theta], base.free, seed, starting)
     noise = [noise_fit(fit)]
     done: list[FreeRound] = []
     for k in range(ROUNDS + 1):  # the last one only asks whether noise explains the rest
@@ -99,7 +102,9 @@ def search_free_runs(
         others, level = (rivals, alpha) if k == 0 else ((), later)
         theta = noise[-1].theta
         noisy, more = np.asarray(theta), k < ROUNDS
-        one = one_round(fit, setting, noisy, kinds, others, level, seed + k, progress, more)
+        # nobody knows how many rounds there will be
+        told = part_of(progress, *(SEARCHED - (SEARCHED - STARTED) * 0.5**i for i in (k, k + 1)))
+        one = one_round(fit, setting, noisy, kinds, others, level, seed + k, told, more)
         done.append(one)
         if one.chosen is None:
             break
@@ -107,9 +112,11 @@ def search_free_runs(
         noise.append(noise_fit(fit))
         if fit.rms <= LEFT * done[0].fit.rms:
             break
+    progress(STAGE, SEARCHED)
     last, missing = done[-1], None
     if last.alarmed and last.chosen is None:
         missing = missing_function(fit, last.losses, setting_of(fit, held))
+    progress(STAGE, 0.5 * (SEARCHED + 1.0))
     before, after = noise[0], noise[-1]
     if whole and done[0].survivors:
         before, after = on_whole(done[0].fit, before, whole), on_whole(fit, after, whole)
@@ -140,11 +147,18 @@ def best_runs(
     starts: Sequence[Theta],
     free: Sequence[str],
     seed: int,
+    progress: Progress = lambda stage, share: None,
 ) -> Fitted:
     """The best fit of the free run from several starts."""
-    tried = [
-        fit_simulation(model, records, start, free, n_starts=STARTS, seed=seed) for start in starts
-    ]
+    tried = []
+    for i, start in enumerate(starts):
+
+        def tell(done: int, steps: int, i: int = i) -> None:
+            progress(STAGE, (i + done / steps) / len(starts))
+
+        tried.append(
+            fit_simulation(model, records, start, free, n_starts=STARTS, seed=seed, callback=tell)
+        )
     best = min(tried, key=lambda found: found.rmse)
     x1 = np.concatenate((best.a1, best.z1), axis=1)
     return fit_runs(model, records, best.theta, free, x1)

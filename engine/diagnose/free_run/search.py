@@ -24,9 +24,12 @@ from engine.diagnose.free_run.linear import Linear, Share
 from engine.diagnose.free_run.null import Alarm, alarm
 from engine.diagnose.search.contradictions import LEAST_ERRORS
 from engine.diagnose.search.likeness import unnatural
+from engine.diagnose.search.search import part_of
 from engine.statespace.model import Array
 
+STAGE = "free run"
 FAMILIES = ("state", "measurement", "input", "parameter")  # of effects that a free run shows
+SEEN, ENDED = 0.1, 0.9  # of a round: its alarm, and all but the ends of what survives
 SINGLES, PAIRS = 10, 6  # refitted at most: effects alone, and in pairs
 LEADS, BESIDE = 3, 4  # refits beside which others are looked for; how many beside each
 LEAST = 0.02  # of the squared error: what an effect takes to first order, to be refitted
@@ -115,19 +118,22 @@ def one_round(
 
     Nothing is added unless ``more``.
     """
-    progress("free run", 0.0)
+    progress(STAGE, 0.0)
     effects = candidates(fit, setting, kinds)
     linear = Linear(fit, columns(fit, effects))
     folds = folds_of(fit.records)
+    progress(STAGE, 0.5 * SEEN)
     seen = alarm(linear, noisy, folds, seed)
     singles = linear.singles()
     own = losses(fit, folds)
+    progress = part_of(progress, SEEN, ENDED)
     if seen.p_value > alpha or not linear.columns or not more:
         return FreeRound(fit, own, seen, tuple(singles), (), (), alpha)
     found = refits(fit, linear, effects, rivals, progress)
     answers = [frozenset(pick.effect.name for pick in picks) for picks in rivals]
     worth = _worth_judging(found, len(fit.effects), answers)
     judged = _judged(fit, own, worth, folds, progress)
+    progress(STAGE, 1.0)
     left = survivors(own, judged, setting)
     return FreeRound(fit, own, seen, tuple(singles), tuple(judged), left, alpha)
 
@@ -168,14 +174,14 @@ def refits(
     pairs = [s for s in linear.pairs(PAIRS) if s.share >= LEAST]
     tried = [*singles, *(Share(1.0, tuple(picks)) for picks in rivals), *pairs]
     for i, one in enumerate(tried):
-        progress("free run", 0.5 * i / len(tried))
+        progress(STAGE, 0.5 * i / len(tried))
         add(fit, one.picks, one.share)
     alone = [f for f in found.values() if len(f.names) == n + 1]
     own = [f for f in alone if f.effects[-1].family == "parameter"]  # the model's, and so plausible
     leads = _distinct(alone)[:LEADS]
     leads += [f for f in own if f not in leads]
     for i, lead in enumerate(leads):
-        progress("free run", 0.5 + 0.3 * i / len(leads))
+        progress(STAGE, 0.5 + 0.3 * i / len(leads))
         others = [effect for effect in effects if effect.name != lead.names[-1]]
         for share in Linear(lead, columns(lead, others)).singles()[:BESIDE]:
             if share.share >= LEAST:
@@ -234,7 +240,7 @@ def _judged(
     known = len(base.effects)
     rows = []
     for i, fit in enumerate(found):
-        progress("free run", 0.8 + 0.2 * i / len(found))
+        progress(STAGE, 0.8 + 0.2 * i / len(found))
         try:
             rows.append((fit, losses(fit, folds)))
         except CANNOT:

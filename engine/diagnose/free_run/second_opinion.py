@@ -27,16 +27,18 @@ from engine.diagnose.free_run.folds import Folds, folds_of, losses
 from engine.diagnose.free_run.linear import Linear
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.null import Alarm, alarm
-from engine.diagnose.free_run.search import FAMILIES, FreeRound, Progress, candidates
+from engine.diagnose.free_run.search import FAMILIES, STAGE, FreeRound, Progress, candidates
 from engine.diagnose.free_run.windows import windows
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.pipeline import Causes
 from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit
 from engine.simulation.free_run import first_state
 from engine.statespace.model import Theta
 
+ALARM_SHARE = 0.1  # of the free run's part of a diagnosis
 SETTLED = 0.2  # of alpha: level of the free run's alarm where the likelihood has an answer
 READ_OTHERWISE = (
     "The likelihood decides: the free run has nothing to say before the record is read otherwise."
@@ -86,7 +88,9 @@ def second_opinion(
     try:
         start = causes.search.final if settled else base
         beside = _beside(start, records, held, kinds)
+        progress(STAGE, 0.5 * ALARM_SHARE)
         seen = beside.alarm(seed)
+        progress(STAGE, ALARM_SHARE)
         if seen.p_value > level:
             reason = f"{_noise_explains(seen)}{_part(records, given)}"
             missing = None if settled else beside.missing()
@@ -100,7 +104,7 @@ def second_opinion(
             kinds=kinds,
             rivals=_rivals(named),
             seed=seed,
-            progress=progress,
+            progress=part_of(progress, ALARM_SHARE, 1.0),
             whole=() if records == list(given) else given,
             later=SETTLED * alpha,
         )

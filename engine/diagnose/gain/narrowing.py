@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,11 @@ class Narrowed:
     note: str = ""
 
 
-def narrowed(found: Search, ask: Callable[[Search], tuple[Gain | None, str]]) -> Narrowed:
+def narrowed(
+    found: Search,
+    ask: Callable[[Search], tuple[Gain | None, str]],
+    progress: Callable[[str, float], Any] = lambda stage, share: None,
+) -> Narrowed:
     """The search without the members of its set that ``ask`` objects to.
 
     ``ask`` measures what an extension gains on held-out data, with a sentence where that contradicts it. Where
@@ -57,7 +62,10 @@ def narrowed(found: Search, ask: Callable[[Search], tuple[Gain | None, str]]) ->
     gain, objection = ask(orders[0])
     if not objection:
         return Narrowed(found, gain)
-    asked = [(order, *ask(order)) for order in orders[1:]]
+    asked = []
+    for j, order in enumerate(orders[1:], 1):
+        progress("gain", j / len(orders))
+        asked.append((order, *ask(order)))
     kept = [(order, there) for order, there, said in asked if not said]
     if not kept:
         return Narrowed(found, gain, objection)

@@ -153,7 +153,7 @@ def sequential_p(
     """How rare so small a p-value of refits is: at most alpha where no simulated series has one."""
     n = int(np.ceil(1.0 / alpha)) - 1
     for k in range(n):
-        progress("calibration", k / n)
+        progress("calibration of refits", k / n)
         one = partial(swallowed_of_simulated, question, [seed, k, n, 1])
         drawn = kept.number(f"refits simulated {k + 1}", one)
         if drawn is not None and drawn <= p_value:

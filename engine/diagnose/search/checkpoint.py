@@ -91,6 +91,10 @@ class Kept:
         """One number, or that there is none."""
         return self._part(name, compute, _itself, _itself)
 
+    def array(self, name: str, compute: Callable[[], Array]) -> Array:
+        """An array."""
+        return self._part(name, compute, _of_array, _array)
+
     def numbers(self, name: str, compute: Callable[[], Array | None]) -> Array | None:
         """An array, or that there is none."""
 
@@ -139,19 +143,30 @@ def kept_of(
     if parts is None:
         return NOTHING
     asked = {
-        "another model": _digest(_identity(model, records.main)),
-        "another series": _digest([_data(one) for one in (records.main, *records.others)]),
-        "another test series": _digest([_data(one) for one in records.tests]),
-        "other options": _digest(options),
-        "another catalogue": _digest(effect_kinds()),
-        "another version of rbps": _digest(version("rbps")),
+        "another model": _identity(model, records.main),
+        "another series": [_data(one) for one in (records.main, *records.others)],
+        "another test series": [_data(one) for one in records.tests],
+        "other options": options,
     }
+    return of_the_same("a diagnosis", asked, parts, spent)
+
+
+def of_the_same(
+    work: str, asked: Mapping[str, Any], parts: Parts, spent: Callable[[float], Any]
+) -> Kept:
+    """The parts of this very ``work``, once ``asked`` is what it was and so is this software.
+
+    Raises OptionError naming the first of ``asked`` that is not.
+    """
+    every = {**asked, "another catalogue": effect_kinds()}
+    every["another version of rbps"] = version("rbps")
+    digests = {what: _digest(value) for what, value in every.items()}
     if ASKED not in parts:
-        parts[ASKED] = asked
+        parts[ASKED] = digests
     known = parts[ASKED]
-    for what, digest in asked.items():
+    for what, digest in digests.items():
         if known.get(what) != digest:
-            raise OptionError(f"what was kept is of a diagnosis with {what}", "kept")
+            raise OptionError(f"what was kept is of {work} with {what}", "kept")
     return Kept(parts, spent)
 
 

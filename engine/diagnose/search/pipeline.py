@@ -19,8 +19,8 @@ from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.diagnose.search.search import LATER, OUTLYING, Search, search
 from engine.diagnose.search.verdict import PATCHES, patchwork, verdict_of
-from engine.estimation.quasi_ml import QuasiFit, quasi_ml, whitening
-from engine.estimation.start import LEFT_AFTER, WarmStart
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done, whitening
+from engine.estimation.start import WarmStart
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import MixedModel, Theta, ThetaLike
 
@@ -104,6 +104,7 @@ def find_causes(
     if other is not None:
         found = other.search
         notes.append(other.note)
+    clock.progress("contradictions", 0.0)
     verdict = verdict_of(found, alpha)
     if patchwork(found, alpha):
         notes.append(
@@ -167,7 +168,7 @@ def fit_base(
         start, *others = ahead(start) or [start]
 
     def tell(k: int) -> None:
-        progress(1.0 - (1.0 - begun) * LEFT_AFTER ** (k - 1))
+        progress(begun + (1.0 - begun) * share_done(k))
 
     fit = quasi_ml(model, series, start, free, callback=tell)
     return replace(fit, rivals=tuple(tuple(map(float, other)) for other in others))

@@ -30,6 +30,9 @@ AGAIN = (
 )
 REACH = 0.5  # of the best score: a refit left half-way that has this much is taken up again
 
+# Of refitting a round: the first refits, and those followed to their end; the choice is finished then.
+REFITTED_ONCE, FOLLOWED = 0.7, 0.9
+
 SWALLOWED_REFITS = 6
 ALARM = 0.1  # family-wise p-value from which no alarm is to be feared at any usual level
 REFITTED = 0.1  # of alpha, for these refits: maxima between a grid's points are larger than on it
@@ -48,7 +51,7 @@ def refit_swallowed(
     refits = []
     families = _swallowed(seen)[:SWALLOWED_REFITS]
     for i, score in enumerate(families):
-        progress("refit", i / len(families))
+        progress("refit swallowed", i / len(families))
         once = partial(refit, fit, series, score, _alarming(score, len(families), series))
         refits.append(_made(partial(kept.refit, fit.model, score.effect, once)))
     return [found for found in refits if found is not None]
@@ -92,13 +95,13 @@ def refit_best(
     names = {r.effect.name for r in done}
     left = [s for s in _worth_refitting(seen, series) if s.effect.name not in names]
     for i, score in enumerate(left):
-        progress("refit", i / len(left))
+        progress("refit", REFITTED_ONCE * i / len(left))
         leading = max((r.score for r in refits), default=-np.inf)
         once = partial(refit, fit, series, score, leading)
         found = _made(partial(kept.refit, fit.model, score.effect, once))
         if found is not None:
             refits.append(found)
-    refits = without_one_of_many(followed(refits, series, fit, kept), series)
+    refits = without_one_of_many(followed(refits, series, fit, progress, kept), series)
     return settle(seen, refits, series, setting)
 
 
@@ -123,11 +126,18 @@ def without_one_of_many(refits: Sequence[Refit], series: Series) -> list[Refit]:
 
 
 def followed(
-    refits: Sequence[Refit], series: Series, fit: QuasiFit, kept: Kept = NOTHING
+    refits: Sequence[Refit],
+    series: Series,
+    fit: QuasiFit,
+    progress: Progress = lambda stage, share: None,
+    kept: Kept = NOTHING,
 ) -> list[Refit]:
     """The refits, those given up early taken up again where they are within reach of the best."""
     refits, further = list(refits), kept.further("to its end")
+    given_up = sum(r.fit.given_up for r in refits)
     while True:
+        left = sum(r.fit.given_up for r in refits) / max(given_up, 1)
+        progress("refit", REFITTED_ONCE + (FOLLOWED - REFITTED_ONCE) * (1.0 - left))
         best = max((r.score for r in refits), default=-np.inf)
         reach = REACH * best if best > 0.0 else -np.inf
         open_ = [i for i, r in enumerate(refits) if r.fit.given_up and r.score >= reach]

@@ -26,17 +26,24 @@ from engine.diagnose.screening.screening import screen_effects
 from engine.diagnose.screening.tails import pit_of, standardised_errors
 from engine.diagnose.search.calibration import BOLDEST, Question, calibrated, decides, sequential_p
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.joint_refit import look_back
+from engine.diagnose.search.joint_refit import STAGE, look_back
 from engine.diagnose.search.refits import Refit
-from engine.diagnose.search.refitting import confirmed, refit_best, refit_swallowed, swallowed_p
+from engine.diagnose.search.refitting import (
+    FOLLOWED,
+    confirmed,
+    refit_best,
+    refit_swallowed,
+    swallowed_p,
+)
 from engine.diagnose.search.rounds import Round
 from engine.errors import EngineError, OptionError
-from engine.estimation.quasi_ml import QuasiFit, quasi_ml
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import MixedModel
 
 FIRST = 0.7  # of alpha, for the first screen; the rest is for refits of what noise has swallowed
 LATER = 0.1  # of alpha, for screens after the first, as each round is a new chance
+LOOKED_BACK = 0.9  # of looking back: all but the last fit
 OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
 
 Progress = Callable[[str, float], Any]
@@ -111,7 +118,8 @@ def search(
             break
         if not found.refits[0].effect.traits.outliers:
             best = found.refits[0].fit
-            fit = here.fit(best.model, partial(_finished, best, series))
+            told = _iterations(progress, "refit", FOLLOWED)
+            fit = here.fit(best.model, partial(_finished, best, series, told))
             continue
         # the moment filter does not see outliers, so they are taken out before it looks again
         tails, alarm = found.refits[0], False
@@ -121,16 +129,28 @@ def search(
         fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))
     named = [found for found in rounds if found.equivalent]
     if tails is None and len(named) > 1:
-        fit, named = look_back(base, named, series, setting, kept)
+        among = part_of(progress, 0.0, LOOKED_BACK)
+        fit, named = look_back(base, named, series, setting, kept, among)
         rounds[: len(named)] = named
-        fit = kept.within("finally").fit(fit.model, partial(_finished, fit, series))
+        told = _iterations(progress, STAGE, LOOKED_BACK)
+        fit = kept.within("finally").fit(fit.model, partial(_finished, fit, series, told))
     return Search(base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm)
 
 
-def _finished(fit: QuasiFit, series: Series) -> QuasiFit:
+def part_of(progress: Progress, begin: float, end: float) -> Progress:
+    """For a part of a stage that has this share of it."""
+    return lambda stage, share: progress(stage, begin + (end - begin) * share)
+
+
+def _iterations(progress: Progress, stage: str, begin: float) -> Callable[[int], Any]:
+    """For the iterations of a fit that ends a stage."""
+    return lambda k: progress(stage, begin + (1.0 - begin) * share_done(k))
+
+
+def _finished(fit: QuasiFit, series: Series, told: Callable[[int], Any]) -> QuasiFit:
     """A refit to the usual tolerance; as it is where its likelihood is on an edge."""
     try:
-        return quasi_ml(fit.model, series, fit.theta, fit.free)
+        return quasi_ml(fit.model, series, fit.theta, fit.free, callback=told)
     except EngineError:
         return fit
 

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from service.cli.ending import guarded
-from service.cli.options import Free, Json, Model, Plot, Quiet, Report, Seed, Step, Values
+from service.cli.options import (
+    Free,
+    Json,
+    Model,
+    Plot,
+    Quiet,
+    Report,
+    Seed,
+    Step,
+    Values,
+    absolute_paths,
+    only_output,
+)
 
 
 def design(
+    ctx: typer.Context,
     diagnosis: Annotated[
         Path | None,
         typer.Argument(
@@ -77,6 +90,21 @@ def design(
     ] = None,
     report: Report = None,
     plot: Plot = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.state",
+            help="Keep what is finished here.  [in .rbps/ beside --out, until the design has ended]",
+        ),
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.state",
+            help="Go on with an interrupted design, as if it had never stopped. Only the options of output "
+            "may be given with it.",
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -84,33 +112,35 @@ def design(
 
     Searches over steps, ramps with reversals, multisines and random binary inputs within the bounds; says how
     surely a diagnosis of the new record names the true cause, how short it may be, and which causes no input
-    tells apart.
+    tells apart. Ctrl-C stops it and keeps what is done; 'rbps design --resume FILE.state' goes on and ends with
+    the same input.
     """
     with guarded(as_json):
-        from service.cli.design import Wanted, run
+        from service.cli import design as work
+        from service.cli.references import absolute
         from service.cli.values import names
 
-        run(
-            Wanted(
-                diagnosis=diagnosis,
-                model=model,
-                causes=cause,
-                values=values,
-                free=names(free),
-                bounds=bounds,
-                inputs=inputs,
-                stopbands=stopband,
-                states=limit,
-                outputs=limit_output,
-                dt=dt,
-                length=length,
-                tries=tries,
-                seed=seed,
-                out=out,
-                shortest=shortest,
-                report=report,
-                plot=plot,
-            ),
-            as_json,
-            quiet,
+        paths: dict[str, Any] = {
+            **absolute_paths(out=out, shortest=shortest, report=report, plot=plot)
+        }
+        if resume is not None:
+            only_output(ctx, {"shortest"})
+            work.resume(resume, paths, as_json, quiet)
+            return
+        paths |= absolute_paths(diagnosis=diagnosis, bounds=bounds)
+        asked = work.Asked(
+            **paths,
+            model=absolute(model),
+            causes=cause,
+            values=values,
+            free=names(free),
+            inputs=inputs,
+            stopbands=stopband,
+            states=limit,
+            outputs=limit_output,
+            dt=dt,
+            length=length,
+            tries=tries,
+            seed=seed,
         )
+        work.design(asked, state, as_json, quiet)

@@ -32,7 +32,7 @@ export function offer(diagnosis) {
   by("design-states").replaceChildren(...Object.entries(diagnosis.channels.states).map(([name, unit]) => element("tr", {},
     element("th", { scope: "row" }, name), ["low", "high"].map((what) => element("td", {}, element("input", {
       type: "number", step: "any", "data-name": name, "data-what": what, "aria-label": `${name}: ${what}`, placeholder: unit }))))));
-  by("design-dt").value = diagnosis.extension.model.setting.dt;
+  by("design-dt").value = diagnosis.extension.dt ?? diagnosis.extension.model.setting.dt;
   by("design-form").addEventListener("submit", async (event) => {
     event.preventDefault();
     by("design-problem").hidden = true;
@@ -81,6 +81,8 @@ function request(diagnosis, causes) {
       causes: Object.fromEntries(chosen.map((one) => [one.effect, { ...one.parameters, ...told(one) }])),
       bounds,
       length: Number(by("design-length").value),
+      alarm: diagnosis.rounds[0]?.threshold ?? null,
+      measured: diagnosis.measured ?? null,
     },
   };
 }

@@ -131,7 +131,7 @@ def test_later_rounds_need_a_tenth_of_alpha(monkeypatch):
     monkeypatch.setattr(search, "screen_effects", screened)
     monkeypatch.setattr(search, "decides", lambda *a: False)
     monkeypatch.setattr(search, "confirmed", lambda found: found)
-    monkeypatch.setattr(search, "_finished", lambda fit, series: fit)
+    monkeypatch.setattr(search, "_finished", lambda fit, series, told: fit)
     monkeypatch.setattr(
         search,
         "refit_best",

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from engine.data.series import Series
-from engine.design import Design, designed
+from engine.design import Asked, Design
 from engine.design.candidates import Question, before_any
 from engine.design.inputs import random_binary
 from engine.design.runs import linearised
@@ -87,7 +87,7 @@ def _judged(case: Case, rng: np.random.Generator, run: int, design_only: bool) -
     model = case.system.model
     asked = before_any(model, case.causes, None, case.system.dt, case.free)
     question = replace(asked, alarm=ALARM)
-    made = designed(model, question, case.task(question, ROWS), INPUTS, run)
+    made = Asked(model, question, case.task(question, ROWS)).designed(INPUTS, run)
     row = _designed(made, case)
     if design_only:
         return row
@@ -184,7 +184,7 @@ def timed(seed: int, run: int) -> Row:
     pair = DECIDABLE[run % len(DECIDABLE)]
     case = drawn(pair, np.random.default_rng([JUDGED, seed, 5, run]))
     question = before_any(case.system.model, case.causes, None, case.system.dt, case.free)
-    made = designed(case.system.model, question, case.task(question, LONG), DEFAULT, run)
+    made = Asked(case.system.model, question, case.task(question, LONG)).designed(DEFAULT, run)
     return {"system": pair.system, "pair": " / ".join(pair.causes), "seconds": made.seconds}
 
 

@@ -1,0 +1,73 @@
+"""The finished parts of a computation on a state file, from which an interrupted one goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from engine.errors import EngineError, OptionError
+from service.cli.ending import Code, Ending, Interrupt, wrong
+from service.cli.meter import Meter
+from service.cli.state_file import StateFile
+
+
+class Kept(dict[str, Any]):
+    """The parts by name, and the place where Ctrl-C ends the computation.
+
+    Rows of the file: one, the per cent done.
+    """
+
+    def __init__(
+        self, file: StateFile, shown: Meter, parts: dict[str, Any] | None = None, percent: int = 0
+    ) -> None:
+        super().__init__(parts or {})
+        self.file, self.shown, self.percent = file, shown, percent
+        self.interrupt = Interrupt()
+
+    def __setitem__(self, name: str, part: Any) -> None:
+        super().__setitem__(name, part)
+        if self.file.due:
+            self.save()
+        self.interrupt.check()
+
+    def step(self, k: int, message: str = "", share: float | None = None) -> None:
+        """Per cent done; fewer than before while what was kept is gone through."""
+        self.percent = max(self.percent, k)
+        self.shown.at(self.percent, message)
+        self.interrupt.check()
+
+    def save(self) -> None:
+        """Write the state."""
+        self.file.save(np.array([[self.percent]]), list(self.items()))
+
+    def settle(self) -> None:
+        """At the end the state is removed, unless it was asked for by name."""
+        if self.file.asked.keep:
+            self.save()
+        else:
+            self.file.remove()
+
+    @contextmanager
+    def going(self, interrupted: Callable[[], Ending]) -> Iterator[None]:
+        """Within, the parts are made; when that is ``interrupted``, what is done is saved."""
+        try:
+            with self.interrupt.held():
+                yield
+        except KeyboardInterrupt:
+            self.save()
+            raise interrupted() from None
+        except EngineError as error:
+            if isinstance(error, OptionError) and error.field == "kept":
+                raise wrong(f"--resume: {error}") from None
+            if not self.file.asked.keep:  # from here nothing leads on
+                self.file.remove()
+            raise
+
+    def interrupted(self, text: str = "", **more: Any) -> Ending:
+        """What is said at Ctrl-C, with a ``text`` behind it."""
+        said = f"interrupted at {self.percent} %. Go on with\n  {self.file.again}{text}"
+        state = str(self.file.path)
+        return Ending(Code.INTERRUPTED, said, state=state, percent=self.percent, **more)
