@@ -8,8 +8,8 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
-from engine.diagnose.free_run.search import FAMILIES
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
+from engine.diagnose.free_run_fits.candidates import FAMILIES
 from engine.diagnose.gain.adoption import falls_short
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise

@@ -14,19 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.free_run.columns import CANNOT, columns
-from engine.diagnose.free_run.fitted import Fitted, Pick, finished, with_effects
-from engine.diagnose.free_run.folds import Folds, folds_of, losses, p_better
-from engine.diagnose.free_run.linear import Linear, Share
 from engine.diagnose.free_run.null import Alarm, alarm
+from engine.diagnose.free_run_fits.candidates import candidates
+from engine.diagnose.free_run_fits.columns import CANNOT, columns
+from engine.diagnose.free_run_fits.fitted import Fitted, Pick, finished, with_effects
+from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_better
+from engine.diagnose.free_run_fits.linear import Linear, Share
 from engine.diagnose.search.contradictions import LEAST_ERRORS
 from engine.diagnose.search.likeness import unnatural
 from engine.statespace.model import Array
 
-FAMILIES = ("state", "measurement", "input", "parameter")  # of effects that a free run shows
 SINGLES, PAIRS = 10, 6  # refitted at most: effects alone, and in pairs
 LEADS, BESIDE = 3, 4  # refits beside which others are looked for; how many beside each
 LEAST = 0.02  # of the squared error: what an effect takes to first order, to be refitted
@@ -130,19 +129,6 @@ def one_round(
     judged = _judged(fit, own, worth, folds, progress)
     left = survivors(own, judged, setting)
     return FreeRound(fit, own, seen, tuple(singles), tuple(judged), left, alpha)
-
-
-def candidates(fit: Fitted, setting: Setting, kinds: Sequence[str] | None) -> list[Effect]:
-    """Effects that a noise-free run can show; those on a state that only noise moves have no meaning here."""
-    disturbances = set(setting.states) - set(setting.moved)
-    known = set(fit.model.parameter_names)
-    out = []
-    for effect in all_effects(setting, kinds):
-        source, _, target = effect.channel.partition("->")
-        shown = effect.family in FAMILIES and not effect.traits.unnamed and effect.readings is None
-        if shown and effect.size.name not in known and not {source, target} & disturbances:
-            out.append(effect)
-    return out
 
 
 def refits(
