@@ -40,6 +40,7 @@ from engine.diagnose.free_run.second_opinion import second_opinion
 from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.held_out import HeldOut
+from engine.diagnose.over_horizon import over_horizon
 from engine.diagnose.records import records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -248,6 +249,9 @@ def diagnose(
     after = judged.after
     notes.extend(judged.notes)
 
+    names = tuple(cause.effect for cause in judged.causes)
+    beside = over_horizon(judged.before, after, names, judged.search, searched)
+
     looked_at = model.continuous and judged.causes and plain.dt is not None
     if looked_at and not is_enough(after.model, np.asarray(after.theta), plain, fine.k):
         notes.append(
@@ -280,6 +284,7 @@ def diagnose(
         p_bootstrap=p_bootstrap,
         free_run=judged.free_run,
         substeps=fine.k,
+        over_horizon=beside,
         asked=Asked(*given, parts=dict(parts)),
     )
 

@@ -12,6 +12,7 @@ from engine.data.series import Series
 from engine.diagnose.free_run.answer import FreeRunSearch
 from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.gain import Gain
+from engine.diagnose.over_horizon import OverHorizon
 from engine.diagnose.search.findings import Cause, Detectable, Verdict
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
@@ -89,6 +90,8 @@ class Diagnosis(Shown):
         What the free run says of the same question, and whether it decided.
     substeps : int
         Steps a sample that the models made: refine a series by it to run ``extended`` on it.
+    over_horizon : OverHorizon or None
+        The answer beside the other candidates, over the horizon and over budgets of process noise.
     asked : Asked or None
         What was asked and the parts that were finished, by which it can be kept.
     """
@@ -111,6 +114,7 @@ class Diagnosis(Shown):
     free_run: SecondOpinion | None = None
     substeps: int = 1  # steps a sample
     records: int = 1  # given
+    over_horizon: OverHorizon | None = None
     asked: Asked | None = None  # what was asked, by which it can be kept
 
     def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot
