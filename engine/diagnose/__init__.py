@@ -36,34 +36,27 @@ from engine.diagnose.effects.catalogue import (
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.traits import Course, Traits
-from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
-from engine.diagnose.free_run.search import FAMILIES
-from engine.diagnose.free_run.second_opinion import heeding, second_opinion
+from engine.diagnose.free_run.second_opinion import second_opinion
 from engine.diagnose.free_run.windows import rows_searched
-from engine.diagnose.gain.adoption import falls_short
-from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
-from engine.diagnose.gain.narrowing import narrowed, with_fair_noise
+from engine.diagnose.gain.gain import Gain
+from engine.diagnose.held_out import HeldOut
+from engine.diagnose.over_horizon import over_horizon
 from engine.diagnose.records import records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.checkpoint import Parts, kept_of
-from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.search.pipeline import (
     FIRST_FIT_SHARE,
-    NAMES,
     Callback,
     Clock,
     find_causes,
     fit_base,
-    has_tails,
 )
-from engine.diagnose.search.search import Search
 from engine.diagnose.search.substeps import is_enough, prepare
-from engine.diagnose.search.verdict import detectable_of, named_by, names_of
+from engine.diagnose.search.verdict import detectable_of
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
-from engine.errors import EngineError, OptionError, SeriesError
-from engine.estimation.quasi_ml import QuasiFit
+from engine.errors import OptionError, SeriesError
 from engine.statespace.model import MixedModel, ThetaLike
 
 __all__ = [
@@ -225,7 +218,7 @@ def diagnose(
         clock=clock,
         kept=done,
     )
-    base, found, verdict = causes.base, causes.search, causes.verdict
+    found = causes.search
     notes.extend([*fine.notes, *causes.notes])
 
     clock.start("free run")
@@ -242,7 +235,7 @@ def diagnose(
     if bootstrap:
         clock.start(STAGE)
         p_bootstrap = first_round_p(
-            base,
+            causes.base,
             searched,
             causes.setting,
             found,
@@ -253,70 +246,15 @@ def diagnose(
             kept=done,
         )
 
-    gain = None
-
-    def measured(order: Search, beside: FreeRunSearch | None = None) -> Gain | None:
-        """What an extension gains where nothing was fitted: the likelihood's, or one found ``beside`` it."""
-        causes, before, after = named_by(order), order.base, order.final
-        if beside is not None:
-            causes, before, after = causes_of(beside), beside.before, beside.after
-        if not causes or after is before:
-            return None
-        history = None if records.tests else train
-        rounds = [] if beside is not None else [r for r in order.rounds if r.equivalent]
-        chosen = [r.refits[0].effect for r in rounds]
-        # else a test's clock is its own
-        later = bool(records.tests) and all(o.t[0] > records.main.t[-1] for o in records.tests)
-        begins = [e for e in chosen if e.traits.of_record]
-        goes_on = later and (not begins or len(begins) < len(chosen))
-        if goes_on or any(cause.where != "time" for cause in causes):
-            known = (train, *fine.records.others) if records.tests else ()
-            anew = without(after, begins)
-            tests = fine.records.held_out
-            whole = measure_gain(before, after, tests, history, seed, known, anew)
-        else:
-            times = [name for e in chosen for name in e.sought]
-            whole = measure_gain_interleaved(before, after, fine.records.main, times, seed)
-        return whole.every(fine.k)
-
-    def by_likelihood(order: Search) -> tuple[Gain | None, str]:
-        """The gain of the likelihood's answer, and what contradicts it."""
-        there = measured(order)
-        objection = "" if there is None else falls_short(there, _promised(order, searched, there))
-        if objection:  # noise that was fitted too small loses much elsewhere, and is no other cause
-            try:
-                fair = measured(with_fair_noise(order, searched))
-            except (EngineError, np.linalg.LinAlgError):
-                fair = None
-            if fair is not None:
-                objection = falls_short(fair, _promised(order, searched, fair))
-        return there, objection
-
     clock.start("gain")
-    named, before, after = named_by(found), found.base, found.final
-    if asked.decides and asked.search is not None:
-        if asked.search.found:
-            named = causes_of(asked.search)
-            before, after = asked.search.before, asked.search.after
-            gain = measured(found, asked.search)
-        decision = None if gain is None else gain.decision
-        asked, verdict = heeding(asked, asked.search.verdict, decision)
-    if not asked.decides:
-        if verdict in NAMES:
-            left = narrowed(found, by_likelihood, clock.progress)
-            found, gain = left.search, left.gain
-            notes.extend(filter(None, (left.note, left.objection)))
-            if left.objection or left.note:
-                verdict = Verdict.UNKNOWN if left.objection else names_of(found)
-        else:
-            gain = measured(found)
-        named, before, after = named_by(found), found.base, found.final
-    if gain is not None and model.na and not asked.decides:
-        text, contradicts = _particle_word(base, found, searched, seed)
-        notes.append(text)
-        verdict = Verdict.UNKNOWN if contradicts else verdict
+    judged = HeldOut(fine.records, searched, fine.k, seed).judge(causes, asked, clock.progress)
+    after = judged.after
+    notes.extend(judged.notes)
 
-    looked_at = model.continuous and named and plain.dt is not None
+    names = tuple(cause.effect for cause in judged.causes)
+    beside = over_horizon(judged.before, after, names, judged.search, searched)
+
+    looked_at = model.continuous and judged.causes and plain.dt is not None
     if looked_at and not is_enough(after.model, np.asarray(after.theta), plain, fine.k):
         notes.append(
             f"With what was found, the free run changes by more than a tenth of its error with {2 * fine.k} "
@@ -324,29 +262,32 @@ def diagnose(
         )
 
     clock.start("symptoms")
-    symptoms = find_symptoms(model, before.theta, plain, covariance_of(before), seed=seed)
+    symptoms = find_symptoms(
+        model, judged.before.theta, plain, covariance_of(judged.before), seed=seed
+    )
     clock.progress("symptoms", 1.0)
 
     clock.stop()
     return Diagnosis(
         model=model,
-        verdict=verdict,
-        causes=named,
+        verdict=judged.verdict,
+        causes=judged.causes,
         p_value=found.rounds[0].screen.p_value,
-        base_theta=before.theta,
+        base_theta=judged.before.theta,
         extended=after.model,
         theta=after.theta,
         symptoms=symptoms,
-        gain=gain,
+        gain=judged.gain,
         detectable=detectable_of(found.rounds[0].screen),
-        search=found,
+        search=judged.search,
         notes=tuple(notes),
         seconds=clock.seconds,
         series=records.main,
         records=1 + len(records.others),
         p_bootstrap=p_bootstrap,
-        free_run=asked,
+        free_run=judged.free_run,
         substeps=fine.k,
+        over_horizon=beside,
         asked=Asked(*given, parts=dict(parts)),
     )
 
@@ -387,28 +328,3 @@ def _check_data(series: Series) -> None:
     rows = int(series.observed.any(axis=1).sum())
     if rows < LEAST:
         raise SeriesError(f"only {rows} rows hold a measurement; a diagnosis needs {LEAST}")
-
-
-def _promised(found: Search, series: Series, gain: Gain) -> float:
-    """Nats that held-out rows should gain if those searched did not by chance; 0 where that is no promise.
-
-    Each parameter gains half a nat where it is fitted and loses as much elsewhere (Akaike 1974). Noise and
-    what comes with time need not be the same there.
-    """
-    effects = [r.refits[0].effect for r in found.rounds if r.equivalent]
-    if not all(effect.family in FAMILIES for effect in effects):
-        return 0.0
-    gained = found.final.log_likelihood - found.base.log_likelihood
-    further = len(found.final.free) - len(found.base.free)
-    rows = int(series.observed.any(axis=1).sum())
-    return (gained - further) * gain.samples / max(rows, 1)
-
-
-def _particle_word(base: QuasiFit, found: Search, series: Series, seed: int) -> tuple[str, bool]:
-    """What the particle filter says of what was gained, and whether it contradicts the moment filter."""
-    final = found.final
-    moment = final.log_likelihood - base.log_likelihood
-    before, after = (base.model, base.theta), (final.model, final.theta)
-    text, contradicts = particle_word(before, after, moment, series, seed)
-    # outliers were judged by a filter of their own
-    return text, contradicts and not has_tails(found)

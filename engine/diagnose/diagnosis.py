@@ -12,6 +12,7 @@ from engine.data.series import Series
 from engine.diagnose.free_run.answer import FreeRunSearch
 from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.gain import Gain
+from engine.diagnose.over_horizon import OverHorizon
 from engine.diagnose.search.findings import Cause, Detectable, Verdict
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
@@ -90,6 +91,8 @@ class Diagnosis(Shown):
         What the fit of the simulation without noise finds, and whether it decided the verdict.
     substeps : int
         Number of steps from sample to sample that the models made; refine a series by it to run ``extended``.
+    over_horizon : OverHorizon or None
+        The answer beside the other candidates, over the horizon and over budgets of process noise.
     asked : Asked or None
         The arguments and the finished parts, by which :func:`engine.save` keeps the diagnosis.
     """
@@ -112,6 +115,7 @@ class Diagnosis(Shown):
     free_run: SecondOpinion | None = None
     substeps: int = 1  # steps a sample
     records: int = 1  # given
+    over_horizon: OverHorizon | None = None
     asked: Asked | None = None  # what was asked, by which it can be kept
 
     def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from engine.diagnose.free_run.search import FreeRound
     from engine.diagnose.free_run.second_opinion import SecondOpinion
     from engine.diagnose.gain.gain import Gain
+    from engine.diagnose.over_horizon import OverHorizon
     from engine.diagnose.search.rounds import Round
 
 SCREENED_EFFECTS = 12  # screened effects of a round
@@ -73,6 +74,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             "in_the_library": in_the_library(d),
         },
         "free_run": None if d.free_run is None else _free_run(d.free_run),
+        "over_horizon": None if d.over_horizon is None else over_horizon(d.over_horizon),
         "symptoms": d.symptoms.to_dict(),
         "gain": None if d.gain is None else _gain(d.gain, list(d.model.outputs)),
         "detectable": [asdict(item) for item in d.detectable],
@@ -83,6 +85,11 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
     }
     cleaned: dict[str, Any] = plain(data)
     return cleaned
+
+
+def over_horizon(found: OverHorizon) -> dict[str, Any]:
+    """The candidates beside each other."""
+    return {**asdict(found), "sentence": found.sentence}
 
 
 def _free_run(asked: SecondOpinion) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from engine.diagnose.extended import at_bounds, in_the_library
@@ -12,6 +13,7 @@ from engine.diagnose.gain.adoption import in_full, in_short
 from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
 from engine.diagnose.search.rounds import UNNAMED_MARGIN
 from engine.errors import EngineError
+from engine.presentation import over_horizon
 from engine.presentation.cause_sentences import experiment, headline, phrased, standing
 from engine.presentation.report.priority import asked_first
 from engine.words import (
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from engine.diagnose.search.findings import Detectable, Verdict
 
 WIDTH = 100
+NAMES = 36  # columns for the names of candidates
 
 
 def page(diagnosis: Diagnosis, every: bool = False) -> str:
@@ -149,6 +152,21 @@ def _cause(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(force.sentence, "  ")
     if d.free_run is not None:
         yield from _wrapped(criteria(d.free_run), "  ")
+    if d.over_horizon is not None:
+        beside = asdict(d.over_horizon)
+        yield from _wrapped(f"{over_horizon.SAID} {d.over_horizon.sentence}".rstrip(), "  ")
+        yield from _columns([over_horizon.head(beside), *over_horizon.rows(beside)])
+
+
+def _columns(rows: list[list[str]]) -> Iterator[str]:
+    """Aligned: the first column to the left, the others to the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    widths[0] = min(widths[0], NAMES)
+    for name, *cells in rows:
+        lines = textwrap.wrap(name, NAMES, break_on_hyphens=False) or [""]
+        yield from (f"      {line}" for line in lines[:-1])
+        values = "  ".join(f"{x:>{w}}" for x, w in zip(cells, widths[1:], strict=True))
+        yield f"      {lines[-1]:<{widths[0]}}  {values}"
 
 
 def criteria(asked: SecondOpinion) -> str:

@@ -10,9 +10,9 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
-from engine.diagnose.free_run.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, Progress, one_round
+from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.search.findings import Cause, LookAlike, Verdict
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
@@ -166,10 +166,8 @@ def best_runs(
 
 def noise_fit(fit: Fitted) -> QuasiFit:
     """The noise that the data call for beside the parameters of the free run."""
-    shown = {fit.model.parameter_names[i] for i in fit.problem.active}
-    noise = [name for name in fit.free if name not in shown]
-    if noise:
-        found = quasi_ml(fit.model, fit.records, fit.theta, noise)
+    if fit.noise:
+        found = quasi_ml(fit.model, fit.records, fit.theta, fit.noise)
         return replace(found, free=fit.free, information=information(fit, found))
     whole = quasi_ml(fit.model, fit.records, fit.theta, fit.free, max_iterations=0)
     return replace(whole, information=information(fit, whole))

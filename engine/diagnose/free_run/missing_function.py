@@ -16,11 +16,11 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.free_function import free_function, hats, knots_of
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.free_run.columns import CANNOT, run_of
-from engine.diagnose.free_run.fitted import Fitted, Pick, state_names, with_effects
-from engine.diagnose.free_run.folds import folds_of, losses, p_better
-from engine.diagnose.free_run.linear import orthonormal
 from engine.diagnose.free_run.search import GAINED, WORTH
+from engine.diagnose.free_run_fits.columns import CANNOT, run_of
+from engine.diagnose.free_run_fits.fitted import Fitted, Pick, state_names, with_effects
+from engine.diagnose.free_run_fits.folds import folds_of, losses, p_better
+from engine.diagnose.free_run_fits.linear import orthonormal
 from engine.simulation.sensitivities import Along
 from engine.statespace.model import Array
 from engine.words import percent

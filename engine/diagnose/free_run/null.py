@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.diagnose.free_run.fitted import Fitted
-from engine.diagnose.free_run.folds import Folds
-from engine.diagnose.free_run.linear import Linear
+from engine.diagnose.free_run_fits.fitted import Fitted
+from engine.diagnose.free_run_fits.folds import Folds
+from engine.diagnose.free_run_fits.linear import Linear
 from engine.simulation.simulate import propagate
 from engine.statespace.model import Array
 

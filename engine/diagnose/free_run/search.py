@@ -14,21 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.free_run.columns import CANNOT, columns
-from engine.diagnose.free_run.fitted import Fitted, Pick, finished, with_effects
-from engine.diagnose.free_run.folds import Folds, folds_of, losses, p_better
-from engine.diagnose.free_run.linear import Linear, Share
 from engine.diagnose.free_run.null import Alarm, alarm
+from engine.diagnose.free_run_fits.candidates import candidates
+from engine.diagnose.free_run_fits.columns import CANNOT, columns
+from engine.diagnose.free_run_fits.fitted import Fitted, Pick, finished, with_effects
+from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_better
+from engine.diagnose.free_run_fits.linear import Linear, Share
 from engine.diagnose.search.contradictions import LEAST_ERRORS
 from engine.diagnose.search.likeness import unnatural
 from engine.diagnose.search.search import part_of
 from engine.statespace.model import Array
 
 STAGE = "free run"
-FAMILIES = ("state", "measurement", "input", "parameter")  # of effects that a free run shows
 SEEN, ENDED = 0.1, 0.9  # of a round: its alarm, and all but the ends of what survives
 SINGLES, PAIRS = 10, 6  # refitted at most: effects alone, and in pairs
 LEADS, BESIDE = 3, 4  # refits beside which others are looked for; how many beside each
@@ -136,19 +135,6 @@ def one_round(
     progress(STAGE, 1.0)
     left = survivors(own, judged, setting)
     return FreeRound(fit, own, seen, tuple(singles), tuple(judged), left, alpha)
-
-
-def candidates(fit: Fitted, setting: Setting, kinds: Sequence[str] | None) -> list[Effect]:
-    """Effects that a noise-free run can show; those on a state that only noise moves have no meaning here."""
-    disturbances = set(setting.states) - set(setting.moved)
-    known = set(fit.model.parameter_names)
-    out = []
-    for effect in all_effects(setting, kinds):
-        source, _, target = effect.channel.partition("->")
-        shown = effect.family in FAMILIES and not effect.traits.unnamed and effect.readings is None
-        if shown and effect.size.name not in known and not {source, target} & disturbances:
-            out.append(effect)
-    return out
 
 
 def refits(

@@ -21,21 +21,21 @@ from engine.diagnose.free_run.answer import (
     search_free_runs,
     setting_of,
 )
-from engine.diagnose.free_run.columns import CANNOT, columns
-from engine.diagnose.free_run.fitted import Pick, fit_runs
-from engine.diagnose.free_run.folds import Folds, folds_of, losses
-from engine.diagnose.free_run.linear import Linear
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.null import Alarm, alarm
-from engine.diagnose.free_run.search import FAMILIES, STAGE, FreeRound, Progress, candidates
+from engine.diagnose.free_run.search import STAGE, FreeRound, Progress
 from engine.diagnose.free_run.windows import windows
+from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
+from engine.diagnose.free_run_fits.columns import CANNOT, columns
+from engine.diagnose.free_run_fits.fitted import Pick
+from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses
+from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.pipeline import Causes
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit
-from engine.simulation.free_run import first_state
 from engine.statespace.model import Theta
 
 ALARM_SHARE = 0.1  # of the free run's part of a diagnosis
@@ -160,8 +160,7 @@ class _Beside:
 def _beside(
     start: QuasiFit, records: Sequence[Series], held: tuple[str, ...], kinds: Sequence[str] | None
 ) -> _Beside:
-    mean, _ = first_state(start.model, start.theta)
-    fit = fit_runs(start.model, records, start.theta, start.free, np.tile(mean, (len(records), 1)))
+    fit = fit_of(start, records)
     setting = setting_of(fit, held)
     linear = Linear(fit, columns(fit, candidates(fit, setting, kinds)))
     return _Beside(linear, setting, folds_of(fit.records))

@@ -60,10 +60,17 @@ def free_parameters(effect: Effect) -> list[str]:
     return [p.name for p in effect.parameters if p.name not in fixed]
 
 
-def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) -> Refit:
+def refit(
+    fit: QuasiFit,
+    series: Series,
+    score: Score,
+    best: float = -np.inf,
+    further: Array | None = None,
+) -> Refit:
     """Maximum likelihood of the extended model, started at the score's one-step estimate.
 
-    And from the fit's other maxima: with the effect in the model another one may be the highest.
+    Or at ``further`` (n,), theta with the effect, where the likelihood is larger there. And from the fit's
+    other maxima: with the effect in the model another one may be the highest.
     Given up early where its score seems to stay far below ``best``, the score of another refit; see
     :func:`taken_up`.
     """
@@ -78,7 +85,7 @@ def refit(fit: QuasiFit, series: Series, score: Score, best: float = -np.inf) ->
     sought = effect.sought
     free = [*fit.free, *free_parameters(effect)]
     starts = np.clip(_places(effect, start, n), extended.lower, extended.upper)
-    start, zero = _best_start(extended, series, starts, null, n)
+    start, zero = _best_start(extended, series, starts, null, n, further)
     if sought:
         start = _best_row(extended, series, start, sought[0], effect)
     target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
@@ -166,12 +173,19 @@ def _places(effect: Effect, start: Array, n: int) -> Array:
 
 
 def _best_start(
-    extended: MixedModel, series: Series, places: Array, null: Array, n: int
+    extended: MixedModel,
+    series: Series,
+    places: Array,
+    null: Array,
+    n: int,
+    further: Array | None = None,
 ) -> tuple[Array, float]:
     """The best of a few sizes around the one-step estimate, which may overshoot; log-likelihood at null."""
     sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01])
     starts = np.repeat(places, len(sizes), axis=0)
     starts[:, n] *= np.tile(sizes, len(places))
+    if further is not None:
+        starts = np.vstack([starts, further])
     starts = np.clip(starts, extended.lower, extended.upper)
     values = log_likelihoods(extended, [series], np.concatenate([null[None], starts]))
     return np.asarray(starts[int(np.argmax(values[1:]))]), float(values[0])

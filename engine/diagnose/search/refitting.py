@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -21,6 +21,7 @@ from engine.diagnose.search.rounds import Round, settle
 from engine.distributions import chi2_isf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
+from engine.statespace.model import Array
 
 REFITS = 12  # effects refitted in a round
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
@@ -85,19 +86,22 @@ def refit_best(
     done: Sequence[Refit],
     progress: Progress,
     kept: Kept = NOTHING,
+    asked: Mapping[str, Array] | None = None,
 ) -> Round:
     """Refit the effects with the largest scores, and the unnamed force where it scores best.
 
-    ``done`` are refits that were made before. A refit that seemed hopeless is left half-way at first;
+    ``done`` are refits that were made before; ``asked`` names effects that are refitted whatever their
+    scores, with theta (n,) to start from. A refit that seemed hopeless is left half-way at first;
     in the end all that are within reach of the best one are followed to their own maximum.
     """
     refits = list(done)
     names = {r.effect.name for r in done}
-    left = [s for s in _worth_refitting(seen, series) if s.effect.name not in names]
+    asked = asked or {}
+    left = [s for s in _worth_refitting(seen, series, asked) if s.effect.name not in names]
     for i, score in enumerate(left):
         progress("refit", REFITTED_ONCE * i / len(left))
         leading = max((r.score for r in refits), default=-np.inf)
-        once = partial(refit, fit, series, score, leading)
+        once = partial(refit, fit, series, score, leading, asked.get(score.effect.name))
         found = _made(partial(kept.refit, fit.model, score.effect, once))
         if found is not None:
             refits.append(found)
@@ -148,8 +152,8 @@ def followed(
         refits[i] = further.refit(fit.model, refits[i].effect, again)
 
 
-def _worth_refitting(seen: Screen, series: Series) -> list[Score]:
-    """The best named effects, outliers where they are likely, and the best unnamed forces."""
+def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list[Score]:
+    """The best named effects, those asked for, outliers where they are likely, the best unnamed forces."""
     named = [s for s in seen.scores if not s.effect.traits.unnamed and s.statistic > 0.0]
     worth = {s.effect.name: s.statistic - cost(s.effect, series) for s in named}
     named.sort(key=lambda s: -worth[s.effect.name])
@@ -159,6 +163,7 @@ def _worth_refitting(seen: Screen, series: Series) -> list[Score]:
         for i, s in enumerate(named[:REFITS])
         if i < AT_LEAST or worth[s.effect.name] >= WORTH * best
     ]
+    chosen += [s for s in seen.scores if s.effect.name in asked and s not in chosen]
     tails = [s for s in seen.scores if s.effect.traits.outliers and s.p_value < TAILS_ALARM]
     chosen += [s for s in tails if s not in chosen]
     return chosen + [s for s in seen.scores if s.effect.traits.unnamed and s.statistic > 0.0][:2]

@@ -22,6 +22,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.free_run_fits.candidates import leading
 from engine.diagnose.screening.screening import screen_effects
 from engine.diagnose.screening.tails import pit_of, standardised_errors
 from engine.diagnose.search.calibration import BOLDEST, Question, calibrated, decides, sequential_p
@@ -106,7 +107,8 @@ def search(
         if not alarm or k == max_effects:
             rounds.append(Round(seen, (), None, ()))
             break
-        found = refit_best(fit, series, seen, setting, swallowed, progress, here)
+        asked = leading(fit, series, setting, kinds)
+        found = refit_best(fit, series, seen, setting, swallowed, progress, here, asked)
         if not swallowed:
             found = confirmed(found)
             alarm = found.screen.p_value <= level or not found.refits

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from engine.diagnose.search.findings import LookAlike
+from engine.presentation import over_horizon
 from engine.presentation.cause_sentences import standing
 from engine.presentation.report.chart import Chart, Ranking, Trace
 from engine.presentation.report.comparison import TIME
@@ -57,6 +58,14 @@ def cause_section(d: Document, draw: Drawer) -> list[object]:
         parts += [tag("h3", "An unnamed force"), tag("p", prose(d["unnamed"]["sentence"]))]
         parts.append(grid(force_figures(d["unnamed"], draw)))
     parts += two_criteria(d.get("free_run"), draw)
+    beside = d.get("over_horizon")
+    if beside:
+        parts += [
+            tag("h3", "Over the horizon"),
+            tag("p", over_horizon.SAID, class_="hint"),
+            table(over_horizon.head(beside), over_horizon.rows(beside), "numbers"),
+            tag("p", beside["sentence"]),
+        ]
     ranked = rankings(d["rounds"], draw)
     if ranked:
         parts += [

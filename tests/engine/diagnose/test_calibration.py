@@ -132,6 +132,7 @@ def test_later_rounds_need_a_tenth_of_alpha(monkeypatch):
     monkeypatch.setattr(search, "decides", lambda *a: False)
     monkeypatch.setattr(search, "confirmed", lambda found: found)
     monkeypatch.setattr(search, "_finished", lambda fit, series, told: fit)
+    monkeypatch.setattr(search, "leading", lambda *a: {})
     monkeypatch.setattr(
         search,
         "refit_best",

@@ -3,7 +3,7 @@
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.free_run.fitted import finished, fit_runs
+from engine.diagnose.free_run_fits.fitted import finished, fit_runs
 from engine.models.registry import get_model
 from engine.simulation.free_run import free_run
 

@@ -102,6 +102,8 @@ def test_diagnosis_in_one_file(diagnosis, tmp_path):
     assert "named" in first
     assert "Step of the reading flow (-258.2 ±" in first  # the verdict is understood from the top
     assert "1899" in first
+    assert diagnosis["over_horizon"]["sentence"] in text
+    assert "Over the horizon" in text
     decision = diagnosis["gain"]["decision"]
     assert decision["outcome"] == "adopted"
     assert decision["in_short"] in first

@@ -318,7 +318,16 @@ def test_a_series_is_diagnosed_in_both_units(short, monkeypatch, effects):
     assert set(found) == {"system", "level", "hidden", *runs.BLANK}
 
 
-def test_a_plant_that_runs_away_is_a_row(short, monkeypatch):
+def test_where_the_plant_runs_away_another_draw_is_made():
+    cell = cells.cell_of("pendulum:cubic@ordinary")
+    over_the_top = [runs.JUDGED, 64, runs.STREAMS["inside"], 86]
+    size = sizes.size_of(cell)
+    with pytest.raises(OverflowError):
+        simulate(cell.plan.plant, 500, over_the_top, cell.level, cell.what, size)
+    assert np.isfinite(series_of(cell, size, over_the_top)[0].y).all()
+
+
+def test_a_plant_that_always_runs_away_is_a_row(short, monkeypatch):
     monkeypatch.setattr(runs, "series_of", lambda *_: 1 / 0)
     found = runs.row_of(short, [1, 2, 3], twin=True)
     assert found["verdict"] == "crash"

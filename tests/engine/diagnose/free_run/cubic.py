@@ -4,7 +4,7 @@ import numpy as np
 
 import engine
 from engine.data.series import Series
-from engine.diagnose.free_run.fitted import Fitted, fit_runs
+from engine.diagnose.free_run_fits.fitted import Fitted, fit_runs
 from engine.simulation.free_run import free_run
 
 MODEL = engine.get_model("oscillator")

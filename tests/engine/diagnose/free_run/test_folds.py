@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import ttest_rel
 
 from engine.data.series import Series
-from engine.diagnose.free_run.folds import BLOCKS, FOLDS, folds_of, p_better
 from engine.diagnose.free_run.windows import windows
+from engine.diagnose.free_run_fits.folds import BLOCKS, FOLDS, folds_of, p_better
 
 
 def _record(T, seed=0, gap=slice(0, 0)):

@@ -7,9 +7,9 @@ import pytest
 
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.free_run.columns import columns
-from engine.diagnose.free_run.folds import folds_of
-from engine.diagnose.free_run.linear import Linear
+from engine.diagnose.free_run_fits.columns import columns
+from engine.diagnose.free_run_fits.folds import folds_of
+from engine.diagnose.free_run_fits.linear import Linear
 from engine.simulation.free_run import free_run
 from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
 

@@ -12,8 +12,8 @@ from engine.data.series import Series
 from engine.diagnose.effects.free_function import free_function, hats, knots_of
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import best_runs, search_free_runs, setting_of
-from engine.diagnose.free_run.folds import folds_of, losses
 from engine.diagnose.free_run.missing_function import missing_function
+from engine.diagnose.free_run_fits.folds import folds_of, losses
 from engine.diagnose.search.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.local_level import MODEL as LEVEL

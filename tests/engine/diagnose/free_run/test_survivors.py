@@ -5,9 +5,9 @@ import pytest
 
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.free_run.fitted import Pick, with_effects
-from engine.diagnose.free_run.folds import folds_of, losses
 from engine.diagnose.free_run.search import Candidate, survivors
+from engine.diagnose.free_run_fits.fitted import Pick, with_effects
+from engine.diagnose.free_run_fits.folds import folds_of, losses
 from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
 
 

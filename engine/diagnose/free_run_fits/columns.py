@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.free_run.fitted import Fitted, first_states, state_names
+from engine.diagnose.free_run_fits.fitted import Fitted, first_states, state_names
 from engine.errors import EngineError
 from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import propagate

@@ -87,6 +87,12 @@ class Fitted:
         return int(self.problem.active.size)
 
     @property
+    def noise(self) -> list[str]:
+        """Free parameters that no free run shows: the noise's."""
+        shown = {self.model.parameter_names[i] for i in self.problem.active}
+        return [name for name in self.free if name not in shown]
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the effects."""
         return tuple(effect.name for effect in self.effects)

@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.diagnose.free_run.columns import Column
-from engine.diagnose.free_run.fitted import Fitted, Pick
-from engine.diagnose.free_run.folds import Folds
+from engine.diagnose.free_run_fits.columns import Column
+from engine.diagnose.free_run_fits.fitted import Fitted, Pick
+from engine.diagnose.free_run_fits.folds import Folds
 from engine.statespace.model import Array
 
 OWN = 1e-6  # of a column: less of it beside Gamma is rounding

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.diagnose.free_run.fitted import Fitted, on_rows
+from engine.diagnose.free_run_fits.fitted import Fitted, on_rows
 from engine.distributions import student_sf
 from engine.statespace.model import Array
 

@@ -1,0 +1,1 @@
+"""Models fitted to their free runs, and what effects would do to them, to first order."""

@@ -1,0 +1,164 @@
+"""What data that nothing was fitted to say of the causes found: their gain, and what contradicts them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
+from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
+from engine.diagnose.free_run_fits.candidates import FAMILIES
+from engine.diagnose.gain.adoption import falls_short
+from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
+from engine.diagnose.gain.narrowing import narrowed, with_fair_noise
+from engine.diagnose.records import Records
+from engine.diagnose.search.contradictions import particle_word
+from engine.diagnose.search.findings import Cause, Verdict
+from engine.diagnose.search.pipeline import NAMES, Causes, has_tails
+from engine.diagnose.search.search import Progress, Search
+from engine.diagnose.search.verdict import named_by, names_of
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The answer after held-out data were asked: verdict, causes, fits ``before`` and ``after`` extending.
+
+    ``search`` is the likelihood's, without members of a set that were contradicted; ``notes`` say what was.
+    """
+
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    before: QuasiFit
+    after: QuasiFit
+    gain: Gain | None
+    search: Search
+    free_run: SecondOpinion
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """The ``records``, k steps a sample, with their tests or their last part held out.
+
+    ``searched`` are the rows that the likelihood has searched.
+    """
+
+    records: Records
+    searched: Series
+    k: int
+    seed: int
+
+    def judge(
+        self,
+        found: Causes,
+        asked: SecondOpinion,
+        progress: Progress = lambda stage, share: None,
+    ) -> Judged:
+        """The causes of the criterion that decides, with what they gain where nothing was fitted."""
+        search, free_run = found.search, asked.search
+        if asked.decides and free_run is not None:
+            causes, before, after = named_by(search), search.base, search.final
+            gain = None
+            if free_run.found:
+                causes, before, after = causes_of(free_run), free_run.before, free_run.after
+                gain = self._gain(search, free_run)
+            decision = None if gain is None else gain.decision
+            heeded, verdict = heeding(asked, free_run.verdict, decision)
+            if heeded.decides:
+                return Judged(verdict, causes, before, after, gain, search, heeded)
+            return self._by_likelihood(found, verdict, heeded, progress)
+        return self._by_likelihood(found, found.verdict, asked, progress)
+
+    def _by_likelihood(
+        self, found: Causes, verdict: Verdict, asked: SecondOpinion, progress: Progress
+    ) -> Judged:
+        search, notes = found.search, list[str]()
+        if verdict in NAMES:
+            left = narrowed(search, self._asked, progress)
+            search, gain = left.search, left.gain
+            notes.extend(filter(None, (left.note, left.objection)))
+            if left.objection or left.note:
+                verdict = Verdict.UNKNOWN if left.objection else names_of(search)
+        else:
+            gain = self._gain(search)
+        if gain is not None and found.base.model.na:
+            text, contradicts = self._particle_word(found.base, search)
+            notes.append(text)
+            verdict = Verdict.UNKNOWN if contradicts else verdict
+        return Judged(
+            verdict,
+            named_by(search),
+            search.base,
+            search.final,
+            gain,
+            search,
+            asked,
+            tuple(notes),
+        )
+
+    def _gain(self, search: Search, beside: FreeRunSearch | None = None) -> Gain | None:
+        """What an extension gains: the likelihood's, or one that the free run found ``beside`` it."""
+        causes, before, after = named_by(search), search.base, search.final
+        chosen = [r.refits[0].effect for r in search.rounds if r.equivalent]
+        if beside is not None:
+            causes, before, after = causes_of(beside), beside.before, beside.after
+            chosen = []
+        if not causes or after is before:
+            return None
+        main, tests = self.records.main, self.records.tests
+        later = bool(tests) and all(o.t[0] > main.t[-1] for o in tests)  # else its clock is its own
+        begins = [e for e in chosen if e.traits.of_record]
+        goes_on = later and (not begins or len(begins) < len(chosen))
+        if not goes_on and all(cause.where == "time" for cause in causes):
+            times = [name for e in chosen for name in e.sought]
+            return measure_gain_interleaved(before, after, main, times, self.seed).every(self.k)
+        train = self.records.train
+        return measure_gain(
+            before,
+            after,
+            self.records.held_out,
+            None if tests else train,
+            self.seed,
+            (train, *self.records.others) if tests else (),
+            without(after, begins),
+        ).every(self.k)
+
+    def _asked(self, search: Search) -> tuple[Gain | None, str]:
+        """The gain of the likelihood's answer, and what contradicts it."""
+        gain = self._gain(search)
+        objection = "" if gain is None else falls_short(gain, self._promised(search, gain))
+        if objection:  # noise that was fitted too small loses much elsewhere, and is no other cause
+            try:
+                fair = self._gain(with_fair_noise(search, self.searched))
+            except (EngineError, np.linalg.LinAlgError):
+                fair = None
+            if fair is not None:
+                objection = falls_short(fair, self._promised(search, fair))
+        return gain, objection
+
+    def _promised(self, search: Search, gain: Gain) -> float:
+        """Nats that held-out rows should gain if those searched did not by chance; 0 where that is no promise.
+
+        Each parameter gains half a nat where it is fitted and loses as much elsewhere (Akaike 1974). Noise and
+        what comes with time need not be the same there.
+        """
+        effects = [r.refits[0].effect for r in search.rounds if r.equivalent]
+        if not all(effect.family in FAMILIES for effect in effects):
+            return 0.0
+        gained = search.final.log_likelihood - search.base.log_likelihood
+        further = len(search.final.free) - len(search.base.free)
+        rows = int(self.searched.observed.any(axis=1).sum())
+        return (gained - further) * gain.samples / max(rows, 1)
+
+    def _particle_word(self, base: QuasiFit, search: Search) -> tuple[str, bool]:
+        """What the particle filter says of the gain, and whether it contradicts the moment filter."""
+        final = search.final
+        moment = final.log_likelihood - base.log_likelihood
+        before, after = (base.model, base.theta), (final.model, final.theta)
+        text, contradicts = particle_word(before, after, moment, self.searched, self.seed)
+        # outliers were judged by a filter of their own
+        return text, contradicts and not has_tails(search)

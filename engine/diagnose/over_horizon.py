@@ -1,0 +1,207 @@
+"""The leading candidates beside each other, over the horizon of their predictions and over budgets of noise.
+
+A cause explains what a model gets wrong one step ahead and in a long run alike. A patch on the noise explains
+it one step ahead only, and nothing once process noise is scarce.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Split, on_base
+from engine.diagnose.screening.noise_parameters import noise_only
+from engine.diagnose.search.search import Search
+from engine.diagnose.symptoms.runs import noise_free, start_state
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit, log_likelihoods
+from engine.filters.sigma_point import MomentPath, moment_path
+from engine.simulation.free_run import output_scale
+from engine.statespace.model import Array, MixedModel
+from engine.words import enumerated, number
+
+HORIZONS = (1, 10, 100)  # samples; and the whole record
+BUDGETS = (1.0, 0.1, 0.01)  # of the process noise of the model as given
+OTHERS = 4  # candidates beside the answer
+WINDOWS = 100  # of each horizon at most
+TIE = 0.02  # of an error: closer ones share a rank
+LEAD = 2.0  # of 2 x log-likelihood: likewise
+CANNOT = (EngineError, np.linalg.LinAlgError)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Effects added to the model; none: the model as given.
+
+    ``errors`` of its predictions at each horizon, as a share of those of the model as given; ``gains``, 2 x
+    log-likelihood over the model as given at each budget. NaN where they cannot be had.
+    """
+
+    effects: tuple[str, ...]
+    errors: tuple[float, ...]
+    gains: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class OverHorizon:
+    """The model as given, the answer, and the best others, on the rows that were searched.
+
+    ``horizons`` in samples, the last one the whole record; ``budgets`` of the process noise of the model as
+    given, which all candidates share, with its measurement noise.
+    """
+
+    horizons: tuple[int, ...]
+    budgets: tuple[float, ...]
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def sentence(self) -> str:
+        """Which candidate leads where."""
+        places = [
+            *(_ahead(h) for h in self.horizons[:-1]),
+            "over the whole record",
+            *(_budget(b) for b in self.budgets),
+        ]
+        leads: dict[tuple[str, ...], list[str]] = {}
+        for place, leader in zip(places, self.leaders(), strict=True):
+            if leader is not None:
+                leads.setdefault(leader, []).append(place)
+        if len(leads) == 1:
+            ((effects, _),) = leads.items()
+            return (
+                f"{_named(effects)} leads at every horizon and with every budget of process noise."
+            )
+        parts = [f"{_named(effects)} leads {enumerated(where)}" for effects, where in leads.items()]
+        return "; ".join(parts) + "." if parts else ""
+
+    def leaders(self) -> Iterator[tuple[str, ...] | None]:
+        """The candidate that leads at each horizon, then at each budget; the answer where it is as good."""
+        added = self.candidates[1:]
+        for k in range(len(self.horizons)):
+            yield _first(added, [c.errors[k] for c in added], lambda best: best * (1.0 + TIE))
+        for k in range(len(self.budgets)):
+            yield _first(added, [-c.gains[k] for c in added], lambda best: best + LEAD)
+
+
+def over_horizon(
+    before: QuasiFit, after: QuasiFit, names: tuple[str, ...], found: Search, series: Series
+) -> OverHorizon | None:
+    """Beside each other: ``before`` and ``after`` adding ``names``, and the others of the first round.
+
+    ``series`` are the rows that were searched. None where nothing was named or the model as given is lost.
+    """
+    if not names:
+        return None
+    fits: dict[tuple[str, ...], QuasiFit] = {(): before, names: after}
+    for refit in found.rounds[0].refits[: OTHERS + 1]:
+        if len(fits) < OTHERS + 2 and not refit.effect.traits.outliers:
+            fits.setdefault((refit.effect.name,), refit.fit)
+    T = len(series.samples)
+    horizons = (*(h for h in HORIZONS if h < T // 2), T)
+    scale = output_scale([series])
+    try:
+        path = moment_path(before.model, np.asarray(before.theta), series)
+        base = _errors(before, path, series, horizons, scale)
+        told = _likelihoods(before, np.asarray(before.theta), series)
+        noise = _noise(before, path, series)
+    except CANNOT:
+        return None
+    candidates = [Candidate((), (1.0,) * len(horizons), (0.0,) * len(BUDGETS))]
+    for effects, fit in list(fits.items())[1:]:
+        errors: Array = np.full(len(horizons), np.nan)
+        gains: Array = np.full(len(BUDGETS), np.nan)
+        try:
+            theta = np.asarray(fit.theta).copy()
+            path = moment_path(fit.model, theta, series)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                errors = _errors(fit, path, series, horizons, scale) / base
+            theta[noise] = np.asarray(before.theta)[noise]
+            gains = 2.0 * (_likelihoods(fit, theta, series) - told)
+        except CANNOT:
+            pass
+        candidates.append(Candidate(effects, tuple(errors.tolist()), tuple(gains.tolist())))
+    return OverHorizon(horizons, BUDGETS, tuple(candidates))
+
+
+def _noise(fit: QuasiFit, path: MomentPath, series: Series) -> Array:
+    """Indices of the free parameters that are of the noise alone."""
+    indices = fit.model.free_indices(fit.free)
+    return np.asarray(indices[noise_only(fit.model, np.asarray(fit.theta), indices, series, path)])
+
+
+def _errors(
+    fit: QuasiFit, path: MomentPath, series: Series, horizons: tuple[int, ...], scale: Array
+) -> Array:
+    """Rms of the errors at each horizon, outputs weighed; runs start at the filter's means."""
+    model, theta = fit.model, np.asarray(fit.theta)
+    out = []
+    for horizon in horizons:
+        if horizon == 1:
+            e = path.innovations[1:] / scale
+        elif horizon == len(series.samples):
+            y, _ = noise_free(model, theta, series, start_state(model, theta, series)[0])
+            e = (series.y - y) / scale
+        else:
+            e = np.concatenate(list(_windows(model, theta, path, series, horizon))) / scale
+        out.append(np.sqrt(np.mean(e[~np.isnan(e)] ** 2)))
+    return np.asarray(out)
+
+
+def _windows(
+    model: MixedModel, theta: Array, path: MomentPath, series: Series, horizon: int
+) -> Iterator[Array]:
+    """Errors (n, ny) of runs over ``horizon`` samples, each from what was known at its first one."""
+    starts = series.samples[:-horizon:horizon]
+    chosen = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), WINDOWS)).round())
+    for first in starts[chosen.astype(int)]:
+        part = series.part(int(first), int(first) + horizon * series.substeps + 1)
+        y, _ = noise_free(model, theta, part, path.filtered[first])
+        e = part.y[1:] - y[1:]
+        yield np.where(np.isnan(part.y[1:]), np.nan, np.nan_to_num(e, nan=np.inf))
+
+
+def _likelihoods(fit: QuasiFit, theta: Array, series: Series) -> Array:
+    """Log-likelihoods with the process noise at each budget."""
+    return np.array(
+        [log_likelihoods(_with_budget(fit.model, b), [series], theta[None])[0] for b in BUDGETS]
+    )
+
+
+def _with_budget(model: MixedModel, budget: float) -> MixedModel:
+    """The model with so much of its process noise."""
+    split = Split(model)
+
+    def dynamics(a: Array, u: object, t: object, dt: object, theta: object) -> tuple[Array, ...]:
+        f, A, Q = model.transition(a, u, t, dt, split(theta)[0])
+        return f, A, budget * Q
+
+    return on_base(model, split, dynamics=dynamics)
+
+
+def _first(
+    candidates: tuple[Candidate, ...], losses: list[float], within: Callable[[float], float]
+) -> tuple[str, ...] | None:
+    finite = [x for x in losses if np.isfinite(x)]
+    if not finite:
+        return None
+    good = within(min(finite))
+    return next(c.effects for c, x in zip(candidates, losses, strict=True) if x <= good)
+
+
+def _named(effects: tuple[str, ...]) -> str:
+    return " with ".join(effects)
+
+
+def _ahead(samples: int) -> str:
+    return "one sample ahead" if samples == 1 else f"over {samples} samples"
+
+
+def _budget(budget: float) -> str:
+    return (
+        "with the process noise of the model as given"
+        if budget == 1.0
+        else f"with {number(budget)} of it"
+    )

@@ -1,0 +1,82 @@
+"""The candidates beside each other: a cause keeps its lead over the horizon, a patch on the noise does not."""
+
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.diagnose.over_horizon import Candidate, OverHorizon, over_horizon
+from engine.filters.sigma_point import moment_path
+from engine.presentation import over_horizon as words
+from tests.engine.diagnose import clipped
+
+module = importlib.import_module("engine.diagnose.over_horizon")
+CAUSE, PATCH = ("saturation-sensor:y",), ("variance:velocity->drive",)
+
+
+@pytest.fixture(scope="module")
+def beside():
+    search = clipped.found().search
+    return over_horizon(search.base, search.final, CAUSE, search, clipped.series())
+
+
+def test_a_cause_leads_everywhere(beside):
+    assert beside.horizons == (1, 10, 100, 300)
+    given, cause, *others = beside.candidates
+    assert (given.effects, cause.effects) == ((), CAUSE)
+    assert set(given.errors) == {1.0}
+    assert set(given.gains) == {0.0}
+    assert set(beside.leaders()) == {CAUSE}
+    assert beside.sentence.startswith("saturation-sensor:y leads at every horizon")
+    patch = next(c for c in others if c.effects == PATCH)
+    assert max(cause.errors) < 0.7 < 0.9 < min(patch.errors)
+    assert min(cause.gains) > max(0.0, patch.gains[0])
+
+
+def test_an_error_one_sample_ahead_is_that_of_the_innovations(beside):
+    search, series = clipped.found().search, clipped.series()
+    before, after = (
+        moment_path(fit.model, np.asarray(fit.theta), series).innovations[1:]
+        for fit in (search.base, search.final)
+    )
+    share = np.sqrt(np.mean(after**2) / np.mean(before**2))
+    assert beside.candidates[1].errors[0] == pytest.approx(share, rel=1e-12)
+
+
+def test_a_patch_leads_one_sample_ahead_only():
+    rows = [
+        Candidate((), (1.0, 1.0), (0.0,)),
+        Candidate(("drag:v",), (0.9, 0.4), (10.0,)),
+        Candidate(("variance:y->u",), (0.6, 1.1), (90.0,)),
+        Candidate(("bias:y",), (np.nan, np.inf), (np.nan,)),
+    ]
+    found = OverHorizon((1, 50), (1.0,), tuple(rows))
+    assert found.sentence == (
+        "variance:y->u leads one sample ahead and with the process noise of the model as given; drag:v leads "
+        "over the whole record."
+    )
+    table = words.rows({"candidates": [vars(c) for c in rows]})
+    assert table[0] == ["as given", "100 %", "100 %", "0"]
+    assert table[3] == ["bias:y", "-", "-", "-"]
+
+
+def test_where_nothing_was_named_nothing_is_compared():
+    search = clipped.found().search
+    assert over_horizon(search.base, search.final, (), search, clipped.series()) is None
+
+
+def test_a_candidate_that_is_lost_has_no_errors(monkeypatch):
+    search = clipped.found().search
+    rest = replace(search, rounds=(replace(search.rounds[0], refits=()),))
+    once = module.moment_path
+
+    def lost(model, theta, series):
+        if model is not search.base.model:
+            raise np.linalg.LinAlgError
+        return once(model, theta, series)
+
+    monkeypatch.setattr(module, "moment_path", lost)
+    found = over_horizon(search.base, search.final, CAUSE, rest, clipped.series())
+    assert np.isnan([*found.candidates[1].errors, *found.candidates[1].gains]).all()
+    assert found.sentence == ""
