@@ -56,13 +56,18 @@ def linear_distances(
 ) -> Array:
     """D (B,) of readings ``truth`` (B, n, ny) against a rival's runs, linear about them.
 
-    ``held`` (p, p) is P_j^{-1}, ``away`` (p,) how far the runs' parameters are from their estimates.
+    ``held`` (p, p) is P_j^{-1}, ``away`` (p,) how far the runs' parameters are from their estimates. NaN where
+    a run went so far that its distances overflow.
     """
     W = whiten(runs, np.concatenate([(truth - runs.y)[..., None], runs.dy], axis=-1), seen)
     W = W.reshape(len(truth), -1, W.shape[-1])
-    M = W.transpose(0, 2, 1) @ W
+    with np.errstate(over="ignore", invalid="ignore"):
+        M = W.transpose(0, 2, 1) @ W
     out = np.empty(len(truth))
     for k, one in enumerate(M):
+        if not np.isfinite(one).all():
+            out[k] = np.nan
+            continue
         b = one[1:, :1] - (held @ away)[:, None]
         step = adaptation(one[1:, 1:], b, held)
         out[k] = one[0, 0] + away @ held @ away - float((b * step).sum())
@@ -103,8 +108,11 @@ def adapted(
         W = whiten(runs, np.concatenate([(truth - runs.y)[..., None], runs.dy], axis=-1), seen)
         W = W.reshape(-1, W.shape[-1])
         away = theta[indices] - first
-        cost = float(W[:, 0] @ W[:, 0] + away @ held @ away)
-        G, b = W[:, 1:].T @ W[:, 1:], W[:, 1:].T @ W[:, 0] - held @ away
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = float(W[:, 0] @ W[:, 0] + away @ held @ away)
+            G, b = W[:, 1:].T @ W[:, 1:], W[:, 1:].T @ W[:, 0] - held @ away
+        if not (np.isfinite(cost) and np.isfinite(G).all() and np.isfinite(b).all()):
+            break
         step = adaptation(G, b[:, None], held)[:, 0]
         least = cost
         if float(b @ step) < SETTLED:  # nothing to gain

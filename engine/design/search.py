@@ -187,8 +187,9 @@ class Search:
             places = [rival.indices.index(k) for k in own]
             held = self.precisions[j][np.ix_(places, places)]
             away = (self.points[i, j] - rival.theta)[own]
-            D[:, i, j] = linear_distances(truths[i], runs, held, away, seen)
-            broken[runs.lost] = np.inf
+            own_D = linear_distances(truths[i], runs, held, away, seen)
+            broken[runs.lost | np.isnan(own_D)] = np.inf
+            D[:, i, j] = np.nan_to_num(own_D)
         number = [float(task.limits.index(name)) for name in which]
         return np.column_stack([D.reshape(len(u), -1), broken, number])
 

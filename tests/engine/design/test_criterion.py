@@ -194,6 +194,23 @@ def test_linear_distances_agree_with_the_adapted_rival_near_its_own_point():
         assert linear_ == pytest.approx(best.D[i, j], rel=0.05, abs=0.05)
 
 
+def test_an_input_that_drives_a_cause_beyond_all_numbers_is_not_weighed():
+    q = before_any(drive(), CAUSES, None, 0.1, None)
+    seen = np.ones((60, 1), dtype=bool)
+    task = Task(q.candidates, Bounds.of(BOUNDS), 60, 0.1, "zoh", 1, np.ones(1, dtype=bool), True)
+    state = Search(task, np.random.default_rng(11))
+    e = task.experiments(np.random.default_rng(12).uniform(-6, 6, (2, 60, 1)))
+    rival = q.candidates[1]
+    runs = linearised(rival.model, rival.theta, e, rival.indices)
+    truth = runs.y + np.array([0.1, 1e200])[:, None, None]
+    away = np.zeros(len(rival.indices))
+    D = linear_distances(truth, runs, state.precisions[1], away, seen)
+    assert D[0] > 0.0
+    assert np.isnan(D[1])
+    theta, _, _ = adapted(truth[1:], rival, state.precisions[1], task.experiments(e.u[1:]), seen)
+    assert np.array_equal(theta, rival.theta)
+
+
 def test_what_a_record_told_of_a_cause_is_kept():
     told = {"free": ["k", "drag_velocity"], "matrix": [[4.0, 1.0], [1.0, 9.0]]}
     causes = {**CAUSES, "drag:velocity": {"drag_velocity": 0.2, "information": told}}
