@@ -116,7 +116,7 @@ def over_horizon(
         try:
             theta = np.asarray(fit.theta).copy()
             path = moment_path(fit.model, theta, series)
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(invalid="ignore"):
                 errors = _errors(fit, path, series, horizons, scale) / base
             theta[noise] = np.asarray(before.theta)[noise]
             gains = 2.0 * (_likelihoods(fit, theta, series) - told)
@@ -132,6 +132,7 @@ def _noise(fit: QuasiFit, path: MomentPath, series: Series) -> Array:
     return np.asarray(indices[noise_only(fit.model, np.asarray(fit.theta), indices, series, path)])
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a run that runs away
 def _errors(
     fit: QuasiFit, path: MomentPath, series: Series, horizons: tuple[int, ...], scale: Array
 ) -> Array:
@@ -140,27 +141,33 @@ def _errors(
     out = []
     for horizon in horizons:
         if horizon == 1:
-            e = path.innovations[1:] / scale
+            seen = ~np.isnan(series.y[1:])
+            e = (path.innovations[1:] / scale)[seen]
         elif horizon == len(series.samples):
             y, _ = noise_free(model, theta, series, start_state(model, theta, series)[0])
-            e = (series.y - y) / scale
+            e = _missed(series.y, y, scale)
         else:
-            e = np.concatenate(list(_windows(model, theta, path, series, horizon))) / scale
-        out.append(np.sqrt(np.mean(e[~np.isnan(e)] ** 2)))
+            e = np.concatenate(list(_windows(model, theta, path, series, horizon, scale)))
+        out.append(np.sqrt(np.mean(e**2)))
     return np.asarray(out)
 
 
 def _windows(
-    model: MixedModel, theta: Array, path: MomentPath, series: Series, horizon: int
+    model: MixedModel, theta: Array, path: MomentPath, series: Series, horizon: int, scale: Array
 ) -> Iterator[Array]:
-    """Errors (n, ny) of runs over ``horizon`` samples, each from what was known at its first one."""
+    """Errors of runs over ``horizon`` samples, each from what was known at its first one."""
     starts = series.samples[:-horizon:horizon]
     chosen = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), WINDOWS)).round())
     for first in starts[chosen.astype(int)]:
         part = series.part(int(first), int(first) + horizon * series.substeps + 1)
         y, _ = noise_free(model, theta, part, path.filtered[first])
-        e = part.y[1:] - y[1:]
-        yield np.where(np.isnan(part.y[1:]), np.nan, np.nan_to_num(e, nan=np.inf))
+        yield _missed(part.y[1:], y[1:], scale)
+
+
+def _missed(y: Array, run: Array, scale: Array) -> Array:
+    """Errors at the readings y (n, ny) there are; infinite where the run is lost."""
+    e = ((y - run) / scale)[~np.isnan(y)]
+    return np.where(np.isnan(e), np.inf, e)
 
 
 def _likelihoods(fit: QuasiFit, theta: Array, series: Series) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -10,8 +11,10 @@ import numpy as np
 
 from engine.errors import EngineError, OptionError
 from service.cli.ending import Code, Ending, Interrupt, wrong
-from service.cli.meter import Meter
+from service.cli.meter import Meter, duration
 from service.cli.state_file import StateFile
+
+TOLD = 0.1  # of a stage: sooner its remaining time would be a guess
 
 
 class Kept(dict[str, Any]):
@@ -26,6 +29,7 @@ class Kept(dict[str, Any]):
         super().__init__(parts or {})
         self.file, self.shown, self.percent = file, shown, percent
         self.interrupt = Interrupt()
+        self.stage, self.since, self.first = "", 0.0, 0.0
 
     def __setitem__(self, name: str, part: Any) -> None:
         super().__setitem__(name, part)
@@ -36,8 +40,19 @@ class Kept(dict[str, Any]):
     def step(self, k: int, message: str = "", share: float | None = None) -> None:
         """Per cent done; fewer than before while what was kept is gone through."""
         self.percent = max(self.percent, k)
-        self.shown.at(self.percent, message)
+        self.shown.at(self.percent, message + self._left(message, share))
         self.interrupt.check()
+
+    def _left(self, message: str, share: float | None) -> str:
+        """The time that is left of a stage whose steps are counted, by its pace so far."""
+        stage, now = message.partition(",")[0], time.monotonic()
+        if share is None or stage != self.stage or share < self.first:
+            self.stage, self.since, self.first = stage, now, share or 0.0
+            return ""
+        done = share - self.first
+        if done < TOLD:
+            return ""
+        return f", about {duration((now - self.since) / done * (1.0 - share))} left of this"
 
     def save(self) -> None:
         """Write the state."""

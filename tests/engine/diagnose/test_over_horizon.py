@@ -80,3 +80,18 @@ def test_a_candidate_that_is_lost_has_no_errors(monkeypatch):
     found = over_horizon(search.base, search.final, CAUSE, rest, clipped.series())
     assert np.isnan([*found.candidates[1].errors, *found.candidates[1].gains]).all()
     assert found.sentence == ""
+
+
+def test_a_run_that_runs_away_and_missing_readings_are_no_warning():
+    """Warnings are errors in these tests."""
+    search, series = clipped.found().search, clipped.series()
+    y = series.y.copy()
+    y[5::7] = np.nan
+    holes = series.replace(y=y)
+    theta = search.final.theta.copy()
+    theta[list(theta.names).index("zeta")] = -20.0
+    away = replace(search.final, theta=theta)
+    rest = replace(search, rounds=(replace(search.rounds[0], refits=()),))
+    given, lost = over_horizon(search.base, away, CAUSE, rest, holes).candidates
+    assert np.isfinite([*given.errors, *given.gains]).all()
+    assert not np.isfinite(lost.errors[-1])

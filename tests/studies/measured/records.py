@@ -25,7 +25,6 @@ DATA = Path(os.environ.get("MEASURED_DATA") or Path(__file__).parents[4] / "shar
 SETTLED = 50  # rows of a test part from which the first state is estimated, not scored
 
 SILVERBOX_DT = 2**14 / 1e7  # s
-SILVERBOX_ROWS = slice(1000, 1800)  # of estimation rows 0 ... 65061; 1.3 s, 90 periods
 SILVERBOX_TEST, SILVERBOX_PLAIN = 65062, 32000
 # One step ahead, records nearly free of noise are explained by one patch after the other. Where a search takes
 # many minutes one is enough: the free run is asked all the same.
@@ -92,7 +91,7 @@ def _emps(folder: Path) -> Data:
         "theta": {"Fc": 0.0, "offset": 0.0},
         "free": ["M", "Fv", "sigma_v", "sigma_load", "sigma_y"],
     }
-    return Data(get_model("servo"), train, {"pulses": test}, options | ONCE)
+    return Data(get_model("servo"), train, {"pulses": test}, options)
 
 
 def _silverbox(folder: Path) -> Data:
@@ -107,13 +106,13 @@ def _silverbox(folder: Path) -> Data:
         "arrow, no extrapolation": arrow.part(0, SILVERBOX_PLAIN),
     }
     start = {"omega": 430.0, "zeta": 0.05, "gain": 1.0, "sigma_v": 10.0, "sigma_y": 1e-3}
-    train = record.part(SILVERBOX_ROWS.start, SILVERBOX_ROWS.stop)
-    return Data(get_model("oscillator"), train, tests, {"theta": start, **ONCE})
+    train = record.part(0, SILVERBOX_TEST)
+    return Data(get_model("oscillator"), train, tests, {"theta": start})
 
 
 def _tanks(folder: Path) -> Data:
     train, test = (read_series(folder / f"{part}.csv", dt=4.0) for part in ("estimation", "test"))
-    return Data(get_model("tanks"), train, {"test": test}, ONCE)
+    return Data(get_model("tanks"), train, {"test": test})
 
 
 def _boucwen(folder: Path) -> Data:
@@ -199,15 +198,8 @@ RECORDS = {
     for record in (
         Record("nile", "", _nile, unit="1e8 m^3"),
         Record("seatbelts", "seatbelts", _seatbelts, unit="log"),
-        Record("emps", "emps", _emps, f"1 sample in {EMPS_THINNED}; {ONE}", "mm", 1e3),
-        Record(
-            "silverbox",
-            "silverbox",
-            _silverbox,
-            f"rows {SILVERBOX_ROWS.start} to {SILVERBOX_ROWS.stop} of 65062; {ONE}",
-            "mV",
-            1e3,
-        ),
+        Record("emps", "emps", _emps, f"1 sample in {EMPS_THINNED}", "mm", 1e3),
+        Record("silverbox", "silverbox", _silverbox, "all", "mV", 1e3),
         Record(
             "boucwen",
             "boucwen",
@@ -225,6 +217,6 @@ RECORDS = {
             "mV",
             1e3,
         ),
-        Record("tanks", "cascaded_tanks", _tanks, f"all; {ONE}", "V"),
+        Record("tanks", "cascaded_tanks", _tanks, "all", "V"),
     )
 }
