@@ -20,12 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
+from engine.design.alarm import Alarm
 from engine.design.candidates import Candidate
+from engine.design.noise import NoiseRoom, noise_room
 from engine.design.runs import Experiments, Runs, linearised, of_many
 from engine.diagnose.search.rounds import MARGIN
-from engine.estimation.expectation import either_side, parameter_scale
+from engine.estimation.expectation import parameter_scale
 from engine.kernels.whitening import whitened
 from engine.statespace.model import Array
 
@@ -34,8 +35,8 @@ STEPS = 8  # Gauss-Newton steps of a rival that adapts
 TRIES = (1.0, 0.5, 0.2, 0.05)  # lengths of them
 SETTLED = 0.01  # a gain in D below this share, or this much, ends them
 DRAWS = 4000  # of log-likelihood ratios
-MOST_ROWS = 200  # readings from which the room of a rival's noise is found
-NOISE_STEP = 0.02  # of a noise parameter's size, for differences
+TINY = 1e-12  # below which a D is none
+SAME = 1e-3  # share of D below which a rival has nothing of the cause
 
 
 def precision(candidate: Candidate, anew: bool) -> Array:
@@ -142,46 +143,53 @@ class Contest:
 
     ``columns`` of each rival: L^{-1} of Delta, of the sensitivities of i, and of those of the rival, at all
     readings in order (n ny, 1 + p_i + p_j); ``known`` (p_j, 1 + p_i + p_j) the same of what holds the rival's
-    parameters, as further readings; ``room`` the readings' worth of its noise, see :func:`noise_room`.
-    ``spread`` (p_i, p_i) is the covariance of i's own parameters.
+    parameters, as further readings; ``noises`` what its noise may explain; ``seen`` (n ny,) which readings
+    there are. ``spread`` (p_i, p_i) is the covariance of i's own parameters.
     """
 
     name: str
     rivals: tuple[str, ...]
     columns: tuple[Array, ...]
     known: tuple[Array, ...]
-    room: tuple[float, ...]
+    noises: tuple[NoiseRoom, ...]
+    seen: NDArray[np.bool_]
     spread: Array
     ny: int
 
-    def at(self, n: int) -> Array:
+    def at(self, n: int) -> tuple[Array, list[Array], list[float]]:
         """L^{-1} of Delta and of i's sensitivities beside the adapted rivals, in the first n readings' rows.
 
-        Returns their products (m, m, 1 + p_i, 1 + p_i) for m rivals.
+        Returns their products (m, m, 1 + p_i, 1 + p_i) for m rivals; of each rival what is left of Delta in the
+        readings there are, and to how many of these its parameters adapt.
         """
-        p, left = len(self.spread), []
+        rows, left, adapted_to = n * self.ny, [], []
         for W, known in zip(self.columns, self.known, strict=True):
-            part = np.concatenate([W[: n * self.ny], known])
-            own, other = part[:, : 1 + p], part[:, 1 + p :]
-            free = np.zeros((other.shape[1],) * 2)
-            left.append(own - other @ adaptation(other.T @ other, other.T @ own, free))
-        rows = n * self.ny  # what holds two rivals has nothing to do with each other
+            part = np.concatenate([W[:rows], known])
+            p = 1 + len(self.spread)
+            own, other = part[:, :p], part[:, p:]
+            G, free = other[:rows].T @ other[:rows], np.zeros((other.shape[1],) * 2)
+            both = np.concatenate([other.T @ own, G], axis=1)
+            step = adaptation(other.T @ other, both, free)
+            left.append(own - other @ step[:, :p])
+            adapted_to.append(float(np.trace(step[:, p:])))
+        # what holds two rivals has nothing to do with each other
         products = np.array([[one[:rows].T @ two[:rows] for two in left] for one in left])
         for k, one in enumerate(left):
             products[k, k] += one[rows:].T @ one[rows:]
-        return products
+        there = self.seen[:rows]
+        return products, [one[:rows, 0][there] for one in left], adapted_to
 
     def distance(self, n: int) -> Array:
         """D (m,) against each rival in the first n rows."""
-        return np.diagonal(self.at(n)[:, :, 0, 0]).copy()
+        return np.diagonal(self.at(n)[0][:, :, 0, 0]).copy()
 
-    def probability(self, n: int, asked: Array, alarm: float, seed: int) -> float:
+    def probability(self, n: int, asked: Array, alarm: Alarm, seed: int) -> float:
         """How often i wins against all rivals in the first n rows.
 
         2 log LR of each must exceed ``asked`` (m - 1,); the last rival is the model without a cause, against
-        which a statistic of ``alarm`` is needed. Averaged over what is not known of i's own parameters.
+        which the screen must raise an ``alarm``. Averaged over what is not known of i's own parameters.
         """
-        products = self.at(n)
+        products, left, adapted_to = self.at(n)
         rng = np.random.default_rng(seed)
         p = len(self.spread)
         draws = np.ones((DRAWS, 1 + p))
@@ -189,71 +197,38 @@ class Contest:
         m = len(products)
         D = products.reshape(m * m, -1) @ (draws[:, :, None] * draws[:, None]).reshape(DRAWS, -1).T
         D = np.ascontiguousarray(D.T).reshape(DRAWS, m, m)
-        e = np.einsum("kij,kj->ki", _root(D), rng.standard_normal((DRAWS, len(products))))
+        e = np.einsum("kij,kj->ki", _root(D), rng.standard_normal((DRAWS, m)))
         own = np.diagonal(D, axis1=1, axis2=2)
-        ratio = own + 2.0 * e
-        room = np.array(self.room) * n * self.ny / len(self.columns[0])
-        base = ratio[:, -1] + e[:, -1] ** 2 / np.maximum(own[:, -1], 1e-12)
-        base = np.maximum(base, 0.0)
-        statistic = base / (1.0 + base / room[-1])
-        positive = np.maximum(ratio[:, :-1], 0.0)
-        gained = np.where(
-            ratio[:, :-1] > 0.0, room[:-1] * np.log1p(positive / room[:-1]), ratio[:, :-1]
+        # what the sizes gain over the base, each along its own direction beside the base's parameters
+        base = (np.sqrt(own[:, -1]) + e[:, -1] / np.sqrt(np.maximum(own[:, -1], TINY))) ** 2
+        shared = np.sqrt(np.maximum(own[:, -1:] - own[:, :-1], 0.0))
+        apart = D[:, -1:, -1] + own[:, :-1] - 2.0 * D[:, -1, :-1]
+        fresh = rng.standard_normal((DRAWS, m - 1))
+        z = (e[:, -1:] - e[:, :-1]) / np.sqrt(np.maximum(apart, TINY))
+        z = np.where(apart > SAME * own[:, -1:], z, fresh)
+        others = (shared + z) ** 2
+        ratio = (
+            own[:, :-1] + 2.0 * e[:, :-1] + e[:, -1:] ** 2 / np.maximum(own[:, -1:], TINY) - z**2
         )
-        right = (gained > asked).all(axis=1) & (statistic > alarm)
-        return float(right.mean())
+        gained = ratio.copy()
+        for k in range(m - 1):
+            X, lost, _ = self.noises[k].left(left[k], adapted_to[k])
+            gained[:, k] = np.where(ratio[:, k] > 0.0, _between(ratio[:, k], X, lost), ratio[:, k])
+        X, _, statistics = self.noises[-1].left(left[-1], adapted_to[-1])
+        statistic = _between(base, X, statistics)
+        rivals = (statistic / np.maximum(base, TINY))[:, None] * others
+        largest = np.maximum(statistic, rivals.max(axis=1, initial=0.0))
+        seen = alarm.raised(largest, float(len(left[-1])), adapted_to[-1], seed)
+        return float(((gained > asked).all(axis=1) & seen).mean())
 
 
-def noise_room(
-    rival: Candidate,
-    theta: Array,
-    runs: Runs,
-    experiment: Experiments,
-    v: Array,
-    seen: NDArray[np.bool_],
-) -> float:
-    """How many readings' worth of noise a rival has to explain a difference v = L^{-1} Delta (n ny,) by.
-
-    Its noise is estimated too, and grows with what it does not explain. Along parameters q of the noise, with
-    E = L^{-1} dS/dq L^{-T}, the score of v is v' E v / 2 and the information tr(E_k E_l) / 2, so that twice the
-    log-likelihood regained is |v|^4 / (2 m) for small v. A scale common to m readings regains as much, and for
-    any v leaves m log(1 + |v|^2 / m) of |v|^2; m is returned.
-    """
-    rows = np.flatnonzero(seen.ravel())[:MOST_ROWS]
-    silent = ~(runs.dy != 0.0).any(axis=(0, 1, 2))
-    noise = [k for k, quiet in zip(rival.indices, silent, strict=True) if quiet]
-    left = max(seen.sum() - len(rival.free), 1.0)
-    if not noise or not float(v @ v) > 0.0:
-        return float(left)
-    n, ny = seen.shape
-    unit = np.zeros((1, n, ny, len(rows)))
-    unit.reshape(n * ny, -1)[rows, np.arange(len(rows))] = 1.0
-    A = _lower(runs, unit, seen, rows)
-    E = []
-    for k in noise:
-        low, high = either_side(rival.model, theta, k, NOISE_STEP)
-        changed = linearised(
-            rival.model, high if high[k] > theta[k] else low, experiment, (), runs.x
-        )
-        B = solve_triangular(_lower(changed, unit, seen, rows).T, A.T, lower=False).T
-        E.append(B @ B.T - np.eye(len(rows)))
-    part = v[rows]
-    score = np.array([0.5 * part @ one @ part for one in E])
-    information = np.array([[0.5 * float((one * two).sum()) for two in E] for one in E])
-    s = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    gain = float(
-        (score * s) @ np.linalg.pinv(information * s[:, None] * s, rcond=1e-6) @ (score * s)
-    )
-    if not gain > 0.0:
-        return float(left)
-    room = float(part @ part) ** 2 / (2.0 * gain) * seen.sum() / len(rows)
-    return float(min(max(room, 1.0), left))
-
-
-def _lower(runs: Runs, unit: Array, seen: NDArray[np.bool_], rows: NDArray[np.intp]) -> Array:
-    """L^{-1} of the first readings, as a matrix."""
-    W = whiten(runs, unit, seen)
-    return np.asarray(W.reshape(-1, W.shape[-1])[rows])
+def _between(values: Array, X: Array, f: Array) -> Array:
+    """f at values of X, beyond the last of which it goes on as the logarithm does."""
+    if not X[-1] > 0.0:
+        return values
+    slope = (f[-1] - f[-2]) / np.log(X[-1] / X[-2])
+    beyond = f[-1] + slope * np.log(np.maximum(values / X[-1], 1.0))
+    return np.asarray(np.where(values > X[-1], beyond, np.interp(values, X, f)))
 
 
 def _root(S: Array) -> Array:
@@ -277,7 +252,7 @@ def contest(
     """
     true = candidates[i]
     own = linearised(true.model, true.theta, experiment, true.indices)
-    columns, knowns, names, rooms = [], [], [], []
+    columns, knowns, names, noises = [], [], [], []
     for rival in [*(c for c in candidates if c is not true), base]:
         held = precision(rival, anew)
         start = starts.get(rival.name)
@@ -285,15 +260,21 @@ def contest(
         Delta = (own.y - runs.y)[..., None]
         W = whiten(runs, np.concatenate([Delta, own.dy, runs.dy], axis=-1), seen)
         columns.append(W[0].reshape(-1, W.shape[-1]))
-        rooms.append(noise_room(rival, theta, runs, experiment, columns[-1][:, 0], seen))
+        noises.append(noise_room(rival, theta, runs, experiment, seen))
         root = _root(held).T
         away = theta[rival.indices] - rival.theta[rival.indices]
         none = np.zeros((len(root), len(true.free)))
         knowns.append(np.concatenate([-(root @ away)[:, None], none, root], axis=1))
         names.append(rival.name)
-    ny = own.y.shape[2]
     return Contest(
-        true.name, tuple(names), tuple(columns), tuple(knowns), tuple(rooms), true.covariance, ny
+        true.name,
+        tuple(names),
+        tuple(columns),
+        tuple(knowns),
+        tuple(noises),
+        seen.ravel(),
+        true.covariance,
+        own.y.shape[2],
     )
 
 

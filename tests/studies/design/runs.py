@@ -25,6 +25,7 @@ from tests.studies.design.cases import DECIDABLE, ROWS, UNDECIDABLE, Case, Pair,
 from tests.studies.study import Arm, Row
 
 INPUTS = 128  # tried for a design
+FEW_INPUTS, RECORDS = 32, 3  # of a design that is only asked whether its probability is right
 ALARM = 5.0  # the statistic at which a diagnosis of two effects alone sees something
 CLOCKS = (1, 8)  # samples that a random binary input holds, at least one of which suits a system
 LONGER = 3  # times the designed length: how far a random binary input is followed
@@ -67,6 +68,7 @@ BLANK: Row = {
     "seconds_diagnosis": np.nan,
     "note": "",
 }
+SHORT: Row = {"rows": np.nan, "probability": np.nan, "right": np.nan, "seconds": np.nan, "note": ""}
 
 
 def work(pairs: Sequence[Pair], first: int, stream: int, seed: int, run: int) -> Row:
@@ -179,6 +181,31 @@ def _said(case: Case, record: Series, run: int) -> Row:
     }
 
 
+def calibrated(seed: int, run: int) -> Row:
+    """A design of few inputs, and how many of several short records of it end in the right name."""
+    pair = DECIDABLE[run % len(DECIDABLE)]
+    rng = np.random.default_rng([JUDGED, seed, 6, run])
+    case = drawn(pair, rng)
+    model, i = case.system.model, case.true
+    true = list(case.causes)[i]
+    row: Row = {"system": pair.system, "pair": " / ".join(pair.causes), "true": true, **SHORT}
+    asked = before_any(model, case.causes, None, case.system.dt, case.free)
+    question = replace(asked, alarm=ALARM)
+    try:
+        made = Asked(model, question, case.task(question, ROWS)).designed(FEW_INPUTS, run)
+        row["seconds"] = made.seconds
+        wanted = rng.uniform()
+        n, p = min(_at_lengths(made, case), key=lambda pair: abs(pair[1] - wanted))
+        own, right = question.candidates[i], 0
+        for _ in range(RECORDS):
+            record = simulate(own.model, own.theta, n, rng, u=made.u[:n], dt=case.system.dt).series
+            said = _said(case, record.replace(y_names=tuple(model.outputs)), run)
+            right += said["set"] == true
+        return row | {"rows": n, "probability": p, "right": right}
+    except (EngineError, np.linalg.LinAlgError) as error:
+        return row | {"note": " ".join(str(error).split())[:200]}
+
+
 def timed(seed: int, run: int) -> Row:
     """Processor seconds of a design of LONG samples with as many inputs as by default."""
     pair = DECIDABLE[run % len(DECIDABLE)]
@@ -188,6 +215,11 @@ def timed(seed: int, run: int) -> Row:
     return {"system": pair.system, "pair": " / ".join(pair.causes), "seconds": made.seconds}
 
 
+CALIBRATION_ARM = Arm(
+    "design.calibration",
+    calibrated,
+    {"pairs": len(DECIDABLE), "rows": ROWS, "inputs": FEW_INPUTS, "records": RECORDS},
+)
 DECIDED_ARM = Arm(
     "design.decidable",
     partial(work, DECIDABLE, JUDGED, 3),
