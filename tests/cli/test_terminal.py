@@ -204,7 +204,7 @@ def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, ter
     assert code == 0
     assert not list(folder.rglob("*.state"))
 
-    stages = ("estimating the model", "screening", "estimating the most likely|comparing", "")
+    stages = ("estimating the model", "screening", "calibrating", "")
     at, command = 0, DIAGNOSE
     for stage in stages:
         run = terminal(*command)
