@@ -13,16 +13,17 @@ blocks left out nothing is gained one step ahead, where the random walk has foll
 months.""",
     "emps": """\
 Coulomb friction as documented, and a set in which the offset is: on a record that repeats one movement, a
-constant force, one on the position and one on the square of the velocity run alike, and only another record can
-part them. The test error is below that of the reference. One step ahead noise of the reading that changes with
-the velocity wins, and the free run overrules it. Readings are thinned: at the full rate the load's random walk,
-fitted to it, explains a free run that is 43 mm off, the null series show as much, and so nothing is named (every
-8th sample: p = 0.84). What the noise claims there is 100 times what the free run shows.""",
+constant force, one on the position and one on the square of the velocity run alike, and only another record
+can part them. The test error is below that of the reference. One step ahead noise of the reading that changes
+with the velocity wins, and the free run overrules it. Readings are thinned: at the full rate the load's random
+walk, fitted to it, explains a free run that is 43 mm off, the null series show as much, and so nothing is named
+(every 8th sample: p = 0.84). What the noise claims there is 100 times what the free run shows.""",
     "silverbox": """\
-As documented: the cubic spring, k3 / k1 = 4.1 V^-2, an offset, and the direct path from the input to the reading.
-A constant force and an offset of the input run alike, and are one answer. All three test errors are below those
-of the reference. A slow relaxation of the velocity (0.4 +- 0.2 s) is not documented. One step ahead, on the 1500
-samples that move most, an offset of the reading and the direct path are named; it runs free far worse.""",
+As documented: the cubic spring, k3 / k1 = 4.1 V^-2, an offset, and the direct path from the input to the
+reading. A constant force and an offset of the input run alike, and are one answer. All three test errors are
+below those of the reference. A slow relaxation of the velocity (0.4 +- 0.2 s) is not documented. One step
+ahead, on the 1500 samples that move most, an offset of the reading and the direct path are named; it runs free
+far worse.""",
     "boucwen": """\
 As documented: hysteresis, a state of its own, and with it the mass (2.00, truth 2 kg), whatever else is in the
 set. Bouc-Wen's term delta is not in the catalogue; what stands for it are a cubic spring and functions of the
