@@ -118,8 +118,11 @@ def between_samples(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     """Bounds that a diagnosis' document sets by default: sample time, steps in it, what inputs do meanwhile."""
     extension = diagnosis["extension"]
     known = {**extension["model"]["setting"], "hold": extension.get("hold")}
+    known["time_unit"] = diagnosis.get("time_unit")
     if extension.get(
         "dt"
     ):  # of the record; that of the setting may be of a part, and rounded otherwise
         known["dt"] = extension["dt"]
-    return {name: known[name] for name in ("dt", "substeps", "hold") if known.get(name)}
+    return {
+        name: known[name] for name in ("dt", "substeps", "hold", "time_unit") if known.get(name)
+    }

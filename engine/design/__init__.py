@@ -29,6 +29,7 @@ from engine.diagnose.diagnosis import Diagnosis
 from engine.diagnose.search.checkpoint import Parts
 from engine.errors import OptionError, check_count
 from engine.statespace.model import MixedModel, ThetaLike
+from engine.units import SECOND
 
 __all__ = [
     "Bounds",
@@ -142,7 +143,13 @@ class Asked:
             model=self.model,
             causes=tuple(c.name for c in question.candidates),
             titles=tuple(c.title for c in question.candidates),
-            bounds=replace(task.bounds, dt=task.dt, hold=task.hold, substeps=task.substeps),
+            bounds=replace(
+                task.bounds,
+                dt=task.dt,
+                hold=task.hold,
+                substeps=task.substeps,
+                time_unit=task.bounds.time_unit or SECOND,
+            ),
             dt=task.dt,
             experiment=best.experiment,
             shortest=shortest,
@@ -196,13 +203,14 @@ def asked_of(
             )
         hold = limits.hold or diagnosis.series.hold
         substeps = limits.substeps or diagnosis.substeps
-        limits = replace(limits, dt=dt, hold=hold, substeps=substeps)
+        unit = limits.time_unit or diagnosis.series.time_unit
+        limits = replace(limits, dt=dt, hold=hold, substeps=substeps, time_unit=unit)
         question = of_diagnosis(diagnosis, causes)
     elif isinstance(diagnosis, MixedModel):
         model = diagnosis
         limits.check(model)
         if limits.dt is None:
-            raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
+            raise OptionError("bounds.dt is missing: the time between samples", "bounds.dt")
         if not isinstance(causes, Mapping):
             raise OptionError(
                 "causes: before any experiment each needs a size, as {'drag:velocity': 0.6}",

@@ -12,6 +12,7 @@ import numpy as np
 from engine.data.series import HOLDS
 from engine.errors import OptionError, check_count
 from engine.statespace.model import MixedModel
+from engine.units import SECOND
 
 Band: TypeAlias = tuple[float, float]
 
@@ -25,11 +26,12 @@ class InputBounds:
     low, high : float
         The range of its values, in its unit.
     rate : float, optional
-        Largest change per second, in the input's unit per second; no limit by default.
+        Largest change in a unit of time (``Bounds.time_unit``), in the input's unit; no limit by default.
     forbidden : sequence of (float, float)
         Open bands of values that it must not take, in its unit; it may jump over one within a sample.
     stopbands : sequence of (float, float)
-        Bands of frequency, Hz, that it must not excite: at most 1 % of its power about its mean lies in them.
+        Bands of frequency, in cycles per unit of time, that it must not excite: at most 1 % of its power about
+        its mean lies in them.
     start : float, optional
         Value before the record, from which ``rate`` counts; any allowed value by default.
     """
@@ -54,7 +56,7 @@ class Bounds:
         {name: (low, high)}, in its unit: limits that hold whichever of the causes is the true one. None in
         place of a number is no limit on that side.
     dt : float, optional
-        Time between samples, s, positive; that of the diagnosed record by default.
+        Time between samples, in ``time_unit``, positive; that of the diagnosed record by default.
     sigmas : float
         Distance to the limits in standard deviations of the simulation, from process noise and first state.
     hold : str, optional
@@ -62,6 +64,8 @@ class Bounds:
         "zoh".
     substeps : int, optional
         Steps of the model in a sample; as in the diagnosis by default, or 1.
+    time_unit : str, optional
+        Unit that times, rates and frequencies are in; that of the diagnosed record by default, or "s".
 
     Raises
     ------
@@ -76,6 +80,7 @@ class Bounds:
     sigmas: float = 2.0
     hold: str | None = None
     substeps: int | None = None
+    time_unit: str | None = None
 
     def __post_init__(self) -> None:
         given = _mapping(self.inputs, "bounds.inputs")
@@ -86,7 +91,7 @@ class Bounds:
             own = {name: _limit(value, f"bounds.{where}.{name}") for name, value in limits.items()}
             object.__setattr__(self, where, own)
         if self.dt is not None:
-            _positive(self.dt, "bounds.dt", "s")
+            _positive(self.dt, "bounds.dt", self.time_unit or SECOND)
         if not (_is_number(self.sigmas) and 0.0 <= self.sigmas < np.inf):
             raise OptionError(
                 f"bounds.sigmas = {self.sigmas}; a number from 0 on is needed", "bounds.sigmas"
@@ -97,6 +102,12 @@ class Bounds:
             )
         if self.substeps is not None:
             check_count("bounds.substeps", self.substeps)
+        unit = self.time_unit
+        if unit is not None and not (isinstance(unit, str) and unit.strip()):
+            raise OptionError(
+                f"bounds.time_unit = {unit!r}; a unit such as 's' or 'h' is needed",
+                "bounds.time_unit",
+            )
 
     @classmethod
     def of(cls, given: Bounds | Mapping[str, Any]) -> Bounds:
@@ -162,6 +173,7 @@ class Bounds:
             "sigmas": self.sigmas,
             "hold": self.hold,
             "substeps": self.substeps,
+            "time_unit": self.time_unit,
         }
 
 
@@ -182,7 +194,7 @@ def _input(given: Any, where: str) -> InputBounds:
         raise OptionError(f"{where}.low = {low:g} is not below high = {high:g}", f"{where}.low")
     rate, start = fields.get("rate"), fields.get("start")
     if rate is not None:
-        _positive(rate, f"{where}.rate", "units per second")
+        _positive(rate, f"{where}.rate", "units per unit of time")
     bands = tuple(
         _forbidden(band, f"{where}.forbidden[{i}]")
         for i, band in enumerate(fields.get("forbidden") or ())
@@ -230,7 +242,7 @@ def _forbidden(given: Any, where: str) -> Band:
 def _stopband(given: Any, where: str) -> Band:
     low, high = _forbidden(given, where)
     if low < 0.0:
-        raise OptionError(f"{where} = [{low:g}, {high:g}] Hz: a frequency is negative", where)
+        raise OptionError(f"{where} = [{low:g}, {high:g}]: a frequency is negative", where)
     return low, high
 
 

@@ -10,6 +10,7 @@ from engine.arrays import Array
 from engine.design.bounds import Bounds
 from engine.design.sensors import Sensor
 from engine.statespace.model import MixedModel
+from engine.units import SECOND
 from engine.views import Figures, Shown, View, plots, view
 
 
@@ -70,7 +71,7 @@ class Design(Shown):
     bounds : Bounds
         Limits that the inputs, states and outputs keep.
     dt : float
-        Time between samples, s.
+        Time between samples, in ``bounds.time_unit``.
     experiment : Experiment
         The experiment of the length asked for: its input ``u`` (T, nu), ``D`` (m, m) and the ``probability``
         (m,) of each cause's name.
@@ -109,6 +110,11 @@ class Design(Shown):
     tried: int
     notes: tuple[str, ...]
     seconds: float
+
+    @property
+    def time_unit(self) -> str:
+        """The unit that times, rates and frequencies are in."""
+        return self.bounds.time_unit or SECOND
 
     @property
     def u(self) -> Array:

@@ -27,7 +27,8 @@ def page(d: Design) -> View:
         for name, title, p in zip(d.causes, d.titles, d.experiment.probability, strict=True)
     ]
     return show(
-        f"{d.model.name}: an experiment of {len(d.u)} samples every {number(d.dt)} s ({d.experiment.family})",
+        f"{d.model.name}: an experiment of {len(d.u)} samples every "
+        f"{with_unit(d.dt, d.time_unit)} ({d.experiment.family})",
         *map(line, sentences(d)),
         table(("cause", "", "right name, if it is the true one"), rows),
         line(".to_csv(path) writes the input, .plot() draws it."),
@@ -44,10 +45,10 @@ def sentences(d: Design) -> list[str]:
             f"names the true cause with a probability of {percent(d.probability)} at least."
         )
         if d.shortest is not None:
-            seconds = len(d.shortest) * d.dt
+            long = len(d.shortest) * d.dt
             out.append(
                 f"The shortest record found that reaches {percent(d.level)}: {len(d.shortest)} samples, "
-                f"{with_unit(seconds, 's')} ({d.shortest.family})."
+                f"{with_unit(long, d.time_unit)} ({d.shortest.family})."
             )
         else:
             out.append(f"No input of this length was found that reaches {percent(d.level)}.")
@@ -89,6 +90,7 @@ def as_dict(d: Design) -> dict[str, Any]:
         ],
         "bounds": d.bounds.to_dict(),
         "dt": d.dt,
+        "time_unit": d.time_unit,
         "anew": d.anew,
         "level": d.level,
         "smallest": {"true": true, "rival": rival, "D": D},

@@ -115,7 +115,8 @@ def _file(report: Report, about: Mapping[str, object]) -> str:
 def make_report(document: Document, draw: Drawer = svg_element) -> Report:
     """The report's parts; ``draw`` makes its charts."""
     if document.get("design"):
-        return design_report(document["design"], draw)
+        document = document["design"]
+        return design_report(document, clocked(draw, document.get("time_unit")))
     if document.get("diagnosis"):
         document = document["diagnosis"]
     if document.get("early"):

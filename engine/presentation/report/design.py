@@ -12,10 +12,12 @@ from engine.presentation.report.parts import (
     facts,
     grid,
     label,
+    measured,
     prose,
     section,
 )
-from engine.words import number, percent
+from engine.units import SECOND
+from engine.words import percent
 
 COLOURS = 6  # roles c1 ... c6
 
@@ -29,7 +31,7 @@ def design_report(d: Document, draw: Drawer) -> Report:
     about = facts(
         [
             ("samples", d["experiment"]["samples"]),
-            ("every", f"{number(d['dt'])} s"),
+            ("every", measured(d["dt"], d.get("time_unit", SECOND))),
             ("kind of input", d["experiment"]["family"]),
             ("shortest that reaches " + percent(d["level"]), short["samples"] if short else "none"),
             ("inputs tried", d["tried"]),

@@ -1,6 +1,8 @@
 """The whole of it: limits are kept, twins are said to be such, the same seed gives the same design."""
 
 import csv
+import importlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,10 @@ from engine.design.inputs import LEAK, leakage
 from engine.design.runs import Experiments, simulated
 from engine.diagnose.search.pipeline import find_causes
 from engine.errors import OptionError
+from service.designs import between_samples
 from tests.engine.design.models_for_design import BOUNDS, CAUSES, drive
+
+engine_design = importlib.import_module("engine.design")
 
 
 def _designed(**options):
@@ -177,6 +182,28 @@ def test_another_sensor_is_named_where_one_helps():
     assert {s.channel for s in one.sensors} <= {"position", "velocity"}
     if one.hopeless:
         assert [s.D for s in one.sensors] == sorted((s.D for s in one.sensors), reverse=True)
+
+
+def test_times_are_in_the_unit_of_the_bounds(made, tmp_path):
+    assert made.time_unit == "s"
+    hours = _designed(bounds={**BOUNDS, "time_unit": "h"}, length=60, inputs=16)
+    assert hours.time_unit == hours.to_dict()["time_unit"] == "h"
+    assert "60 samples every 0.1 h" in str(hours)
+    assert "time [h]" in Path(hours.report(tmp_path / "h.html")).read_text("utf-8")
+    with pytest.raises(OptionError, match="time_unit"):
+        _designed(bounds={**BOUNDS, "time_unit": ""})
+
+
+def test_a_design_takes_the_unit_of_the_diagnosed_record(made):
+    rng = np.random.default_rng(5)
+    true = before_any(drive(), CAUSES, None, 0.1, None).candidates[0]
+    series = engine.simulate(
+        true.model, true.theta, 200, rng, u=made.u, dt=0.1, time_unit="min"
+    ).series
+    found = engine.diagnose(drive(), series, effects=list(CAUSES), max_effects=1)
+    asked = engine_design.asked_of(found, BOUNDS, 60, list(CAUSES))
+    assert asked.task.bounds.time_unit == "min"
+    assert between_samples(found.to_dict())["time_unit"] == "min"
 
 
 def test_what_is_written(made, tmp_path):
