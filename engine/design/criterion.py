@@ -126,7 +126,8 @@ def adapted(
         fine = np.isfinite(y).all(axis=(1, 2))
         away = moved[fine][:, indices] - first
         W = whiten(runs, (truth - y[fine]).transpose(1, 2, 0)[None], seen)
-        there[fine] = (W**2).sum(axis=(0, 1, 2)) + np.einsum("ki,ij,kj->k", away, held, away)
+        with np.errstate(over="ignore"):
+            there[fine] = (W**2).sum(axis=(0, 1, 2)) + np.einsum("ki,ij,kj->k", away, held, away)
         k = int(np.argmin(there))
         if not there[k] < cost:
             break
