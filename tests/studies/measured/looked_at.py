@@ -26,11 +26,11 @@ ahead, on the 1500 samples that move most, an offset of the reading and the dire
 far worse.""",
     "boucwen": """\
 This row was made by an earlier version, on a part of the record. As documented: hysteresis, a state of its
-own, and with it the mass (2.00, truth 2 kg), whatever else is in the set. Bouc-Wen's term delta is not in the catalogue; what stands for it are a cubic spring and functions of the
-new state, and they are worth a factor 7 on both held-out records, without reaching the reference, which has
-delta. A coupling of the new state is nearly the hysteresis once more, and the screen of the second round lists
-the time step: one step a sample was chosen for the linear model, which is exact at any, and kept for the
-extended one, which is not.""",
+own, and with it the mass (2.00, truth 2 kg), whatever else is in the set. Bouc-Wen's term delta is not in the
+catalogue; what stands for it are a cubic spring and functions of the new state, and they are worth a factor 7
+on both held-out records, without reaching the reference, which has delta. A coupling of the new state is
+nearly the hysteresis once more, and the screen of the second round lists the time step: one step a sample was
+chosen for the linear model, which is exact at any, and kept for the extended one, which is not.""",
     "tanks": """\
 As documented: the upper tank overflows into the lower one, the outflow is not a square root, and readings stop;
 the first two as a set, since a record of one experiment does not tell how the surplus is shared and what else
