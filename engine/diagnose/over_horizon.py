@@ -109,15 +109,17 @@ def over_horizon(
         noise = _noise(before, path, series)
     except CANNOT:
         return None
-    candidates = [Candidate((), (1.0,) * len(horizons), (0.0,) * len(BUDGETS))]
+    told_of = np.isfinite(base) & (base > 0.0)  # of a run that is lost there is no share
+    as_given = tuple(np.where(told_of, 1.0, np.nan).tolist())
+    candidates = [Candidate((), as_given, (0.0,) * len(BUDGETS))]
     for effects, fit in list(fits.items())[1:]:
         errors: Array = np.full(len(horizons), np.nan)
         gains: Array = np.full(len(BUDGETS), np.nan)
         try:
             theta = np.asarray(fit.theta).copy()
             path = moment_path(fit.model, theta, series)
-            with np.errstate(invalid="ignore"):
-                errors = _errors(fit, path, series, horizons, scale) / base
+            own = _errors(fit, path, series, horizons, scale)
+            errors[told_of] = own[told_of] / base[told_of]
             theta[noise] = np.asarray(before.theta)[noise]
             gains = 2.0 * (_likelihoods(fit, theta, series) - told)
         except CANNOT:

@@ -95,3 +95,14 @@ def test_a_run_that_runs_away_and_missing_readings_are_no_warning():
     given, lost = over_horizon(search.base, away, CAUSE, rest, holes).candidates
     assert np.isfinite([*given.errors, *given.gains]).all()
     assert not np.isfinite(lost.errors[-1])
+
+
+def test_of_a_model_that_is_lost_there_are_no_shares():
+    search = clipped.found().search
+    theta = search.base.theta.copy()
+    theta[list(theta.names).index("zeta")] = -20.0
+    lost = replace(search.base, theta=theta)
+    rest = replace(search, rounds=(replace(search.rounds[0], refits=()),))
+    given, cause = over_horizon(lost, search.final, CAUSE, rest, clipped.series()).candidates
+    assert given.errors[0] == 1.0
+    assert np.isnan([given.errors[-1], cause.errors[-1]]).all()
