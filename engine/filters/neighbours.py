@@ -7,18 +7,16 @@ vector only, and once for each of the others at all points which that filter vis
 of the others, a ten-thousandth away, it is followed by its slopes. What is neglected is of second order in
 this distance and the same on both sides, so that it drops out of central differences.
 
-A model without nonlinear states that does not take many times either is called at a few rows for each of the
-others, where at the first vector it is affine in the inputs and the same at all times: see :class:`Few`.
+A model without nonlinear states needs no slopes: it is evaluated for each vector on the whole record, which
+takes a few calls where it is affine in the inputs (:mod:`engine.statespace.affine`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from engine.data.series import Series
 from engine.filters.sigma_point import (
@@ -40,8 +38,6 @@ NEAR = 0.1  # of that spread: further from the visited points the slopes are not
 LEAST_SPREAD = 1e-2  # of the way a component goes
 FEW = 3  # parameter vectors that are not worth it
 ROWS = 4  # on which it is asked what the model takes
-CHECKED = 5  # rows on which it is looked at whether a few others tell them
-RANK, ROUNDING = 1e-6, 1e-11  # of the largest
 
 
 @repeated_if_refuted
@@ -56,7 +52,7 @@ def filter_neighbours(model: MixedModel, thetas: Array, series: Series) -> Momen
 
 
 def _worth_it(run: FilterSteps) -> bool:
-    """Whether the model takes many times a call, or may need few, but does not take many parameter vectors."""
+    """Whether the model takes many times a call, or needs no slopes, but takes one parameter vector only."""
     model, series, K = run.model, run.series, run.thetas.K
     rows = np.arange(min(len(series) - 1, ROWS))
     if K <= FEW or len(rows) < ROWS:
@@ -90,8 +86,6 @@ def followed(run: FilterSteps) -> MomentFiltered | None:
     records = [model.record(theta) for theta in thetas]
     known = _Known(Points(model, series, seen), records, spread, False)
     ahead = _Known(Points(model, series, moved), records, spread, True)
-    if na == 0 and not (known.few and ahead.few):
-        return None
     size = K * n_points * model.nx * max(model.nx, ny, 1)
     length = max(NUMBERS // size, 1)
     for first in range(0, T, length):
@@ -121,13 +115,11 @@ class _Known:
     def __init__(self, points: Points, records: list[Any], spread: Array, transition: bool) -> None:
         self.points, self.records, self.spread = points, records, spread
         self.transition = transition
-        alone = points.a.shape[2] == 0
-        self.few = Few.of(points, records[0], transition) if alone else None
 
     def at(self, rows: NDArray[np.intp]) -> tuple[Array, ...]:
         """Points, values and slopes at some rows, as :func:`filter_near` wants them."""
         points, S, na = self.points, self.points.N, self.points.a.shape[2]
-        each = [self._values(rows, record) for record in self.records]
+        each = [points.at(rows, record, self.transition) for record in self.records]
         values = [_stacked([one[i] for one in each], len(rows), S) for i in range(3)]
         slopes = [self._slopes(rows, j) for j in range(na)]
         by_a = [
@@ -137,10 +129,6 @@ class _Known:
             for i in range(3)
         ]
         return (np.ascontiguousarray(points.a[rows]), *values, *by_a)
-
-    def _values(self, rows: NDArray[np.intp], record: Any) -> tuple[Array, Array, Array]:
-        found = None if self.few is None else self.few.values(rows, record)
-        return self.points.at(rows, record, self.transition) if found is None else found
 
     def _slopes(self, rows: NDArray[np.intp], j: int) -> list[Array]:
         points, step = self.points, np.zeros(len(self.spread))
@@ -155,65 +143,6 @@ class _Known:
             _stacked([(y - x) / (2.0 * step[j])], len(rows), points.N)
             for x, y in zip(low, high, strict=True)
         ]
-
-
-@dataclass(frozen=True, eq=False)
-class Few:
-    """A model without nonlinear states of which a few ``rows`` tell all: f = c + B u, and A and Q common.
-
-    That this is so is seen at all rows for one record; for another one, next to it, it is looked at again on
-    rows that were not used. ``design`` (T, 1 + nu) are 1 and the inputs; ``used`` of the rows determine c, B.
-    """
-
-    points: Points
-    transition: bool
-    design: Array
-    rows: NDArray[np.intp]
-    used: int
-
-    @classmethod
-    def of(cls, points: Points, record: Any, transition: bool) -> Few | None:
-        """None where all rows are needed."""
-        series = points.series
-        T = points.T - 1 if transition else points.T
-        if series.dt is None:
-            return None
-        u = (series.u_step if transition else series.u)[:T]
-        design = np.concatenate([np.ones((T, 1)), u], axis=1)
-        size = np.abs(design).max(axis=0)
-        design = design[:, size > 0.0] / size[size > 0.0]
-        _, R, order = qr(design.T, mode="economic", pivoting=True)
-        rank = int((np.abs(np.diag(R)) > RANK * abs(R[0, 0])).sum())
-        rest = order[rank:]
-        further = np.random.default_rng(0).permutation(rest)[:CHECKED]
-        few = cls(points, transition, design, np.concatenate([order[:rank], further]), rank)
-        if len(rest) <= CHECKED:
-            return None
-        found = few.values(None, record)
-        if found is None:
-            return None
-        return few if _alike(points.at(np.arange(T), record, transition), found) else None
-
-    def values(
-        self, rows: NDArray[np.intp] | None, record: Any
-    ) -> tuple[Array, Array, Array] | None:
-        """What the model returns at some rows, None for all; None where the rows looked at contradict it."""
-        f, A, Q = self.points.at(self.rows, record, self.transition)
-        design = self.design[self.rows]
-        solved = np.linalg.lstsq(design[: self.used], f[: self.used, 0], rcond=None)[0]
-        again = (design @ solved)[:, None]
-        if not _alike((f, A, Q), (again, A[:1], Q[:1])):
-            return None
-        chosen = self.design if rows is None else self.design[rows]
-        return (chosen @ solved)[:, None], A[:1], Q[:1]
-
-
-def _alike(some: tuple[Array, ...], others: tuple[Array, ...]) -> bool:
-    """Whether arrays are the same but for rounding."""
-    return all(
-        bool((np.abs(x - y) <= ROUNDING * np.abs(x).max(initial=0.0)).all())
-        for x, y in zip(some, others, strict=True)
-    )
 
 
 def _stacked(each: list[Array], n: int, S: int) -> Array:

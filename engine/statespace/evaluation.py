@@ -30,8 +30,10 @@ from typing import Any, NoReturn
 import numpy as np
 
 from engine.errors import EngineError, ModelError
+from engine.statespace.affine import Affine
 from engine.statespace.compare import Result, copies, joined
 from engine.statespace.plan import Plan, plan_of
+from engine.statespace.reads import reads
 from engine.statespace.refutation import (
     calls_split,
     count_refutation,
@@ -41,6 +43,7 @@ from engine.statespace.refutation import (
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, is_numeric
 
+TIME = 2  # the position of t among the arguments of dynamics and of measurement
 ENGINE = str(Path(__file__).parents[1])  # this package's own files
 
 
@@ -97,6 +100,8 @@ class ModelFunction:
         self._M = 0
         self._verdict = self._verdicts[None]
         self._plan = Plan()
+        # where it has no nonlinear state and does not read the times, None where it has or does
+        self._affine = None if reads(function, TIME) else Affine(self._one)
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """The function's results for all rows. Raises ModelError naming function, time and shapes."""
@@ -148,11 +153,15 @@ class ModelFunction:
     def _theta_by_theta(
         self, a: Array, u: Array, t: float, dt: float, theta: Any, kind: Kind
     ) -> Result:
-        """A call for each theta, as a filter needs it at every time step."""
-        count_split()
+        """A call for each theta, as a filter needs it at every time step, or what a few calls told."""
         plan = self._plan
         if plan.theta is not theta or len(a) != plan.M:
             plan = self._plan = plan_of(Rows(a, u, t, dt, theta), kind)
+        if self._affine is not None and not a.shape[1]:
+            known = self._affine.step(plan, u, dt)
+            if known is not None:
+                return known
+        count_split()
         try:
             alike = self._verdicts[None]
             each = [self._as_before(a[at], u, t, dt, own, None, alike) for at, own in plan.parts]
@@ -227,7 +236,13 @@ class ModelFunction:
 
     def once(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """One call with what is given, without a test; whatever the function raises."""
+        if self._affine is not None and not a.shape[1]:
+            return self(a, u, t, dt, theta)
         return self._regular(a.copy(), regular_input(u, len(a)), t, dt, theta)
+
+    def _one(self, u: Array, dt: float, theta: Any) -> Result:
+        """A row of a function that has no nonlinear state and does not read the times."""
+        return self(np.empty((1, 0)), u, 0.0, dt, theta)
 
     def takes(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> bool:
         """Whether such rows are evaluated in one call; tries it if none were yet."""
@@ -274,12 +289,18 @@ class ModelFunction:
 
         A theta at which the function cannot be calculated has NaN, unless all are such.
         """
+        if self._affine is not None and not rows.a.shape[1]:
+            known = self._affine.rows(rows, kind)
+            if known is not None:
+                return known
         count_split()
         split = kind
         if kind.fields and kind.times:  # one of them may be taken together
             times = Kind(kind.u, kind.t, kind.dt, ())
-            known = self._verdicts.get(times)
-            split = times if known and not known.takes else Kind(False, False, False, kind.fields)
+            verdict = self._verdicts.get(times)
+            split = (
+                times if verdict and not verdict.takes else Kind(False, False, False, kind.fields)
+            )
         parts: list[tuple[Indices, Result]] = []
         lost: ModelError | None = None
         for at in rows.groups(split):

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import engine
 from engine import Series, get_model, simulate
 from engine.estimation.quasi_ml import derivatives, neighbours
 from engine.filters import neighbours as module
@@ -111,64 +110,3 @@ def test_a_step_of_an_input_seen_by_no_other_row_is_not_taken_for_another():
     near = followed(FilterSteps(model, Thetas(model, thetas), series))
     exact = moment_filter(model, thetas, series)
     assert np.allclose(near.innovations, exact.innovations, rtol=1e-6, atol=1e-9)
-
-
-def linear_model(B, late=lambda t: 0.0):
-    """Two linear states written for one time and one parameter vector a call, as textbooks do."""
-
-    def dynamics(a, u, t, dt, theta):
-        A = np.array([[1.0 - dt * theta.k, dt], [-dt * theta.w, 1.0 - 0.3 * dt]])
-        return B(theta, u) + late(float(t)), A, np.diag([1e-4, theta.q**2])
-
-    return engine.MixedModel(
-        name="textbook",
-        dynamics=dynamics,
-        measurement=lambda a, u, t, theta: (
-            np.zeros(1),
-            np.array([[1.0, 0.0]]),
-            np.array([[theta.r**2]]),
-        ),
-        initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), [0.0, 0.0], np.eye(2)),
-        nonlinear={},
-        linear={"x": "m", "v": "m/s"},
-        inputs={"force": "N", "wind": "N"},
-        outputs={"y": "m"},
-        parameters=[
-            engine.Parameter("k", 0.5, "1/s", (0.0, 5.0)),
-            engine.Parameter("w", 1.0, "1/s^2", (0.0, 9.0)),
-            engine.Parameter("b", 1.0, "", (0.0, 9.0)),
-            engine.Parameter("q", 0.1, "m/s", (1e-3, 9.0)),
-            engine.Parameter("r", 0.1, "m", (1e-3, 9.0)),
-        ],
-    )
-
-
-KINDS = {
-    "affine": (linear_model(lambda th, u: np.array([0.0, th.b * u[0] - 0.1 * u[1] + 0.2])), True),
-    "square of an input": (
-        linear_model(lambda th, u: np.array([0.0, th.b * u[0] * abs(u[0])])),
-        False,
-    ),
-    "time": (
-        linear_model(lambda th, u: np.array([0.0, th.b * u[0]]), lambda t: 0.01 * (t > 7)),
-        False,
-    ),
-    "once": (
-        linear_model(lambda th, u: np.array([0.0, th.b * (u[0] if u[0] < 1.9 else 0.0)])),
-        False,
-    ),
-}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_few_rows_tell_all_only_where_they_do(kind):
-    """What is not affine in the inputs, or not the same at all times, is filtered row by row."""
-    model, few = KINDS[kind]
-    rng = np.random.default_rng(6)
-    u = rng.uniform(-2.0, 2.0, (150, 2))
-    series = Series(rng.standard_normal((150, 1)), u=u, dt=0.1)
-    thetas, _ = neighbours(model, np.asarray(model.theta()), np.arange(5))
-    run = FilterSteps(model, Thetas(model, thetas), series)
-    assert (followed(run) is not None) is few
-    found, exact = filter_neighbours(model, thetas, series), moment_filter(model, thetas, series)
-    np.testing.assert_allclose(found.log_terms, exact.log_terms, rtol=1e-9, atol=1e-9)

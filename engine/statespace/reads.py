@@ -1,0 +1,37 @@
+"""Whether a function reads one of its arguments at all, told from its byte code.
+
+What a function never loads it cannot depend on: this is a proof, where calls can only give examples. Where
+the code does not tell, the argument counts as read.
+"""
+
+from __future__ import annotations
+
+import dis
+from types import FunctionType, MethodType
+from typing import Any
+
+# Names by which a function may see its own arguments without loading them
+SEES_ALL = frozenset(
+    {"locals", "vars", "eval", "exec", "dir", "_getframe", "currentframe", "stack"}
+)
+
+
+def reads(function: Any, position: int) -> bool:
+    """Whether ``function`` may depend on its positional argument number ``position``, from 0."""
+    if isinstance(function, MethodType):
+        return reads(function.__func__, position + 1)
+    if not isinstance(function, FunctionType) or hasattr(function, "__wrapped__"):
+        return True
+    code = function.__code__
+    if position >= code.co_argcount or SEES_ALL & {*code.co_names, *code.co_freevars}:
+        return True
+    name = code.co_varnames[position]
+    if name in code.co_cellvars:  # an inner function has it
+        return True
+    # some instructions load two names; a store or a deletion is no reading, but is no habit either
+    named = (
+        step.argval if isinstance(step.argval, tuple) else (step.argval,)
+        for step in dis.get_instructions(code)
+        if "FAST" in step.opname
+    )
+    return any(name in names for names in named)
