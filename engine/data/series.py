@@ -162,14 +162,25 @@ class Series(Shown):
 
     @cached_property
     def steps(self) -> Array:
-        """The time steps dt_t = t_{t+1} - t_t in ``time_unit``, (T-1,)."""
+        """The time steps dt_t = t_{t+1} - t_t in ``time_unit``, (T-1,); all the same where ``dt`` is one."""
+        if self.dt is not None:
+            return np.full(len(self) - 1, self.dt)
         return np.diff(self.t).astype(float)
 
     @cached_property
     def dt(self) -> float | None:
-        """The common time step in ``time_unit``, or None where sampling is irregular."""
-        first = float(self.steps[0])
-        return first if np.allclose(self.steps, first, rtol=1e-6, atol=0.0) else None
+        """The common time step in ``time_unit``, or None where sampling is irregular.
+
+        The number of twelve digits that the times allow, if there is one: 0.1, also of a part that begins
+        at 37.3, for a model may remember what belongs to a step.
+        """
+        steps = np.diff(self.t).astype(float)
+        mean = float((self.t[-1] - self.t[0]) / len(steps))
+        if not np.allclose(steps, mean, rtol=1e-6, atol=0.0):
+            return None
+        short = float(f"{mean:.12g}")
+        rounding = 2.0 * np.finfo(float).eps * np.abs(self.t).max()
+        return short if (np.abs(steps - short) <= rounding).all() else mean
 
     @cached_property
     def observed(self) -> np.ndarray[Any, np.dtype[np.bool_]]:

@@ -82,17 +82,19 @@ class Affine:
         """The results for the rows of a plan, which differ in their parameters; None as in :meth:`rows`."""
         if not self.holds:
             return None
-        design = np.concatenate([[1.0], u])
-        if self._inputs is None or not self._inputs.cover(design[None]):
+        design, inputs = np.concatenate([[1.0], u]), self._inputs
+        covered = inputs is not None and inputs.cover(design[None])
+        if inputs is None or not (covered or inputs.nearly_cover(design[None])):
             self._wait(design, dt, plan.parts[0][1])
             return None
-        if self._plan is None or self._plan[0] is not plan or self._plan[1] != dt:
+        known_plan = self._plan if covered else None
+        if known_plan is None or known_plan[0] is not plan or known_plan[1] != dt:
             records = [own for _, own in plan.parts]
             parts = self._known_of(design[None], [(dt, own) for own in records])
             if parts is None:
                 return None
-            self._plan = plan, dt, _side_by_side(plan, parts)
-        known = self._plan[2]
+            known_plan = self._plan = plan, dt, _side_by_side(plan, parts)
+        known = known_plan[2]
         return ((design @ known.weights).reshape(plan.M, -1), *known.matrices)
 
     def _wait(self, design: Array, dt: float, theta: Any) -> None:
