@@ -22,14 +22,18 @@ from engine.data.series import Series, as_series_list
 from engine.errors import ModelError
 from engine.estimation.expectation import either_side, parameter_scale
 from engine.estimation.maximization import scoring_step
-from engine.filters.neighbours import filter_neighbours
+from engine.filters.neighbours import Visited, filter_all, filter_neighbours
 from engine.filters.sigma_point import free_thetas, moment_filter
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 
 DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
-TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths tried at once
+TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths
+BATCHES = (
+    slice(1, 3),
+    slice(3, None),
+)  # those tried together after the whole step, until one is good
 GOOD = 0.25  # of the expected gain; expected is twice what a quadratic function gains
 ENOUGH = 1e-3  # an expected gain in log-likelihood below this ends the search
 TRIALS = 8  # sizes tried for a parameter of unknown scale
@@ -115,7 +119,8 @@ def quasi_ml(
     given, model = model, with_scales(model, all_series, theta, indices)
     names = tuple(model.parameter_names[i] for i in indices)
     lower, upper = model.lower[indices], model.upper[indices]
-    value, g, H = derivatives(model, all_series, theta, indices)
+    visited = [Visited() for _ in all_series]
+    value, g, H = derivatives(model, all_series, theta, indices, visited)
     if not np.isfinite(value):
         raise ModelError(
             f"model '{model.name}': the likelihood is not finite at the start values; choose others"
@@ -134,7 +139,7 @@ def quasi_ml(
         if iterations > PATIENCE and value + hope * expected < target:
             given_up = True
             break
-        moved, there = _step(model, all_series, theta, indices, direction, value, expected)
+        moved, there = _step(model, all_series, theta, indices, direction, value, expected, visited)
         if moved is None:
             if damping > 1.0:
                 break
@@ -201,6 +206,7 @@ def _step(
     direction: Array,
     value: float,
     expected: float,
+    visited: Sequence[Visited],
 ) -> tuple[Array | None, tuple[float, Array, Array]]:
     """The new theta with its derivatives; None where no step along the direction is better.
 
@@ -210,22 +216,26 @@ def _step(
     lower, upper = model.lower[indices], model.upper[indices]
     trials = np.clip(theta[indices] + TRIES[:, None] * direction, lower, upper)
     moved = free_thetas(theta, indices, trials[:1])[0]
-    there = derivatives(model, all_series, moved, indices)
+    there = derivatives(model, all_series, moved, indices, visited)
     if there[0] > value + GOOD * expected:
         return moved, there
-    values = log_likelihoods(model, all_series, free_thetas(theta, indices, trials[1:]))
-    best = 1 + int(np.argmax(values))
-    if there[0] > value and not values[best - 1] > there[0]:
+    values = np.full(len(trials), -np.inf)
+    for part in BATCHES:
+        values[part] = log_likelihoods(model, all_series, free_thetas(theta, indices, trials[part]))
+        best = int(np.argmax(values))
+        if values[best] > value + GOOD * TRIES[best] * expected:
+            break
+    if there[0] > value and not values[best] > there[0]:
         return moved, there
-    if not values[best - 1] > value:
+    if not values[best] > value:
         return None, there
     moved = free_thetas(theta, indices, trials[best : best + 1])[0]
-    return moved, derivatives(model, all_series, moved, indices)
+    return moved, derivatives(model, all_series, moved, indices, visited)
 
 
 def log_likelihoods(model: MixedModel, all_series: Sequence[Series], thetas: Array) -> Array:
     """Log-likelihood of all series together at each of the parameter vectors (K, n_theta)."""
-    each = [moment_filter(model, thetas, one).log_likelihood for one in all_series]
+    each = [filter_all(model, thetas, one).log_likelihood for one in all_series]
     return np.asarray(np.sum(each, axis=0))
 
 
@@ -241,14 +251,21 @@ def neighbours(model: MixedModel, theta: Array, indices: NDArray[np.intp]) -> tu
 
 
 def derivatives(
-    model: MixedModel, all_series: Sequence[Series], theta: Array, indices: NDArray[np.intp]
+    model: MixedModel,
+    all_series: Sequence[Series],
+    theta: Array,
+    indices: NDArray[np.intp],
+    visited: Sequence[Visited] | None = None,
 ) -> tuple[float, Array, Array]:
-    """Log-likelihood, gradient (n,) and information (n, n) in the free parameters."""
+    """Log-likelihood, gradient (n,) and information (n, n) in the free parameters.
+
+    ``visited``, one for each series, is what a search hands on from theta to theta.
+    """
     thetas, distances = neighbours(model, theta, indices)
     n = len(indices)
     value, g, H = 0.0, np.zeros(n), np.zeros((n, n))
-    for one in all_series:
-        f = filter_neighbours(model, thetas, one)
+    for i, one in enumerate(all_series):
+        f = filter_neighbours(model, thetas, one, visited[i] if visited else None)
         total = f.log_likelihood
         value += float(total[0])
         if not np.isfinite(value):

@@ -1,18 +1,23 @@
-"""The moment filter at parameters next to each other, for models that take one parameter vector a call.
+"""The moment filter at parameters next to each other: of whole records instead of step by step.
 
 Derivatives by theta need the filter at theta and at both sides of it in every parameter, K parameter vectors
-of which all but the first are a ten-thousandth apart. A model that does not take arrays of parameters would be
-called K times at every time step. If it takes many times at once, it is called at every step for the first
-vector only, and once for each of the others at all points which that filter visited; from there to the points
-of the others, a ten-thousandth away, it is followed by its slopes. What is neglected is of second order in
-this distance and the same on both sides, so that it drops out of central differences.
+of which all but the first are a ten-thousandth apart. A model that takes many times in one call is
+evaluated once for each of them at all points that the filter of the first visited, and the filters run through
+what it returned; from there to their own points, a ten-thousandth away, it is followed by its slopes. What is
+neglected is of second order in this distance and the same on both sides, so that it drops out of central
+differences.
 
-A model without nonlinear states needs no slopes: it is evaluated for each vector on the whole record, which
+Where the filter was run before at another theta, its points there are the start of Newton's method for those at
+this one: evaluate the model at all of them, run the filter through values and slopes, and go on from the points
+that it visits until they stay. That is the filter itself, without a call at every time.
+
+A model without nonlinear states has no points: it is evaluated on the whole record for any theta, which
 takes a few calls where it is affine in the inputs (:mod:`engine.statespace.affine`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +28,7 @@ from engine.filters.sigma_point import (
     FilterSteps,
     MomentFiltered,
     Thetas,
+    first_moments,
     moment_filter,
     run_filter,
     usable,
@@ -38,27 +44,62 @@ NEAR = 0.1  # of that spread: further from the visited points the slopes are not
 LEAST_SPREAD = 1e-2  # of the way a component goes
 FEW = 3  # parameter vectors that are not worth it
 ROWS = 4  # on which it is asked what the model takes
+FAR, SETTLED = (
+    1.0,
+    1e-5,
+)  # of the spread: points from which Newton's method is tried, and where it ends
+ROUNDS = 6  # of it
+STATES = 2  # nonlinear ones, beyond which slopes by each cost more than calls at every time
+
+
+@dataclass(eq=False)
+class Visited:
+    """The points (T, S, na) of y_t and of x_{t+1} at which a filter looked at its model; none at first.
+
+    A search that moves theta step by step hands them on from each to the next.
+    """
+
+    seen: Array | None = None
+    moved: Array | None = None
 
 
 @repeated_if_refuted
 @np.errstate(all="ignore")
-def filter_neighbours(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
-    """:func:`moment_filter` at ``thetas`` (K, n_theta), which are all next to the first."""
+def filter_neighbours(
+    model: MixedModel, thetas: Array, series: Series, visited: Visited | None = None
+) -> MomentFiltered:
+    """:func:`moment_filter` at ``thetas`` (K, n_theta), which are all next to the first.
+
+    ``visited``, by a filter of this model and series at another theta, is brought up to date.
+    """
     run = FilterSteps(model, Thetas(model, thetas), series)
-    if not _worth_it(run):
+    if not _worth_it(run, visited is not None):
         return moment_filter(model, thetas, series)
-    found = followed(run)
+    found = followed(run, visited)
     return moment_filter(model, thetas, series) if found is None else found
 
 
-def _worth_it(run: FilterSteps) -> bool:
-    """Whether the model takes many times a call, or needs no slopes, but takes one parameter vector only."""
+@repeated_if_refuted
+@np.errstate(all="ignore")
+def filter_all(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
+    """:func:`moment_filter` at any ``thetas`` (K, n_theta), of whole records where there are no points."""
+    if model.na == 0:
+        found = followed(FilterSteps(model, Thetas(model, thetas), series))
+        if found is not None:
+            return found
+    return moment_filter(model, thetas, series)
+
+
+def _worth_it(run: FilterSteps, again: bool) -> bool:
+    """Whether the model takes many times a call, and few parameter vectors, or is filtered ``again``."""
     model, series, K = run.model, run.series, run.thetas.K
+    if model.na == 0:
+        return True
     rows = np.arange(min(len(series) - 1, ROWS))
     if K <= FEW or len(rows) < ROWS:
         return False
-    m, _ = run.start()
-    a = np.ascontiguousarray(m[:, : model.na])
+    m, _ = first_moments(model, run.thetas.thetas[0])
+    a = np.repeat(m[None, : model.na], K, axis=0)
     points = Points(model, series, np.repeat(a[None, :1], len(series), axis=0))
     together, alone = run.thetas.record(1), model.record(run.thetas.thetas[0])
     times, vectors = True, True
@@ -68,34 +109,90 @@ def _worth_it(run: FilterSteps) -> bool:
         u_0 = (series.u_step if transition else series.u)[0]
         dt_0 = run.steps[0] if transition else 0.0
         vectors &= function.takes(a, u_0, run.times[0], dt_0, together)
-    return (times or model.na == 0) and not vectors
+    return times and (not vectors or (again and model.na <= STATES))
 
 
-def followed(run: FilterSteps) -> MomentFiltered | None:
+def followed(run: FilterSteps, visited: Visited | None = None) -> MomentFiltered | None:
     """All filters near the points of the first; None where one of them leaves their neighbourhood."""
-    model, series, thetas = run.model, run.series, run.thetas.thetas
-    T, K, ny, na = len(series), run.thetas.K, model.ny, model.na
-    n_points = 2 * na + 1
-    seen, moved = np.empty((T, n_points, na)), np.empty((T, n_points, na))
-    base = run_filter(FilterSteps(model, Thetas(model, thetas[:1]), series), (seen, moved))
-    if not np.isfinite(base.log_terms).all():
+    points = _points(run, Visited() if visited is None else visited)
+    if points is None:
         return None
-    spread = _spread(seen)
-    innovations, S, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
-    m, P = run.start()
-    records = [model.record(theta) for theta in thetas]
-    known = _Known(Points(model, series, seen), records, spread, False)
-    ahead = _Known(Points(model, series, moved), records, spread, True)
-    size = K * n_points * model.nx * max(model.nx, ny, 1)
-    length = max(NUMBERS // size, 1)
-    for first in range(0, T, length):
-        last = min(first + length, T)
-        now = known.at(np.arange(first, last))
-        then = ahead.at(np.arange(first, min(last, T - 1)))
-        farthest = filter_near(first, last, series.y, now, then, m, P, innovations, S, terms)
-        if not (farthest <= NEAR * spread).all():
+    seen, moved = (np.tile(each, (1, run.thetas.K, 1)) for each in points)
+    spread = _spread(points[0])
+    for _ in range(ROUNDS):
+        near = _Near(run, seen, moved, spread)
+        found, farthest = near.filtered()
+        if (farthest <= NEAR * spread).all():
+            return found
+        if not (farthest <= FAR * spread).all():
             return None
-    return MomentFiltered(innovations, S, usable(terms, innovations, S, series))
+        seen, moved = near.visited
+    return None
+
+
+def _points(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
+    """The points of the first filter; None where it is lost."""
+    model, series = run.model, run.series
+    shape = (len(series), 2 * model.na + 1, model.na)
+    if model.na == 0:
+        return np.empty(shape), np.empty(shape)
+    first = FilterSteps(model, Thetas(model, run.thetas.thetas[:1]), series)
+    points = _settled(first, visited)
+    if points is None:
+        points = np.empty(shape), np.empty(shape)
+        if not np.isfinite(run_filter(first, points).log_terms).all():
+            return None
+        points[1][-1] = points[0][-1]  # nothing is predicted from the last row
+    visited.seen, visited.moved = points
+    return points
+
+
+def _settled(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
+    """The points of a filter by Newton's method from those visited; None where it does not get there."""
+    seen, moved = visited.seen, visited.moved
+    if seen is None or moved is None:
+        return None
+    for _ in range(ROUNDS):
+        spread = _spread(seen)
+        near = _Near(run, seen, moved, spread)
+        found, farthest = near.filtered()
+        if not np.isfinite(found.log_terms).all() or not (farthest <= FAR * spread).all():
+            return None
+        seen, moved = near.visited
+        if (farthest <= SETTLED * spread).all():
+            return seen, moved
+    return None
+
+
+class _Near:
+    """K filters through a model that is known near points (T, K S, na) of y_t and of x_{t+1}."""
+
+    def __init__(self, run: FilterSteps, seen: Array, moved: Array, spread: Array) -> None:
+        self.run = run
+        records = [run.model.record(theta) for theta in run.thetas.thetas]
+        self.known = [
+            _Known(run, points, records, spread, transition)
+            for points, transition in ((seen, False), (moved, True))
+        ]
+        self.visited = np.array(seen), np.array(moved)  # the points after ``filtered``
+
+    def filtered(self) -> tuple[MomentFiltered, Array]:
+        """The filters, and how far their points were, at most, from those the model is known at (na,)."""
+        run, model, series = self.run, self.run.model, self.run.series
+        T, K, ny, S = len(series), run.thetas.K, model.ny, 2 * model.na + 1
+        innovations, covs, terms = np.empty((T, K, ny)), np.empty((T, K, ny, ny)), np.empty((T, K))
+        m, P = run.start()
+        length = max(NUMBERS // (K * S * model.nx * max(model.nx, ny, 1)), 1)
+        farthest = np.zeros(model.na)
+        for first in range(0, T, length):
+            last = min(first + length, T)
+            now = self.known[0].at(np.arange(first, last))
+            then = self.known[1].at(np.arange(first, min(last, T - 1)))
+            far = filter_near(first, last, series.y, now, then, m, P, innovations, covs, terms)
+            farthest = np.maximum(farthest, far)
+            for points, part in zip(self.visited, (now, then), strict=True):
+                points[first : first + len(part[0])] = part[0]
+        return MomentFiltered(innovations, covs, usable(terms, innovations, covs, series)), farthest
 
 
 def _spread(points: Array) -> Array:
@@ -110,16 +207,23 @@ def _spread(points: Array) -> Array:
 
 
 class _Known:
-    """What a model returns at points (T, S, na) for each of K records, and its slopes by a for the first."""
+    """What a model returns for each of K records at its points (T, K S, na), and slopes by a for the first."""
 
-    def __init__(self, points: Points, records: list[Any], spread: Array, transition: bool) -> None:
-        self.points, self.records, self.spread = points, records, spread
+    def __init__(
+        self, run: FilterSteps, a: Array, records: list[Any], spread: Array, transition: bool
+    ) -> None:
+        self.run, self.a, self.records, self.spread = run, a, records, spread
         self.transition = transition
+        self.each = [self._points(own) for own in np.split(a, len(records), axis=1)]
+
+    def _points(self, a: Array) -> Points:
+        return Points(self.run.model, self.run.series, a)
 
     def at(self, rows: NDArray[np.intp]) -> tuple[Array, ...]:
         """Points, values and slopes at some rows, as :func:`filter_near` wants them."""
-        points, S, na = self.points, self.points.N, self.points.a.shape[2]
-        each = [points.at(rows, record, self.transition) for record in self.records]
+        S, na = self.each[0].N, self.a.shape[2]
+        pairs = zip(self.each, self.records, strict=True)
+        each = [points.at(rows, record, self.transition) for points, record in pairs]
         values = [_stacked([one[i] for one in each], len(rows), S) for i in range(3)]
         slopes = [self._slopes(rows, j) for j in range(na)]
         by_a = [
@@ -128,19 +232,17 @@ class _Known:
             else np.zeros((len(rows), S, 0, *values[i].shape[2:]))
             for i in range(3)
         ]
-        return (np.ascontiguousarray(points.a[rows]), *values, *by_a)
+        return (self.a[rows], *values, *by_a)
 
     def _slopes(self, rows: NDArray[np.intp], j: int) -> list[Array]:
-        points, step = self.points, np.zeros(len(self.spread))
+        first, step = self.each[0], np.zeros(len(self.spread))
         step[j] = STEP * self.spread[j]
         low, high = (
-            Points(points.model, points.series, points.a + sign * step).at(
-                rows, self.records[0], self.transition
-            )
+            self._points(first.a + sign * step).at(rows, self.records[0], self.transition)
             for sign in (-1.0, 1.0)
         )
         return [
-            _stacked([(y - x) / (2.0 * step[j])], len(rows), points.N)
+            _stacked([(y - x) / (2.0 * step[j])], len(rows), first.N)
             for x, y in zip(low, high, strict=True)
         ]
 

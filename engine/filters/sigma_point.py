@@ -10,6 +10,7 @@ word (see :mod:`engine.diagnose`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -208,6 +209,11 @@ class FilterSteps:
 
     def start(self) -> tuple[Array, Array]:
         """Mean (K, nx) and covariance (K, nx, nx) of x_1 before any measurement."""
+        means, covs = self._first
+        return means.copy(), covs.copy()
+
+    @cached_property
+    def _first(self) -> tuple[Array, Array]:
         starts = [first_moments(self.model, theta) for theta in self.thetas.thetas]
         return np.array([m for m, _ in starts]), np.array([P for _, P in starts])
 

@@ -231,10 +231,10 @@ def slopes(cross, P):
 def filter_near(first, last, y, seen, moved, m, P, innovations, S, log_p):
     """Rows ``first`` to ``last`` of K filters whose model is known near given points, from m, P, in place.
 
-    ``seen`` and ``moved`` describe y_t and x_{t+1}, each by the points of one filter (B, S, na), what the K
-    models return there, (B, K S, n), (B, K S, n, nz) and (B, K S, n, n), and the slopes of these by a,
-    (B, S, na, n), (B, S, na, n, nz) and (B, S, na, n, n). Returns the largest distance of a point from where
-    its model is known, by each component of a (na,).
+    ``seen`` and ``moved`` describe y_t and x_{t+1}, each by points (B, K S, na), what the K models return
+    there, (B, K S, n), (B, K S, n, nz) and (B, K S, n, n), and the slopes of these by a for the first,
+    (B, S, na, n), (B, S, na, n, nz) and (B, S, na, n, n). The points are overwritten by those visited. Returns
+    the largest distance between the two, by each component of a (na,).
     """
     K = m.shape[0]
     na = seen[0].shape[2]
@@ -252,7 +252,8 @@ def filter_near(first, last, y, seen, moved, m, P, innovations, S, log_p):
                 for s in range(n_points):
                     row = k * n_points + s
                     for i in range(na):
-                        d = a[k, s, i] - points[b, s, i]
+                        d = a[k, s, i] - points[b, row, i]
+                        points[b, row, i] = a[k, s, i]
                         farthest[i] = max(farthest[i], abs(d))
                         f_t[row] += d * df[b, s, i]
                         A_t[row] += d * dA[b, s, i]

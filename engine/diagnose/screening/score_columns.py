@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.estimation.quasi_ml import neighbours, whitening
-from engine.filters.neighbours import filter_neighbours
-from engine.filters.sigma_point import MomentFiltered, MomentPath, first_moments, moment_filter
+from engine.filters.neighbours import filter_all, filter_neighbours
+from engine.filters.sigma_point import MomentFiltered, MomentPath, first_moments
 from engine.kernels.moments import sigma_points, transform
 from engine.kernels.sensitivities import sensitivities
 from engine.statespace.model import Array, MixedModel
@@ -236,7 +236,7 @@ def _dynamic_columns(
     thetas = np.repeat(at[use], 3, axis=0)
     thetas[1::3, k] = 0.0 if effect.one_sided else -steps[use]
     thetas[2::3, k] = steps[use]
-    filtered = moment_filter(extended, thetas, series)
+    filtered = filter_all(extended, thetas, series)
     reach = 1.0 if effect.one_sided else 2.0
     for n, i in enumerate(use):
         own = MomentFiltered(*(x[:, 3 * n : 3 * n + 3] for x in _arrays(filtered)))
@@ -261,7 +261,7 @@ def _steps(extended: MixedModel, at: Array, k: int, series: Series) -> Array:
             break
         thetas = np.repeat(at[rows], 2, axis=0)
         thetas[1::2, k] = steps[rows]
-        filtered = moment_filter(extended, thetas, part)
+        filtered = filter_all(extended, thetas, part)
         for n, i in enumerate(rows):
             own = MomentFiltered(*(x[:, 2 * n : 2 * n + 2] for x in _arrays(filtered)))
             column = innovation_columns(own, part.observed, [(0, 1, 1.0)])[0]
