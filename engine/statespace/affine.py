@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.linalg import qr
 
-from engine.statespace.compare import Result
+from engine.statespace.compare import Result, copies
 from engine.statespace.plan import Plan
 from engine.statespace.refutation import count_refutation
 from engine.statespace.rows import Array, Indices, Kind, Rows
@@ -60,16 +60,17 @@ class Affine:
 
     def rows(self, rows: Rows, kind: Kind) -> Result | None:
         """The results of rows of any inputs and parameters; None where they must be called one by one."""
-        M = len(rows.a)
-        u = rows.u if kind.u else np.repeat(np.asarray(rows.u, dtype=float)[:, None], M, axis=1)
-        if not self.holds or (kind.dt and len(np.unique(rows.dt)) > STEPS):
+        irregular = kind.dt and len(np.unique(rows.dt)) > STEPS
+        if not self.holds or irregular or not isinstance(rows.u, np.ndarray):
             return None
+        M = len(rows.a)
+        u = rows.u if kind.u else np.repeat(rows.u[:, None], M, axis=1)
         groups = _groups(rows, kind)
         parts = self._known_of(with_one(u.T), [own for _, own in groups])
         if parts is None:
             return None
         if len(groups) == 1:
-            return (with_one(u.T) @ parts[0].weights, *parts[0].matrices)
+            return (with_one(u.T) @ parts[0].weights, *copies(parts[0].matrices))
         f = np.empty((M, parts[0].weights.shape[1]))
         stacks = tuple(np.empty((M, *matrix.shape)) for matrix in parts[0].matrices)
         for (at, _), known in zip(groups, parts, strict=True):
@@ -95,7 +96,7 @@ class Affine:
                 return None
             known_plan = self._plan = plan, dt, _side_by_side(plan, parts)
         known = known_plan[2]
-        return ((design @ known.weights).reshape(plan.M, -1), *known.matrices)
+        return ((design @ known.weights).reshape(plan.M, -1), *copies(known.matrices))
 
     def _wait(self, design: Array, dt: float, theta: Any) -> None:
         """Inputs that were not met before: they are looked at when there are enough of them."""
@@ -108,8 +109,10 @@ class Affine:
     def _known_of(self, design: Array, owners: list[tuple[float, Any]]) -> list[Known] | None:
         """For each time step and theta; None where the function is not affine, or fails at one of them."""
         try:
-            if self._inputs is None or not self._inputs.cover(design):
+            if not self._covers(design):
                 self._meet(design, *owners[0])
+                if not self._covers(design):
+                    return None
             out: list[Known] = []
             for dt, theta in owners:
                 known = self._of(dt, theta) if self.holds else None
@@ -119,6 +122,9 @@ class Affine:
             return out
         except Exception:  # noqa: BLE001 - who asked calls it row by row, and tells what fails
             return None
+
+    def _covers(self, design: Array) -> bool:
+        return self._inputs is not None and self._inputs.cover(design)
 
     def _of(self, dt: float, theta: Any) -> Known | None:
         key, inputs = (dt, *theta), self._inputs

@@ -43,7 +43,7 @@ from engine.statespace.refutation import (
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
 from engine.statespace.trial import Regular, Trial, is_numeric
 
-TIME = 2  # the position of t among the arguments of dynamics and of measurement
+INPUT, TIME = 1, 2  # positions of u and t among the arguments of dynamics and of measurement
 ENGINE = str(Path(__file__).parents[1])  # this package's own files
 
 
@@ -101,7 +101,8 @@ class ModelFunction:
         self._verdict = self._verdicts[None]
         self._plan = Plan()
         # where it has no nonlinear state and does not read the times, None where it has or does
-        self._affine = None if reads(function, TIME) else Affine(self._one)
+        self._reads_u, self._reads_t = reads(function, INPUT), reads(function, TIME)
+        self._affine = None if self._reads_t else Affine(self._one)
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> Result:
         """The function's results for all rows. Raises ModelError naming function, time and shapes."""
@@ -303,7 +304,9 @@ class ModelFunction:
             )
         parts: list[tuple[Indices, Result]] = []
         lost: ModelError | None = None
-        for at in rows.groups(split):
+        # rows that differ in what is not read are particles
+        differing = split._replace(u=split.u and self._reads_u, t=split.t and self._reads_t)
+        for at in rows.groups(differing):
             try:
                 parts.append((at, copies(self(*rows.alone(split, at, kind)))))
             except ModelError as error:

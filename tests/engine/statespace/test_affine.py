@@ -189,6 +189,49 @@ def test_a_parameter_at_which_there_is_no_value_spoils_no_other():
     assert not np.isfinite(f[1]).any()
 
 
+def test_inputs_at_which_there_is_no_value_are_not_extrapolated():
+    """Just beyond those met, where the affine function would have one."""
+    written = Textbook(lambda th, u: th.b * u[0] if u[0] < 2.05 else np.nan)
+    u, theta = inputs(), np.asarray(written.model.theta())
+    thetas = theta * np.linspace(0.9, 1.1, K)[:, None]
+    evaluated(written.model, u, thetas, np.arange(T))
+    u[40, 0] = 2.1
+    (f, _, _), steps = evaluated(written.model, u, thetas, np.arange(T))
+    lost = np.isnan(f[:, 1].reshape(K, T))
+    assert lost[:, 40].all()
+    assert lost.sum() == K
+    assert np.isnan(steps[40][0][:, 1]).all()
+
+
+def test_rows_of_the_same_inputs_are_one_call():
+    """A product of inputs, both held for thirty samples."""
+    written = Textbook(FORCES["product"])
+    u, theta = np.repeat(inputs()[::30], 30, axis=0), np.asarray(written.model.theta())
+    thetas = theta * np.linspace(0.9, 1.1, K)[:, None]
+    evaluated(written.model, u, thetas, np.arange(T))
+    record = written.model.records(np.repeat(thetas, T, axis=0), 1)
+    written.calls = 0
+    f, _, _ = written.model.transition(
+        np.empty((K * T, 0)), np.tile(u.T, K), np.tile(0.1 * np.arange(T), K), 0.1, record
+    )
+    assert written.calls < K * (T // 30 + 5)  # some are made to see what a function takes
+    expected = thetas[:, 2:3] * u[:, 0] * u[:, 1]
+    np.testing.assert_allclose(f[:, 1].reshape(K, T), expected, rtol=1e-13)
+
+
+def test_who_writes_into_results_changes_none_of_the_next():
+    written = Textbook(FORCES["affine"])
+    u, theta = inputs(), np.asarray(written.model.theta())
+    thetas = theta * np.linspace(0.9, 1.1, K)[:, None]
+    first, steps = evaluated(written.model, u, thetas, np.arange(T))
+    before = [array.copy() for array in (*first, *steps[-1])]
+    for array in (*first, *steps[-1]):
+        array[...] = np.nan
+    again, steps = evaluated(written.model, u, thetas, np.arange(T))
+    for old, new in zip(before, (*again, *steps[-1]), strict=True):
+        np.testing.assert_array_equal(old, new)
+
+
 @pytest.mark.parametrize("force", FORCES)
 def test_filters_side_by_side_are_those_of_each(force):
     """What is not affine in the inputs is filtered row by row, and all of it as a plain loop would."""
