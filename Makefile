@@ -52,9 +52,9 @@ bench: setup
 bench-free-run: setup
 	$(BIN)/python -m tests.benchmarks.bench_free_run
 
-# A diagnosis of differential equations beside that of an older commit: AGAINST=commit.
+# A diagnosis of differential equations beside that of an older commit: AGAINST=commit, MODEL=tanks or room.
 bench-continuous: setup
-	$(BIN)/python -m tests.benchmarks.bench_continuous --against $(AGAINST)
+	$(BIN)/python -m tests.benchmarks.bench_continuous --against $(AGAINST) $(if $(MODEL),--model $(MODEL))
 
 warm: setup
 	$(BIN)/python -m engine.compile_kernels

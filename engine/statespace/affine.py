@@ -24,7 +24,7 @@ from engine.statespace.rows import Array, Indices, Kind, Rows
 
 CHECKED = 2  # inputs, besides extreme ones, at which another theta is looked at
 RANK = 1e-6  # of the largest: directions in which the inputs differ by less are one
-ROUNDING = 1e-11  # of the terms of which a value is the sum
+ROUNDING = 1e-13  # of the terms of which a value is the sum
 MARGIN = 0.1  # of the range of inputs: further out all are looked at, not the extreme ones only
 SAME = 1e-12  # of each entry of a matrix: what calls of one theta may differ by
 STEPS = 3  # time steps of different length in a call that are worth it
@@ -37,7 +37,7 @@ Alone: TypeAlias = Callable[[Array, float, Any], Result]
 
 @dataclass(frozen=True)
 class Known:
-    """f = [1, u] @ ``weights`` (1 + nu, n), and the matrices that follow it, for one theta."""
+    """f = v @ ``weights`` (1 + nu, n) with v of :meth:`_Inputs.scaled`, and the matrices, for one theta."""
 
     weights: Array
     matrices: tuple[Array, ...]
@@ -64,17 +64,18 @@ class Affine:
         if not self.holds or irregular or not isinstance(rows.u, np.ndarray):
             return None
         M = len(rows.a)
-        u = rows.u if kind.u else np.repeat(rows.u[:, None], M, axis=1)
+        u = rows.u.T if kind.u else np.repeat(rows.u[None], M, axis=0)
         groups = _groups(rows, kind)
-        parts = self._known_of(with_one(u.T), [own for _, own in groups])
-        if parts is None:
+        parts = self._known_of(u, [own for _, own in groups])
+        if parts is None or self._inputs is None:
             return None
+        v = self._inputs.scaled(u)
         if len(groups) == 1:
-            return (with_one(u.T) @ parts[0].weights, *copies(parts[0].matrices))
+            return (v @ parts[0].weights, *copies(parts[0].matrices))
         f = np.empty((M, parts[0].weights.shape[1]))
         stacks = tuple(np.empty((M, *matrix.shape)) for matrix in parts[0].matrices)
         for (at, _), known in zip(groups, parts, strict=True):
-            f[at] = with_one(u[:, at].T) @ known.weights
+            f[at] = v[at] @ known.weights
             for stack, matrix in zip(stacks, known.matrices, strict=True):
                 stack[at] = matrix
         return (f, *stacks)
@@ -83,35 +84,35 @@ class Affine:
         """The results for the rows of a plan, which differ in their parameters; None as in :meth:`rows`."""
         if not self.holds:
             return None
-        design, inputs = np.concatenate([[1.0], u]), self._inputs
-        covered = inputs is not None and inputs.cover(design[None])
-        if inputs is None or not (covered or inputs.nearly_cover(design[None])):
-            self._wait(design, dt, plan.parts[0][1])
+        covered = self._covers(u[None])
+        if not (covered or (self._inputs is not None and self._inputs.nearly_cover(u[None]))):
+            self._wait(u, dt, plan.parts[0][1])
             return None
-        known_plan = self._plan if covered else None
-        if known_plan is None or known_plan[0] is not plan or known_plan[1] != dt:
-            records = [own for _, own in plan.parts]
-            parts = self._known_of(design[None], [(dt, own) for own in records])
+        known = self._plan if covered else None
+        if known is None or known[0] is not plan or known[1] != dt:
+            parts = self._known_of(u[None], [(dt, own) for _, own in plan.parts])
             if parts is None:
                 return None
-            known_plan = self._plan = plan, dt, _side_by_side(plan, parts)
-        known = known_plan[2]
-        return ((design @ known.weights).reshape(plan.M, -1), *copies(known.matrices))
+            known = self._plan = plan, dt, _side_by_side(plan, parts)
+        if self._inputs is None:
+            return None
+        f = self._inputs.scaled(u[None]) @ known[2].weights
+        return (f.reshape(plan.M, -1), *copies(known[2].matrices))
 
-    def _wait(self, design: Array, dt: float, theta: Any) -> None:
+    def _wait(self, u: Array, dt: float, theta: Any) -> None:
         """Inputs that were not met before: they are looked at when there are enough of them."""
-        self._waiting.append(design)
+        self._waiting.append(u)
         if len(self._waiting) >= self._due:
             self._due *= 4
-            self._meet(np.array(self._waiting), dt, theta)
+            self._known_of(np.array(self._waiting), [(dt, theta)])
             self._waiting = []
 
-    def _known_of(self, design: Array, owners: list[tuple[float, Any]]) -> list[Known] | None:
+    def _known_of(self, u: Array, owners: list[tuple[float, Any]]) -> list[Known] | None:
         """For each time step and theta; None where the function is not affine, or fails at one of them."""
         try:
-            if not self._covers(design):
-                self._meet(design, *owners[0])
-                if not self._covers(design):
+            if not self._covers(u):
+                self._meet(u, *owners[0])
+                if not self._covers(u):
                     return None
             out: list[Known] = []
             for dt, theta in owners:
@@ -123,8 +124,8 @@ class Affine:
         except Exception:  # noqa: BLE001 - who asked calls it row by row, and tells what fails
             return None
 
-    def _covers(self, design: Array) -> bool:
-        return self._inputs is not None and self._inputs.cover(design)
+    def _covers(self, u: Array) -> bool:
+        return self._inputs is not None and self._inputs.cover(u)
 
     def _of(self, dt: float, theta: Any) -> Known | None:
         key, inputs = (dt, *theta), self._inputs
@@ -137,39 +138,38 @@ class Affine:
             self._known[key] = known
         return self._known.get(key)
 
-    def _meet(self, design: Array, dt: float, theta: Any) -> None:
+    def _meet(self, u: Array, dt: float, theta: Any) -> None:
         """Look at these inputs; they are covered from now on where the function is affine in them."""
-        design, inputs = np.unique(design, axis=0), self._inputs
-        if inputs is not None and inputs.nearly_cover(design):
-            ends = _ends(design)
+        u, inputs = np.unique(u, axis=0), self._inputs
+        if inputs is not None and inputs.nearly_cover(u):
+            ends = _ends(u)
             if self._seen(inputs, ends, dt, theta) is not None:
                 self._inputs = inputs.reaching(ends)
             return
         if inputs is not None:
-            design = np.concatenate([inputs.used, inputs.checks, design])
-        chosen = _Inputs.of(design)
-        if self._seen(chosen, design, dt, theta) is not None:
+            u = np.concatenate([inputs.used, inputs.checks, u])
+        chosen = _Inputs.of(u)
+        if self._seen(chosen, u, dt, theta) is not None:
             self._inputs, self._known, self._plan = chosen, {}, None
 
     def _seen(self, inputs: _Inputs, others: Array, dt: float, theta: Any) -> Known | None:
         """What the used inputs tell, if it is so at the others; None if not, or if values are not finite."""
-        some = [self._alone(u, dt, theta) for u in inputs.used[:, 1:]]
-        further = [self._alone(u, dt, theta) for u in others[:, 1:]]
-        if any(matrix is None for result in some for matrix in result):
+        u = np.concatenate([inputs.used, others])
+        results = [self._alone(one, dt, theta) for one in u]
+        if any(matrix is None for result in results for matrix in result):
             self._refute()
             return None
-        values = [np.array([result[0][0] for result in results]) for results in (some, further)]
+        values = np.array([result[0][0] for result in results])
         stacks = [
             np.array([matrix.reshape(matrix.shape[-2:]) for matrix in matrices])
-            for matrices in zip(*(result[1:] for result in [*some, *further]), strict=True)
+            for matrices in zip(*(result[1:] for result in results), strict=True)
         ]
-        if not all(np.isfinite(array).all() for array in [*values, *stacks]):
+        if not all(np.isfinite(array).all() for array in (values, *stacks)):
             return None
-        weights = inputs.solve(values[0])
-        design = np.concatenate([inputs.used, others])
-        terms = np.abs(design) @ np.abs(weights)
-        off = np.abs(np.concatenate(values) - design @ weights)
-        affine = (off <= ROUNDING * terms.max(axis=0)).all()
+        v = inputs.scaled(u)
+        weights = inputs.inverse @ values[: len(inputs.used)]
+        allowed = ROUNDING * (np.abs(v) @ np.abs(weights)).max(axis=0)
+        affine = (np.abs(values - v @ weights) <= allowed).all()
         if not affine or any(
             (np.abs(stack - stack[0]) > SAME * np.abs(stack[0])).any() for stack in stacks
         ):
@@ -186,10 +186,11 @@ class Affine:
 
 @dataclass(frozen=True)
 class _Inputs:
-    """Inputs met, each as a row [1, u]: ``used`` determine an affine function on all, ``checks`` look again.
+    """Inputs met, (m, nu): ``used`` determine an affine function on all, ``checks`` are to look again.
 
     What is between ``low`` and ``high`` is covered, where it is also in what they span: ``span`` projects
-    on it, None where nothing is outside. ``inverse`` @ values at the used inputs are the weights.
+    on it, None where nothing is outside. They are scaled by their ``middle`` and their ``reach`` to either
+    side; ``inverse`` @ values at the used inputs are the weights.
     """
 
     used: Array
@@ -197,70 +198,72 @@ class _Inputs:
     interior: int  # so many of the checks are any, those after them extreme
     low: Array
     high: Array
+    middle: Array
+    reach: Array
     inverse: Array
-    size: Array
     span: Array | None
 
     @classmethod
-    def of(cls, design: Array) -> _Inputs:
-        """Choose among rows (m, 1 + nu)."""
-        size = np.abs(design).max(axis=0)
-        size = np.where(size > 0.0, size, 1.0)
-        scaled = design / size
-        _, R, order = qr(scaled.T, mode="economic", pivoting=True)
+    def of(cls, u: Array) -> _Inputs:
+        """Choose among inputs (m, nu)."""
+        low, high = u.min(axis=0), u.max(axis=0)
+        middle, reach = 0.5 * (low + high), 0.5 * (high - low)
+        reach = np.where(reach > 0.0, reach, 1.0)
+        v = _scaled(u, middle, reach)
+        _, R, order = qr(v.T, mode="economic", pivoting=True)
         rank = int((np.abs(np.diag(R)) > RANK * abs(R[0, 0])).sum())
-        used = scaled[order[:rank]]
-        inverse = np.linalg.pinv(used)
+        used = v[order[:rank]]
+        inverse = np.asarray(np.linalg.pinv(used), dtype=float)
         some = np.random.default_rng(0).permutation(order[rank:])[:CHECKED]
         return cls(
-            used=design[order[:rank]],
-            checks=np.concatenate([design[some], _ends(design)]),
+            used=u[order[:rank]],
+            checks=np.concatenate([u[some], _ends(u)]),
             interior=len(some),
-            low=design.min(axis=0),
-            high=design.max(axis=0),
-            inverse=inverse / size[:, None],
-            size=size,
-            span=None if rank == design.shape[1] else inverse @ used,
+            low=low,
+            high=high,
+            middle=middle,
+            reach=reach,
+            inverse=inverse,
+            span=None if rank == v.shape[1] else inverse @ used,
         )
 
-    def solve(self, values: Array) -> Array:
-        """Weights (1 + nu, n) from values (r, n) at the used inputs."""
-        weights: Array = self.inverse @ values
-        return weights
+    def scaled(self, u: Array) -> Array:
+        """[1, u] for inputs (m, nu), each between -1 and 1 if it is covered."""
+        return _scaled(u, self.middle, self.reach)
 
-    def cover(self, design: Array) -> bool:
-        """Whether rows (m, 1 + nu) are among those met, or between them."""
-        inside = (design >= self.low).all() and (design <= self.high).all()
-        return bool(inside) and self._spans(design)
+    def cover(self, u: Array) -> bool:
+        """Whether inputs (m, nu) are among those met, or between them."""
+        return bool((u >= self.low).all() and (u <= self.high).all()) and self._spans(u)
 
-    def nearly_cover(self, design: Array) -> bool:
+    def nearly_cover(self, u: Array) -> bool:
         """Whether they reach but little beyond."""
-        beyond = np.maximum(self.low - design, design - self.high)
-        return bool((beyond <= MARGIN * (self.high - self.low)).all()) and self._spans(design)
+        beyond = np.maximum(self.low - u, u - self.high)
+        return bool((beyond <= MARGIN * (self.high - self.low)).all()) and self._spans(u)
 
     def reaching(self, ends: Array) -> _Inputs:
-        """The same, which reach to further rows."""
+        """The same, which reach to further inputs."""
         low, high = np.minimum(self.low, ends.min(axis=0)), np.maximum(self.high, ends.max(axis=0))
         farthest = _ends(np.concatenate([self.checks, ends]))
         checks = np.concatenate([self.checks[: self.interior], farthest])
         return replace(self, low=low, high=high, checks=checks)
 
-    def _spans(self, design: Array) -> bool:
+    def _spans(self, u: Array) -> bool:
         if self.span is None:
             return True
-        scaled = design / self.size
-        return bool((np.abs(scaled - scaled @ self.span) <= RANK**2).all())
+        v = self.scaled(u)
+        return bool((np.abs(v - v @ self.span) <= RANK**2).all())
 
 
-def with_one(u: Array) -> Array:
-    """[1, u] for inputs (m, nu)."""
-    return np.concatenate([np.ones((len(u), 1)), u], axis=1)
+def _scaled(u: Array, middle: Array, reach: Array) -> Array:
+    v = np.ones((len(u), 1 + u.shape[1]))
+    v[:, 1:] = (u - middle) / reach
+    return v
 
 
-def _ends(design: Array) -> Array:
-    """The rows at which each input is least and largest."""
-    at = [end(column) for column in design.T[1:] for end in (np.argmin, np.argmax)]
-    return design[np.unique(np.array(at, dtype=np.intp))]
+def _ends(u: Array) -> Array:
+    """The inputs (m, nu) at which each is least and largest."""
+    at = [end(column) for column in u.T for end in (np.argmin, np.argmax)]
+    return u[np.unique(np.array(at, dtype=np.intp))]
 
 
 def _groups(rows: Rows, kind: Kind) -> list[tuple[Indices, tuple[float, Any]]]:

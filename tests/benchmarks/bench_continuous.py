@@ -1,12 +1,13 @@
 """A diagnosis of differential equations, beside an older commit.
 
-    python -m tests.benchmarks.bench_continuous --against COMMIT [--data FILE.csv] [--samples N]
+    python -m tests.benchmarks.bench_continuous --against COMMIT [--model room] [--data FILE] [--samples N]
 
 Two water tanks in cascade by Bernoulli's law, written with :func:`engine.continuous`, on a record of columns
-u_V and y_V every 4 s, or on one that is simulated with a rim that the upper tank runs over. The older commit
-is unpacked beside this one; a pass of the filter, one with derivatives by all parameters, and the whole
-diagnosis, of the first N samples if asked, are run by both, in processes of their own, one after the other,
-and told in seconds of the processor. Writes ``results/continuous.md``, ``continuous-measured.md`` of a file.
+u_V and y_V every 4 s, or on one that is simulated with a rim that the upper tank runs over; or a heated room,
+written with a matrix exponential for one time and one parameter vector a call. The older commit is unpacked
+beside this one. Both run a pass of the filter, one with derivatives by all parameters, and the whole diagnosis,
+of the first N samples if asked, in processes of their own, one after the other; told are seconds of the
+processor. Writes ``results/continuous.md``, ``continuous-measured.md`` of a file, ``continuous-room.md``.
 """
 
 # ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
@@ -25,10 +26,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
 
 import engine
 from engine.compile_kernels import warm
@@ -40,7 +43,6 @@ from engine.filters.sigma_point import moment_filter
 ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results"
 STEP = 4.0  # s
-KINDS = ["overflow", "saturation", "input-saturation", "bias", "lag"]
 HELD = {"k1": 0.0833}
 REPEATS = 5
 SECONDS = " s in all: "  # in the line of a page that tells them
@@ -91,6 +93,83 @@ def record(model: engine.MixedModel, file: str | None) -> engine.Series:
     return hide(model, ["overflow:upper"], theta, len(u), rng, u=u, dt=STEP).series
 
 
+AIR, WALL = 2e-3, 3e-4  # K per root second
+QUARTER = 900.0  # s
+
+
+def room_step(a: Any, u: Any, t: Any, dt: Any, theta: Any) -> Any:
+    """Van Loan (1978): two heat balances between samples, as a heating engineer would write them."""
+    Ca, Cw, R1, R2, R3, q, _ = theta
+    F = np.array([[-(1 / R1 + 1 / R2) / Ca, 1 / R1 / Ca], [1 / R1 / Cw, -(1 / R1 + 1 / R3) / Cw]])
+    G = np.array([[1 / Ca, 1 / R2 / Ca], [0.0, 1 / R3 / Cw]])
+    whole = expm(np.block([[F, G], [np.zeros((2, 4))]]) * dt)
+    noise = np.diag([q**2, WALL**2])
+    loan = expm(np.block([[-F, noise], [np.zeros((2, 2)), F.T]]) * dt)
+    A = whole[:2, :2]
+    return whole[:2, 2:] @ u, A, A @ loan[:2, 2:]
+
+
+def heated_room() -> engine.MixedModel:
+    """A room and its wall, in degrees Celsius."""
+    return engine.MixedModel(
+        name="heatedroom",
+        dynamics=room_step,
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0, 0.0]], [[theta.r**2]]),
+        initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), [19.0, 17.5], np.eye(2)),
+        nonlinear={},
+        linear={"air": "degC", "wall": "degC"},
+        inputs={"heater": "W", "outdoor": "degC"},
+        outputs={"thermometer": "degC"},
+        parameters=[
+            engine.Parameter("Ca", 4.6e5, "J/K", (1e4, 1e7)),
+            engine.Parameter("Cw", 6e6, "J/K", (1e5, 1e8)),
+            engine.Parameter("R1", 3.6e-3, "K/W", (1e-4, 1.0)),
+            engine.Parameter("R2", 2.3e-2, "K/W", (1e-4, 1.0)),
+            engine.Parameter("R3", 3e-2, "K/W", (1e-4, 1.0)),
+            engine.Parameter("q", 1.2 * AIR, "K/s^0.5", (1e-6, 1.0)),
+            engine.Parameter("r", 0.08, "K", (1e-5, 5.0)),
+        ],
+    )
+
+
+def room_record(model: engine.MixedModel, file: str | None) -> engine.Series:
+    rng = np.random.default_rng(1)
+    heater = np.repeat(rng.choice([0.0, 700.0, 1500.0], 20), 20)
+    outdoor = 6.0 - 4.0 * np.cos(2.0 * np.pi * QUARTER * np.arange(400) / 86400.0)
+    u = np.column_stack([heater, outdoor])
+    theta = {"Ca": 4e5, "R1": 4e-3, "R2": 2e-2, "q": AIR, "lag_thermometer": 0.5}
+    return hide(model, ["lag:thermometer"], theta, 400, rng, u=u, dt=QUARTER).series
+
+
+@dataclass(frozen=True)
+class Case:
+    """A model, how its record is made, what is held, the effects of single steps and of the diagnosis."""
+
+    model: Callable[[], engine.MixedModel]
+    record: Callable[[engine.MixedModel, str | None], engine.Series]
+    held: dict[str, float]
+    effects: tuple[str, ...]
+    kinds: list[str]
+
+
+CASES = {
+    "tanks": Case(
+        water_tanks,
+        record,
+        HELD,
+        ("overflow:upper", "bias:y", "lag:y", "input-saturation:u"),
+        ["overflow", "saturation", "input-saturation", "bias", "lag"],
+    ),
+    "room": Case(
+        heated_room,
+        room_record,
+        {"Cw": 6e6, "R3": 3e-2},
+        ("coulomb:air->wall", "force:air", "lag:thermometer"),
+        ["coulomb", "force", "lag", "bias", "delay"],
+    ),
+}
+
+
 def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
     """Processor seconds, the least of some, and what came out."""
     work()
@@ -102,30 +181,30 @@ def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
     return min(taken), out
 
 
-def measured(file: str | None, samples: int | None) -> dict[str, Any]:
+def measured(case: Case, file: str | None, samples: int | None) -> dict[str, Any]:
     """What this process' engine takes, and what it answers."""
     warm()
-    model = water_tanks()
-    series = record(model, file)
-    theta = np.asarray(model.theta(HELD))
-    free = [name for name in model.parameter_names if name not in HELD]
+    model, held = case.model(), case.held
+    series = case.record(model, file)
+    theta = np.asarray(model.theta(held))
+    free = [name for name in model.parameter_names if name not in held]
     took: dict[str, float] = {}
     took["a pass of the moment filter"], _ = seconds(
         lambda: moment_filter(model, theta[None], series)
     )
     setting = setting_for(model, series, theta)
-    for effects in ([], ["overflow:upper"], ["bias:y"], ["lag:y"], ["input-saturation:u"]):
+    for effects in ([], *([effect] for effect in case.effects)):
         one = extend(model, effects, setting) if effects else model
-        at = np.asarray(one.theta(HELD))
+        at = np.asarray(one.theta(held))
         if effects:
-            at[len(theta)] = 0.01
-        own = one.free_indices([p for p in one.parameter_names if p not in HELD])
+            at[len(theta)] = 0.01 * (one.parameters[len(theta)].scale or 1.0)
+        own = one.free_indices([p for p in one.parameter_names if p not in held])
         name = f"derivatives by {len(own)} parameters" + "".join(f", with {e}" for e in effects)
         took[name], _ = seconds(lambda one=one, at=at, own=own: derivatives(one, [series], at, own))
     part = series if samples is None else series.part(0, samples)
-    engine.diagnose(model, part.part(0, 100), HELD, effects=["bias"], free=free)  # compiles
+    engine.diagnose(model, part.part(0, 100), held, effects=["bias"], free=free)  # compiles
     started = time.process_time()
-    found = engine.diagnose(model, part, HELD, effects=KINDS, free=free)
+    found = engine.diagnose(model, part, held, effects=case.kinds, free=free)
     took[f"the diagnosis of {len(part)} samples"] = time.process_time() - started
     return {
         "seconds": took,
@@ -206,7 +285,8 @@ def main() -> None:
     """Measure, compare, write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--against", metavar="COMMIT")
-    parser.add_argument("--data", metavar="FILE.csv")
+    parser.add_argument("--model", choices=CASES, default="tanks")
+    parser.add_argument("--data", metavar="FILE", help="CSV, of the tanks")
     parser.add_argument("--samples", metavar="N", type=int)
     parser.add_argument("--only", action="store_true", help="this engine's figures as JSON")
     asked = parser.parse_args()
@@ -214,9 +294,9 @@ def main() -> None:
         parser.error("--against COMMIT is missing")
     file = None if asked.data is None else str(Path(asked.data).absolute())
     if asked.only:
-        print(json.dumps(measured(file, asked.samples)))
+        print(json.dumps(measured(CASES[asked.model], file, asked.samples)))
         return
-    options = ["--data", file] if file else []
+    options = ["--model", asked.model, *(["--data", file] if file else [])]
     options += ["--samples", str(asked.samples)] if asked.samples else []
     from tests.benchmarks.machine import Watch
 
@@ -229,8 +309,10 @@ def main() -> None:
         now = of_commit(ROOT, options)
     load = ", ".join(f"{name} {value:g}" for name, value in watch.figures().items())
     what = "A measured record" if file else "A simulated record"
-    about = f"{what} of two water tanks; before: commit {asked.against}. {load}."
-    name = "continuous-measured.md" if file else "continuous.md"
+    whose = {"tanks": "two water tanks", "room": "a heated room"}[asked.model]
+    about = f"{what} of {whose}; before: commit {asked.against}. {load}."
+    which = "-room" if asked.model == "room" else "-measured" if file else ""
+    name = f"continuous{which}.md"
     (RESULTS / name).write_text(table(before, now, about))
 
 

@@ -189,6 +189,21 @@ def test_a_parameter_at_which_there_is_no_value_spoils_no_other():
     assert not np.isfinite(f[1]).any()
 
 
+@pytest.mark.parametrize("bend", [0.0, 1e-3])
+def test_a_bend_within_small_changes_of_a_large_input_is_seen(bend):
+    """A pressure of 100,000 Pa that changes by one: its zero is far away, and no measure of it."""
+    written = Textbook(lambda th, u: th.b * ((u[0] - 1e5) + bend * (u[0] - 1e5) ** 2))
+    u, theta = inputs(), np.asarray(written.model.theta())
+    thetas = theta * np.linspace(0.9, 1.1, K)[:, None]
+    (f, _, _), _ = evaluated(written.model, u + np.array([1e5, 0.0]), thetas, np.arange(T))
+    change = (u[:, 0] + 1e5) - 1e5
+    expected = thetas[:, 2:3] * (change + bend * change**2)
+    np.testing.assert_allclose(f[:, 1].reshape(K, T), expected, atol=1e-12)
+    written.calls = 0
+    evaluated(written.model, u + np.array([1e5, 0.0]), 1.01 * thetas, np.arange(T))
+    assert (written.calls < 20 * K) is (bend == 0.0)
+
+
 def test_inputs_at_which_there_is_no_value_are_not_extrapolated():
     """Just beyond those met, where the affine function would have one."""
     written = Textbook(lambda th, u: th.b * u[0] if u[0] < 2.05 else np.nan)
