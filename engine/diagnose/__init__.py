@@ -168,6 +168,9 @@ def diagnose(
     given = (as_given, series, test, {**options, "bootstrap": bootstrap})
     parts = {} if kept is None else kept
     _check_data(records.main)
+    # whatever was finished before: a resumed run has the same digits
+    model.transitions.look_again(records.main.u_step)
+    model.observations.look_again(records.main.u)
     notes = list(check_data(model, records.main))
     if records.others:
         notes.append(

@@ -204,8 +204,8 @@ class FilterSteps:
         series.check(model)
         self.model, self.thetas, self.series = model, thetas, series
         self.times, self.steps = series.t.tolist(), series.steps.tolist()
-        model.transitions.look_again()
-        model.observations.look_again()
+        model.transitions.look_again(series.u_step)
+        model.observations.look_again(series.u)
 
     def start(self) -> tuple[Array, Array]:
         """Mean (K, nx) and covariance (K, nx, nx) of x_1 before any measurement."""

@@ -154,8 +154,8 @@ def propagate(
     na = model.na
     single = K == 1 and all(value.__class__ is float for value in record)
     if not single or rng is not None:  # of others some rows are calculated alone
-        model.transitions.look_again()
-        model.observations.look_again()
+        model.transitions.look_again(series.u_step)
+        model.observations.look_again(series.u)
     with np.errstate(all="ignore"):
         begin = 0
         if single and not noisy:

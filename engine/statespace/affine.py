@@ -54,9 +54,18 @@ class Affine:
         self.holds = True
         self._known: dict[tuple[float, ...], Known] = {}
         self._inputs: _Inputs | None = None
+        self._record: Array | None = None  # to be met first
         self._waiting: list[Array] = []  # met one by one
         self._due = FIRST
         self._plan: tuple[Plan, float, Known] | None = None
+
+    def expect(self, u: Array) -> None:
+        """Inputs (T, nu) of a record, which are met before any others if none were met so far.
+
+        Then the digits of results do not depend on what was asked first.
+        """
+        if self._inputs is None:
+            self._record = u
 
     def rows(self, rows: Rows, kind: Kind) -> Result | None:
         """The results of rows of any inputs and parameters; None where they must be called one by one."""
@@ -84,6 +93,8 @@ class Affine:
         """The results for the rows of a plan, which differ in their parameters; None as in :meth:`rows`."""
         if not self.holds:
             return None
+        if self._record is not None:
+            self._known_of(u[None], [(dt, plan.parts[0][1])])
         covered = self._covers(u[None])
         if not (covered or (self._inputs is not None and self._inputs.nearly_cover(u[None]))):
             self._wait(u, dt, plan.parts[0][1])
@@ -110,6 +121,9 @@ class Affine:
     def _known_of(self, u: Array, owners: list[tuple[float, Any]]) -> list[Known] | None:
         """For each time step and theta; None where the function is not affine, or fails at one of them."""
         try:
+            record, self._record = self._record, None
+            if record is not None:
+                self._meet(record, *owners[0])
             if not self._covers(u):
                 self._meet(u, *owners[0])
                 if not self._covers(u):

@@ -258,8 +258,13 @@ class ModelFunction:
         verdict = self._verdicts.get(kind)  # a single row needs none
         return verdict is None or verdict.takes
 
-    def look_again(self) -> None:
-        """Look at the next call of each kind, briefly unless a thorough look is due; not at particles."""
+    def look_again(self, u: Array | None = None) -> None:
+        """Look at the next call of each kind, briefly unless a thorough look is due; not at particles.
+
+        ``u`` (T, nu) are the inputs of the record from which the calls will be.
+        """
+        if u is not None and self._affine is not None and not self._trusted:
+            self._affine.expect(u)
         for kind, verdict in self._verdicts.items():
             if verdict.takes and kind is not None:
                 verdict.next = verdict.calls + 1

@@ -22,8 +22,8 @@ class Points:
         self.model, self.series = model, series
         self.a = np.ascontiguousarray(a)
         self.T, self.N = a.shape[:2]
-        model.transitions.look_again()
-        model.observations.look_again()
+        model.transitions.look_again(series.u_step)
+        model.observations.look_again(series.u)
 
     def transition(self, record: Any) -> tuple[Array, Array, Array]:
         """f (T-1, N, nx), A (T', N', nx, nz), Q (T', N', nx, nx) at t = 1 .. T-1."""

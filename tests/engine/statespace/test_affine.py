@@ -325,3 +325,16 @@ def test_other_parameters_of_the_same_functions_keep_what_is_known():
     written.calls = 0
     evaluated(other, u, 1.1 * theta, np.arange(T))
     assert written.calls < 40
+
+
+def test_digits_do_not_depend_on_what_was_asked_first():
+    """A run that goes on where another was stopped ends with the same numbers."""
+    u, found = inputs(), []
+    for first in (slice(0, T), slice(200, 240)):
+        model = Textbook(FORCES["affine"]).model
+        thetas = np.asarray(model.theta()) * np.linspace(0.9, 1.1, K)[:, None]
+        model.transitions.look_again(u)
+        evaluated(model, u, 1.1 * thetas, np.arange(T)[first])
+        found.append(evaluated(model, u, thetas, np.arange(T))[0])
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
