@@ -193,7 +193,7 @@ def derivatives() -> list[str]:
         problem = FreeRunProblem(model, [series], theta, np.arange(len(theta)))
 
         def work(problem: Any = problem) -> Any:
-            problem._last, problem._runs = None, [None]
+            problem._last, problem._ahead, problem.runs = None, None, [None]
             return problem.evaluate(problem.start())
 
         loop_ms, whole_ms, ratio, *_ = paired(work, 7)
