@@ -50,6 +50,7 @@ columns, fitted = (
 
 RESULTS = Path(__file__).parent / "results"
 SIZES = (500, 1000, 2000, 10_000)
+STIFF, WEAK = (-100.0, 0.05), (-2.0, 0.1)  # size and width of a hysteresis
 REPEATS = {500: 15, 1000: 15, 2000: 9, 10_000: 3}
 FIRST = {"mixed-4": [0.5, 0.0, 1.0, 0.0]}  # its initial mean is at rest
 
@@ -296,9 +297,9 @@ def beside_a_fit() -> list[str]:
     effects = ["hysteresis:velocity"]
     hidden, free = engine.get_model("oscillator", effects), ("omega", "zeta", "gain")
     size, width = (p.name for p in hidden.parameters[-2:])
-    for n in (1000, 4000):
+    for kind, n, loop in ((", stiff", 1000, STIFF), ("", 1000, WEAK), ("", 4000, WEAK)):
         frame = series_for(hidden, n, 0.1, 1.0)
-        told = {size: -100.0, width: 0.05, "sigma_v": 1e-3, "sigma_y": 1e-3}
+        told = {size: loop[0], width: loop[1], "sigma_v": 1e-3, "sigma_y": 1e-3}
         record = engine.simulate(
             hidden, told, n, np.random.default_rng(0), u=frame.u, dt=0.1
         ).series
@@ -314,16 +315,15 @@ def beside_a_fit() -> list[str]:
         apart = max(
             np.linalg.norm(a.g - b.g) / np.linalg.norm(a.g) for a, b in zip(one, other, strict=True)
         )
-        lines.append(
-            _seconds(f"{len(one)} columns of {len(beside)} effects", n, was, now, ratio, apart)
-        )
+        what = f"{len(one)} columns of {len(beside)} effects{kind}"
+        lines.append(_seconds(what, n, was, now, ratio, apart))
 
         def judged(fit: Any = fit) -> Any:
             return losses(fit, folds_of(fit.records))
 
         was, now, ratio, one, other = paired(judged, 3, derivatives_anew)
         apart = float(np.nanmax(np.abs(one - other)))
-        lines.append(_seconds("fits that leave a fold out", n, was, now, ratio, apart))
+        lines.append(_seconds(f"fits that leave a fold out{kind}", n, was, now, ratio, apart))
     return lines
 
 
