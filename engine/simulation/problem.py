@@ -339,8 +339,9 @@ class FreeRunProblem:
             other = (-dy * h / self.scale[:, None])[part.observed]
             columns = [*range(k), *range(k + s * m, k + (s + 1) * m)]
             own = own[: len(other), columns] * h
-            size = np.linalg.norm(other, axis=0)
-            off = np.linalg.norm(own - other, axis=0)
+            with np.errstate(over="ignore"):
+                size = np.linalg.norm(other, axis=0)
+                off = np.linalg.norm(own - other, axis=0)
             known = np.isfinite(size)
             allowed = ALIKE * size + WEAK * size[known].max(initial=0.0)
             if not (off <= allowed)[known].all():
