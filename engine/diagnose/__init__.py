@@ -58,6 +58,7 @@ from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.errors import OptionError, SeriesError
 from engine.statespace.model import MixedModel, ThetaLike
+from engine.words import enumerated
 
 __all__ = [
     "Cause",
@@ -222,6 +223,12 @@ def diagnose(
         kept=done,
     )
     found = causes.search
+    silent = np.diag(causes.base.information) == 0.0
+    if searched is not train and silent.any():
+        untold = [name for name, none in zip(causes.base.free, silent, strict=True) if none]
+        notes.append(
+            f"Of {enumerated(untold)} these samples tell nothing: one step ahead they keep their start values."
+        )
     notes.extend([*fine.notes, *causes.notes])
 
     clock.start("free run")

@@ -116,7 +116,15 @@ def moment_maxima(
         near = fit.log_likelihood >= found[0].log_likelihood - rivals
         if near and not any(_same(fit, other, indices) for other in apart):
             apart.append(fit)
-    return [fit.theta for fit in apart[:MOST_MAXIMA]]
+    return [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
+
+
+def _told(fit: QuasiFit, theta: Theta, indices: NDArray[np.intp]) -> Theta:
+    """What was found; parameters of which these rows tell nothing keep their start, not that of a candidate."""
+    values = np.array(fit.theta)
+    silent = indices[np.diag(fit.information) == 0.0]
+    values[silent] = np.asarray(theta)[silent]
+    return Theta(values, theta.names)
 
 
 def _same(fit: QuasiFit, other: QuasiFit, indices: NDArray[np.intp]) -> bool:

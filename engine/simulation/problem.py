@@ -9,6 +9,9 @@ model's functions take arrays of parameters, as plain NumPy ones do.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
@@ -18,9 +21,9 @@ from engine.errors import ModelError
 from engine.simulation.covariance import Determined, run_covariance
 from engine.simulation.free_run import first_state, free_run, output_scale, run_rows
 from engine.simulation.sensitivities import sensitivities
-from engine.simulation.simulate import propagate
+from engine.simulation.simulate import states_of
 from engine.simulation.steps import observations, tested
-from engine.simulation.whole_record import SHORTEST, whole_record
+from engine.simulation.whole_record import SHORTEST
 from engine.statespace.model import Array, MixedModel, Theta
 
 STEP = 1e-5  # finite-difference step as a share of a parameter's scale
@@ -29,10 +32,13 @@ TRIALS = 8  # sizes tried for a parameter of unknown scale
 PRECISE = 1e-7  # relative change of the cost or of p at which the search ends
 SILENT = 1e-9  # a derivative below this share of the largest one is no influence
 AWAY = 1e6  # times the largest reading: a run so far off is lost, and squares of it overflow
-TOO_STEEP = 1e100  # derivatives from there on are none
-LOOKED_AT = 1000  # rows of a record on which derivatives of both kinds are compared
+TOO_STEEP = 1e40  # derivatives from there on are none; their sixth power would overflow in a step
+LOOKED_AT = 1000  # rows, of all records together, on which derivatives of both kinds are compared
+BENT = 0.3  # of sqrt(precise): so much of the residuals may bend where derivatives are kept
 ALIKE = 0.01  # share by which a column of derivatives may differ from differences of runs ...
 WEAK = 1e-6  # ... of the largest column: what differences of runs resolve
+
+Run: TypeAlias = tuple[Array, Array]  # x (T, nx), y (T, ny)
 
 
 class FreeRunProblem:
@@ -45,8 +51,12 @@ class FreeRunProblem:
         theta: Theta,
         free: NDArray[np.intp],
         x1: Array | None = None,
+        runs: Sequence[Array | None] | None = None,
     ) -> None:
-        """Of some parameters; ``x1`` (S, nx) first states to begin with, else those of the model."""
+        """Of some parameters; ``x1`` (S, nx) first states to begin with, else those of the model.
+
+        ``runs`` are runs (T, nx) near those from there, for each series, as guesses.
+        """
         self.model, self.series, self.theta = model, series, theta
         self.active, self.silent = free, free[:0]
         self.scale = output_scale(series)
@@ -56,9 +66,13 @@ class FreeRunProblem:
         self.x1 = np.tile(mean, (len(series), 1)) if x1 is None else x1
         self.uncertain = np.flatnonzero(self.spread > 0.0)
         self.evaluations = 0
-        self.at_once = True  # runs and derivatives as a whole, where they converge
-        self._last: tuple[bytes, Array, Array] | None = None
-        self._runs: list[Array | None] = [None] * len(series)  # the last of each, to begin with
+        self.at_once = True  # derivatives along the run, not by differences of runs
+        self.as_whole = [False] * len(series)  # whether those of the last evaluation were
+        self.runs = list(runs or [None] * len(series))  # the last of each, to begin with
+        self._last: tuple[bytes, Array, Array] | None = None  # p, residuals, derivatives
+        self._ahead: tuple[bytes, Array, list[Run]] | None = (
+            None  # p, residuals, runs: no derivatives
+        )
 
     def names(self, indices: NDArray[np.intp]) -> tuple[str, ...]:
         """Names of parameters."""
@@ -88,12 +102,15 @@ class FreeRunProblem:
     def look_for_silent(self) -> None:
         """Take parameters out that do not change the run around the start."""
         self._look_for_sizes()
-        self.at_once = self._agree()
+        self._last = None  # its derivatives were taken over other distances
         _, jacobian = self.evaluate(self.start())
+        if not self._agree(jacobian):
+            self.at_once, self._last = False, None
+            _, jacobian = self.evaluate(self.start())
         size = np.abs(jacobian[:, : self.active.size]).max(axis=0, initial=0.0) * self.steps()
         quiet = ~(size > SILENT * float(size.max(initial=0.0)))
         self.silent, self.active = self.active[quiet], self.active[~quiet]
-        self._last = None
+        self._last = self._ahead = None
 
     def _look_for_sizes(self) -> None:
         """A size for each active parameter that starts at 0: what changes the run as much as it is wrong."""
@@ -126,18 +143,30 @@ class FreeRunProblem:
         rows: NDArray[np.bool_] | None = None,
         precise: float = PRECISE,
     ) -> OptimizeResult:
-        """Least squares from p = start; over those of the residuals (n,) that are marked, if any are."""
+        """Least squares from p = start; over those of the residuals (n,) that are marked, if any are.
+
+        Derivatives are kept from step to step while residuals change as they foretell: what bends less
+        than a part of sqrt(precise) of the residuals moves the cost by a share of ``precise``.
+        """
         kept = slice(None) if rows is None else rows
         low, high = self.bounds()
 
         most = AWAY * self.reach()
+        there: list[tuple[Array, Array, Array]] = []  # where derivatives were taken last
 
         def residuals(p: Array) -> Array:
-            e = self.evaluate(p)[0][kept]
+            e = self.residuals(p)[kept]
             return e if np.abs(e).max(initial=0.0) < most else np.full_like(e, np.inf)
 
         def jacobian(p: Array) -> Array:
-            return self.evaluate(p)[1][kept]
+            e = self.residuals(p)[kept]
+            if there:
+                p0, e0, J0 = there[0]
+                bent = np.linalg.norm(e - e0 - J0 @ (p - p0))
+                if bent <= BENT * np.sqrt(precise) * np.linalg.norm(e):
+                    return J0
+            there[:] = [(p.copy(), e, self.evaluate(p)[1][kept])]
+            return there[0][2]
 
         start = np.clip(start, low, high)
         if not np.isfinite(residuals(start)).all():
@@ -197,17 +226,50 @@ class FreeRunProblem:
         values = [np.abs(one.y / self.scale)[one.observed] for one in self.series]
         return max((float(y.max(initial=0.0)) for y in values), default=0.0) or 1.0
 
+    def residuals(self, p: Array) -> Array:
+        """Residuals (n,) alone, where their derivatives are not had for the same price."""
+        key = p.tobytes()
+        for known in (self._last, self._ahead):
+            if known is not None and known[0] == key:
+                return known[1]
+        if not all(self.as_whole):
+            return self.evaluate(p)[0]
+        theta, x1 = self.split(p)
+        found: list[Run] = []
+        for s in range(len(self.series)):
+            run = self._at_once(theta, x1[s], s)
+            if run is None:
+                return self.evaluate(p)[0]
+            found.append(run)
+        self.evaluations += 1
+        parts = zip(self.series, found, strict=True)
+        e = np.concatenate([((one.y - y) / self.scale)[one.observed] for one, (_, y) in parts])
+        self._ahead = (key, e, found)
+        return e
+
+    def begin_at(self, p: Array, e: Array, J: Array) -> None:
+        """Residuals and derivatives at p, evaluated before."""
+        self._last = (p.tobytes(), e, J)
+
     def evaluate(self, p: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives (n, n_p); 0 where these are not finite or as good as."""
         key = p.tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1], self._last[2]
-        self.evaluations += 1
+        ahead = self._ahead[2] if self._ahead is not None and self._ahead[0] == key else None
+        self.evaluations += ahead is None
         theta, x1 = self.split(p)
         k, m, S = self.active.size, self.uncertain.size, len(self.series)
         blocks, derivatives = [], []
         for s, one in enumerate(self.series):
-            y, dy = self._at_once(theta, x1[s], s) or self._by_differences(theta, x1[s], one)
+            run = self._at_once(theta, x1[s], s) if ahead is None else ahead[s]
+            self.as_whole[s] = run is not None
+            if run is not None and not np.isfinite(run[0]).all():  # lost: no derivatives lead back
+                y, dy = run[1], np.zeros((*one.y.shape, k + m))
+            elif run is None:
+                y, dy = self._by_differences(theta, x1[s], one)
+            else:
+                y, dy = run[1], self._slopes(theta, run[0], one)
             slope = (-dy / self.scale[:, None])[one.observed]
             block = np.zeros((len(slope), k + S * m))
             block[:, :k] = slope[:, :k]
@@ -218,28 +280,26 @@ class FreeRunProblem:
         self._last = (key, *out)
         return out
 
-    def _at_once(self, theta: Theta, x1: Array, s: int) -> tuple[Array, Array] | None:
-        """y (T, ny) of a series and its derivatives (T, ny, k + m), None where that does not converge."""
-        if not self.at_once:
+    def _at_once(self, theta: Theta, x1: Array, s: int) -> Run | None:
+        """The run of a series, None where derivatives along it are not those of differences, or not cheaper."""
+        model, one = self.model, self.series[s]
+        if not self.at_once or len(one) < SHORTEST:
             return None
-        model, one, record = self.model, self.series[s], self.model.record(theta)
+        record = model.record(theta)
         model.observations.look_again()
-        x = whole_record(model, record, one, x1, self._runs[s])
-        if len(x) < len(one):
-            if len(one) < SHORTEST:  # differences of short runs cost no more
-                return None
-            _, a, z = propagate(model, record, one, x1[None, : model.na], x1[None, model.na :])
-            x = np.concatenate((a[:, 0], z[:, 0]), axis=1)
-            if not np.isfinite(x).all():
-                return None
-        self._runs[s] = x
+        x = states_of(model, record, one, x1, self.runs[s])
+        if not np.isfinite(x).all():
+            return x, np.full_like(one.y, np.inf)
+        self.runs[s] = x
         with np.errstate(all="ignore"):
             seen = tested(model, observations(model, record, one), x)
-        if seen is None:
-            return None
-        steps, values = self.steps(), np.asarray(theta)
-        dy, _ = sensitivities(model, values, one, x, self.active, self.uncertain, steps)
-        return seen.value, dy
+        return None if seen is None else (x, seen.value)
+
+    def _slopes(self, theta: Theta, x: Array, one: Series) -> Array:
+        """Derivatives (T, ny, k + m) of a series' outputs along its run x (T, nx)."""
+        at, steps = np.asarray(theta), self.steps()
+        dy, _ = sensitivities(self.model, at, one, x, self.active, self.uncertain, steps)
+        return dy
 
     def _by_differences(self, theta: Theta, x1: Array, one: Series) -> tuple[Array, Array]:
         """The same by central differences of runs; one-sided at a bound, NaN where one is not finite."""
@@ -260,22 +320,28 @@ class FreeRunProblem:
             dy = np.swapaxes(y[:, 1::2] - y[:, 2::2], 1, 2) / reach
         return y[:, 0], dy
 
-    def _agree(self) -> bool:
-        """Whether derivatives found at once are, at the start, those of differences of runs.
+    def _agree(self, jacobian: Array) -> bool:
+        """Whether derivatives found at once (n, n_p) are, at the start, those of differences of runs.
 
-        They are not where the model jumps, and where friction sticks and slips too often.
+        They are not where the model jumps, and where friction sticks and slips too often. Looked at are the
+        first rows of each record, which share ``LOOKED_AT``.
         """
         theta, x1 = self.split(self.start())
         h = np.concatenate((self.steps(), STEP * self.spread[self.uncertain]))
+        k, m, begin, every = self.active.size, self.uncertain.size, 0, sum(map(len, self.series))
         for s, one in enumerate(self.series):
-            found = self._at_once(theta, x1[s], s)
-            if found is None:
+            own = jacobian[begin : begin + int(one.observed.sum())]
+            begin += len(own)
+            if not self.as_whole[s]:
                 continue
-            part = one.part(0, min(len(one), LOOKED_AT))
-            pair = found[1][: len(part)], self._by_differences(theta, x1[s], part)[1]
-            own, other = ((dy * h / self.scale[:, None])[part.observed] for dy in pair)
-            size = np.linalg.norm(other, axis=0)
-            off = np.linalg.norm(own - other, axis=0)
+            part = one.part(0, min(len(one), -(-LOOKED_AT * len(one) // every)))
+            dy = self._by_differences(theta, x1[s], part)[1]
+            other = (-dy * h / self.scale[:, None])[part.observed]
+            columns = [*range(k), *range(k + s * m, k + (s + 1) * m)]
+            own = own[: len(other), columns] * h
+            with np.errstate(over="ignore"):
+                size = np.linalg.norm(other, axis=0)
+                off = np.linalg.norm(own - other, axis=0)
             known = np.isfinite(size)
             allowed = ALIKE * size + WEAK * size[known].max(initial=0.0)
             if not (off <= allowed)[known].all():

@@ -163,17 +163,8 @@ def propagate(
             begin = len(known) - 1
             a_all[:begin, 0], z_all[:begin, 0] = known[:begin, :na], known[:begin, na:]
             a, z = known[begin:, :na], known[begin:, na:]
-        steps, times, inputs = step_lengths(series), series.t, series.u_step
-        if begin < T - 1:
-            steps, times = steps.tolist(), times.tolist()
-        for t in range(begin, T - 1):
-            a_all[t], z_all[t] = a, z
-            f, A, Q = model.transition(a, inputs[t], times[t], steps[t], record)
-            x = f + through(A, z)
-            if rng is not None and noisy:
-                x += noise(Q, x.shape, rng)
-            a, z = x[:, :na], x[:, na:]
-        a_all[T - 1], z_all[T - 1] = a, z
+        a_all[begin], z_all[begin] = a, z
+        _step_by_step(model, record, series, a_all, z_all, begin, rng if noisy else None)
         noisy_y = rng if measurement else None
         y = _outputs(model, record, series, a_all, z_all, noisy_y)
         if single and noisy_y is None:
@@ -182,6 +173,50 @@ def propagate(
                 model.observations.look_again()
                 y = _outputs(model, record, series, a_all, z_all, None)
     return y, a_all, z_all
+
+
+@repeated_if_refuted
+def states_of(
+    model: MixedModel, record: Any, series: Series, x1: Array, guess: Array | None = None
+) -> Array:
+    """The states (T, nx) of one noise-free run from x1 (nx,), as of :func:`propagate`.
+
+    ``guess`` (T, nx) is a run nearby, such as that of the model without an effect: it spares the loop over
+    time where Newton's method would not find the run from x1 alone.
+    """
+    na = model.na
+    with np.errstate(all="ignore"):
+        known = whole_record(model, record, series, x1, guess)
+        begin = len(known) - 1
+        a, z = (np.empty((len(series), 1, n)) for n in (na, model.nz))
+        a[: begin + 1, 0], z[: begin + 1, 0] = known[:, :na], known[:, na:]
+        _step_by_step(model, record, series, a, z, begin)
+    return np.concatenate((a[:, 0], z[:, 0]), axis=1)
+
+
+def _step_by_step(
+    model: MixedModel,
+    record: Any,
+    series: Series,
+    a_all: Array,
+    z_all: Array,
+    begin: int,
+    rng: np.random.Generator | None = None,
+) -> None:
+    """The loop over time: states behind row ``begin``, which is there, with noise where ``rng`` is given."""
+    if begin == len(series) - 1:
+        return
+    na, inputs = model.na, series.u_step
+    steps, times = step_lengths(series).tolist(), series.t.tolist()
+    for t in range(begin, len(series) - 1):
+        f, A, Q = model.transition(a_all[t], inputs[t], times[t], steps[t], record)
+        x = f + through(A, z_all[t])
+        if rng is not None:
+            x += noise(Q, x.shape, rng)
+        a_all[t + 1], z_all[t + 1] = x[:, :na], x[:, na:]
+        if rng is None and len(x) == 1 and not np.isfinite(x).all():
+            a_all[t + 2 :], z_all[t + 2 :] = np.nan, np.nan  # lost: what comes is no run any more
+            return
 
 
 def _outputs(

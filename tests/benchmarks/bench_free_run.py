@@ -2,8 +2,8 @@
 
 Each pair is measured in turn in one run and told as a ratio, the median over repetitions: free runs of
 registered models and of models that are left to the loop, derivatives by all parameters and first states
-beside differences of runs, fits of the free run, the choice of sub-steps in a diagnosis. Writes
-``results/free-run.md``.
+beside differences of runs, fits of the free run, the choice of sub-steps in a diagnosis; of the search beside
+a fit, runs begun from the fit's own and derivatives kept, beside neither. Writes ``results/free-run.md``.
 """
 
 # ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
@@ -15,6 +15,7 @@ import os
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 
+import importlib
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -26,8 +27,10 @@ import numpy as np
 
 import engine
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.free_run_fits.candidates import candidates
+from engine.diagnose.free_run_fits.folds import folds_of, losses
 from engine.diagnose.search.substeps import choose
-from engine.simulation import whole_record
+from engine.simulation import problem, whole_record
 from engine.simulation.free_run import first_state
 from engine.simulation.problem import FreeRunProblem
 from engine.simulation.simulate import propagate
@@ -40,8 +43,14 @@ from tests.engine.simulation.free_run_models import (
     van_der_pol,
 )
 
+columns, fitted = (
+    importlib.import_module(f"engine.diagnose.free_run_fits.{name}")
+    for name in ("columns", "fitted")
+)
+
 RESULTS = Path(__file__).parent / "results"
 SIZES = (500, 1000, 2000, 10_000)
+STIFF, WEAK = (-100.0, 0.05), (-2.0, 0.1)  # size and width of a hysteresis
 REPEATS = {500: 15, 1000: 15, 2000: 9, 10_000: 3}
 FIRST = {"mixed-4": [0.5, 0.0, 1.0, 0.0]}  # its initial mean is at rest
 
@@ -56,15 +65,38 @@ def the_loop() -> Any:
         whole_record.SHORTEST = shortest
 
 
-def paired(work: Callable[[], Any], repeats: int) -> tuple[float, float, float, Any, Any]:
-    """Milliseconds of loop and whole, how often the whole goes into the loop; results of both."""
+@contextmanager
+def from_nothing() -> Any:
+    """No run begins at that of the fit beside it."""
+    before, fitted.extended_run = fitted.extended_run, lambda *of: None
+    columns.extended_run = fitted.extended_run
+    try:
+        yield
+    finally:
+        fitted.extended_run = columns.extended_run = before
+
+
+@contextmanager
+def derivatives_anew() -> Any:
+    """Derivatives are taken again after each step of a fit."""
+    bent, problem.BENT = problem.BENT, 0.0
+    try:
+        yield
+    finally:
+        problem.BENT = bent
+
+
+def paired(
+    work: Callable[[], Any], repeats: int, before: Callable[[], Any] = the_loop
+) -> tuple[float, float, float, Any, Any]:
+    """Milliseconds of loop (or as ``before``) and whole, how often the whole goes into it; results of both."""
     seconds = []
-    with the_loop():
+    with before():
         work()
     work()
     for _ in range(repeats):
         started = time.process_time()
-        with the_loop():
+        with before():
             loop = work()
         between = time.process_time()
         whole = work()
@@ -190,17 +222,15 @@ def derivatives() -> list[str]:
         series = record(1000)
         series = series.replace(y=np.random.default_rng(0).standard_normal(series.y.shape))
         theta = model.theta()
-        problem = FreeRunProblem(model, [series], theta, np.arange(len(theta)))
+        asked = FreeRunProblem(model, [series], theta, np.arange(len(theta)))
 
-        def work(problem: Any = problem) -> Any:
-            problem._last, problem._runs = None, [None]
-            return problem.evaluate(problem.start())
+        def work(asked: Any = asked) -> Any:
+            asked._last, asked._ahead, asked.runs = None, None, [None]
+            return asked.evaluate(asked.start())
 
         loop_ms, whole_ms, ratio, *_ = paired(work, 7)
-        columns = problem.start().size
-        lines.append(
-            f"| {name} | 1000 | {columns} | {loop_ms:.1f} | {whole_ms:.1f} | {ratio:.1f} |"
-        )
+        count = asked.start().size
+        lines.append(f"| {name} | 1000 | {count} | {loop_ms:.1f} | {whole_ms:.1f} | {ratio:.1f} |")
         print(lines[-1], flush=True)
     return lines
 
@@ -258,6 +288,51 @@ def fits() -> list[str]:
     return lines
 
 
+def beside_a_fit() -> list[str]:
+    """What a round of the search makes beside a fit that has a hysteresis."""
+    lines = [
+        "| what | rows | before, s | now, s | times faster | largest difference |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    effects = ["hysteresis:velocity"]
+    hidden, free = engine.get_model("oscillator", effects), ("omega", "zeta", "gain")
+    size, width = (p.name for p in hidden.parameters[-2:])
+    for kind, n, loop in ((", stiff", 1000, STIFF), ("", 1000, WEAK), ("", 4000, WEAK)):
+        frame = series_for(hidden, n, 0.1, 1.0)
+        told = {size: loop[0], width: loop[1], "sigma_v": 1e-3, "sigma_y": 1e-3}
+        record = engine.simulate(
+            hidden, told, n, np.random.default_rng(0), u=frame.u, dt=0.1
+        ).series
+        fit = fitted.fit_runs(
+            hidden, [record], hidden.theta(told), (*free, size, width), np.zeros((1, hidden.nx))
+        )
+        beside = candidates(fit, setting_for(hidden, record, np.asarray(fit.theta)), None)
+
+        def screened(fit: Any = fit, beside: Any = beside) -> Any:
+            return columns.columns(fit, beside)
+
+        was, now, ratio, one, other = paired(screened, 3, from_nothing)
+        apart = max(
+            np.linalg.norm(a.g - b.g) / np.linalg.norm(a.g) for a, b in zip(one, other, strict=True)
+        )
+        what = f"{len(one)} columns of {len(beside)} effects{kind}"
+        lines.append(_seconds(what, n, was, now, ratio, apart))
+
+        def judged(fit: Any = fit) -> Any:
+            return losses(fit, folds_of(fit.records))
+
+        was, now, ratio, one, other = paired(judged, 3, derivatives_anew)
+        apart = float(np.nanmax(np.abs(one - other)))
+        lines.append(_seconds(f"fits that leave a fold out{kind}", n, was, now, ratio, apart))
+    return lines
+
+
+def _seconds(what: str, n: int, was: float, now: float, ratio: float, apart: float) -> str:
+    line = f"| {what} | {n} | {1e-3 * was:.2f} | {1e-3 * now:.2f} | {ratio:.1f} | {apart:.0e} |"
+    print(line, flush=True)
+    return line
+
+
 def main() -> None:
     RESULTS.mkdir(exist_ok=True)
     with Watch() as watch:
@@ -266,6 +341,7 @@ def main() -> None:
             "The first run of a model, its functions tested": first_runs(),
             "Residuals and their derivatives by all parameters and uncertain first states": derivatives(),
             "What is made of free runs": fits(),
+            "Beside a fit: runs begun from its own, derivatives kept while they foretell": beside_a_fit(),
         }
     figures = watch.figures()
     foreign, cores = figures["cores used by foreign processes"], figures["cores"]

@@ -12,6 +12,7 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, Progress, one_round
+from engine.diagnose.free_run.windows import LONG, STRETCH
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.search.findings import Cause, LookAlike, Verdict
 from engine.diagnose.search.search import part_of
@@ -165,12 +166,20 @@ def best_runs(
 
 
 def noise_fit(fit: Fitted) -> QuasiFit:
-    """The noise that the data call for beside the parameters of the free run."""
+    """The noise that the data call for beside the parameters of the free run; that of a long record's begin."""
+    records = [
+        one if len(one) <= LONG else one.part(0, _whole(STRETCH, one)) for one in fit.records
+    ]
     if fit.noise:
-        found = quasi_ml(fit.model, fit.records, fit.theta, fit.noise)
+        found = quasi_ml(fit.model, records, fit.theta, fit.noise)
         return replace(found, free=fit.free, information=information(fit, found))
-    whole = quasi_ml(fit.model, fit.records, fit.theta, fit.free, max_iterations=0)
+    whole = quasi_ml(fit.model, records, fit.theta, fit.free, max_iterations=0)
     return replace(whole, information=information(fit, whole))
+
+
+def _whole(rows: int, series: Series) -> int:
+    """About so many rows, of whole samples."""
+    return rows // series.substeps * series.substeps
 
 
 def information(fit: Fitted, found: QuasiFit) -> Array:

@@ -32,7 +32,8 @@ SEEN, ENDED = 0.1, 0.9  # of a round: its alarm, and all but the ends of what su
 SINGLES, PAIRS = 10, 6  # refitted at most: effects alone, and in pairs
 LEADS, BESIDE = 3, 4  # refits beside which others are looked for; how many beside each
 LEAST = 0.02  # of the squared error: what an effect takes to first order, to be refitted
-JUDGED = 16  # refits that are judged on rows left out
+JUDGED = 16  # refits that are judged on rows left out ...
+FAR = 16.0  # ... of squared errors up to so many times the least: a longer way is not made up for there
 SIZES = (1.0, 0.2)  # of the first-order size, from which a refit starts
 ENOUGH = 1.2  # of the squared error expected to first order: so near it another start is not tried
 APART = 0.05  # of the residuals: two refits that differ less run alike
@@ -133,7 +134,7 @@ def one_round(
     worth = _worth_judging(found, len(fit.effects), answers)
     judged = _judged(fit, own, worth, folds, progress)
     progress(STAGE, 1.0)
-    left = survivors(own, judged, setting)
+    left = survivors(own, judged, setting, min(len(found), JUDGED))
     return FreeRound(fit, own, seen, tuple(singles), tuple(judged), left, alpha)
 
 
@@ -214,10 +215,10 @@ def _worth_judging(
     found: Sequence[Fitted], known: int, answers: Sequence[frozenset[str]]
 ) -> list[Fitted]:
     """The best fits, what they are made of (effects beyond the ``known`` ones, each alone), and ``answers``."""
-    best = list(found[:JUDGED])
+    best = [fit for fit in found[:JUDGED] if fit.cost <= FAR * found[0].cost]
     parts = {name for fit in best[:LEADS] for name in fit.names[known:]}
     wanted = {frozenset((name,)) for name in parts} | set(answers)
-    return best + [f for f in found[JUDGED:] if frozenset(f.names[known:]) in wanted]
+    return best + [f for f in found[len(best) :] if frozenset(f.names[known:]) in wanted]
 
 
 def _judged(
@@ -239,13 +240,13 @@ def _judged(
 
 
 def survivors(
-    own: Array, judged: Sequence[Candidate], setting: Setting
+    own: Array, judged: Sequence[Candidate], setting: Setting, among: int = 0
 ) -> tuple[tuple[Candidate, ...], ...]:
     """Of those that gain, what is not worse than the best, in groups that run alike; the first one is chosen.
 
     Effects must earn their place, and so must parameters: of what is within ``EARNED`` of the best the fewest
     effects, of these what is within ``WORTH`` of their best, of these the fewest parameters. Others survive
-    where they have no more of either.
+    where they have no more of either. The best is the best of those judged, of ``among`` at least.
     """
     worth = np.nanmean(own) + np.log1p(-WORTH)
     gaining = [
@@ -253,7 +254,9 @@ def survivors(
     ]
     if not gaining:
         return ()
-    level = NOT_WORSE / len(judged)  # the best of so many is better than it will be again
+    level = NOT_WORSE / max(
+        len(judged), among
+    )  # the best of so many is better than it will be again
     near = gaining[0].held_out + NEAR * float(np.exp(0.5 * np.nanmean(own)))
     left = [
         c

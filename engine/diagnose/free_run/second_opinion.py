@@ -24,7 +24,7 @@ from engine.diagnose.free_run.answer import (
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.null import Alarm, alarm
 from engine.diagnose.free_run.search import STAGE, FreeRound, Progress
-from engine.diagnose.free_run.windows import windows
+from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
 from engine.diagnose.free_run_fits.columns import CANNOT, columns
 from engine.diagnose.free_run_fits.fitted import Pick
@@ -76,7 +76,7 @@ def second_opinion(
     progress: Progress,
 ) -> SecondOpinion:
     """Ask the free run of the records ``given``; ``theta`` is another start for the base's parameters."""
-    records = windows(given)
+    records = telling(causes.base.model, causes.base.theta, causes.base.free, given)
     named = [r.refits[0] for r in causes.search.rounds if r.equivalent]
     patches = any(refit.effect.family == "noise" for refit in named)
     settled = causes.verdict is not Verdict.UNKNOWN and not patches

@@ -9,9 +9,13 @@ import numpy as np
 from engine.data.series import Series
 from engine.errors import EngineError
 from engine.filters.sigma_point import moment_path
+from engine.simulation.problem import FreeRunProblem
 from engine.statespace.model import MixedModel, ThetaLike
 
 MOST_ROWS = 4000  # of all windows together, steps between samples counted
+MOST_WHOLE = (
+    20_000  # rows of a record that is searched as a whole where its windows do not tell enough
+)
 WINDOWS = 4
 WIDE = 0.3  # of the standard deviation of a state over a record
 LONG, STRETCH = 10_000, 3000  # rows from which on the likelihood searches a stretch, and its length
@@ -37,6 +41,33 @@ def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
     order = sorted(range(len(parts)), key=lambda k: activity(parts[k], longest))
     chosen = {order[i] for i in np.linspace(0, len(order) - 1, WINDOWS).round().astype(int)}
     return [parts[k] for k in sorted(chosen)]
+
+
+def telling(
+    model: MixedModel, theta: ThetaLike, free: Sequence[str], records: Sequence[Series]
+) -> list[Series]:
+    """:func:`windows`, or the records where free parameters are silent on these that the records tell.
+
+    So it is with a table of which every part of a record visits another entry.
+    """
+    parts = windows(records)
+    if parts == list(records) or sum(map(len, records)) > MOST_WHOLE:
+        return parts
+    untold = _silent(model, theta, free, parts) - _silent(model, theta, free, records)
+    return list(records) if untold else parts
+
+
+def _silent(
+    model: MixedModel, theta: ThetaLike, free: Sequence[str], records: Sequence[Series]
+) -> set[str]:
+    """Free parameters that do not change the free run of any of the records; none where there is no run."""
+    indices = model.free_indices(free)
+    problem = FreeRunProblem(model, list(records), model.theta(theta), indices)
+    try:
+        problem.look_for_silent()
+    except (EngineError, np.linalg.LinAlgError):
+        return set()
+    return set(problem.names(problem.silent))
 
 
 def stretch(series: Series, long: int = LONG, rows: int = STRETCH) -> tuple[int, int]:

@@ -9,10 +9,15 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.free_run_fits.fitted import Fitted, first_states, state_names
+from engine.diagnose.free_run_fits.fitted import (
+    Fitted,
+    extended_run,
+    first_states,
+    state_names,
+)
 from engine.errors import EngineError
 from engine.simulation.sensitivities import Along
-from engine.simulation.simulate import propagate
+from engine.simulation.simulate import states_of
 from engine.statespace.model import Array, MixedModel, Theta
 
 SMALL = 0.01  # of the residuals: what the effect does over the distance of its differences
@@ -37,8 +42,8 @@ class Column:
 def columns(fit: Fitted, effects: Iterable[Effect]) -> list[Column]:
     """Of every effect at every probe; an effect whose run cannot be had is left out."""
     theta, base = np.asarray(fit.theta), []
-    for one, x1 in zip(fit.records, fit.x1, strict=True):
-        run = run_of(fit.model, theta, one, x1)
+    for one, x1, guess in zip(fit.records, fit.x1, fit.problem.runs, strict=True):
+        run = run_of(fit.model, theta, one, x1, guess)
         if not np.isfinite(run).all():
             return []
         base.append(Along(fit.model, theta, one, run))
@@ -53,20 +58,31 @@ def columns(fit: Fitted, effects: Iterable[Effect]) -> list[Column]:
 
 def _of(fit: Fitted, base: list[Along], effect: Effect) -> list[Column]:
     model = effect.apply(fit.model)
-    size, out = len(fit.theta), []
+    size, out = len(fit.theta), list[Column]()
+    along: list[Along] | None = None
     for probe in effect.probes:
         values = np.array([*fit.theta, *(p.default for p in effect.parameters)])
         values[size + 1 : size + 1 + len(probe)] = probe
         theta = model.theta(values)
-        along = _along(fit, base, model, theta)
+        along = _along(fit, base, model, theta, along)
         g = None if along is None else _slope(fit, model, along)
         if g is not None:
             out.append(Column(effect, probe, g))
     return out
 
 
-def _along(fit: Fitted, base: list[Along], model: MixedModel, theta: Theta) -> list[Along] | None:
-    """The runs with the effect of size 0: those of the base where it has no states of its own."""
+def _along(
+    fit: Fitted,
+    base: list[Along],
+    model: MixedModel,
+    theta: Theta,
+    near: list[Along] | None = None,
+) -> list[Along] | None:
+    """The runs with the effect of size 0: those of the base where it has no states of its own.
+
+    Else those of the base with such states, which do not act yet: all but these are known. ``near`` are the
+    runs at another probe.
+    """
     names, known = state_names(model), state_names(fit.model)
     vector, out = np.asarray(theta), []
     if set(names) == set(known):
@@ -75,19 +91,24 @@ def _along(fit: Fitted, base: list[Along], model: MixedModel, theta: Theta) -> l
             slopes = own.J[:, at][:, :, at], own.H[:, :, at]
             out.append(Along(model, vector, one, own.x[:, at], slopes))
         return out
-    for one, x1 in zip(fit.records, first_states(model, theta, fit), strict=True):
-        run = run_of(model, vector, one, x1)
+    firsts = first_states(model, theta, fit)
+    guesses: list[Array | None] = [along.x for along in near or base]
+    if near is None:
+        both = zip(guesses, firsts, strict=True)
+        guesses = [extended_run(model, fit.model, *pair) for pair in both]
+    for one, x1, guess in zip(fit.records, firsts, guesses, strict=True):
+        run = run_of(model, vector, one, x1, guess)
         if not np.isfinite(run).all():
             return None
         out.append(Along(model, vector, one, run))
     return out
 
 
-def run_of(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
-    """The free run (T, nx) from a first state (nx,)."""
-    na = model.na
-    _, a, z = propagate(model, model.record(theta), series, x1[None, :na], x1[None, na:])
-    return np.concatenate((a[:, 0], z[:, 0]), axis=1)
+def run_of(
+    model: MixedModel, theta: Array, series: Series, x1: Array, guess: Array | None = None
+) -> Array:
+    """The free run (T, nx) from a first state (nx,); ``guess`` is one nearby."""
+    return states_of(model, model.record(theta), series, x1, guess)
 
 
 def _slope(fit: Fitted, model: MixedModel, along: list[Along]) -> Array | None:

@@ -106,12 +106,14 @@ def fit_runs(
     x1: Array,
     effects: tuple[Effect, ...] = (),
     best: float = np.inf,
+    runs: Sequence[Array | None] | None = None,
 ) -> Fitted:
     """Least squares from theta and first states x1 (S, nx). Raises what the model raises.
 
-    Left early where it stays far from ``best``, a squared error that was reached.
+    Left early where it stays far from ``best``, a squared error that was reached. ``runs`` are guesses of the
+    runs (T, nx) at the start.
     """
-    problem = FreeRunProblem(model, list(records), theta, model.free_indices(free), x1)
+    problem = FreeRunProblem(model, list(records), theta, model.free_indices(free), x1, runs)
     problem.look_for_silent()
     end = problem.descend(problem.start(), SHORT, precise=PRECISE)
     if end.status == 0 and 2.0 * end.cost < HOPELESS * best:
@@ -146,7 +148,20 @@ def with_effects(fit: Fitted, picks: Sequence[Pick], best: float = np.inf) -> Fi
     start = model.theta(np.clip(theta, model.lower, model.upper))
     x1 = first_states(model, start, fit)
     effects = (*fit.effects, *(pick.effect for pick in picks))
-    return fit_runs(model, fit.records, start, free, x1, effects, best)
+    runs = [extended_run(model, fit.model, *one) for one in zip(fit.problem.runs, x1, strict=True)]
+    return fit_runs(model, fit.records, start, free, x1, effects, best, runs)
+
+
+def extended_run(model: MixedModel, base: MixedModel, run: Array | None, x1: Array) -> Array | None:
+    """A guess of a run (T, nx) of an extended model: that of its base, its own states as at first, x1 (nx,)."""
+    if run is None:
+        return None
+    known, own = list(state_names(base)), state_names(model)
+    out = np.tile(x1, (len(run), 1))
+    for i, name in enumerate(own):
+        if name in known:
+            out[:, i] = run[:, known.index(name)]
+    return out
 
 
 def first_states(model: MixedModel, theta: Theta, fit: Fitted) -> Array:
@@ -167,5 +182,6 @@ def state_names(model: MixedModel) -> tuple[str, ...]:
 
 def on_rows(fit: Fitted, rows: NDArray[np.bool_], evaluations: int = EVALUATIONS) -> Array:
     """All residuals (n,) of the model fitted to the marked ones only, from where it is."""
+    fit.problem.begin_at(fit.p, fit.e, fit.J)
     best = fit.problem.descend(fit.p, evaluations, rows, PRECISE)
-    return np.asarray(fit.problem.evaluate(best.x)[0])
+    return fit.problem.residuals(best.x)

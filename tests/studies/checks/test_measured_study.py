@@ -21,16 +21,6 @@ def test_thinning_averages_the_input_that_is_held():
     assert thin.dt == pytest.approx(0.4)
 
 
-def test_fewer_readings_of_a_cell_carry_the_same_charge():
-    step = np.array([6, 6, *[9] * 7, 10])
-    t = np.cumsum(np.linspace(1.0, 2.0, len(step)))
-    current = np.arange(float(len(step)))
-    kept = records.kept_rows(step, {9: 3})
-    assert kept.tolist() == [0, 1, 2, 5, 8, 9]  # a part's first and last reading stay
-    some, _, mean = records.fewer(t, current, current, kept)
-    assert (mean[1:] * np.diff(some)).sum() == pytest.approx((current[1:] * np.diff(t)).sum())
-
-
 def test_the_table_of_a_cell_is_a_line_between_its_knots():
     theta = models.CELL.record(models.CELL.theta(None))
     q = np.array([-0.1, 0.0, 0.5, 0.99, 1.1])

@@ -33,9 +33,7 @@ ONE = "one round one step ahead"
 EMPS_THINNED = 40  # samples of 1 ms that become one
 BOUCWEN_DT = 1.0 / 750.0  # s
 BOUCWEN_PERIOD = 8192  # rows; the first period is not settled
-BOUCWEN_ROWS = 500
-PULSE, REST, CHARGED, DISCHARGE = 6, 7, 8, 9  # what the tester did
-CELL_THINNED = {PULSE: 3, REST: 2, CHARGED: 10, DISCHARGE: 60}  # readings that become one
+PULSE, CHARGED = 6, 8  # what the tester did: a pulse begins, it ends
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ def _tanks(folder: Path) -> Data:
 
 
 def _boucwen(folder: Path) -> Data:
-    """Steady state of the second period; the sweep is the one record that begins at rest."""
+    """Steady state, from the second period on; the sweep is the one record that begins at rest."""
     options: dict[str, Any] = {"y": ["y_m"], "u": ["u_N"], "dt": BOUCWEN_DT, "hold": "foh"}
     train = read_series(folder / "estimation_multisine.csv", **options)
     test = read_series(folder / "test_multisine.csv", **options)
@@ -125,7 +123,7 @@ def _boucwen(folder: Path) -> Data:
         "multisine": test.part(BOUCWEN_PERIOD // 2, BOUCWEN_PERIOD),
         "sweep": Series(sweep[:, 1], sweep[:, 0], dt=BOUCWEN_DT, hold="foh"),
     }
-    return Data(SPRING, train.part(BOUCWEN_PERIOD, BOUCWEN_PERIOD + BOUCWEN_ROWS), tests, ONCE)
+    return Data(SPRING, train.part(BOUCWEN_PERIOD, len(train)), tests, ONCE)
 
 
 def _gzipped(path: Path) -> Array:
@@ -144,30 +142,12 @@ def _cell(folder: Path) -> Data:
     step = step[first:]
     t, voltage, current = (table[name][first:] for name in ("t_s", "voltage_V", "current_A"))
     pulse = np.cumsum(np.diff(step == PULSE, prepend=False) & (step == PULSE))
-    kept = kept_rows(step, CELL_THINNED)
-    t, voltage, current = fewer(t, voltage, current, kept)
     whole = Series(voltage, current, t=t, y_names=["voltage"], hold="past")
-    even = (pulse[kept] % 2 == 0) & (step[kept] <= CHARGED)
+    even = (pulse % 2 == 0) & (step <= CHARGED)
     free = [name for name in CELL.parameter_names if name != "Q"]
     return Data(
         CELL, whole.masked(even), {"even pulses": whole.masked(~even)}, {"free": free, **ONCE}, 0
     )
-
-
-def kept_rows(step: Array, thinned: Mapping[int, int]) -> Array:
-    """Every n-th row of what the tester did, all where no n is told; the first and last row of each."""
-    every = np.select([step == key for key in thinned], list(thinned.values()), 1)
-    begins = np.flatnonzero(np.diff(step, prepend=-1))
-    place = np.arange(len(step)) - np.repeat(begins, np.diff(np.append(begins, len(step))))
-    last = np.diff(step, append=-1) != 0
-    return np.asarray(np.flatnonzero((place % every == 0) | last))
-
-
-def fewer(t: Array, y: Array, u: Array, kept: Array) -> tuple[Array, Array, Array]:
-    """Some rows of a record that says the mean of u since the row before, with the mean since the kept one."""
-    charge = np.concatenate(([0.0], np.cumsum(u[1:] * np.diff(t))))[kept]
-    mean = np.append(u[kept[0]], np.diff(charge) / np.diff(t[kept]))
-    return t[kept], y[kept], mean
 
 
 def _nile(folder: Path) -> Data:
@@ -204,7 +184,7 @@ RECORDS = {
             "boucwen",
             "boucwen",
             _boucwen,
-            f"{BOUCWEN_ROWS} rows of the second period; {ONE}",
+            f"all but the first period; {ONE}",
             "mm",
             1e3,
         ),
@@ -212,8 +192,7 @@ RECORDS = {
             "battery",
             "battery_leaf_hppc",
             _cell,
-            "from the first pulse on, 1 reading in 60 of the discharges, in 2 to 10 of the pulses; "
-            f"{ONE}",
+            f"all from the first pulse on; {ONE}",
             "mV",
             1e3,
         ),

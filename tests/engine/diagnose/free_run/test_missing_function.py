@@ -13,6 +13,7 @@ from engine.diagnose.effects.free_function import free_function, hats, knots_of
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import best_runs, search_free_runs, setting_of
 from engine.diagnose.free_run.missing_function import missing_function
+from engine.diagnose.free_run.search import GAINED
 from engine.diagnose.free_run_fits.folds import folds_of, losses
 from engine.diagnose.search.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
@@ -61,7 +62,7 @@ def test_a_force_without_a_name_is_found_with_its_curve_in_any_unit(unit, zero):
     found = _missing(unit, zero, 1.0)
     assert (found.source, found.target) == ("position", "rate")
     assert found.left < 0.5
-    assert found.p_value < 0.01
+    assert found.p_value <= GAINED  # beyond the range of a fold its curve is anyone's guess
     x, mean, sd = (found.x - zero) * unit, found.mean * unit, found.sd * unit
     straight = np.stack((x, np.ones_like(x)), axis=1) / sd[:, None]  # the spring's and its zero's
     off = (hidden(x) - mean) / sd
