@@ -70,9 +70,8 @@ class FreeRunProblem:
         self.as_whole = [False] * len(series)  # whether those of the last evaluation were
         self.runs = list(runs or [None] * len(series))  # the last of each, to begin with
         self._last: tuple[bytes, Array, Array] | None = None  # p, residuals, derivatives
-        self._ahead: tuple[bytes, Array, list[Run]] | None = (
-            None  # p, residuals, runs: no derivatives
-        )
+        # p, residuals and runs, where derivatives were not asked for
+        self._ahead: tuple[bytes, Array, list[Run]] | None = None
 
     def names(self, indices: NDArray[np.intp]) -> tuple[str, ...]:
         """Names of parameters."""

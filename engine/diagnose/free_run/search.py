@@ -254,9 +254,8 @@ def survivors(
     ]
     if not gaining:
         return ()
-    level = NOT_WORSE / max(
-        len(judged), among
-    )  # the best of so many is better than it will be again
+    # the best of so many is better than it will be again
+    level = NOT_WORSE / max(len(judged), among)
     near = gaining[0].held_out + NEAR * float(np.exp(0.5 * np.nanmean(own)))
     left = [
         c

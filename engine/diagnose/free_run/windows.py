@@ -13,9 +13,7 @@ from engine.simulation.problem import FreeRunProblem
 from engine.statespace.model import MixedModel, ThetaLike
 
 MOST_ROWS = 4000  # of all windows together, steps between samples counted
-MOST_WHOLE = (
-    20_000  # rows of a record that is searched as a whole where its windows do not tell enough
-)
+MOST_WHOLE = 20_000  # rows of a record that is searched whole where its windows tell too little
 WINDOWS = 4
 WIDE = 0.3  # of the standard deviation of a state over a record
 LONG, STRETCH = 10_000, 3000  # rows from which on the likelihood searches a stretch, and its length

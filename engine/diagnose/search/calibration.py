@@ -114,14 +114,28 @@ def with_boldness(seen: Screen, each: Array, series: int) -> Screen:
 
 
 def simulated(question: Question, rng: np.random.Generator) -> tuple[QuasiFit, Series]:
-    """A series drawn from the fit, with the data's inputs, times and gaps, and the fit to it.
+    """A series drawn from the fit as :func:`drawn_from`, and the fit to it.
 
     Raises EngineError or LinAlgError where the run or the filter is lost.
     """
-    fit, series = question.fit, question.series
-    y = simulate(fit.model, fit.theta, len(series), rng, u=series.u, t=series.t, hold=series.hold).y
-    drawn = series.replace(y=np.where(series.observed, y, np.nan))
+    fit = question.fit
+    drawn = drawn_from(fit, question.series, rng)
     return quasi_ml(fit.model, drawn, fit.theta, fit.free), drawn
+
+
+def drawn_from(fit: QuasiFit, like: Series, rng: np.random.Generator) -> Series:
+    """A series drawn from the fit, with the inputs, times and gaps of another one."""
+    y = simulate(
+        fit.model,
+        fit.theta,
+        len(like),
+        rng,
+        u=like.u,
+        t=like.t,
+        hold=like.hold,
+        time_unit=like.time_unit,
+    ).y
+    return like.replace(y=np.where(like.observed, y, np.nan))
 
 
 def screen_of_simulated(

@@ -50,7 +50,7 @@ def lacking(record, seed=0):
 def test_a_shape_that_no_name_has_is_seen(shape):
     found = lacking(series(with_shape(SHAPES[shape]), 1))
     assert found.target == "speed"
-    assert found.p_value < 0.01
+    assert found.p_value <= LEVEL
     assert set(found.largest) <= {"speed", "force"}
     assert "another shape" in found.sentence
 
@@ -89,6 +89,56 @@ def test_a_right_name_is_rejected_no_more_often_than_said(force):
             found = lack_of_fit(fit, record, ["velocity"], ["position", "velocity"])
             rejected += found.p_value <= LEVEL
     assert rejected < 5
+
+
+def road():
+    """A car on a road whose slope wanders for a quarter of the record, and where it is."""
+    fade = np.exp(-1.0 / 80.0)
+    return engine.MixedModel(
+        name="road",
+        dynamics=lambda a, u, t, dt, th: (
+            [a[:, 0] + dt * (u[0] - th.k * a[:, 0] * np.abs(a[:, 0])), dt * a[:, 0], 0.0],
+            [[0.0, dt], [1.0, 0.0], [0.0, fade]],
+            [[th.q1**2, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, th.q2**2]],
+        ),
+        measurement=lambda a, u, t, th: (
+            [a[:, 0], 0.0],
+            [[0.0, 0.0], [1.0, 0.0]],
+            [[th.r1**2, 0.0], [0.0, th.r2**2]],
+        ),
+        initial=lambda th: (
+            engine.Gaussian([25.0], [[0.25]]),
+            [0.0, 0.0],
+            [[1.0, 0.0], [0.0, 1e-3]],
+        ),
+        nonlinear={"speed": "m/s"},
+        linear={"position": "m", "slope": "m/s^2"},
+        inputs={"force": "m/s^2"},
+        outputs={"speedometer": "m/s", "satellite": "m"},
+        parameters=[
+            engine.Parameter("k", 3e-4, "1/m", (0.0, 1.0)),
+            engine.Parameter("q1", 7e-3, "m/s", (1e-5, 1.0)),
+            engine.Parameter("q2", 0.02, "m/s^2", (1e-5, 1.0)),
+            engine.Parameter("r1", 0.3, "m/s", (1e-3, 9.0)),
+            engine.Parameter("r2", 3.0, "m", (1e-2, 99.0)),
+        ],
+    )
+
+
+def test_states_that_wander_do_not_look_like_a_shape():
+    """Of 12 series at a level of 0.02, three or more have probability 0.2 %.
+
+    Of 20 such series four were rejected by the statistic alone.
+    """
+    model, rejected = road(), 0
+    for seed in range(12):
+        rng = np.random.default_rng([7, seed])
+        u = np.repeat(0.31 + rng.uniform(-0.7, 0.7, 40), 10)[:, None]
+        record = simulate(model, None, 400, rng, u=u, dt=0.5).series
+        fit, states = quasi_ml(model, record), ["speed", "position", "slope"]
+        found = lack_of_fit(fit, record, ["speed", "slope"], states)
+        rejected += found.p_value <= LEVEL
+    assert rejected < 3
 
 
 def test_noise_parameters_are_known_and_share_no_innovations_with_others():
