@@ -44,10 +44,8 @@ NEAR = 0.1  # of that spread: further from the visited points the slopes are not
 LEAST_SPREAD = 1e-2  # of the way a component goes
 FEW = 3  # parameter vectors that are not worth it
 ROWS = 4  # on which it is asked what the model takes
-FAR, SETTLED = (
-    1.0,
-    1e-5,
-)  # of the spread: points from which Newton's method is tried, and where it ends
+FAR = 1.0  # of the spread: from points farther away Newton's method is not tried ...
+SETTLED = 1e-5  # ... and so near it has arrived
 ROUNDS = 6  # of it
 STATES = 2  # nonlinear ones, beyond which slopes by each cost more than calls at every time
 

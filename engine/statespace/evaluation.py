@@ -14,6 +14,8 @@ else, it is decided which calls a function takes:
 - A function that fails is called for each time and parameter vector by itself from then on, which is
   slower and always right. Where results were handed out before the failure was seen, what was made
   of them is made again: see :mod:`engine.statespace.refutation`.
+- Where such a function has no nonlinear state, reads no times and is affine in the inputs, a few calls
+  tell the rest (:mod:`engine.statespace.affine`); rows that differ only in what it does not read are one call.
 - Rows of one time and one theta are particles, which no loop can help: where they influence each
   other (``a[0]`` for ``a[:, 0]``, ``np.any(a > 1)``), ModelError is raised, with the remedy. This is looked
   at in the 1st, 2nd, 4th, 8th, ... call, among states of other times.

@@ -10,7 +10,7 @@ import pytest
 from engine import Series, get_model, simulate
 from engine.estimation.quasi_ml import derivatives, neighbours
 from engine.filters import neighbours as module
-from engine.filters.neighbours import filter_neighbours, followed
+from engine.filters.neighbours import Visited, filter_neighbours, followed
 from engine.filters.sigma_point import FilterSteps, Thetas, moment_filter
 
 MODELS = ("mixed-4", "servo", "tanks", "linear-2", "oscillator")
@@ -112,3 +112,24 @@ def test_a_step_of_an_input_seen_by_no_other_row_is_not_taken_for_another():
     near = followed(FilterSteps(model, Thetas(model, thetas), series))
     exact = moment_filter(model, thetas, series)
     assert np.allclose(near.innovations, exact.innovations, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("share", [1e-3, 0.05, 0.5])
+@pytest.mark.parametrize("name", MODELS)
+def test_points_of_another_theta_lead_to_the_same_filter(name, share):
+    """However far that theta was; where it is too far the filter is run step by step."""
+    model, series = record(name)
+    theta, visited = np.asarray(model.theta()), Visited()
+    free = np.arange(len(theta))
+    rng = np.random.default_rng(5)
+    before = np.clip(
+        theta * (1.0 + share * rng.uniform(-1.0, 1.0, len(theta))), model.lower, model.upper
+    )
+    filter_neighbours(model, neighbours(model, before, free)[0], series, visited)
+    thetas, _ = neighbours(model, theta, free)
+    found = filter_neighbours(model, thetas, series, visited)
+    exact = moment_filter(model, thetas, series)
+    np.testing.assert_allclose(found.log_terms[:, 0], exact.log_terms[:, 0], rtol=1e-7, atol=1e-9)
+    for own, other in ((found.log_terms, exact.log_terms), (found.S, exact.S)):
+        one, two = (x[:, 2::2] - x[:, 1::2] for x in (own, other))
+        np.testing.assert_allclose(one, two, rtol=0.0, atol=1e-4 * np.abs(two).max())
