@@ -57,6 +57,7 @@ class Affine:
         self._record: Array | None = None  # to be met first
         self._waiting: list[Array] = []  # met one by one
         self._due = FIRST
+        self._told = False  # whether results were handed out, by inputs met before, too
         self._plan: tuple[Plan, float, Known] | None = None
 
     def expect(self, u: Array) -> None:
@@ -150,6 +151,7 @@ class Affine:
             if len(self._known) >= REMEMBERED:
                 self._known.clear()
             self._known[key] = known
+            self._told = True
         return self._known.get(key)
 
     def _meet(self, u: Array, dt: float, theta: Any) -> None:
@@ -194,7 +196,7 @@ class Affine:
     def _refute(self) -> None:
         """It is not affine, for good."""
         self.holds = False
-        if self._known:
+        if self._told:
             count_refutation()
 
 

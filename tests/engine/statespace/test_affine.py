@@ -164,6 +164,28 @@ def test_a_theta_that_contradicts_makes_the_work_be_done_again():
     assert len(runs) == 2
 
 
+def test_what_was_told_before_other_inputs_were_met_is_made_again_too():
+    """A limit between the inputs met first and those met later, at a theta that has none of its own."""
+    written = Textbook(lambda th, u: min(u[0], 9.0 * th.b) + min(u[1], 30.0 * th.w))
+    theta = np.asarray(written.model.theta())
+    thetas = theta * np.linspace(0.9, 1.1, K)[:, None]
+    runs = []
+
+    @repeated_if_refuted
+    def work():
+        runs.append(len(runs))
+        evaluated(written.model, inputs(), thetas, np.arange(T))
+        evaluated(written.model, 3.0 * inputs(), thetas, np.arange(T))  # all are met anew
+        low = thetas.copy()
+        low[:, 2] = 0.1
+        return evaluated(written.model, 3.0 * inputs(), low, np.arange(T))[0][0][:, 1]
+
+    u = 3.0 * inputs()
+    expected = np.minimum(u[:, 0], 0.9) + u[:, 1]
+    np.testing.assert_allclose(work().reshape(K, T), np.tile(expected, (K, 1)), atol=1e-12)
+    assert len(runs) == 2
+
+
 def test_inputs_that_go_together_may_part_later():
     """Of one record the inputs are the same; the second one tells them apart."""
     written = Textbook(FORCES["affine"])
