@@ -27,13 +27,14 @@ from engine.data.series import Series
 from engine.filters.sigma_point import (
     FilterSteps,
     MomentFiltered,
+    MomentPath,
     Thetas,
     first_moments,
     moment_filter,
     run_filter,
     usable,
 )
-from engine.kernels.moments import filter_near
+from engine.kernels.moments import filter_near, sigma_points
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.points import Points
 from engine.statespace.refutation import repeated_if_refuted
@@ -60,6 +61,18 @@ class Visited:
     seen: Array | None = None
     moved: Array | None = None
 
+    def part(self, n: int) -> Visited:
+        """Of the first n times."""
+        if self.seen is None or self.moved is None:
+            return Visited()
+        return Visited(self.seen[:n], self.moved[:n])
+
+
+def visited_on(path: MomentPath, na: int) -> Visited:
+    """The points of the filter that went this way."""
+    seen = sigma_points(path.predicted, path.P_predicted, na)[0]
+    return Visited(seen, sigma_points(path.filtered, path.P_filtered, na)[0])
+
 
 @repeated_if_refuted
 @np.errstate(all="ignore")
@@ -71,7 +84,7 @@ def filter_neighbours(
     ``visited``, by a filter of this model and series at another theta, is brought up to date.
     """
     run = FilterSteps(model, Thetas(model, thetas), series)
-    if not _worth_it(run, visited is not None):
+    if not _worth_it(run, visited):
         return moment_filter(model, thetas, series)
     found = followed(run, visited)
     return moment_filter(model, thetas, series) if found is None else found
@@ -88,13 +101,14 @@ def filter_all(model: MixedModel, thetas: Array, series: Series) -> MomentFilter
     return moment_filter(model, thetas, series)
 
 
-def _worth_it(run: FilterSteps, again: bool) -> bool:
-    """Whether the model takes many times a call, and few parameter vectors, or is filtered ``again``."""
+def _worth_it(run: FilterSteps, visited: Visited | None) -> bool:
+    """Whether the model takes many times a call, and few parameter vectors, or is filtered again."""
     model, series, K = run.model, run.series, run.thetas.K
     if model.na == 0:
         return True
     rows = np.arange(min(len(series) - 1, ROWS))
-    if K <= FEW or len(rows) < ROWS:
+    again, known = visited is not None, visited is not None and visited.seen is not None
+    if len(rows) < ROWS or (K <= FEW and not known):
         return False
     m, _ = first_moments(model, run.thetas.thetas[0])
     a = np.repeat(m[None, : model.na], K, axis=0)

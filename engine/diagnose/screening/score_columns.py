@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.estimation.quasi_ml import neighbours, whitening
-from engine.filters.neighbours import filter_all, filter_neighbours
+from engine.filters.neighbours import Visited, filter_all, filter_neighbours, visited_on
 from engine.filters.sigma_point import MomentFiltered, MomentPath, first_moments
 from engine.kernels.moments import sigma_points, transform
 from engine.kernels.sensitivities import sensitivities
@@ -26,6 +26,9 @@ NEAR_SHARE = 0.9  # share of it that is near enough
 # of its own scatter, by which a prediction moves where a slope is taken: aimed at, and accepted
 AIMED_SHARE, SLIGHT_SHARES = 1e-4, (1e-7, 1e-2)
 TRIALS = 6
+
+ATTEMPTS = 12  # at a step
+POWERS = (0.5, 2.0)  # of a size, to which predictions answer
 
 UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could show
 
@@ -105,7 +108,9 @@ def effect_columns(
             static_column(effect, extended, row, len(theta), model, series, path) for row in at
         ]
     else:
-        columns = _dynamic_columns(effect, extended, at, len(theta), series)
+        known = extended.nonlinear == model.nonlinear  # at size zero its filter goes the base's way
+        visited = visited_on(path, model.na) if known else None
+        columns = _dynamic_columns(effect, extended, at, len(theta), series, visited)
     return [
         (probe, column)
         for probe, column in zip(effect.probes, columns, strict=True)
@@ -225,57 +230,85 @@ def _rows(matrix: Array, n: int, S: int) -> Array:
 
 
 def _dynamic_columns(
-    effect: Effect, extended: MixedModel, at: Array, k: int, series: Series
+    effect: Effect,
+    extended: MixedModel,
+    at: Array,
+    k: int,
+    series: Series,
+    visited: Visited | None,
 ) -> list[Column | None]:
     """One column for each row of ``at`` (n, n_theta), from one pass of the filter for all of them."""
-    steps = _steps(extended, at, k, series)
+    steps = _steps(extended, at, k, series, visited)
     use = np.flatnonzero(np.isfinite(steps))
     columns: list[Column | None] = [None] * len(at)
     if not use.size:
         return columns
-    thetas = np.repeat(at[use], 3, axis=0)
-    thetas[1::3, k] = 0.0 if effect.one_sided else -steps[use]
-    thetas[2::3, k] = steps[use]
-    filtered = filter_all(extended, thetas, series)
-    reach = 1.0 if effect.one_sided else 2.0
-    for n, i in enumerate(use):
-        own = MomentFiltered(*(x[:, 3 * n : 3 * n + 3] for x in _arrays(filtered)))
-        columns[i] = innovation_columns(own, series.observed, [(1, 2, reach * float(steps[i]))])[0]
+    high = at[use].copy()
+    high[:, k] = steps[use]
+    low = high.copy()
+    low[:, k] *= -1.0
+    sides = high if effect.one_sided else np.concatenate([high, low])
+    filtered = _filters(extended, np.concatenate([at[:1], sides]), series, visited)
+    n, reach = len(use), 1.0 if effect.one_sided else 2.0
+    pairs = [
+        (0 if effect.one_sided else 1 + n + place, 1 + place, reach * float(step))
+        for place, step in enumerate(steps[use])
+    ]
+    for i, column in zip(use, innovation_columns(filtered, series.observed, pairs), strict=True):
+        columns[i] = column
     return columns
 
 
-def _arrays(filtered: MomentFiltered) -> tuple[Array, Array, Array]:
-    return filtered.innovations, filtered.S, filtered.log_terms
+def _filters(
+    extended: MixedModel, thetas: Array, series: Series, visited: Visited | None
+) -> MomentFiltered:
+    if visited is None:
+        return filter_all(extended, thetas, series)
+    return filter_neighbours(extended, thetas, series, visited.part(len(series)))
 
 
-def _steps(extended: MixedModel, at: Array, k: int, series: Series) -> Array:
+def _steps(
+    extended: MixedModel, at: Array, k: int, series: Series, visited: Visited | None
+) -> Array:
     """Sizes (n,) of about REACH_ERRORS standard errors, found on the first part of the series; NaN for none."""
     first = 100 * series.substeps
     part = series if len(series) <= first else series.part(0, first)
     longer = np.sqrt(len(series) / len(part))
     steps = np.full(len(at), 1e-3 * max(min(float(extended.upper[k]), 1.0), 1e-300))
     open_, found = np.ones(len(at), dtype=bool), np.full(len(at), np.nan)
-    for _ in range(12):
+    before: list[tuple[float, float] | None] = [None] * len(at)  # step and what it reached
+    for _ in range(ATTEMPTS):
         rows = np.flatnonzero(open_)
         if not rows.size:
             break
-        thetas = np.repeat(at[rows], 2, axis=0)
-        thetas[1::2, k] = steps[rows]
-        filtered = filter_all(extended, thetas, part)
-        for n, i in enumerate(rows):
-            own = MomentFiltered(*(x[:, 2 * n : 2 * n + 2] for x in _arrays(filtered)))
-            column = innovation_columns(own, part.observed, [(0, 1, 1.0)])[0]
-            reach = float(np.linalg.norm(column.v)) * longer
-            if not np.isfinite(reach):
-                steps[i] *= 1e-2
-            elif reach == 0.0:
-                steps[i] *= 1e2
-            elif NEAR_SHARE * REACH_ERRORS <= reach <= REACH_ERRORS / NEAR_SHARE:
-                found[i], open_[i] = steps[i], False
-            else:
-                factor = float(np.clip(REACH_ERRORS / reach, 1e-4, 1e4))
-                # damped, as a variance answers to a size squared
-                steps[i] *= factor**0.7 if 1e-2 < factor < 1e2 else factor
+        thetas = at[rows].copy()
+        thetas[:, k] = steps[rows]
+        filtered = _filters(extended, np.concatenate([at[:1], thetas]), part, visited)
+        pairs = [(0, 1 + n, 1.0) for n in range(len(rows))]
+        columns = innovation_columns(filtered, part.observed, pairs)
+        for i, column in zip(rows, columns, strict=True):
+            now = float(steps[i]), float(np.linalg.norm(column.v)) * longer
+            if NEAR_SHARE * REACH_ERRORS <= now[1] <= REACH_ERRORS / NEAR_SHARE:
+                found[i], open_[i] = now[0], False
+                continue
+            steps[i], before[i] = _next_step(now, before[i]), now
             if not 1e-250 < steps[i] < 1e250:
                 open_[i] = False
     return found
+
+
+def _next_step(now: tuple[float, float], before: tuple[float, float] | None) -> float:
+    """The step that should reach REACH_ERRORS, from what one or two steps reached: by a power law.
+
+    Most answer to a size in proportion, a variance to its square.
+    """
+    step, reach = now
+    if not np.isfinite(reach):
+        return step * 1e-2
+    if reach == 0.0:
+        return step * 1e2
+    power = 1.0
+    if before is not None and before[0] != step and 0.0 < before[1] < np.inf:
+        power = float(np.log(reach / before[1]) / np.log(step / before[0]))
+        power = float(np.clip(power, *POWERS)) if np.isfinite(power) else 1.0
+    return step * float(np.clip((REACH_ERRORS / reach) ** (1.0 / power), 1e-4, 1e4))

@@ -10,10 +10,13 @@ gamma are projected out,
     s~_kt = s_kt - H_kg H_gg^{-1} s_gt,    v~_k likewise,
     T_k = (sum_t s~_kt)^2 / |v~_k|^2 ~ chi2(1),   size_k = sum_t s~_kt / |v~_k|^2,   se_k = 1 / |v~_k|.
 
-rho_k = |v~_k|^2 / |v_k|^2 is what the data can still say about k once the parameters are fitted, and
-v~_k . v~_l their likeness. Families over an unknown time or frequency count as one test by their
-maximum. The family-wise p-value is Westfall and Young's min-p over multiplier draws, in which every
-time's contribution s~_t keeps its size and gets a random sign.
+rho_k = |v~_k|^2 / |v_k|^2 is what the data can still say about k once the parameters are fitted. What k
+explains here is e_k = size_k v~_k, summed over its columns where several are tested together (sine and
+cosine), and |P_l e_k| / |e_k| is how much of it l explains as well, P_l the projection on l's columns. The
+smaller of the two ways is their likeness: |cos| of v~_k and v~_l where both have one column. Families over
+an unknown time or frequency count as one test by their maximum. The family-wise p-value is Westfall and
+Young's min-p over multiplier draws, in which every time's contribution s~_t keeps its size and gets a
+random sign.
 """
 
 from __future__ import annotations
@@ -95,7 +98,7 @@ class Screen:
         return self.family_wise(self.smallest ** (1.0 / boldness))
 
     def likeness(self, one: int, other: int) -> float:
-        """|cos| between two effects' projected vectors v~, by their place in ``scores``."""
+        """How much of what either of two effects explains the other does, too, by their place in ``scores``."""
         return float(self.likenesses[one, other])
 
 
@@ -108,10 +111,21 @@ class Test:
     norm: Array  # (n,) |v~|^2
     rho: Array  # (n,)
     at: tuple[tuple[float, ...], ...]
-    vector: Array  # v~ of the best column
+    vectors: Array  # (degrees, .) v~ of the best place, orthogonal
     degrees: int = 1  # columns that are tested together, as the two of a harmonic
     tries: int = 1  # places that this one was chosen from
     known: tuple[float, float] | None = None  # statistic and p-value, where they are not of scores
+
+    @property
+    def explained(self) -> Array:
+        """What it explains at its best place: its columns, each times its estimated size."""
+        if self.degrees == 1:
+            return np.asarray(self.vectors[0])
+        best = int(np.argmax(self.statistics(self.s.sum(axis=1)))) * self.degrees
+        own = slice(best, best + self.degrees)
+        norm = self.norm[own]
+        sizes = np.divide(self.s[own].sum(axis=1), norm, out=np.zeros(len(norm)), where=norm > 0.0)
+        return np.asarray(sizes @ self.vectors)
 
     def best_of(self, tries: int) -> Test:
         """The best place alone, as chosen from so many."""
@@ -172,22 +186,19 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
     lowest = np.min(drawn, axis=0)
     threshold = float(chi2_isf(max(float(np.quantile(lowest, alpha)), 1e-12), 1))
     order = sorted(range(len(tests)), key=lambda i: observed[i])
-    scores, vectors = [], []
-    for i in order:
-        score, vector = _score(tests[i], observed[i], effective[i])
-        scores.append(score)
-        vectors.append(vector)
-    result = Screen(tuple(scores), 1.0, threshold, _likenesses(np.array(vectors)), lowest)
+    scores = [_score(tests[i], observed[i], effective[i]) for i in order]
+    likenesses = _likenesses([tests[i] for i in order])
+    result = Screen(tuple(scores), 1.0, threshold, likenesses, lowest)
     return replace(result, p_value=result.family_wise(result.smallest))
 
 
-def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:
+def _score(test: Test, p_value: float, effective: float) -> Score:
     totals = test.s.sum(axis=1)
     statistics = test.statistics(totals)
     best = int(np.argmax(statistics)) * test.degrees
     norm = float(test.norm[best])
     testable = norm > 0.0 and test.rho[best] > UNTESTABLE
-    score = Score(
+    return Score(
         test.effect,
         float(statistics.max()) if testable else 0.0,
         float(totals[best]) / norm if testable else 0.0,
@@ -198,14 +209,23 @@ def _score(test: Test, p_value: float, effective: float) -> tuple[Score, Array]:
         effective,
         test.degrees,
     )
-    return score, test.vector
 
 
-def _likenesses(vectors: Array) -> Array:
-    """|cos| (n, n) between any two of the vectors (n, .), 0 where one of them is zero."""
-    norms = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit = np.divide(vectors, norms, out=np.zeros_like(vectors), where=norms > 0.0)
-    return np.asarray(np.abs(unit @ unit.T))
+def _likenesses(tests: Sequence[Test]) -> Array:
+    """How much of what either of two tests explains the other does, too, (n, n); 0 where one is nothing."""
+    columns = np.concatenate([_unit(test.vectors) for test in tests])
+    explained = _unit(np.array([test.explained for test in tests]))
+    owners = np.repeat(np.arange(len(tests)), [len(test.vectors) for test in tests])
+    squares = np.zeros((len(tests), len(tests)))
+    np.add.at(squares, owners, (columns @ explained.T) ** 2)
+    shares = np.sqrt(squares)
+    return np.asarray(np.minimum(shares, shares.T))
+
+
+def _unit(rows: Array) -> Array:
+    """Rows (n, .) of length one, those that are zero left so."""
+    norms = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(np.divide(rows, norms, out=np.zeros_like(rows), where=norms > 0.0))
 
 
 def _family_p(values: Array, draws: Array, degrees: int, effective: float) -> Array:
@@ -243,7 +263,7 @@ def make_test(
     """Project an effect's columns, chunk by chunk; None where it has none."""
     parts: list[tuple[Array, Array, Array]] = []
     at: list[tuple[float, ...]] = []
-    best, vector = -1.0, np.zeros(0)
+    best, vectors = -1.0, np.zeros((degrees, 0))
     for columns in chunks:
         if not columns:
             continue
@@ -263,13 +283,14 @@ def make_test(
         at += [point for point, _ in columns[::degrees]]
         use = norm > 0.0
         statistics = np.where(use, s.sum(axis=1) ** 2 / np.where(use, norm, 1.0), 0.0)
-        k = int(np.argmax(statistics))
-        if statistics[k] > best:
-            best, vector = float(statistics[k]), v[k]
+        together = statistics.reshape(-1, degrees).sum(axis=1)
+        k = int(np.argmax(together))
+        if together[k] > best:
+            best, vectors = float(together[k]), v[k * degrees : (k + 1) * degrees]
     if not parts:
         return None
     s, norm, rho = (np.concatenate(x) for x in zip(*parts, strict=True))
-    return Test(effect, s, norm, rho, tuple(at), vector, degrees)
+    return Test(effect, s, norm, rho, tuple(at), vectors, degrees)
 
 
 def _decorrelate(s: Array, v: Array, degrees: int) -> tuple[Array, Array]:

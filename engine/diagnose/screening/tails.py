@@ -66,7 +66,7 @@ def tail_test(effect: Effect, model: MixedModel, path: MomentPath, errors: Array
         np.ones(1),
         np.ones(1),
         ((USUAL,),),
-        np.zeros(width),
+        np.zeros((1, width)),
         known=(max(z, 0.0) ** 2, float(normal_sf(z))),
     )
 

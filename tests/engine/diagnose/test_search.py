@@ -173,3 +173,28 @@ def test_two_columns_tested_together_are_two_degrees_of_freedom():
     test = replace(test, tries=30)  # chosen from thirty frequencies
     seen = screen([test], rng, 0.05)
     assert seen.scores[0].p_value == pytest.approx(min(1.0, 30 * chi2.sf(expected, 2)))
+
+
+def test_two_waves_that_explain_the_same_are_alike_whatever_their_phases():
+    """A hum behind a lag is the same hum, later: the plane of sine and cosine counts, not a column of it."""
+    rng = np.random.default_rng(7)
+    z = rng.standard_normal(400)
+    angle = 0.3 * np.arange(400.0)
+    plane = np.array([np.cos(angle), np.sin(angle)])
+    z += 0.3 * (plane[0] + plane[1])  # so that neither column of a pair is most of it
+    turned = np.array([[0.3, -0.9], [0.9, 0.3]]) @ plane
+    other = rng.standard_normal((2, 400))
+    tests = [
+        one_test("harmonic", channel, v * z, v, degrees=2)
+        for channel, v in (("speed", plane), ("load", turned), ("reading", other))
+    ]
+    seen = screen([*tests, one_test("force", "speed", [plane[0] * z], [plane[0]])], rng, 0.05)
+    place = {score.effect.name: i for i, score in enumerate(seen.scores)}
+    likeness = {name: seen.likeness(place["harmonic:speed"], i) for name, i in place.items()}
+    assert likeness["harmonic:load"] == pytest.approx(1.0)
+    assert likeness["harmonic:reading"] < 0.3
+    # one column explains part of what two do, however well it is explained by them
+    wave = plane.T @ np.linalg.lstsq(plane.T, z, rcond=None)[0]
+    share = abs(wave @ plane[0]) / np.linalg.norm(wave) / np.linalg.norm(plane[0])
+    assert likeness["force:speed"] == pytest.approx(share)
+    assert np.allclose(seen.likenesses, seen.likenesses.T)

@@ -10,8 +10,8 @@ import pytest
 from engine import Series, get_model, simulate
 from engine.estimation.quasi_ml import derivatives, neighbours
 from engine.filters import neighbours as module
-from engine.filters.neighbours import Visited, filter_neighbours, followed
-from engine.filters.sigma_point import FilterSteps, Thetas, moment_filter
+from engine.filters.neighbours import Visited, filter_neighbours, followed, visited_on
+from engine.filters.sigma_point import FilterSteps, Thetas, moment_filter, moment_path, run_filter
 
 MODELS = ("mixed-4", "servo", "tanks", "linear-2", "oscillator")
 
@@ -133,3 +133,16 @@ def test_points_of_another_theta_lead_to_the_same_filter(name, share):
     for own, other in ((found.log_terms, exact.log_terms), (found.S, exact.S)):
         one, two = (x[:, 2::2] - x[:, 1::2] for x in (own, other))
         np.testing.assert_allclose(one, two, rtol=0.0, atol=1e-4 * np.abs(two).max())
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_filter_s_way_tells_the_points_it_looked_at(name):
+    model, series = record(name)
+    theta = np.asarray(model.theta())
+    shape = (len(series), 2 * model.na + 1, model.na)
+    own = np.empty(shape), np.empty(shape)
+    run_filter(FilterSteps(model, Thetas(model, theta), series), own)
+    told = visited_on(moment_path(model, theta, series), model.na)
+    np.testing.assert_allclose(told.seen, own[0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(told.moved[:-1], own[1][:-1], rtol=1e-9, atol=1e-12)
+    assert len(told.part(7).seen) == len(told.part(7).moved) == 7
