@@ -86,8 +86,8 @@ def excess(candidates: Sequence[Candidate], base: Candidate, blank: Series, seed
         except (EngineError, np.linalg.LinAlgError):
             continue
         row = simulated_logs(asked, names, [seed, k])
-        if row is not None and not np.isnan(row).all():
-            logs_.append(row[~np.isnan(row)])
+        if row is not None and not np.isnan(row[:-1]).all():
+            logs_.append(row[:-1][~np.isnan(row[:-1])])
     n = len(logs_)
     if not n:
         return 0.0
@@ -110,9 +110,9 @@ def _drawn(tests: float, mean: float) -> tuple[Array, Array]:
     rng = np.random.default_rng(0)
     n = int(min(max(round(tests), 1), MOST_TESTS))
     few, many = np.empty(CALIBRATIONS), np.empty(CALIBRATIONS)
-    lowest = np.exp(-rng.exponential(size=(499, n)).max(axis=1))
+    expected = np.full(SERIES, rng.exponential(size=(499, n)).max(axis=1).mean())
     for k in range(CALIBRATIONS):
         x = mean * rng.exponential(size=(SERIES, n))
-        few[k] = boldness(x[:FEWEST], lowest)[0]
-        many[k] = boldness(x, lowest)[0]
+        few[k] = boldness(x[:FEWEST], expected[:FEWEST])[0]
+        many[k] = boldness(x, expected)[0]
     return few, many

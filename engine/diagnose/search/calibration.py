@@ -9,8 +9,10 @@ refitted, and screened again. With x = -log p, which has mean 1 where p is right
     boldness of an effect = (PRIOR * overall mean + sum of its x) / (PRIOR + B),      at least 1,
 
 and its p-value counts as p^(1 / boldness); what the smallest p-value of all is still too small then,
--log of it on simulated series over that on multiplier draws, counts for all effects alike. Ratios of
-means need far fewer series than tails of distributions. The simulation is made only where it decides:
+-log of it on simulated series over that of their own multiplier draws, counts for all effects alike. (Not
+over that of the data's draws: a score that few times make up raises their p-values, which the data's own
+p-value has in it already.) Ratios of means need far fewer series than tails of distributions.
+The simulation is made only where it decides:
 where an alarm would be none at BOLDEST.
 
 Refits of what process noise has swallowed are judged by simulation alone: until one simulated series
@@ -74,32 +76,34 @@ def calibrated(
     """The screen with its p-values as bold as simulation shows them to be."""
     names = [score.effect.name for score in seen.scores]
     rows: list[Array] = []
+    expected: list[float] = []
     # the model may not let itself be simulated: then the least that may be believed
     judged = with_boldness(seen, np.full(len(names), BOLDEST), SERIES)
     for k in range(SERIES):
         progress("calibration", k / SERIES)
         one = partial(simulated_logs, question, names, [seed, k, SERIES])
-        row = kept.numbers(f"calibration {k + 1}", one)
+        row = kept.numbers(f"calibrated {k + 1}", one)
         if row is None:
             continue
-        rows.append(row)
-        judged = with_boldness(seen, boldness(np.array(rows), seen.lowest), len(rows))
+        rows.append(row[:-1])
+        expected.append(float(row[-1]))
+        judged = with_boldness(seen, boldness(np.array(rows), np.array(expected)), len(rows))
         if len(rows) >= FEWEST and not CLEARLY * alpha > judged.p_value > alpha / CLEARLY:
             break
     return judged
 
 
-def boldness(x: Array, lowest: Array) -> Array:
+def boldness(x: Array, expected: Array) -> Array:
     """Of each of n effects, from x = -log p (B, n) on simulated series, NaN where not tested.
 
-    ``lowest`` are the smallest p-values of multiplier draws.
+    ``expected`` (B,) are the means of the largest x by multiplier draws, on each series.
     """
     tested = ~np.isnan(x)
     n, total = tested.sum(axis=0), np.nansum(x, axis=0)
     overall = float(total.sum() / max(int(n.sum()), 1))
     each = np.maximum((PRIOR * overall + total) / (PRIOR + n), 1.0)
     largest = np.where(tested, x / each, 0.0).max(axis=1)
-    left = float(largest.mean() / -np.log(lowest).mean())
+    left = float(largest.mean() / expected.mean())
     return np.asarray(each * max(left, 1.0))
 
 
@@ -182,12 +186,17 @@ def swallowed_of_simulated(question: Question, seed: list[int]) -> float | None:
 
 
 def simulated_logs(question: Question, names: Sequence[str], seed: list[int]) -> Array | None:
-    """The x = -log p of the named effects on one simulated series, NaN where not tested."""
+    """The x = -log p of the named effects on one simulated series, NaN where not tested.
+
+    Last comes what its multiplier draws say that the largest of them is in the mean; None where it was lost.
+    """
     drawn = screen_of_simulated(question, np.random.default_rng(seed))
     if drawn is None:
         return None
     found = {score.effect.name: score.p_value for score in drawn[0].scores}
-    return -np.log(np.maximum([found.get(name, np.nan) for name in names], 1e-300))
+    p_values = [found.get(name, np.nan) for name in names]
+    x = -np.log(np.maximum(p_values, 1e-300))
+    return np.append(x, -np.log(drawn[0].lowest).mean())
 
 
 def silent(stage: str, fraction: float) -> None:

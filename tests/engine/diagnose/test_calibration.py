@@ -36,13 +36,17 @@ def a_screen(seed=0, statistic=None, kinds=("force", "quadratic", "cubic", "drag
     return screen(tests, rng, ALPHA)
 
 
+def largest_of(n, rng):
+    """What draws say that the largest -log p of n independent effects is, for each of 19 series."""
+    return rng.exponential(size=(19, 499, n)).max(axis=2).mean(axis=1)
+
+
 def test_boldness_is_that_of_each_effect():
     """One effect of forty has p-values whose logarithms are three times too large."""
     rng = np.random.default_rng(1)
-    lowest = rng.random((499, 40)).min(axis=1)
     x = rng.exponential(size=(19, 40))
     x[:, 7] *= 3.0
-    found = boldness(x, lowest)
+    found = boldness(x, largest_of(40, rng))
     assert found[7] > 1.5
     assert np.median(np.delete(found, 7)) < 1.2
     assert (found >= 1.0).all()
@@ -50,18 +54,28 @@ def test_boldness_is_that_of_each_effect():
 
 def test_boldness_of_all_alike_is_found_by_the_smallest_p_value():
     rng = np.random.default_rng(2)
-    lowest = rng.random((499, 40)).min(axis=1)
-    assert np.median(boldness(1.6 * rng.exponential(size=(19, 40)), lowest)) == pytest.approx(
+    expected = largest_of(40, rng)
+    assert np.median(boldness(1.6 * rng.exponential(size=(19, 40)), expected)) == pytest.approx(
         1.6, rel=0.15
     )
-    assert np.median(boldness(rng.exponential(size=(19, 40)), lowest)) < 1.15
+    assert np.median(boldness(rng.exponential(size=(19, 40)), expected)) < 1.15
 
 
 def test_effects_that_were_not_tested_on_a_series_do_not_count_there():
     rng = np.random.default_rng(3)
     x = rng.exponential(size=(19, 5))
     x[3:, 2] = np.nan
-    assert np.isfinite(boldness(x, rng.random(499))).all()
+    assert np.isfinite(boldness(x, np.ones(19))).all()
+
+
+def test_scores_that_few_times_make_up_do_not_count_twice():
+    """Their draws raise the p-values of a series; those of simulated series are raised likewise."""
+    rng = np.random.default_rng(4)
+    x, expected = rng.exponential(size=(19, 40)), largest_of(40, rng)
+    raised = 2.0  # by which logarithms of p-values are smaller, of effects and of draws
+    assert np.median(boldness(x / raised, expected / raised)) < 1.2
+    # as it was once counted: by the draws of the data, whose scores a few times make up
+    assert np.median(boldness(x, expected / raised)) > 1.5
 
 
 @pytest.mark.parametrize(("statistic", "simulates"), [(2.0, False), (13.0, True), (80.0, False)])
@@ -76,12 +90,13 @@ def test_a_bold_model_has_its_alarm_taken_back(monkeypatch):
     seen = a_screen(statistic=13.0)
     assert seen.p_value <= ALPHA
     n = len(seen.scores)
+    expected = -np.log(seen.lowest).mean()
     for factor, alarm in ((1.0, True), (3.0, False)):
         draws = np.random.default_rng(5)
         monkeypatch.setattr(
             calibration,
             "simulated_logs",
-            lambda *a, f=factor, d=draws: f * d.exponential(size=n),
+            lambda *a, f=factor, d=draws: np.append(f * d.exponential(size=n), expected),
         )
         judged = calibrated(seen, None, ALPHA, 0, silent)
         assert (judged.p_value <= ALPHA) is alarm

@@ -36,11 +36,11 @@ some 0.1 %.
 *Exact*: verdict `named` and nothing but the truth, or a `set` of nothing but words for it, effects that are
 the same thing in other words counted as one: |cos| of their footprints (of waves: of the planes that sine
 and cosine span) above {SAME:g} on pilot series (`alike.csv`), or equal by the plant's equations (`alike.py`).
-*In set*: the truth is in the set of the first round. *Wrong*: `named`, but not the truth alone. *Oracle*: the largest refitted likelihood less
-costs, knowing that there is something to be named. *Twin*: the same numbers in other units of every
-channel, of time and of the parameters, with other zeros where a channel has none of its own or the model
-declares it. A crash counts against the names. Intervals are Wilson's, 95 %; that of the share is
-bootstrapped.
+*In set*: the truth is in the set of the first round. *Wrong*: `named`, but not the truth alone. *Oracle*:
+the largest refitted likelihood less costs, knowing that there is something to be named. *Twin*: the same
+numbers in other units of every channel, of time and of the parameters, with other zeros where a channel has
+none of its own or the model declares it. A crash counts against the names. Intervals are Wilson's, 95 %;
+that of the share is bootstrapped.
 """
 
 
