@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, MutableMapping
 from typing import Any
 
 from engine.design import Design, asked_of
-from engine.design.candidates import NEAREST
 from engine.errors import OptionError
 from engine.words import percent
 from service.computations import Progress, anew_where_another
@@ -77,41 +76,20 @@ def in_a_line(found: Design) -> str:
     return f"{text}."
 
 
-def causes_of(diagnosis: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[str]]:
-    """The causes that a diagnosis' document could not tell apart, with what is known of them; its parameters.
+def next_of(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """What a design is asked after a diagnosis, by its document; ``model`` is a reference.
 
-    Raises OptionError where it refitted fewer than two.
+    Raises OptionError where it weighed fewer than two causes.
     """
-    rounds = [one for one in diagnosis["rounds"] if one["refitted"]]
-    several = [one for one in rounds if sum(r["equivalent"] for r in one["refitted"]) > 1]
-    chosen = (several or rounds[-1:] or [{"refitted": []}])[0]["refitted"]
-    alike = [one for one in chosen if one["equivalent"]]
-    if len(alike) < 2 or diagnosis["verdict"] == "unknown":
-        alike += [one for one in chosen if not one["equivalent"]][:NEAREST]
-    if len(alike) < 2:
+    if "next" not in diagnosis:
+        raise OptionError("the diagnosis was made by an earlier version; run it again", "causes")
+    asked: dict[str, Any] | None = diagnosis["next"]
+    if asked is None:
         raise OptionError(
-            f"the diagnosis says '{diagnosis['verdict']}' and weighed {len(alike)} causes; two or more are "
-            "needed",
+            f"the diagnosis says '{diagnosis['verdict']}' and weighed fewer than two causes",
             "causes",
         )
-    if any("parameters" not in one for one in alike):
-        raise OptionError("the diagnosis was made by an earlier version; run it again", "causes")
-    causes = {one["effect"]: {**one["parameters"], **_told(one)} for one in alike}
-    return causes, list(diagnosis["base_standard_errors"])
-
-
-def _told(one: Mapping[str, Any]) -> dict[str, Any]:
-    """What the record told of a cause's values, where the document has it in numbers."""
-    information = one.get("information")
-    known = information and all(x is not None for row in information["matrix"] for x in row)
-    return {"information": information} if known else {}
-
-
-def seen_by(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """How a new record would be seen, as far as a diagnosis' document tells: ``alarm`` and ``measured``."""
-    rounds = diagnosis["rounds"]
-    alarm = rounds[0].get("threshold") if rounds else None
-    return {"alarm": alarm, "measured": diagnosis.get("measured")}
+    return asked
 
 
 def between_samples(diagnosis: Mapping[str, Any]) -> dict[str, Any]:

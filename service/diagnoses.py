@@ -101,9 +101,12 @@ def said_so_far(early: dict[str, Any]) -> list[str]:
 def document(found: Diagnosis, name: str, effects: Sequence[str]) -> dict[str, Any]:
     """The result document; ``name`` with ``effects`` is the model that was diagnosed."""
     diagnosis = found.to_dict()
-    reference = diagnosis["extension"]["model"]
-    reference["name"] = name
-    reference["with"] = [*effects, *reference["with"]]
+    references = [diagnosis["extension"]["model"]]
+    if diagnosis["next"] is not None:
+        references.append(diagnosis["next"]["model"])
+    for reference in references:
+        reference["name"] = name
+        reference["with"] = [*effects, *reference["with"]]
     return {"diagnosis": diagnosis, "message": in_a_line(found)}
 
 

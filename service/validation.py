@@ -172,12 +172,21 @@ def find_model(
             f"the file of model '{reference.name}' is not the one this job was made with; send the job "
             "again, without source, to use the file as it is now",
         )
-    if not reference.effects:
-        return model
     try:
-        return extend(model, reference.effects, _given(reference, model) or known(model))
+        return extended(model, reference, known)
     except EngineError as error:
         raise invalid("model.with", str(error)) from None
+
+
+def extended(
+    model: MixedModel,
+    reference: ModelReference,
+    known: Callable[[MixedModel], Setting | None] = lambda model: None,
+) -> MixedModel:
+    """A model with the effects of a reference to it. Raises EngineError."""
+    if not reference.effects:
+        return model
+    return extend(model, reference.effects, _given(reference, model) or known(model))
 
 
 def _given(reference: ModelReference, model: MixedModel) -> Setting | None:

@@ -135,7 +135,7 @@ class Asked:
 
         done = kept_of(kept, question, task, inputs, seed, earlier.append)
         state = search(task, inputs, seed, partial(tell, "inputs"), kept=done.within("inputs"))
-        weighing = Weighing(task, question, seed, done).simulated(state)
+        weighing = Weighing(task, question, seed, done)
         undecided = weighing.undecided(state, inputs, partial(tell, "pairs"))
         best = weighing.best(state, undecided)
         shortest = weighing.shortest(best, inputs, undecided, partial(tell, "length"))

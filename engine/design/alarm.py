@@ -7,7 +7,6 @@ is above 1, and by its own scatter too, for it is not let below 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,50 +14,43 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from engine.data.series import Series
-from engine.design.candidates import Candidate
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.screening.screen import CLEARLY_HEAVIER
 from engine.diagnose.search.calibration import (
     BOLDEST,
     CLEARLY,
     FEWEST,
     LEVEL,
-    PRIOR,
     SERIES,
-    Question,
     boldness,
-    simulated_logs,
 )
-from engine.distributions import chi2_sf
-from engine.errors import EngineError
-from engine.estimation.quasi_ml import quasi_ml
-from engine.simulation.simulate import simulate
+from engine.distributions import chi2_isf, chi2_sf
 from engine.statespace.model import Array
 
 CALIBRATIONS = 300  # that are drawn
 MOST_TESTS = 40  # of a calibration that is drawn
 QUANTILES = 99
-RECORDS = 12  # that are simulated
 
 
 @dataclass(frozen=True)
 class Alarm:
     """When a screen raises an alarm.
 
-    ``threshold`` is the statistic that one test needs before it is calibrated. The mean of -log p where there
-    is nothing to see is 1 + ``excess`` / N in N readings, from simulated records, or more by :func:`logs`.
+    ``threshold`` is the statistic that one test needs before it is calibrated.
     """
 
     threshold: float
-    excess: float = 0.0
 
-    def raised(self, statistic: Array, N: float, p: float, seed: int) -> NDArray[np.bool_]:
-        """Which of the statistics (K,) of a screen of N readings and p fitted parameters raise one."""
+    def raised(self, statistic: Array, v: Array, p: float, seed: int) -> NDArray[np.bool_]:
+        """Which of the statistics (K,) of a screen raise one.
+
+        ``v`` (N,) is the effect's footprint on N readings, p the number of fitted parameters.
+        """
+        N = float(len(v))
         tests = max(LEVEL / float(chi2_sf(self.threshold, 1)), 1.0)
-        mean = max(logs(round(N), round(p)), 1.0 + self.excess / max(N, 1.0))
+        mean = logs(round(N), round(p))
         few, many = _drawn(round(tests, 1), round(20.0 * mean) / 20.0)
         pick = np.random.default_rng([seed, 1]).integers(CALIBRATIONS, size=len(statistic))
-        single = np.maximum(chi2_sf(statistic, 1), 1e-300)
+        single = np.maximum(chi2_sf(statistic, 1) * _heavier(statistic, v), 1e-300)
         clear = tests * single ** (1.0 / BOLDEST) <= LEVEL
         first, last = (tests * single ** (1.0 / b[pick]) for b in (few, many))
         open_ = (first < CLEARLY * LEVEL) & (first > LEVEL / CLEARLY)
@@ -66,33 +58,20 @@ class Alarm:
         return np.asarray((tests * single <= LEVEL) & (clear | said))
 
 
-def excess(candidates: Sequence[Candidate], base: Candidate, blank: Series, seed: int) -> float:
-    """The ``excess`` of an :class:`Alarm`: each cause's record of an input, and one of the base fitted to it.
+def _heavier(statistic: Array, v: Array) -> Array:
+    """How much heavier than chi2 the tail of multiplier draws is that keep the size of every reading's score.
 
-    ``blank`` has the input, and 0 where there will be readings, NaN where not.
+    Of scores v_t z_t, z_t = e_t + size v_t, random signs make sums with the variance sum v_t^2 z_t^2, and not
+    sum v_t^2: more by (statistic - 1) sum v_t^4 / (sum v_t^2)^2, as a share. An effect that few readings show
+    is seen with care (:mod:`engine.diagnose.screening.screen`).
     """
-    names = [name for c in candidates for name in c.name.split(" + ")]
-    logs_: list[Array] = []
-    for k in range(RECORDS):
-        true = candidates[k % len(candidates)]
-        rng = np.random.default_rng([seed, k])
-        try:
-            drawn = simulate(
-                true.model, true.theta, len(blank), rng, blank.u, t=blank.t, hold=blank.hold
-            ).y
-            record = blank.replace(y=np.where(blank.observed, drawn, np.nan))
-            fit = quasi_ml(base.model, record, base.theta, base.free)
-            asked = Question(fit, record, setting_for(base.model, record, fit.theta), names)
-        except (EngineError, np.linalg.LinAlgError):
-            continue
-        row = simulated_logs(asked, names, [seed, k])
-        if row is not None and not np.isnan(row[:-1]).all():
-            logs_.append(row[:-1][~np.isnan(row[:-1])])
-    n = len(logs_)
-    if not n:
-        return 0.0
-    mean = (PRIOR + float(sum(row.mean() for row in logs_))) / (PRIOR + n)
-    return max(mean - 1.0, 0.0) * float(blank.observed.sum())
+    power = float((v**2).sum())
+    share = float((v**4).sum()) / power**2 if power > 0.0 else 0.0
+    usual = float(chi2_isf(LEVEL, 1))
+    edge = usual * (1.0 + np.maximum(statistic - 1.0, 0.0) * share)
+    edge = np.minimum(edge, np.maximum(statistic, usual))  # where all signs agree
+    heavier = LEVEL / np.maximum(chi2_sf(edge, 1), 1e-300)
+    return np.where(heavier > CLEARLY_HEAVIER, heavier, 1.0)
 
 
 @lru_cache(maxsize=256)

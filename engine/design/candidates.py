@@ -17,6 +17,7 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import FreeRunSearch, noise_fit
 from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.likeness import rank
 from engine.diagnose.search.refits import further_parameters
 from engine.errors import OptionError
 from engine.estimation.quasi_ml import QuasiFit
@@ -25,6 +26,7 @@ from engine.statespace.model import Array, MixedModel, ThetaLike
 MOST = 5  # causes at most: of more, the nearest
 NEAREST = 3  # names that are nearest to an ``unknown``
 NOTHING = "nothing"  # the name of the model without a cause
+TOGETHER = " + "  # between the names of effects that are one cause
 INFORMATION = "information"  # among a cause's values: what a record told of them
 ALARM = 12.0  # the statistic from which a diagnosis sees something, where none tells
 LEAST_ALARM = 1.0
@@ -36,7 +38,8 @@ class Candidate:
 
     ``theta`` its estimates; ``free`` the parameters that a new diagnosis estimates; ``information``
     (n_free, n_free) what a record told of them, zeros where there was none; ``further`` parameters beside the
-    size, which must earn their place; ``lead`` its score in that record.
+    size, which must earn their place; ``lead`` its score in that record. ``effects`` are what it adds, and
+    ``rank`` is lower the more readily it is said of causes that say the same.
     """
 
     name: str
@@ -47,6 +50,8 @@ class Candidate:
     information: Array
     further: int = 0
     lead: float = 0.0
+    effects: tuple[Effect, ...] = ()
+    rank: tuple[int, int] = (0, 0)
 
     @property
     def indices(self) -> list[int]:
@@ -62,6 +67,20 @@ class Candidate:
         scaled = H * inverse[:, None] * inverse
         P = np.linalg.pinv(scaled, rcond=1e-8, hermitian=True)
         return np.asarray(P * inverse[:, None] * inverse)
+
+
+@dataclass(frozen=True, eq=False)
+class Rivals:
+    """What a diagnosis weighed against each other.
+
+    ``before`` is the fit without them, with what was ``taken`` in earlier rounds; ``several`` are those to tell
+    apart, the best first, ``every`` are all that were refitted.
+    """
+
+    before: QuasiFit
+    taken: tuple[Effect, ...]
+    several: tuple[Weighed, ...]
+    every: tuple[Weighed, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +110,14 @@ class Weighed:
     @property
     def name(self) -> str:
         """Of its effects."""
-        return " + ".join(effect.name for effect in self.effects)
+        return TOGETHER.join(effect.name for effect in self.effects)
 
     @property
     def unsuited(self) -> str:
         """Why no input can be designed for it; "" where one can."""
         return next((reason for effect in self.effects if (reason := unsuited(effect))), "")
 
-    def candidate(self) -> Candidate:
+    def candidate(self, setting: Setting) -> Candidate:
         """As a cause to tell apart; times that the likelihood jumps at stay where they are."""
         fit = self.fit
         sought = {name for effect in self.effects for name in effect.sought}
@@ -113,6 +132,8 @@ class Weighed:
             np.asarray(fit.information)[np.ix_(keep, keep)],
             sum(map(further_parameters, self.effects)) + len(self.effects) - 1,
             self.score,
+            self.effects,
+            rank(self.effects, setting),
         )
 
 
@@ -122,18 +143,19 @@ def of_diagnosis(diagnosis: Diagnosis, causes: Sequence[str] | None) -> Question
     Of a ``set`` the causes in it; of an ``unknown`` the nearest names too; else the cause and its nearest
     rivals. Raises OptionError where there are not two, or one was not refitted.
     """
-    before, weighed, every = _weighed(diagnosis)
+    rivals = rivals_of(diagnosis)
+    before = rivals.before
     chosen, notes = [], []
     if causes is None:
-        if not weighed:
+        if not rivals.several:
             raise OptionError(
                 f"the diagnosis says '{diagnosis.verdict.value}': it weighed no causes that an experiment "
                 "could tell apart; give a model in place of the diagnosis, and causes= with their sizes",
                 "causes",
             )
-        wanted = weighed
+        wanted = rivals.several
     else:
-        known = {one.name: one for one in every}
+        known = {one.name: one for one in rivals.every}
         for name in causes:
             if name not in known:
                 raise OptionError(
@@ -141,7 +163,7 @@ def of_diagnosis(diagnosis: Diagnosis, causes: Sequence[str] | None) -> Question
                     f"{', '.join(known) or 'none'}",
                     "causes",
                 )
-        wanted = [known[name] for name in dict.fromkeys(causes)]
+        wanted = tuple(known[name] for name in dict.fromkeys(causes))
     for one in wanted:
         if one.unsuited:
             notes.append(f"{one.name} was left out: {one.unsuited}.")
@@ -149,7 +171,8 @@ def of_diagnosis(diagnosis: Diagnosis, causes: Sequence[str] | None) -> Question
             chosen.append(one)
     if len(chosen) > MOST:
         notes.append(f"Of {len(chosen)} causes the {MOST} nearest are compared.")
-    out = [one.candidate() for one in chosen[:MOST]]
+    setting = Setting(before.model)
+    out = [one.candidate(setting) for one in chosen[:MOST]]
     _check_number([one.name for one in out], notes)
     if diagnosis.verdict is Verdict.UNKNOWN:
         notes.append("The diagnosis ended in 'unknown': the true cause may be none of these.")
@@ -191,28 +214,31 @@ def before_any(
     setting = Setting(model, dt=dt)
     out, notes = [], []
     for name, given in causes.items():
-        effect = make_effect(name, setting)
-        if isinstance(given, Mapping) and f"{effect.size.name}_zero" in given:
-            effect = make_effect(name, replace(setting, zeros={}))  # it counts from there
-        reason = unsuited(effect)
+        effects = tuple(_effect(part, given, setting) for part in name.split(TOGETHER))
+        reason = next((text for effect in effects if (text := unsuited(effect))), "")
         if reason:
             notes.append(f"{name} was left out: {reason}.")
             continue
-        extended = effect.apply(model)
-        theta_ = np.asarray(extended.theta(_values(effect, given, values, model)))
+        extended = model
+        for effect in effects:
+            extended = effect.apply(extended)
+        theta_ = np.asarray(extended.theta(_values(name, effects, given, values, model)))
         names = [*(model.parameter_names if free is None else free)]
-        names += [p.name for p in effect.parameters if p.name not in effect.held]
+        own = [p.name for e in effects for p in e.parameters if p.name not in (*e.held, *e.sought)]
+        names += [one for one in own if one not in names]
         for one in names:
             extended.index(one)
         out.append(
             Candidate(
                 name,
-                effect.title,
+                " and ".join(effect.title for effect in effects),
                 extended,
                 theta_,
                 tuple(names),
                 _information(f"causes.{name}.information", given, names),
-                further_parameters(effect),
+                sum(map(further_parameters, effects)) + len(effects) - 1,
+                effects=effects,
+                rank=rank(effects, setting),
             )
         )
     _check_number([one.name for one in out], notes)
@@ -248,11 +274,20 @@ def unsuited(effect: Effect) -> str:
     return ""
 
 
-def _values(effect: Effect, given: Any, theta: Array, model: MixedModel) -> list[float]:
-    """Values of the model's parameters and the effect's. Raises OptionError naming the field."""
-    where = f"causes.{effect.name}"
+def _effect(name: str, given: Any, setting: Setting) -> Effect:
+    effect = make_effect(name, setting)
+    if isinstance(given, Mapping) and f"{effect.size.name}_zero" in given:
+        return make_effect(name, replace(setting, zeros={}))  # it counts from there
+    return effect
+
+
+def _values(
+    name: str, effects: Sequence[Effect], given: Any, theta: Array, model: MixedModel
+) -> list[float]:
+    """Values of the model's parameters and the effects'. Raises OptionError naming the field."""
+    where = f"causes.{name}"
     values = dict(zip(model.parameter_names, theta.tolist(), strict=True))
-    values |= {p.name: p.default for p in effect.parameters}
+    values |= {p.name: p.default for effect in effects for p in effect.parameters}
     if isinstance(given, Mapping):
         for key, value in given.items():
             if key == INFORMATION:
@@ -263,10 +298,14 @@ def _values(effect: Effect, given: Any, theta: Array, model: MixedModel) -> list
                     f"{where}.{key}",
                 )
             values[key] = _float(value, f"{where}.{key}")
+    elif len(effects) > 1:
+        sizes = ", ".join(f"'{effect.size.name}': ..." for effect in effects)
+        raise OptionError(f"{where}: several effects need a size each, as {{{sizes}}}", where)
     else:
-        values[effect.size.name] = _float(given, where)
-    if values[effect.size.name] == 0.0:
-        raise OptionError(f"{where}: its size {effect.size.name} must not be 0", where)
+        values[effects[0].size.name] = _float(given, where)
+    for effect in effects:
+        if values[effect.size.name] == 0.0:
+            raise OptionError(f"{where}: its size {effect.size.name} must not be 0", where)
     return list(values.values())
 
 
@@ -313,14 +352,14 @@ def _check_number(names: Sequence[str], notes: Sequence[str]) -> None:
         )
 
 
-def _weighed(diagnosis: Diagnosis) -> tuple[QuasiFit, list[Weighed], list[Weighed]]:
-    """The fit without the causes, those to tell apart, the best first, and all that were refitted."""
+def rivals_of(diagnosis: Diagnosis) -> Rivals:
+    """By the criterion that decided: of the first round that leaves several, or of the last."""
     told = diagnosis.free_run
     if told is not None and told.decides and told.search is not None and told.search.found:
         return _by_free_run(told.search)
     rounds = [r for r in diagnosis.search.rounds if r.refits]
     if not rounds:
-        return diagnosis.search.base, [], []
+        return Rivals(diagnosis.search.base, (), (), ())
     chosen = next((r for r in rounds if len(r.equivalent) > 1), rounds[-1])
     k = rounds.index(chosen)
     before = diagnosis.search.base if k == 0 else rounds[k - 1].refits[0].fit
@@ -329,10 +368,11 @@ def _weighed(diagnosis: Diagnosis) -> tuple[QuasiFit, list[Weighed], list[Weighe
     if len(several) < 2 or diagnosis.verdict is Verdict.UNKNOWN:
         names = {one.name for one in several}
         several += [one for one in every if one.name not in names][:NEAREST]
-    return before, several, every
+    taken = tuple(r.refits[0].effect for r in rounds[:k])
+    return Rivals(before, taken, tuple(several), tuple(every))
 
 
-def _by_free_run(found: FreeRunSearch) -> tuple[QuasiFit, list[Weighed], list[Weighed]]:
+def _by_free_run(found: FreeRunSearch) -> Rivals:
     """The same where the free run decided: groups of refits that run alike, each by its leading name."""
     rounds = [r for r in found.rounds if r.survivors]
     chosen = next((r for r in rounds if len(r.survivors) > 1), rounds[-1])
@@ -340,5 +380,37 @@ def _by_free_run(found: FreeRunSearch) -> tuple[QuasiFit, list[Weighed], list[We
     if len(leading) < 2:
         alike = {c.names for c in chosen.survivors[0]}
         leading += [c for c in chosen.candidates if c.names not in alike][:NEAREST]
-    several = [Weighed(c.added, noise_fit(c.fit), 0.0) for c in leading]
-    return noise_fit(chosen.fit), several, several
+    several = tuple(Weighed(c.added, noise_fit(c.fit), 0.0) for c in leading)
+    earlier = [r.chosen for r in rounds[: rounds.index(chosen)] if r.chosen is not None]
+    taken = tuple(effect for one in earlier for effect in one.added)
+    return Rivals(noise_fit(chosen.fit), taken, several, several)
+
+
+def to_ask(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """What a design needs to know of a diagnosis, as values for JSON; None where it weighed fewer than two.
+
+    ``with`` are effects to add to the diagnosed model first, ``theta`` and ``free`` are of that; ``causes``,
+    ``alarm`` and ``measured`` are as :func:`before_any` takes them.
+    """
+    rivals = rivals_of(diagnosis)
+    if len(rivals.several) < 2:
+        return None
+    return {
+        "with": [effect.name for effect in rivals.taken],
+        "theta": rivals.before.theta.asdict(),
+        "free": list(rivals.before.free),
+        "causes": {one.name: _told(one.fit) for one in rivals.several},
+        "alarm": diagnosis.search.rounds[0].screen.threshold,
+        "measured": list(diagnosis.measured),
+    }
+
+
+def _told(fit: QuasiFit) -> dict[str, Any]:
+    """What a record told of a cause: its parameters and, where it is in numbers, the information."""
+    information = np.asarray(fit.information)
+    if not np.isfinite(information).all():
+        return fit.theta.asdict()
+    return {
+        **fit.theta.asdict(),
+        INFORMATION: {"free": list(fit.free), "matrix": information.tolist()},
+    }

@@ -16,7 +16,7 @@ estimates all parameters again: then P_j is without end, but for LOOSE.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from engine.design.alarm import Alarm
 from engine.design.candidates import Candidate
 from engine.design.noise import NoiseRoom, noise_room
 from engine.design.runs import Experiments, Runs, linearised, of_many
+from engine.diagnose.search.likeness import NEEDED, SAME, TIE, contains
 from engine.diagnose.search.rounds import MARGIN
 from engine.estimation.expectation import parameter_scale
 from engine.kernels.whitening import whitened
@@ -36,7 +37,7 @@ TRIES = (1.0, 0.5, 0.2, 0.05)  # lengths of them
 SETTLED = 0.01  # a gain in D below this share, or this much, ends them
 DRAWS = 4000  # of log-likelihood ratios
 TINY = 1e-12  # below which a D is none
-SAME = 1e-3  # share of D below which a rival has nothing of the cause
+NOTHING = 1e-3  # share of D below which a rival has nothing of the cause
 
 
 def precision(candidate: Candidate, anew: bool) -> Array:
@@ -139,6 +140,29 @@ def adapted(
 
 
 @dataclass(frozen=True, eq=False)
+class Demand:
+    """What a diagnosis asks of a cause beside each of its m - 1 rivals, to name it.
+
+    ``lead`` in 2 log LR, ``cost`` of its further parameters; ``plainer``: it stands for a rival that says the
+    same.
+    """
+
+    lead: Array
+    cost: Array
+    plainer: NDArray[np.bool_]
+
+    def met(self, gained: Array, between: Array) -> NDArray[np.bool_]:
+        """Which leads ``gained`` (K, m - 1) are enough, where predictions differ by ``between``, squared."""
+        score = gained - self.cost
+        same = self.plainer & (score >= -TIE) & (between < SAME)
+        return np.asarray((score > self.lead) | same)
+
+    def but(self, alike: Sequence[bool]) -> Demand:
+        """The same with nothing asked beside some rivals."""
+        return replace(self, lead=np.where(alike, -np.inf, self.lead))
+
+
+@dataclass(frozen=True, eq=False)
 class Contest:
     """Cause i in an experiment against each of its rivals, who have adapted.
 
@@ -184,11 +208,11 @@ class Contest:
         """D (m,) against each rival in the first n rows."""
         return np.diagonal(self.at(n)[0][:, :, 0, 0]).copy()
 
-    def probability(self, n: int, asked: Array, alarm: Alarm, seed: int) -> float:
+    def probability(self, n: int, demand: Demand, alarm: Alarm, seed: int) -> float:
         """How often i wins against all rivals in the first n rows.
 
-        2 log LR of each must exceed ``asked`` (m - 1,); the last rival is the model without a cause, against
-        which the screen must raise an ``alarm``. Averaged over what is not known of i's own parameters.
+        It must lead each as the ``demand`` says; the last rival is the model without a cause, against which
+        the screen must raise an ``alarm``. Averaged over what is not known of i's own parameters.
         """
         products, left, adapted_to = self.at(n)
         rng = np.random.default_rng(seed)
@@ -206,8 +230,12 @@ class Contest:
         apart = D[:, -1:, -1] + own[:, :-1] - 2.0 * D[:, -1, :-1]
         fresh = rng.standard_normal((DRAWS, m - 1))
         z = (e[:, -1:] - e[:, :-1]) / np.sqrt(np.maximum(apart, TINY))
-        z = np.where(apart > SAME * own[:, -1:], z, fresh)
+        z = np.where(apart > NOTHING * own[:, -1:], z, fresh)
         others = (shared + z) ** 2
+        ahead = np.sqrt(np.maximum(base, 0.0))[:, None]
+        # squared, between what i and a rival predict, both fitted, from the cosine of their directions
+        cosine = shared / np.sqrt(np.maximum(own[:, -1:], TINY))
+        between = base[:, None] + others - 2.0 * cosine * ahead * (shared + z)
         ratio = (
             own[:, :-1] + 2.0 * e[:, :-1] + e[:, -1:] ** 2 / np.maximum(own[:, -1:], TINY) - z**2
         )
@@ -219,8 +247,8 @@ class Contest:
         statistic = _between(base, X, statistics)
         rivals = (statistic / np.maximum(base, TINY))[:, None] * others
         largest = np.maximum(statistic, rivals.max(axis=1, initial=0.0))
-        seen = alarm.raised(largest, float(len(left[-1])), adapted_to[-1], seed)
-        return float(((gained > asked).all(axis=1) & seen).mean())
+        seen = alarm.raised(largest, left[-1], adapted_to[-1], seed)
+        return float((demand.met(gained, between).all(axis=1) & seen).mean())
 
 
 def _between(values: Array, X: Array, f: Array) -> Array:
@@ -279,16 +307,22 @@ def contest(
     )
 
 
-def asked_of(i: int, candidates: Sequence[Candidate], T: int, anew: bool) -> Array:
-    """By how much 2 log LR of i must lead each rival (m - 1,) for a diagnosis of T samples to name it.
+def demand_of(i: int, candidates: Sequence[Candidate], T: int, anew: bool) -> Demand:
+    """What a diagnosis of T samples asks of cause i, to name it.
 
-    A diagnosis names what leads by MARGIN, further parameters costing log T each; an earlier record counts
-    where it is kept.
+    It names what leads by MARGIN, further parameters costing log T each; an earlier record counts where it is
+    kept. A rival that contains i must itself be ahead, and of two that say the same the plainer is named.
     """
     true = candidates[i]
-    out = []
+    lead, cost, plainer = [], [], []
     for rival in candidates:
-        if rival is not true:
-            more = (true.further - rival.further) * np.log(max(T, 2))
-            out.append(MARGIN + more - (0.0 if anew else true.lead - rival.lead))
-    return np.array(out)
+        if rival is true:
+            continue
+        cost.append((true.further - rival.further) * np.log(max(T, 2)))
+        cost[-1] -= 0.0 if anew else true.lead - rival.lead
+        wider = len(true.effects) == len(rival.effects) == 1 and contains(
+            rival.effects[0], true.effects[0]
+        )
+        lead.append(-NEEDED if wider else MARGIN)
+        plainer.append(true.rank < rival.rank)
+    return Demand(np.array(lead), np.array(cost), np.array(plainer, dtype=bool))

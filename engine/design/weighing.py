@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.arrays import Array
-from engine.design.alarm import Alarm, excess
+from engine.design.alarm import Alarm
 from engine.design.candidates import Question
-from engine.design.criterion import Contest, asked_of, contest
+from engine.design.criterion import Contest, contest, demand_of
 from engine.design.design import Experiment, Undecided
 from engine.design.inputs import Plan
-from engine.design.runs import frame, simulated
+from engine.design.runs import simulated
 from engine.design.search import Pair, Search, Task, Tried, search
 from engine.design.sensors import sensors
 from engine.diagnose import LEAST
@@ -46,37 +46,12 @@ class Weighed:
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """Of the inputs that a search has found for a question; what further searches find is ``kept``.
-
-    ``excess`` as of :class:`engine.design.alarm.Alarm`.
-    """
+    """Of the inputs that a search has found for a question; what further searches find is ``kept``."""
 
     task: Task
     question: Question
     seed: int
     kept: Kept = NOTHING
-    excess: float = 0.0
-
-    @property
-    def alarm(self) -> Alarm:
-        """When a diagnosis sees something."""
-        return Alarm(self.question.alarm, self.excess)
-
-    def simulated(self, state: Search) -> Weighing:
-        """The same with the excess of its alarm, from the beginning of the leading input."""
-        if not state.leaders:
-            return self
-        task, n = self.task, self.shortest_length
-        own = frame(state.leaders[0].u[:n], task.dt, task.hold).refined(task.substeps)
-        y = np.full((len(own), len(task.seen)), np.nan)
-        y[np.ix_(own.samples, np.flatnonzero(task.seen))] = 0.0
-        found = self.kept.number(
-            "excess",
-            lambda: excess(
-                self.question.candidates, self.question.base, own.replace(y=y), self.seed
-            ),
-        )
-        return replace(self, excess=found or 0.0)
 
     def best(self, state: Search, undecided: Sequence[Undecided]) -> Weighed:
         """The best of the leading inputs once rivals adapt: by the least probability, then the least D."""
@@ -122,10 +97,11 @@ class Weighing:
         """Probability (m,) of each true cause to win in n samples, against rivals that inputs tell apart."""
         out = []
         for i, one in enumerate(contests):
-            asked = asked_of(i, self.question.candidates, n, self.task.anew)
+            demand = demand_of(i, self.question.candidates, n, self.task.anew)
             alike = [frozenset((one.name, rival)) in hopeless for rival in one.rivals[:-1]]
-            asked[alike] = -np.inf
-            p = one.probability(self._rows(n), asked, self.alarm, self.seed)
+            p = one.probability(
+                self._rows(n), demand.but(alike), Alarm(self.question.alarm), self.seed
+            )
             out.append(0.0 if all(alike) else p)
         return np.array(out)
 

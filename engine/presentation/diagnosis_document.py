@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from engine.design.candidates import to_ask
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.gain.adoption import in_full, in_short
@@ -76,6 +77,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "free_run": None if d.free_run is None else _free_run(d.free_run),
         "over_horizon": None if d.over_horizon is None else over_horizon(d.over_horizon),
         "symptoms": d.symptoms.to_dict(),
+        "next": _next(d),
         "gain": None if d.gain is None else _gain(d.gain, list(d.model.outputs)),
         "detectable": [asdict(item) for item in d.detectable],
         "rounds": [_round(found) for found in d.rounds],
@@ -172,6 +174,14 @@ def _reference(d: Diagnosis) -> dict[str, Any]:
             "time_unit": setting.time_unit,
         },
     }
+
+
+def _next(d: Diagnosis) -> dict[str, Any] | None:
+    """What a design of the next experiment is asked, with the model that it begins from."""
+    asked = to_ask(d)
+    if asked is None:
+        return None
+    return {**asked, "model": {**_reference(d), "with": asked.pop("with")}}
 
 
 def _force(force: UnnamedForce) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from engine.diagnose import Diagnosis
 from engine.errors import EngineError
 from engine.presentation import plots
 from engine.presentation.report import write_report
-from service import designs, strict_json
+from service import designs, strict_json, validation
 from service.cli import references
 from service.cli.ending import about_file, wrong
 from service.cli.experiment import Run
@@ -23,6 +23,7 @@ from service.cli.outputs import check_outputs, kept_if_not_written, output_path,
 from service.cli.parts import Kept
 from service.cli.state_file import StateFile, beside, can_be, read
 from service.cli.values import about, numbers
+from service.schemas import ModelReference
 
 
 @dataclass(kw_only=True)
@@ -126,18 +127,19 @@ def _of(wanted: Asked, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
             f"{wanted.diagnosis}: neither the JSON of 'rbps diagnose --out' nor a file of Diagnosis.save"
         )
     with about(str(wanted.diagnosis)):
-        causes, free = designs.causes_of(diagnosis)
+        asked = designs.next_of(diagnosis)
+    causes = asked["causes"]
     for name in names:
         if name not in causes:
             raise wrong(f"--cause {name}: the diagnosis weighed {', '.join(causes)}")
     for name, value in designs.between_samples(diagnosis).items():
         bounds.setdefault(name, value)
-    model = references.model_of(wanted.model or diagnosis["extension"]["model"]["name"])
+    model = references.model_of(wanted.model or asked["model"]["name"])
+    with about(str(wanted.diagnosis)):
+        model = validation.extended(model, ModelReference.model_validate(asked["model"]))
     return model, {
         "causes": {name: causes[name] for name in names or causes},
-        "theta": diagnosis["base_theta"],
-        "free": free,
-        **designs.seen_by(diagnosis),
+        **{name: asked[name] for name in ("theta", "free", "alarm", "measured")},
     }
 
 

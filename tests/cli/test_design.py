@@ -92,9 +92,9 @@ def test_from_a_diagnosis(rbps, tmp_path, record):
 
 def _tells_all_that_it_knows(saved, document):
     """The causes of a document are those of the diagnosis, with their values and covariances."""
-    causes, free = designs.causes_of(document)
+    asked = designs.next_of(document)
     known = of_diagnosis(saved, None).candidates
-    read = before_any(saved.model, causes, document["base_theta"], 0.05, free).candidates
+    read = before_any(saved.model, asked["causes"], asked["theta"], 0.05, asked["free"]).candidates
     for one, other in zip(known, read, strict=True):
         assert (one.name, one.free, one.further) == (other.name, other.free, other.further)
         np.testing.assert_allclose(other.theta, one.theta)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.design.candidates import ALARM, before_any, of_diagnosis
+from engine.design.candidates import ALARM
 from service import designs, diagnoses, strict_json
 from service.examples import EXAMPLES
 
@@ -79,21 +79,21 @@ def test_a_stored_diagnosis_asks_for_the_same_as_the_diagnosis_itself(client, en
     document = stored["diagnosis"]
     bounds = {"inputs": {"drive": {"low": -1.0, "high": 1.0}}}
     own = engine.design_experiment(found, bounds, 60, inputs=16, seed=1)
-    causes, free = designs.causes_of(document)
-    seen = designs.seen_by(document)
-    assert seen["alarm"] == found.search.rounds[0].screen.threshold != ALARM
-    assert seen["measured"] == ["y"]
+    asked = designs.next_of(document)
+    assert asked["alarm"] == found.search.rounds[0].screen.threshold != ALARM
+    assert asked["measured"] == ["y"]
     request = {  # as the page of a diagnosis sends it
         "kind": "design",
-        "model": "oscillator",
-        "parameters": {"start": document["base_theta"], "free": free},
+        "model": asked["model"],
+        "parameters": {"start": asked["theta"], "free": asked["free"]},
         "options": {
-            "causes": causes,
+            "causes": asked["causes"],
             "bounds": {**bounds, **designs.between_samples(document)},
             "length": 60,
             "inputs": 16,
             "seed": 1,
-            **seen,
+            "alarm": asked["alarm"],
+            "measured": asked["measured"],
         },
     }
     url = client.post("/jobs", json=request).headers["location"]
@@ -103,15 +103,12 @@ def test_a_stored_diagnosis_asks_for_the_same_as_the_diagnosis_itself(client, en
     assert there["growth"] == json.loads(strict_json.dumps(own.to_dict()))["growth"]
 
 
-def test_an_older_document_falls_back(diagnosed):
-    found, stored = diagnosed
-    document = json.loads(json.dumps(stored["diagnosis"]))
-    del document["measured"], document["rounds"][0]["threshold"]
-    assert designs.seen_by(document) == {"alarm": None, "measured": None}
-    causes, free = designs.causes_of(document)
-    read = before_any(found.model, causes, document["base_theta"], 0.05, free)
-    assert read.alarm == ALARM
-    assert of_diagnosis(found, None).alarm != ALARM
+def test_an_older_document_is_refused(diagnosed):
+    document = {name: value for name, value in diagnosed[1]["diagnosis"].items() if name != "next"}
+    with pytest.raises(engine.OptionError, match="earlier version; run it again"):
+        designs.next_of(document)
+    with pytest.raises(engine.OptionError, match="weighed fewer than two causes"):
+        designs.next_of({"next": None, "verdict": "nothing"})
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from engine.diagnose.free_run_fits.fitted import Fitted, Pick, finished, with_ef
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_better
 from engine.diagnose.free_run_fits.linear import Linear, Share
 from engine.diagnose.search.contradictions import LEAST_ERRORS
-from engine.diagnose.search.likeness import unnatural
+from engine.diagnose.search.likeness import rank
 from engine.diagnose.search.search import part_of
 from engine.statespace.model import Array
 
@@ -278,7 +278,7 @@ def survivors(
         else:
             groups.append([candidate])
     for group in groups:
-        group.sort(key=lambda c: plainness(c, setting))
+        group.sort(key=lambda c: rank(c.added, setting))
     groups.sort(key=lambda group: not _of_the_model(group[0]))
     return tuple(map(tuple, groups))
 
@@ -314,11 +314,3 @@ def _to_its_end(candidate: Candidate) -> Candidate:
 def _of_the_model(candidate: Candidate) -> bool:
     """Whether only parameters that the model has were released: its author knows that such a thing exists."""
     return all(effect.family == "parameter" for effect in candidate.added)
-
-
-def plainness(candidate: Candidate, setting: Setting) -> tuple[int, int]:
-    """Of candidates that say the same, the one with the least is said."""
-    return (
-        sum(effect.traits.plainness for effect in candidate.added),
-        sum(unnatural(effect, setting) for effect in candidate.added),
-    )

@@ -25,7 +25,7 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
     """
     refits = [r for r in refits if not _merely_wider(r, refits)]
     terms = [held_out_terms(r.fit, series) for r in refits]
-    ranks = [(r.effect.traits.plainness, unnatural(r.effect, setting)) for r in refits]
+    ranks = [rank((r.effect,), setting) for r in refits]
 
     def stands_for(j: int, i: int) -> bool:
         fits_as_well = refits[j].score >= refits[i].score - TIE
@@ -38,12 +38,23 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
 
 def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:
     """Whether a plainer effect at the same place does as well."""
-    effect = found.effect
     return any(
-        other.effect.kind in effect.traits.contains
-        and other.effect.channel in (effect.channel, effect.channel.partition("->")[0])
-        and found.score < other.score + NEEDED
+        contains(found.effect, other.effect) and found.score < other.score + NEEDED
         for other in others
+    )
+
+
+def contains(wide: Effect, plain: Effect) -> bool:
+    """Whether an effect becomes a plainer one, at the same place, at the end of its parameters' range."""
+    places = (wide.channel, wide.channel.partition("->")[0])
+    return plain.kind in wide.traits.contains and plain.channel in places
+
+
+def rank(effects: Sequence[Effect], setting: Setting) -> tuple[int, int]:
+    """Of causes that say the same the one with the least is said: its plainness, and whether it is natural."""
+    return (
+        sum(effect.traits.plainness for effect in effects),
+        sum(unnatural(effect, setting) for effect in effects),
     )
 
 

@@ -5,26 +5,14 @@ import { element, get, post, Problem } from "/static/api.js";
 const by = (name) => document.getElementById(name);
 const CELLS = { low: "number", high: "number", rate: "number", forbidden: "text", stopbands: "text" };
 const HINTS = { rate: "any", forbidden: "-0.5:0.5, 2:3", stopbands: "4:6" };
-const SHOWN = 3; // nearest names that are offered where fewer than two cannot be told apart
-
-// What the diagnosis could not tell apart, as in service/designs.py.
-export function rivals(diagnosis) {
-  const rounds = diagnosis.rounds.filter((one) => one.refitted.length);
-  const several = rounds.find((one) => one.refitted.filter((r) => r.equivalent).length > 1);
-  const refitted = (several ?? rounds.at(-1) ?? { refitted: [] }).refitted;
-  const alike = refitted.filter((one) => one.equivalent);
-  if (alike.length < 2 || diagnosis.verdict === "unknown") alike.push(...refitted.filter((one) => !one.equivalent).slice(0, SHOWN));
-  return alike.length > 1 && alike.every((one) => one.parameters) ? alike : [];
-}
 
 export function offer(diagnosis) {
-  const causes = rivals(diagnosis);
   const inputs = Object.entries(diagnosis.channels.inputs ?? {});
-  if (!causes.length || !inputs.length) return;
+  if (!diagnosis.next || !inputs.length) return; // fewer than two causes were weighed, or nothing can be tried
   by("next").hidden = false;
   by("next").addEventListener("click", () => { by("design").hidden = false; by("design").scrollIntoView(); by("design-length").focus(); });
-  by("design-causes").replaceChildren(...causes.map((one) => element("label", { class: "check" },
-    element("input", { type: "checkbox", checked: "", value: one.effect }), ` ${one.effect}`)));
+  by("design-causes").replaceChildren(...Object.keys(diagnosis.next.causes).map((name) => element("label", { class: "check" },
+    element("input", { type: "checkbox", checked: "", value: name }), ` ${name}`)));
   by("design-inputs").replaceChildren(...inputs.map(([name, unit]) => element("tr", {}, element("th", { scope: "row" }, name),
     Object.entries(CELLS).map(([what, type]) => element("td", {}, element("input", {
       type, step: type === "number" ? "any" : null, "data-name": name, "data-what": what, required: what in HINTS ? null : "",
@@ -37,7 +25,7 @@ export function offer(diagnosis) {
     event.preventDefault();
     by("design-problem").hidden = true;
     try {
-      location.href = (await post("/jobs", request(diagnosis, causes))).links.find((one) => one.rel === "self").href;
+      location.href = (await post("/jobs", request(diagnosis))).links.find((one) => one.rel === "self").href;
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
       by("design-problem").hidden = false;
@@ -61,10 +49,10 @@ function rows(id) {
   return found;
 }
 
-function request(diagnosis, causes) {
+function request(diagnosis) {
   const wanted = [...by("design-causes").querySelectorAll("input:checked")].map((box) => box.value);
-  const chosen = causes.filter((one) => wanted.includes(one.effect));
-  const { model: { name, setting }, hold } = diagnosis.extension;
+  const { model, theta, free, causes, alarm, measured } = diagnosis.next;
+  const { hold } = diagnosis.extension;
   const kept = Object.entries(rows("design-states")).filter(([, one]) => "low" in one || "high" in one);
   const bounds = {
     inputs: rows("design-inputs"),
@@ -72,24 +60,19 @@ function request(diagnosis, causes) {
     dt: Number(by("design-dt").value),
   };
   if (hold) bounds.hold = hold;
-  if (setting.substeps) bounds.substeps = setting.substeps;
+  if (model.setting.substeps) bounds.substeps = model.setting.substeps;
   return {
     kind: "design",
-    model: name,
-    parameters: { start: diagnosis.base_theta, free: Object.keys(diagnosis.base_standard_errors) },
+    model,
+    parameters: { start: theta, free },
     options: {
-      causes: Object.fromEntries(chosen.map((one) => [one.effect, { ...one.parameters, ...told(one) }])),
+      causes: Object.fromEntries(wanted.map((name) => [name, causes[name]])),
       bounds,
       length: Number(by("design-length").value),
-      alarm: diagnosis.rounds[0]?.threshold ?? null,
-      measured: diagnosis.measured ?? null,
+      alarm,
+      measured,
     },
   };
-}
-
-// What the record told of a cause's values, where the document has it in numbers.
-function told({ information }) {
-  return information?.matrix.flat().every((value) => value !== null) ? { information } : {};
 }
 
 // A link to the designed input as a CSV file.

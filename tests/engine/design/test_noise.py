@@ -1,12 +1,14 @@
 """What a rival's noise explains, and when a screen raises an alarm, against what defines them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from engine.design.alarm import Alarm, logs
+from engine.design.alarm import Alarm, _heavier, logs
 from engine.design.candidates import before_any
-from engine.design.criterion import contest
+from engine.design.criterion import Demand, contest, demand_of
 from engine.design.noise import NoiseRoom, noise_room
 from engine.design.runs import Experiments, linearised
 from engine.distributions import chi2_sf
@@ -52,15 +54,62 @@ def test_the_spectrum_gives_what_whole_matrices_give():
         assert lost[k] == pytest.approx(best - none, rel=1e-3, abs=1e-3)
 
 
-def test_an_alarm_needs_more_where_simulated_records_show_bold_p_values():
+def test_an_alarm_needs_more_where_few_readings_make_p_values_bold():
     statistic = np.linspace(0.0, 30.0, 600)
-    calm, bold = (Alarm(5.0, excess).raised(statistic, 60.0, 3.0, 0) for excess in (0.0, 45.0))
+    bold, calm = (Alarm(5.0).raised(statistic, np.ones(N), 8.0, 0) for N in (24, 2400))
     assert not calm[statistic < 5.0].any()
     assert calm[statistic > 20.0].all()
     assert bold.sum() < calm.sum()
     assert bold[-1]  # so clear that nothing is simulated
-    far = Alarm(5.0, 45.0).raised(statistic, 6000.0, 3.0, 0)
-    assert far.sum() > bold.sum()
+
+
+def test_an_alarm_needs_more_where_few_readings_show_the_effect():
+    """As the multiplier draws of a screen do it, which keep the size of every reading's score."""
+    rng = np.random.default_rng(2)
+    statistic = np.linspace(0.0, 60.0, 600)
+    few = np.concatenate([np.full(4, 5.0), np.full(296, 0.02)])
+    spread, single = (Alarm(5.0).raised(statistic, v, 3.0, 0) for v in (np.ones(300), few))
+    assert single.sum() < spread.sum()
+    for v, heavy in ((np.ones(300), False), (few, True)):
+        v = v * np.sqrt(15.0) / np.linalg.norm(v)
+        drawn = []
+        for _ in range(40):
+            s = v * (v + rng.standard_normal(300))
+            signs = rng.choice([-1.0, 1.0], size=(499, 300))
+            drawn.append(np.quantile((signs @ s) ** 2 / (v @ v), 0.95))
+        told = float(_heavier(np.array([15.0]), v)[0])
+        there = 0.05 / chi2_sf(float(np.median(drawn)), 1)
+        assert (told > 2.5) is heavy
+        assert np.log(told) == pytest.approx(np.log(there), abs=np.log(4.0))
+
+
+def test_of_causes_that_say_the_same_the_plainer_is_named():
+    demand = Demand(np.array([2.0]), np.array([0.0]), np.array([True]))
+    gained, between = (
+        np.array([[0.1], [0.1], [-1.0], [3.0]]),
+        np.array([[0.2], [4.0], [0.2], [4.0]]),
+    )
+    assert demand.met(gained, between)[:, 0].tolist() == [True, False, False, True]
+    other = replace(demand, plainer=np.array([False]))
+    assert other.met(gained, between)[:, 0].tolist() == [False, False, False, True]
+    assert demand.but([True]).met(gained - 50.0, between).all()
+
+
+def test_a_constant_force_is_plainer_than_a_friction_that_predicts_the_same():
+    """And a wider kind must itself be ahead of the plainer one that it contains."""
+    q = before_any(
+        drive(),
+        {"force:velocity": 0.1, "linear:velocity": 0.1, "pole:velocity": 0.1},
+        None,
+        0.1,
+        None,
+    )
+    force, linear, pole = (demand_of(i, q.candidates, 100, True) for i in range(3))
+    assert force.plainer.tolist() == [True, True]
+    assert linear.plainer.tolist()[0] is False
+    assert pole.plainer.tolist() == [False, False]
+    assert linear.lead.tolist() == [2.0, -2.0]  # a pole contains it
+    assert pole.lead.tolist() == [2.0, 2.0]
 
 
 def test_p_values_of_few_readings_are_bolder_than_those_of_many():
@@ -77,7 +126,7 @@ def test_the_probability_falls_as_the_alarm_needs_more():
     u = np.repeat(np.random.default_rng(5).uniform(-6, 6, (1, 12, 1)), 10, axis=1)
     e, seen = Experiments.of(u, 0.1, "zoh", 1), np.ones((120, 1), dtype=bool)
     own = contest(0, q.candidates, q.base, e, seen, True, {})
-    asked = np.array([-np.inf])
-    p = [own.probability(60, asked, Alarm(t), 0) for t in (1.0, 5.0, 12.0, 30.0)]
+    demand = Demand(np.array([-np.inf]), np.zeros(1), np.zeros(1, dtype=bool))
+    p = [own.probability(60, demand, Alarm(t), 0) for t in (1.0, 5.0, 12.0, 30.0)]
     assert np.all(np.diff(p) <= 0.0)
     assert p[0] > p[-1]

@@ -49,6 +49,7 @@ counted, which favours the random input. No record shorter than ten samples for 
 considered.
 """
 
+COLOR = "#1f6feb"
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0001)
 
 
@@ -59,8 +60,7 @@ def report(tables: Tables) -> str:
         ABOUT,
         _names(decided),
         _samples(decided),
-        _calibration(decided),
-        _open(tables[CALIBRATION_ARM.name]),
+        _calibration(tables[CALIBRATION_ARM.name], decided),
         _never(never),
     ]
     parts += [
@@ -151,34 +151,7 @@ def _samples(table: Table) -> str:
 
 
 def calibration(table: Table) -> list[tuple[float, int, int]]:
-    """Mean printed probability, right names and cases in each bin; two lengths a case."""
-    p = np.concatenate([table.numbers("probability_rows"), table.numbers("probability")])
-    right = np.array([*_right(table, "set_rows"), *_right(table, "set")])
-    out = []
-    for low, high in pairwise(BINS):
-        own = (p >= low) & (p < high)
-        if own.any():
-            out.append((float(p[own].mean()), int(right[own].sum()), int(own.sum())))
-    return out
-
-
-def _calibration(table: Table) -> str:
-    rows = [[f"{100 * p:.1f} %", _share(k, n)] for p, k, n in calibration(table)]
-    total = calibration(table)
-    n = sum(one[2] for one in total)
-    if n:
-        mean = sum(p * m for p, _, m in total) / n
-        rows.append([f"**all**: {100 * mean:.1f} %", _share(sum(k for _, k, _ in total), n)])
-    head = ["probability printed, mean of the bin", "right names"]
-    text = (
-        "## Is the printed probability right?\n\nEach case at its full length, and at a shorter one that is "
-        "chosen so that the probability is anything between 0 and 1.\n\n"
-    )
-    return text + markdown(head, rows)
-
-
-def open_calibration(table: Table) -> list[tuple[float, int, int]]:
-    """The same of short records, of which each design has several."""
+    """Mean printed probability, right names and records in each bin; several records of each design."""
     p, right = table.numbers("probability"), table.numbers("right")
     out = []
     for low, high in pairwise(BINS):
@@ -188,22 +161,23 @@ def open_calibration(table: Table) -> list[tuple[float, int, int]]:
     return out
 
 
-def _open(table: Table) -> str:
-    bins = open_calibration(table)
-    if not bins:
-        return ""
+def _calibration(short: Table, whole: Table) -> str:
+    bins = calibration(short)
     n = sum(one[2] for one in bins)
-    mean = sum(p * m for p, _, m in bins) / n
     rows = [[f"{100 * p:.1f} %", _share(k, m)] for p, k, m in bins]
-    rows.append([f"**all**: {100 * mean:.1f} %", _share(sum(k for _, k, _ in bins), n)])
+    if n:
+        mean = sum(p * m for p, _, m in bins) / n
+        rows.append([f"**all**: {100 * mean:.1f} %", _share(sum(k for _, k, _ in bins), n)])
+    p, right = whole.numbers("probability"), _right(whole, "set")
+    rows.append([f"whole designs, above: {100 * p.mean():.1f} %", _share(sum(right), len(right))])
     text = (
-        f"Designs of {FEW_INPUTS} inputs, each at a length whose probability is anything between 0 and 1, and "
-        f"{RECORDS} records of it. The cases above were made with an earlier probability, which let a rival's "
-        "noise explain too much and did not know how an alarm is calibrated on few readings. Records of one "
-        "design are not independent: the intervals are too narrow.\n\n"
+        "## Is the printed probability right?\n\n"
+        f"Designs of {FEW_INPUTS} inputs, each cut off at a length whose "
+        f"probability is anything between 0 and 1, and {RECORDS} records of it. Records of one design are not "
+        "independent: the intervals are too narrow. What a design takes into account was settled on other "
+        "cases, by their likelihood.\n\n"
     )
-    head = ["probability printed, mean of the bin", "right names"]
-    return "### In short records\n\n" + text + markdown(head, rows)
+    return text + markdown(["probability printed, mean of the bin", "right names"], rows)
 
 
 def _never(table: Table) -> str:
@@ -264,8 +238,7 @@ def plot(tables: Tables, path: Path) -> None:
     table = tables[DECIDED_ARM.name]
     figure, (left, right) = axes(1, 2, (9.0, 4.0))
     left.plot([0, 1], [0, 1], color="#888888", linewidth=0.8)
-    _errorbars(left, calibration(table))
-    _errorbars(left, open_calibration(tables[CALIBRATION_ARM.name]), "#d1242f")
+    _errorbars(left, calibration(tables[CALIBRATION_ARM.name]))
     left.set(xlabel="probability printed", ylabel="share of right names", xlim=(0, 1), ylim=(0, 1))
     reach = _reaching(table)
     short = table.numbers("shortest")[reach]
@@ -285,13 +258,11 @@ def plot(tables: Tables, path: Path) -> None:
     save(figure, path)
 
 
-def _errorbars(
-    panel: object, bins: Sequence[tuple[float, int, int]], color: str = "#1f6feb"
-) -> None:
+def _errorbars(panel: object, bins: Sequence[tuple[float, int, int]]) -> None:
     for p, k, n in bins:
         low, high = wilson(k, n)
-        panel.plot([p, p], [low, high], color=color, linewidth=1.2)  # type: ignore[attr-defined]
-        panel.plot([p], [k / n], "o", color=color, markersize=4)  # type: ignore[attr-defined]
+        panel.plot([p, p], [low, high], color=COLOR, linewidth=1.2)  # type: ignore[attr-defined]
+        panel.plot([p], [k / n], "o", color=COLOR, markersize=4)  # type: ignore[attr-defined]
 
 
 STUDY = Study(

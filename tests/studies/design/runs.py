@@ -26,6 +26,9 @@ from tests.studies.study import Arm, Row
 
 INPUTS = 128  # tried for a design
 FEW_INPUTS, RECORDS = 32, 3  # of a design that is only asked whether its probability is right
+CALIBRATION_STREAM = (
+    7  # another one whenever the probability was changed after cases of it were seen
+)
 ALARM = 5.0  # the statistic at which a diagnosis of two effects alone sees something
 CLOCKS = (1, 8)  # samples that a random binary input holds, at least one of which suits a system
 LONGER = 3  # times the designed length: how far a random binary input is followed
@@ -58,10 +61,6 @@ BLANK: Row = {
     "verdict": "",
     "named": "",
     "set": "",
-    "rows": np.nan,
-    "probability_rows": np.nan,
-    "set_rows": "",
-    "verdict_rows": "",
     "full": "",
     **{f"binary_{clock}": np.nan for clock in CLOCKS},
     "seconds": np.nan,
@@ -100,18 +99,6 @@ def _judged(case: Case, rng: np.random.Generator, run: int, design_only: bool) -
     began = time.process_time()
     row |= _said(case, record, run)
     row["seconds_diagnosis"] = time.process_time() - began
-    # at a shorter length, where the outcome is open, the printed probability shows whether it is right
-    wanted = rng.uniform(0.3, 0.99)
-    own = _at_lengths(made, case)
-    n = int(min(own, key=lambda pair: abs(pair[1] - wanted))[0])
-    p = dict(own)[n]
-    there = _said(case, record.part(0, n), run)
-    row |= {
-        "rows": n,
-        "probability_rows": p,
-        "set_rows": there["set"],
-        "verdict_rows": there["verdict"],
-    }
     if run // len(DECIDABLE) % FULL_EACH == 0:
         found = diagnose(model, record, free=case.free, seed=run)
         row["full"] = f"{found.verdict.value} {' '.join(c.effect for c in found.causes)}".strip()
@@ -184,7 +171,7 @@ def _said(case: Case, record: Series, run: int) -> Row:
 def calibrated(seed: int, run: int) -> Row:
     """A design of few inputs, and how many of several short records of it end in the right name."""
     pair = DECIDABLE[run % len(DECIDABLE)]
-    rng = np.random.default_rng([JUDGED, seed, 6, run])
+    rng = np.random.default_rng([JUDGED, seed, CALIBRATION_STREAM, run])
     case = drawn(pair, rng)
     model, i = case.system.model, case.true
     true = list(case.causes)[i]
@@ -218,7 +205,13 @@ def timed(seed: int, run: int) -> Row:
 CALIBRATION_ARM = Arm(
     "design.calibration",
     calibrated,
-    {"pairs": len(DECIDABLE), "rows": ROWS, "inputs": FEW_INPUTS, "records": RECORDS},
+    {
+        "pairs": len(DECIDABLE),
+        "rows": ROWS,
+        "inputs": FEW_INPUTS,
+        "records": RECORDS,
+        "stream": CALIBRATION_STREAM,
+    },
 )
 DECIDED_ARM = Arm(
     "design.decidable",
