@@ -112,11 +112,17 @@ def find_causes(
             f"{PATCHES} effects are needed, or one of them is a property of the noise, or something is "
             "still left to see. Register the effect you suspect and diagnose again."
         )
+    if found.of_the_steps:
+        notes.append(
+            f"Beside what was found, {found.of_the_steps} seemed to be seen. Most of it is gone with steps of "
+            "the model half as long: it is what the steps get wrong, and no effect of its own."
+        )
     against = undetermined([r for r in found.rounds if r.equivalent])
     if against:
         notes.extend(against)
         verdict = Verdict.UNKNOWN
-    asked = verdict in NAMES and not settled
+    # beside an error of the steps every shape is in doubt
+    asked = verdict in NAMES and not settled and not found.of_the_steps
     shape = _shape_left(found, series, setting, seed) if asked else None
     if shape is not None:
         notes.append(shape)

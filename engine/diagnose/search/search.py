@@ -37,6 +37,7 @@ from engine.diagnose.search.refitting import (
     swallowed_p,
 )
 from engine.diagnose.search.rounds import Round
+from engine.diagnose.search.step_error import of_the_steps
 from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.filters.sigma_point import moment_path
@@ -52,12 +53,16 @@ Progress = Callable[[str, float], Any]
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """All rounds; the last one without refits has no alarm. ``base`` and ``final`` fits."""
+    """All rounds; the last one without refits has no alarm. ``base`` and ``final`` fits.
+
+    ``of_the_steps`` is what a last round would have found, where shorter steps explain it.
+    """
 
     base: QuasiFit
     final: QuasiFit
     rounds: tuple[Round, ...]
     alarm_left: bool
+    of_the_steps: str = ""
 
 
 def search(
@@ -76,6 +81,7 @@ def search(
     """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already."""
     fit, rounds, alarm = base, [], False
     tails: Refit | None = None
+    explained = ""
     for k in range(max_effects + 1):
         taken = None if tails is None else tails.effect
         level = alpha if k == 0 else LATER * alpha
@@ -112,6 +118,11 @@ def search(
         if not swallowed:
             found = confirmed(found)
             alarm = found.screen.p_value <= level or not found.refits
+        if alarm and rounds and found.refits and tails is None:
+            before = [r.refits[0].effect.name for r in rounds]
+            gain = max(refit.gain for refit in found.refits)
+            if of_the_steps(gain, model, before, fit, series, here):
+                explained, alarm = found.refits[0].effect.name, False
         if not alarm:
             rounds.append(replace(found, refits=(), generic=None, equivalent=()))
             break
@@ -136,7 +147,9 @@ def search(
         rounds[: len(named)] = named
         told = _iterations(progress, STAGE, LOOKED_BACK)
         fit = kept.within("finally").fit(fit.model, partial(_finished, fit, series, told))
-    return Search(base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm)
+    return Search(
+        base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm, explained
+    )
 
 
 def part_of(progress: Progress, begin: float, end: float) -> Progress:
