@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.design.bounds import Bounds, InputBounds
-from engine.design.candidates import Question, before_any, of_diagnosis
+from engine.design.candidates import Question, before_any
 from engine.design.checkpoint import kept_of
 from engine.design.design import Design, Experiment, Undecided
+from engine.design.rivals import of_diagnosis
 from engine.design.search import Task, search
 from engine.design.sensors import Sensor
 from engine.design.weighing import LEVEL, Weighing

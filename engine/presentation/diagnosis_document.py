@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from engine.design.candidates import to_ask
+from engine.design.rivals import to_ask
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
 from engine.diagnose.gain.adoption import in_full, in_short

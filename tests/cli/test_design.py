@@ -8,7 +8,8 @@ import pytest
 
 import engine
 from engine.data.files import write_series
-from engine.design.candidates import before_any, of_diagnosis
+from engine.design.candidates import before_any
+from engine.design.rivals import of_diagnosis
 from service import designs
 
 BEFORE = (

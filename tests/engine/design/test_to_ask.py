@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import engine
-from engine.design.candidates import before_any, of_diagnosis, rivals_of, to_ask
+from engine.design.candidates import before_any
+from engine.design.rivals import of_diagnosis, rivals_of, to_ask
 from engine.diagnose import extend
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
