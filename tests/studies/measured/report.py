@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.words import tidy
+from engine.words import estimate
 from tests.studies.measured.known import KNOWN
 from tests.studies.measured.looked_at import LOOKED_AT
 from tests.studies.measured.records import RECORDS, Record
@@ -66,19 +66,13 @@ def answer(row: Row) -> list[str]:
     if isinstance(causes, str):
         return ["error", "-", causes, "-"]
     names = [" or ".join([c["effect"], *c["others"]]) for c in causes]
-    sizes = [f"{c['effect']} {_size(c)}" for c in causes]
+    sizes = [f"{c['effect']} {estimate(c['size'], c['error'], c['unit'])}" for c in causes]
     return [
         str(row["verdict"]),
         str(row["decided"]),
         "; ".join(names) or "-",
         "; ".join(sizes) or "-",
     ]
-
-
-def _size(cause: dict[str, Any]) -> str:
-    error = cause["error"]
-    spread = "" if error is None or not np.isfinite(error) else f" +- {error:.2g}"
-    return f"{cause['size']:.3g}{spread} {tidy(cause['unit'])}".strip()
 
 
 def error_rows(record: Record, row: Row) -> list[list[str]]:
