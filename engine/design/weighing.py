@@ -29,6 +29,7 @@ LENGTHS = 12  # at which the probability is given
 SHORTER = 0.5  # of a length that reaches the level: the next one tried
 LONGER = 1.3  # of one that does not, at the end
 FEWER = 0.3  # of the inputs, for each length that is tried
+LATER = (1.0, 1.03, 1.1, 1.25)  # times where the level is reached: where an input is cut off
 
 Progress = Callable[[float], None]
 
@@ -229,16 +230,24 @@ class Weighing:
         return high
 
     def _prefix(self, one: Weighed, hopeless: set[frozenset[str]]) -> Weighed | None:
-        """The input cut off where it reaches the level; None where it does not."""
+        """The input cut off where it reaches the level; None where it does not.
+
+        A rival that adapts to less data may be nearer: then it is cut off a little later.
+        """
         high = self.reach(one, hopeless)
         if high is None:
             return None
-        if self.task.leaked(one.experiment.u[:high])[0] > 0.0:
-            return one  # cut off there it would excite a stop band
-        cut = self.weighed(
-            Tried(one.plan, one.experiment.u[:high], np.zeros((0, 0)), 0.0, one.points), hopeless
-        )
-        return cut if cut.experiment.least >= LEVEL else one
+        u = one.experiment.u
+        for share in LATER:
+            n = int(np.ceil(share * high))
+            if n >= len(u):
+                break
+            if self.task.leaked(u[:n])[0] > 0.0:
+                continue  # cut off there it would excite a stop band
+            cut = self.weighed(Tried(one.plan, u[:n], np.zeros((0, 0)), 0.0, one.points), hopeless)
+            if cut.experiment.least >= LEVEL:
+                return cut
+        return one
 
     def predictions(self, u: Array) -> Array:
         """The outputs (m, T, ny) that each cause predicts."""
