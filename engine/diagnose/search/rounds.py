@@ -25,11 +25,17 @@ class Round:
     equivalent: tuple[Refit, ...]
 
 
-def settle(screen: Screen, refits: Sequence[Refit], series: Series, setting: Setting) -> Round:
-    """Refits ranked by their score; those within MARGIN of the best named one are a set."""
+def settle(
+    screen: Screen,
+    refits: Sequence[Refit],
+    series: Series,
+    setting: Setting,
+    margin: float = MARGIN,
+) -> Round:
+    """Refits ranked by their score; those within a margin of the best named one are a set."""
     unnamed = [r for r in refits if r.effect.traits.unnamed]
     ranked = sorted((r for r in refits if not r.effect.traits.unnamed), key=lambda r: -r.score)
-    within = [r for r in ranked if r.score >= ranked[0].score - MARGIN]
+    within = [r for r in ranked if r.score >= ranked[0].score - margin]
     equivalent = distinct(within, series, setting)
     if equivalent:  # of effects that are the same here, the name that stands for them leads
         ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]

@@ -37,7 +37,7 @@ from engine.diagnose.search.refitting import (
     swallowed_p,
 )
 from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.step_error import of_the_steps
+from engine.diagnose.search.step_error import by_shorter_steps, ranked_anew
 from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 from engine.filters.sigma_point import moment_path
@@ -121,8 +121,13 @@ def search(
         if alarm and rounds and found.refits and tails is None:
             before = [r.refits[0].effect.name for r in rounds]
             gain = max(refit.gain for refit in found.refits)
-            if of_the_steps(gain, model, before, fit, series, here):
+            gained = by_shorter_steps(gain, model, before, fit, series, here)
+            if gained:
                 explained, alarm = found.refits[0].effect.name, False
+                last, earlier = rounds[-1], before[:-1]
+                rounds[-1] = ranked_anew(last, gained, model, earlier, series, setting, here)
+                best = rounds[-1].refits[0].fit
+                fit = here.fit(best.model, partial(_finished, best, series, lambda k: None))
         if not alarm:
             rounds.append(replace(found, refits=(), generic=None, equivalent=()))
             break

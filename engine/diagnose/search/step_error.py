@@ -4,49 +4,90 @@ An effect acts step by step, half a push early. The model that was diagnosed may
 the effect it no longer is: on a nearly noise-free record the remainder, a static function of the states that is
 in proportion to the step, passes for a further effect of sensors or states. Steps half as long get rid of half
 of it, and so of three quarters of what its likelihood ratio would be; of an effect that is there they leave
-all.
+all. The round before is then ranked anew by such steps, for the longer ones may have favoured one of its names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import extend
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.search.checkpoint import Kept
+from engine.diagnose.search.rounds import MARGIN, Round, settle
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, whitening
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array, MixedModel
 
 EXPLAINED = 0.5  # of a likelihood ratio, from which steps half as long explain it
+WHOLE = 4.0  # times what half of an error is worth
 
 
-def of_the_steps(
+def by_shorter_steps(
     gain: float, model: MixedModel, names: Sequence[str], fit: QuasiFit, series: Series, kept: Kept
-) -> bool:
-    """Whether steps half as long gain most of what an effect does, ``gain`` in 2 x log-likelihood.
+) -> float:
+    """What steps half as long gain, 2 x log-likelihood, where it is most of an effect's ``gain``; else 0.
 
     ``fit`` is of ``model`` with the effects ``names``, without the one in question.
     """
     if not model.continuous:
-        return False
+        return 0.0
+    finer, extended = _finer(model, names, fit, series)
+    theta = np.asarray(fit.theta)
+    if WHOLE * apart(fit.model, extended, theta, series, finer) < EXPLAINED * gain:
+        return 0.0  # so small an error cannot be worth so much
+    gained = _gained(extended, fit, finer, kept)
+    return gained if gained >= EXPLAINED * gain else 0.0
+
+
+def ranked_anew(
+    found: Round,
+    within: float,
+    model: MixedModel,
+    names: Sequence[str],
+    series: Series,
+    setting: Setting,
+    kept: Kept,
+) -> Round:
+    """A round whose refits ``within`` so much of the best are judged by steps half as long.
+
+    For so much the steps may have favoured one; a third of it is left in these steps, by which names cannot be
+    told apart. ``names`` are effects of earlier rounds.
+    """
+    refits = []
+    for one in found.refits:
+        if one.score >= found.refits[0].score - within:
+            finer, extended = _finer(model, [*names, one.effect.name], one.fit, series)
+            more = _gained(extended, one.fit, finer, kept)
+            one = replace(one, gain=one.gain + more, score=one.score + more)
+        refits.append(one)
+    unnamed = [] if found.generic is None else [found.generic]
+    margin = max(MARGIN, within / 3.0)
+    return settle(found.screen, [*refits, *unnamed], series, setting, margin)
+
+
+def _finer(
+    model: MixedModel, names: Sequence[str], fit: QuasiFit, series: Series
+) -> tuple[Series, MixedModel]:
+    """The record with steps half as long, and the extended model for it."""
     finer = series.held(series.hold).refined(2 * series.substeps)
     base = np.asarray(fit.theta)[: len(model.parameters)]
-    extended = extend(model, names, setting_for(model, finer, base))
-    theta = np.asarray(fit.theta)
-    if apart(fit.model, extended, theta, series, finer) < EXPLAINED * gain:
-        return False
+    return finer, extend(model, names, setting_for(model, finer, base))
+
+
+def _gained(extended: MixedModel, fit: QuasiFit, finer: Series, kept: Kept) -> float:
     try:
         refitted = kept.further("half steps").fit(
-            extended, lambda: quasi_ml(extended, finer, theta, fit.free)
+            extended, lambda: quasi_ml(extended, finer, np.asarray(fit.theta), fit.free)
         )
     except (EngineError, np.linalg.LinAlgError):
-        return False
-    return 2.0 * (refitted.log_likelihood - fit.log_likelihood) >= EXPLAINED * gain
+        return 0.0
+    return 2.0 * (refitted.log_likelihood - fit.log_likelihood)
 
 
 def apart(
