@@ -37,7 +37,7 @@ TRIES = (1.0, 0.5, 0.2, 0.05)  # lengths of them
 SETTLED = 0.01  # a gain in D below this share, or this much, ends them
 DRAWS = 4000  # of log-likelihood ratios
 TINY = 1e-12  # below which a D is none
-NOTHING = 1e-3  # share of D below which a rival has nothing of the cause
+LEAST_APART = 1e-3  # share of D below which a rival has nothing of the cause
 
 
 def precision(candidate: Candidate, anew: bool) -> Array:
@@ -230,7 +230,7 @@ class Contest:
         apart = D[:, -1:, -1] + own[:, :-1] - 2.0 * D[:, -1, :-1]
         fresh = rng.standard_normal((DRAWS, m - 1))
         z = (e[:, -1:] - e[:, :-1]) / np.sqrt(np.maximum(apart, TINY))
-        z = np.where(apart > NOTHING * own[:, -1:], z, fresh)
+        z = np.where(apart > LEAST_APART * own[:, -1:], z, fresh)
         others = (shared + z) ** 2
         ahead = np.sqrt(np.maximum(base, 0.0))[:, None]
         # squared, between what i and a rival predict, both fitted, from the cosine of their directions

@@ -115,7 +115,8 @@ def find_causes(
     if found.of_the_steps:
         notes.append(
             f"Beside what was found, {found.of_the_steps} seemed to be seen. Most of it is gone with steps of "
-            "the model half as long: it is what the steps get wrong, and no effect of its own."
+            "the model half as long: it is what the steps get wrong, and no effect of its own. "
+            "Likelihoods gained are those of the shorter steps, sizes those of the longer."
         )
     against = undetermined([r for r in found.rounds if r.equivalent])
     if against:

@@ -121,13 +121,14 @@ def search(
         if alarm and rounds and found.refits and tails is None:
             before = [r.refits[0].effect.name for r in rounds]
             gain = max(refit.gain for refit in found.refits)
-            gained = by_shorter_steps(gain, model, before, fit, series, here)
+            gained = by_shorter_steps(gain, setting, before, fit, series, here)
             if gained:
                 explained, alarm = found.refits[0].effect.name, False
                 last, earlier = rounds[-1], before[:-1]
-                rounds[-1] = ranked_anew(last, gained, model, earlier, series, setting, here)
+                rounds[-1] = ranked_anew(last, gained, earlier, series, setting, here)
                 best = rounds[-1].refits[0].fit
-                fit = here.fit(best.model, partial(_finished, best, series, lambda k: None))
+                told = _iterations(progress, "refit", FOLLOWED)
+                fit = here.fit(best.model, partial(_finished, best, series, told))
         if not alarm:
             rounds.append(replace(found, refits=(), generic=None, equivalent=()))
             break
@@ -146,7 +147,7 @@ def search(
         series = without_outliers(fit, series, tails.effect.channel, seed)
         fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))
     named = [found for found in rounds if found.equivalent]
-    if tails is None and len(named) > 1:
+    if tails is None and len(named) > 1 and not explained:  # that would be by the longer steps
         among = part_of(progress, 0.0, LOOKED_BACK)
         fit, named = look_back(base, named, series, setting, kept, among)
         rounds[: len(named)] = named

@@ -19,6 +19,7 @@ from engine.diagnose.effects.catalogue import extend
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.rounds import MARGIN, Round, settle
+from engine.diagnose.search.substeps import can_be_finer
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, whitening
 from engine.filters.sigma_point import moment_filter
@@ -29,16 +30,21 @@ WHOLE = 4.0  # times what half of an error is worth
 
 
 def by_shorter_steps(
-    gain: float, model: MixedModel, names: Sequence[str], fit: QuasiFit, series: Series, kept: Kept
+    gain: float,
+    setting: Setting,
+    names: Sequence[str],
+    fit: QuasiFit,
+    series: Series,
+    kept: Kept,
 ) -> float:
     """What steps half as long gain, 2 x log-likelihood, where it is most of an effect's ``gain``; else 0.
 
-    ``fit`` is of ``model`` with the effects ``names``, without the one in question.
+    ``fit`` is of the setting's model with the effects ``names``, without the one in question.
     """
-    if not model.continuous:
+    model, theta = setting.model, np.asarray(fit.theta)
+    if not can_be_finer(setting, series, theta[: len(model.parameters)]):
         return 0.0
     finer, extended = _finer(model, names, fit, series)
-    theta = np.asarray(fit.theta)
     if WHOLE * apart(fit.model, extended, theta, series, finer) < EXPLAINED * gain:
         return 0.0  # so small an error cannot be worth so much
     gained = _gained(extended, fit, finer, kept)
@@ -48,7 +54,6 @@ def by_shorter_steps(
 def ranked_anew(
     found: Round,
     within: float,
-    model: MixedModel,
     names: Sequence[str],
     series: Series,
     setting: Setting,
@@ -59,16 +64,17 @@ def ranked_anew(
     For so much the steps may have favoured one; a third of it is left in these steps, by which names cannot be
     told apart. ``names`` are effects of earlier rounds.
     """
+    least = found.refits[0].score - within
     refits = []
-    for one in found.refits:
-        if one.score >= found.refits[0].score - within:
-            finer, extended = _finer(model, [*names, one.effect.name], one.fit, series)
+    for one in (*found.refits, *(() if found.generic is None else (found.generic,))):
+        # outliers are judged by a filter of their own
+        if one.score >= least and not one.effect.traits.outliers:
+            own = [*names, one.effect.name]
+            finer, extended = _finer(setting.model, own, one.fit, series)
             more = _gained(extended, one.fit, finer, kept)
             one = replace(one, gain=one.gain + more, score=one.score + more)
         refits.append(one)
-    unnamed = [] if found.generic is None else [found.generic]
-    margin = max(MARGIN, within / 3.0)
-    return settle(found.screen, [*refits, *unnamed], series, setting, margin)
+    return settle(found.screen, refits, series, setting, max(MARGIN, within / 3.0))
 
 
 def _finer(

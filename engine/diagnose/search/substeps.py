@@ -81,6 +81,14 @@ def prepare(
     return Prepared(records.refined(k), k, notes if k > 1 else (), theta)
 
 
+def can_be_finer(setting: Setting, series: Series, theta: Array) -> bool:
+    """Whether more steps a sample mean anything: a model whose dt is a real one, samples at one common step."""
+    model = setting.model
+    if not model.continuous or series.dt is None:
+        return False
+    return is_consistent(model, theta, _points(setting))
+
+
 def _regular(series: Series, other: Series) -> bool:
     if series.dt is None:
         return False

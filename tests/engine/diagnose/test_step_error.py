@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from engine import Gaussian, MixedModel, Parameter, Series
+from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.search.pipeline import find_causes
+from engine.diagnose.search.substeps import can_be_finer
 
 DT = 0.05
 KINDS = ["drag", "cubic", "coulomb", "cubic-sensor", "gain", "saturation-sensor"]
@@ -72,3 +75,18 @@ def test_a_second_effect_is_named_beside_the_first():
     found = find_causes(DRIVE, measured(0.02, 2e-3), None, effects=KINDS, seed=1)
     assert {"drag:speed", "cubic-sensor:tacho"} == {*names(found)}
     assert found.search.of_the_steps == ""
+
+
+def test_steps_are_halved_only_where_that_means_something():
+    """A step that is none in time, and samples at no common step."""
+    series = measured(0.02, 0.0, T=60)
+    theta = np.asarray(DRIVE.theta())
+
+    def fine(model, one):
+        return can_be_finer(setting_for(model, one, theta), one, theta)
+
+    assert fine(DRIVE, series)
+    counted = replace(DRIVE, dynamics=lambda a, u, t, dt, th: dynamics(a, u, t, DT, th))
+    assert not fine(counted, series)
+    assert not fine(replace(DRIVE, continuous=False), series)
+    assert not fine(DRIVE, Series(series.y, u=series.u, t=series.t + 1e-2 * (series.t > 1.0)))
