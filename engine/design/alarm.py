@@ -2,17 +2,15 @@
 
 The diagnosis calibrates p-values that are near its level by a few simulated records
 (:mod:`engine.diagnose.search.calibration`): their logarithms are divided by a boldness, which on few readings
-is above 1, and by its own scatter too, for it is not let below 1.
+is above 1 (:mod:`engine.design.residuals`), and by its own scatter too, for it is not let below 1.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaincinv
 
 from engine.diagnose.screening.screen import CLEARLY_HEAVIER
 from engine.diagnose.search.calibration import (
@@ -26,9 +24,8 @@ from engine.diagnose.search.calibration import (
 from engine.distributions import chi2_isf, chi2_sf
 from engine.statespace.model import Array
 
-CALIBRATIONS = 300  # that are drawn
+CALIBRATIONS = 20  # that are drawn
 MOST_TESTS = 40  # of a calibration that is drawn
-QUANTILES = 99
 
 
 @dataclass(frozen=True)
@@ -40,22 +37,41 @@ class Alarm:
 
     threshold: float
 
-    def raised(self, statistic: Array, v: Array, p: float, seed: int) -> NDArray[np.bool_]:
+    @property
+    def tests(self) -> float:
+        """Of a screen with this threshold: how many that know nothing of each other."""
+        return max(LEVEL / float(chi2_sf(self.threshold, 1)), 1.0)
+
+    def raised(self, statistic: Array, v: Array, simulated: Array, seed: int) -> NDArray[np.bool_]:
         """Which of the statistics (K,) of a screen raise one.
 
-        ``v`` (N,) is the effect's footprint on N readings, p the number of fitted parameters.
+        ``v`` (N,) is the effect's footprint on N readings. ``simulated`` (G, SERIES) are its statistics in
+        simulated records without it, for G records like those given, from the lowest statistic to the highest.
         """
-        N = float(len(v))
-        tests = max(LEVEL / float(chi2_sf(self.threshold, 1)), 1.0)
-        mean = logs(round(N), round(p))
-        few, many = _drawn(round(tests, 1), round(20.0 * mean) / 20.0)
-        pick = np.random.default_rng([seed, 1]).integers(CALIBRATIONS, size=len(statistic))
+        few, many = self._boldness(simulated, np.random.default_rng([seed, 1]))
+        rank = np.argsort(np.argsort(statistic, kind="stable"))
+        group = rank * len(simulated) // len(statistic)
         single = np.maximum(chi2_sf(statistic, 1) * _heavier(statistic, v), 1e-300)
-        clear = tests * single ** (1.0 / BOLDEST) <= LEVEL
-        first, last = (tests * single ** (1.0 / b[pick]) for b in (few, many))
+        clear = self.tests * single ** (1.0 / BOLDEST) <= LEVEL
+        first, last = (self.tests * single ** (1.0 / b[group]) for b in (few, many))
         open_ = (first < CLEARLY * LEVEL) & (first > LEVEL / CLEARLY)
         said = np.where(open_, last, first) <= LEVEL
-        return np.asarray((tests * single <= LEVEL) & (clear | said))
+        return np.asarray((self.tests * single <= LEVEL) & (clear | said))
+
+    def _boldness(self, simulated: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Boldness (G,) after the fewest and after all simulated records; the other tests' is the mean."""
+        logs = -np.log(np.maximum(chi2_sf(simulated, 1), 1e-300))
+        n = int(min(max(round(self.tests), 1), MOST_TESTS))
+        expected = np.full(
+            SERIES, float((1.0 / np.arange(1, n + 1)).sum())
+        )  # largest of n exponentials
+        few, many = np.empty(len(logs)), np.empty(len(logs))
+        for k, own in enumerate(logs):
+            others = logs.mean() * rng.exponential(size=(SERIES, n - 1))
+            x = np.column_stack([own, others])
+            few[k] = boldness(x[:FEWEST], expected[:FEWEST])[0]
+            many[k] = boldness(x, expected)[0]
+        return few, many
 
 
 def _heavier(statistic: Array, v: Array) -> Array:
@@ -72,26 +88,3 @@ def _heavier(statistic: Array, v: Array) -> Array:
     edge = np.minimum(edge, np.maximum(statistic, usual))  # where all signs agree
     heavier = LEVEL / np.maximum(chi2_sf(edge, 1), 1e-300)
     return np.where(heavier > CLEARLY_HEAVIER, heavier, 1.0)
-
-
-@lru_cache(maxsize=256)
-def logs(N: int, p: int) -> float:
-    """Mean of -log p of a test on N readings, whose noise and p parameters are estimated from the same."""
-    left = max(N - p - 1, 1)
-    share = betaincinv(0.5, 0.5 * left, (np.arange(QUANTILES) + 0.5) / QUANTILES)
-    exact = -np.log1p(-(np.arange(QUANTILES) + 0.5) / QUANTILES).mean()
-    return float(np.mean(-np.log(chi2_sf(N * share, 1))) / exact)
-
-
-@lru_cache(maxsize=256)
-def _drawn(tests: float, mean: float) -> tuple[Array, Array]:
-    """Boldness (CALIBRATIONS,) after the fewest and after all simulated records, -log p having this mean."""
-    rng = np.random.default_rng(0)
-    n = int(min(max(round(tests), 1), MOST_TESTS))
-    few, many = np.empty(CALIBRATIONS), np.empty(CALIBRATIONS)
-    expected = np.full(SERIES, rng.exponential(size=(499, n)).max(axis=1).mean())
-    for k in range(CALIBRATIONS):
-        x = mean * rng.exponential(size=(SERIES, n))
-        few[k] = boldness(x[:FEWEST], expected[:FEWEST])[0]
-        many[k] = boldness(x, expected)[0]
-    return few, many

@@ -21,10 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.design.alarm import Alarm
+from engine.design.alarm import CALIBRATIONS, Alarm
 from engine.design.candidates import Candidate
 from engine.design.noise import NoiseRoom, noise_room
+from engine.design.residuals import Residuals
 from engine.design.runs import Experiments, Runs, linearised, of_many
+from engine.diagnose.search.calibration import SERIES
 from engine.diagnose.search.likeness import NEEDED, SAME, TIE, contains
 from engine.diagnose.search.rounds import MARGIN
 from engine.estimation.expectation import parameter_scale
@@ -35,7 +37,7 @@ LOOSE = 100.0  # sizes of a parameter by which it may be anywhere before a recor
 STEPS = 8  # Gauss-Newton steps of a rival that adapts
 TRIES = (1.0, 0.5, 0.2, 0.05)  # lengths of them
 SETTLED = 0.01  # a gain in D below this share, or this much, ends them
-DRAWS = 4000  # of log-likelihood ratios
+DRAWS = 2000  # of log-likelihood ratios
 TINY = 1e-12  # below which a D is none
 LEAST_APART = 1e-3  # share of D below which a rival has nothing of the cause
 
@@ -181,28 +183,31 @@ class Contest:
     spread: Array
     ny: int
 
-    def at(self, n: int) -> tuple[Array, list[Array], list[float]]:
+    def at(self, n: int) -> tuple[Array, list[Array]]:
         """L^{-1} of Delta and of i's sensitivities beside the adapted rivals, in the first n readings' rows.
 
-        Returns their products (m, m, 1 + p_i, 1 + p_i) for m rivals; of each rival what is left of Delta in the
-        readings there are, and to how many of these its parameters adapt.
+        Returns their products (m, m, 1 + p_i, 1 + p_i) for m rivals, and of each rival what is left of Delta in
+        the readings there are.
         """
-        rows, left, adapted_to = n * self.ny, [], []
+        rows, left = n * self.ny, []
         for W, known in zip(self.columns, self.known, strict=True):
             part = np.concatenate([W[:rows], known])
             p = 1 + len(self.spread)
             own, other = part[:, :p], part[:, p:]
-            G, free = other[:rows].T @ other[:rows], np.zeros((other.shape[1],) * 2)
-            both = np.concatenate([other.T @ own, G], axis=1)
-            step = adaptation(other.T @ other, both, free)
-            left.append(own - other @ step[:, :p])
-            adapted_to.append(float(np.trace(step[:, p:])))
+            step = adaptation(other.T @ other, other.T @ own, np.zeros((other.shape[1],) * 2))
+            left.append(own - other @ step)
         # what holds two rivals has nothing to do with each other
         products = np.array([[one[:rows].T @ two[:rows] for two in left] for one in left])
         for k, one in enumerate(left):
             products[k, k] += one[rows:].T @ one[rows:]
         there = self.seen[:rows]
-        return products, [one[:rows, 0][there] for one in left], adapted_to
+        return products, [one[:rows, 0][there] for one in left]
+
+    def residuals(self, k: int, n: int, left: Array, rng: np.random.Generator) -> Residuals | None:
+        """What rival k leaves of the first n rows, where ``left`` (N,) is left of Delta."""
+        rows = n * self.ny
+        other = self.columns[k][:rows, 1 + len(self.spread) :][self.seen[:rows]]
+        return Residuals.drawn(self.noises[k], left, other, rng)
 
     def distance(self, n: int) -> Array:
         """D (m,) against each rival in the first n rows."""
@@ -214,7 +219,7 @@ class Contest:
         It must lead each as the ``demand`` says; the last rival is the model without a cause, against which
         the screen must raise an ``alarm``. Averaged over what is not known of i's own parameters.
         """
-        products, left, adapted_to = self.at(n)
+        products, left = self.at(n)
         rng = np.random.default_rng(seed)
         p = len(self.spread)
         draws = np.ones((DRAWS, 1 + p))
@@ -225,39 +230,38 @@ class Contest:
         e = np.einsum("kij,kj->ki", _root(D), rng.standard_normal((DRAWS, m)))
         own = np.diagonal(D, axis1=1, axis2=2)
         # what the sizes gain over the base, each along its own direction beside the base's parameters
-        base = (np.sqrt(own[:, -1]) + e[:, -1] / np.sqrt(np.maximum(own[:, -1], TINY))) ** 2
+        ahead = np.sqrt(own[:, -1]) + e[:, -1] / np.sqrt(np.maximum(own[:, -1], TINY))
+        base = ahead**2
         shared = np.sqrt(np.maximum(own[:, -1:] - own[:, :-1], 0.0))
         apart = D[:, -1:, -1] + own[:, :-1] - 2.0 * D[:, -1, :-1]
         fresh = rng.standard_normal((DRAWS, m - 1))
         z = (e[:, -1:] - e[:, :-1]) / np.sqrt(np.maximum(apart, TINY))
         z = np.where(apart > LEAST_APART * own[:, -1:], z, fresh)
         others = (shared + z) ** 2
-        ahead = np.sqrt(np.maximum(base, 0.0))[:, None]
         # squared, between what i and a rival predict, both fitted, from the cosine of their directions
         cosine = shared / np.sqrt(np.maximum(own[:, -1:], TINY))
-        between = base[:, None] + others - 2.0 * cosine * ahead * (shared + z)
+        between = base[:, None] + others - 2.0 * cosine * np.abs(ahead)[:, None] * (shared + z)
         ratio = (
             own[:, :-1] + 2.0 * e[:, :-1] + e[:, -1:] ** 2 / np.maximum(own[:, -1:], TINY) - z**2
         )
         gained = ratio.copy()
         for k in range(m - 1):
-            X, lost, _ = self.noises[k].left(left[k], adapted_to[k])
-            gained[:, k] = np.where(ratio[:, k] > 0.0, _between(ratio[:, k], X, lost), ratio[:, k])
-        X, _, statistics = self.noises[-1].left(left[-1], adapted_to[-1])
-        statistic = _between(base, X, statistics)
+            noisy = self.residuals(k, n, left[k], rng)
+            if noisy is not None:
+                lost = noisy.lost(np.sqrt(np.maximum(ratio[:, k], 0.0)))
+                gained[:, k] = np.where(ratio[:, k] > 0.0, lost, ratio[:, k])
+        noisy = self.residuals(m - 1, n, left[-1], rng)
+        if noisy is None:
+            statistic, simulated = base, rng.chisquare(1, size=(CALIBRATIONS, SERIES))
+        else:
+            statistic, spectra = noisy.statistic(ahead)
+            middle = ((np.arange(CALIBRATIONS) + 0.5) / CALIBRATIONS * DRAWS).astype(int)
+            like = spectra[np.argsort(statistic)[middle]]
+            simulated = noisy.simulated(np.repeat(like, SERIES, axis=0), rng).reshape(-1, SERIES)
         rivals = (statistic / np.maximum(base, TINY))[:, None] * others
         largest = np.maximum(statistic, rivals.max(axis=1, initial=0.0))
-        seen = alarm.raised(largest, left[-1], adapted_to[-1], seed)
+        seen = alarm.raised(largest, left[-1], simulated, seed)
         return float((demand.met(gained, between).all(axis=1) & seen).mean())
-
-
-def _between(values: Array, X: Array, f: Array) -> Array:
-    """f at values of X, beyond the last of which it goes on as the logarithm does."""
-    if not X[-1] > 0.0:
-        return values
-    slope = (f[-1] - f[-2]) / np.log(X[-1] / X[-2])
-    beyond = f[-1] + slope * np.log(np.maximum(values / X[-1], 1.0))
-    return np.asarray(np.where(values > X[-1], beyond, np.interp(values, X, f)))
 
 
 def _root(S: Array) -> Array:

@@ -1,15 +1,12 @@
-"""How much of a difference a rival explains by more noise.
+"""How much of a rival's readings is each of its noises.
 
-Its noise is estimated too, and grows with what the rival does not explain. Let v = L^{-1} Delta be the
-difference that is left, and S(w) = sum_k w_k S_k the covariance of the readings with the variances of the noise
-w_k times as large; A_k = L^{-1} S_k L^{-T} is the share of each. Twice the log-likelihood lost is the least
-over w of
+Its noise is estimated too, and grows with what the rival does not explain. With S(w) = sum_k w_k S_k the
+covariance of the readings with the variances of the noise w_k times as large, and S = L L' as it is,
 
-    f(w) = log det(C) + tr(C^{-1}) (N - p) / N - N + v' C^{-1} v,      C = I + sum_k (w_k - 1) A_k,
+    L^{-1} S(w) L^{-T} = I + sum_k (w_k - 1) A_k,      A_k = L^{-1} S_k L^{-T}.
 
-with N readings, of which the p parameters of the mean adapt to as many, beside f without v. In a basis that
-makes all A_k diagonal it is a sum over a spectrum: A_k of one measurement and one process noise are so, but for
-what the first state adds.
+In a basis that makes all A_k diagonal they are a spectrum: A_k of one measurement and one process noise are so,
+but for what the first state adds.
 """
 
 from __future__ import annotations
@@ -28,9 +25,6 @@ from engine.statespace.model import Array
 
 MOST_ROWS = 128  # readings from which the spectrum is found
 NOISE_STEP = 0.02  # of a noise parameter's size, for differences
-GRID = np.array([0.0, *np.geomspace(0.05, 20.0, 14)])  # squares of v, as shares of |v|^2
-STEPS, LONGEST = 12, 1.5  # Fisher scoring on log w, and the longest step of it
-SMALL = 1e-6  # ridge of the information, as a share
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,42 +34,12 @@ class NoiseRoom:
     basis: Array
     shares: Array
 
-    def spectrum(self, v: Array) -> Array:
-        """Squares (M,) of v (N,) along the basis, block by block of M readings."""
-        M = len(self.basis)
-        blocks = np.zeros((-(-len(v) // M), M)) if len(v) else np.zeros((1, M))
-        blocks.reshape(-1)[: len(v)] = v
-        squares: Array = ((blocks @ self.basis) ** 2).sum(axis=0)
-        return squares
-
-    def left(self, v: Array, adapted: float) -> tuple[Array, Array, Array]:
-        """For squares X (G,) of v (N,): X, twice the log-likelihood lost, and the statistic of a score test.
-
-        ``adapted`` is p, how many readings the parameters of the mean adapt to.
-        """
-        own = float(v @ v)
-        X = GRID * own
-        if not len(self.shares) or not own > 0.0:
-            return X, X, X
-        N, M = float(len(v)), len(self.basis)
-        still = max(N - adapted, 1.0)
-        c = self.spectrum(v) / own
-        a, eta = self.shares, np.zeros((len(X), len(self.shares)))
-        for _ in range(STEPS):
-            w = np.exp(eta)
-            d = 1.0 + (w - 1.0) @ a
-            slope = N / M / d - (still / M + X[:, None] * c) / d**2
-            gradient = w * (slope @ a.T)
-            information = (w[:, :, None] * w[:, None]) * np.einsum(
-                "km,lm,gm->gkl", a, a, N / M / d**2, optimize=True
-            )
-            size = np.trace(information, axis1=1, axis2=2)
-            information += SMALL * size[:, None, None] * np.eye(len(a))
-            step = np.linalg.solve(information, gradient[..., None])[..., 0]
-            eta = np.clip(eta - np.clip(step, -LONGEST, LONGEST), -12.0, 12.0)
-        d = 1.0 + (np.exp(eta) - 1.0) @ a
-        f = (N / M * np.log(d) + (still / M + X[:, None] * c) / d).sum(axis=1)
-        return X, np.maximum.accumulate(f - f[0]), X * (c / d).sum(axis=1)
+    def of(self, N: int) -> tuple[Array, Array]:
+        """The basis and shares of N readings: of fewer than M, their own; of more, block by block."""
+        if len(self.basis) <= N:
+            return self.basis, self.shares
+        own = self.basis[:N]
+        return _diagonal(np.array([(own * share) @ own.T for share in self.shares]))
 
 
 def noise_room(
@@ -99,11 +63,15 @@ def noise_room(
         parts.append((B @ B.T - np.eye(len(rows))) / more)
     if not parts:
         return NoiseRoom(np.eye(len(rows)), np.zeros((0, len(rows))))
-    together = sum((k + 1.0) * one for k, one in enumerate(parts))
+    return NoiseRoom(*_diagonal(np.array(parts)))
+
+
+def _diagonal(parts: Array) -> tuple[Array, Array]:
+    """A basis (M, M) in which matrices (K, M, M) are diagonal, and their diagonals (K, M) there."""
+    together = np.tensordot(np.arange(1.0, len(parts) + 1.0), parts, axes=1)
     basis = np.linalg.eigh(together)[1]
-    shares = np.array([np.einsum("im,ij,jm->m", basis, one, basis, optimize=True) for one in parts])
-    shares = np.maximum(shares, 0.0)
-    return NoiseRoom(basis, shares / np.maximum(shares.sum(axis=0), 1.0))
+    shares = np.maximum(((parts @ basis) * basis).sum(axis=1), 0.0)
+    return basis, shares / np.maximum(shares.sum(axis=0), 1.0)
 
 
 def _inverse(runs: Runs, unit: Array, seen: NDArray[np.bool_], rows: NDArray[np.intp]) -> Array:

@@ -65,7 +65,7 @@ def test_what_was_kept_of_another_design_is_refused():
 
 def test_what_a_document_tells_of_the_next_diagnosis_counts():
     """A higher threshold makes a right name rarer; which outputs are measured is known."""
-    sure, careful = (asked(alarm=alarm).designed(16, 1) for alarm in (None, 60.0))
+    sure, careful = (asked(alarm=alarm).designed(16, 1) for alarm in (5.0, 60.0))
     assert careful.experiment.probability.sum() < sure.experiment.probability.sum() - 0.5
     with pytest.raises(OptionError, match="there is no output 'speed'"):
         asked(measured=["speed"])

@@ -270,7 +270,7 @@ STUDY = Study(
     "Designed experiments: do they end in the right name?",
     {
         DECIDED_ARM: 45 * len(DECIDABLE),
-        CALIBRATION_ARM: 16 * len(DECIDABLE),
+        CALIBRATION_ARM: 24 * len(DECIDABLE),
         NEVER_ARM: 20 * len(UNDECIDABLE),
         TIME_ARM: 4,
     },

@@ -25,9 +25,9 @@ from tests.studies.design.cases import DECIDABLE, ROWS, UNDECIDABLE, Case, Pair,
 from tests.studies.study import Arm, Row
 
 INPUTS = 128  # tried for a design
-FEW_INPUTS, RECORDS = 32, 3  # of a design that is only asked whether its probability is right
+FEW_INPUTS, RECORDS = 32, 4  # of a design that is only asked whether its probability is right
 CALIBRATION_STREAM = (
-    7  # another one whenever the probability was changed after cases of it were seen
+    8  # another one whenever the probability was changed after cases of it were seen
 )
 ALARM = 5.0  # the statistic at which a diagnosis of two effects alone sees something
 CLOCKS = (1, 8)  # samples that a random binary input holds, at least one of which suits a system
