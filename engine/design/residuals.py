@@ -10,9 +10,9 @@ which the rival takes for noise: the variances of its noise become w times as la
     f(w) = log det C + r' C^{-1} r,      C = I + sum_k (w_k - 1) A_k,
 
 with A_k the share of each noise (:mod:`engine.design.noise`). Twice the log-likelihood lost is f beside its
-value at x = 0, and a score test of the effect has the statistic (v' C^{-1} r)^2 / v' C^{-1} v. In a basis that
-makes all A_k diagonal these are sums over a spectrum, whose neighbours go together. Where w is estimated low, as
-after the mean has adapted to what the noise drives most, a statistic is too large without any effect.
+value at x = 0, and a score test of the effect has the statistic (v' C^{-1} r)^2 / v' C^{-1} v. In a basis
+that makes all A_k diagonal these are sums over a spectrum, whose neighbours go together. Where w is estimated
+low, as after the mean has adapted to what the noise drives most, a statistic is too large without any effect.
 """
 
 from __future__ import annotations

@@ -12,7 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaln, logsumexp
 
+from engine.errors import ModelError
 from engine.statespace.model import Array
+
+TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,11 @@ class StudentT:
         Scales; the variance is scale^2 nu / (nu - 2) for nu > 2.
     nu : float
         Degrees of freedom, positive.
+
+    Raises
+    ------
+    ModelError
+        If a scale or the degrees of freedom are not positive, finite numbers.
     """
 
     scale: Array
@@ -33,6 +41,12 @@ class StudentT:
     def __init__(self, scale: ArrayLike, nu: float) -> None:
         object.__setattr__(self, "scale", np.atleast_1d(np.asarray(scale, dtype=float)))
         object.__setattr__(self, "nu", float(nu))
+        if self.scale.ndim != 1:
+            raise ModelError(
+                f"a StudentT needs a list of scales; it has the shape {self.scale.shape}"
+            )
+        _check("StudentT", "scale", self.scale)
+        _check("StudentT", "nu", np.atleast_1d(self.nu))
 
     def sample(self, rng: np.random.Generator, n: int) -> Array:
         """Draw n independent points, (n, len(scale))."""
@@ -60,6 +74,12 @@ class GaussianMixture:
         Standard deviation of each normal density, positive.
     n : int
         Number of independent components.
+
+    Raises
+    ------
+    ModelError
+        If the lists are not equally long, a share is negative or none is positive, a standard deviation is not
+        positive, or a number is not finite.
     """
 
     shares: Array
@@ -68,10 +88,19 @@ class GaussianMixture:
     n: int = 1
 
     def __init__(self, shares: ArrayLike, means: ArrayLike, sds: ArrayLike, n: int = 1) -> None:
-        weights = np.asarray(shares, dtype=float)
+        weights, centres, widths = (np.asarray(x, dtype=float) for x in (shares, means, sds))
+        if weights.ndim != 1 or not weights.shape == centres.shape == widths.shape:
+            raise ModelError(
+                "a GaussianMixture needs shares, means and sds that are lists of the same length; "
+                f"they have {weights.shape}, {centres.shape} and {widths.shape}"
+            )
+        _check("GaussianMixture", "means", centres, least=-np.inf)
+        _check("GaussianMixture", "sds", widths)
+        _check("GaussianMixture", "shares", weights, least=-TINY)
+        _check("GaussianMixture", "sum of the shares", np.atleast_1d(weights.sum()))
         object.__setattr__(self, "shares", weights / weights.sum())
-        object.__setattr__(self, "means", np.asarray(means, dtype=float))
-        object.__setattr__(self, "sds", np.asarray(sds, dtype=float))
+        object.__setattr__(self, "means", centres)
+        object.__setattr__(self, "sds", widths)
         object.__setattr__(self, "n", n)
 
     def sample(self, rng: np.random.Generator, n: int) -> Array:
@@ -84,3 +113,17 @@ class GaussianMixture:
         r = (e[:, :, None] - self.means) / self.sds
         each = -0.5 * r**2 - np.log(self.sds * np.sqrt(2.0 * np.pi))
         return np.asarray(logsumexp(each, axis=2, b=self.shares).sum(axis=1))
+
+
+def _check(density: str, name: str, values: Array, least: float = 0.0) -> None:
+    """Raise ModelError unless all values are finite and above the least."""
+    if np.isfinite(values).all() and (values > least).all():
+        return
+    needed = (
+        "finite" if least == -np.inf else "finite and positive" if least == 0.0 else "not negative"
+    )
+    raise ModelError(
+        f"a {density} was given {name} = {values.tolist()}; every one must be {needed}. "
+        "If it comes from a parameter, bound this one",
+        numeric=True,
+    )

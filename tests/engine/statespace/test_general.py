@@ -44,6 +44,33 @@ def test_densities_agree_with_scipy() -> None:
     assert abs(draws.var() / (4.0 * 5.0 / 3.0) - 1.0) < 0.06
 
 
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: StudentT([0.5, -2.0], 3.0),
+            r"scale = \[0.5, -2.0\]; every one must be finite and",
+        ),
+        (lambda: StudentT(0.0, 3.0), r"scale = \[0.0\]"),
+        (lambda: StudentT([[1.0, 2.0]], 3.0), r"a list of scales; it has the shape \(1, 2\)"),
+        (lambda: StudentT(1.0, -1.0), r"nu = \[-1.0\]"),
+        (lambda: StudentT(1.0, np.inf), r"nu = \[inf\]"),
+        (lambda: GaussianMixture([0.5, 0.5], [0.0], [1.0, 1.0]), "lists of the same length"),
+        (lambda: GaussianMixture([1.5, -0.5], [0.0, 0.0], [1.0, 1.0]), "must be not negative"),
+        (lambda: GaussianMixture([0.0, 0.0], [0.0, 0.0], [1.0, 1.0]), "sum of the shares"),
+        (
+            lambda: GaussianMixture([0.5, 0.5], [0.0, np.nan], [1.0, 1.0]),
+            "means = .*must be finite",
+        ),
+        (lambda: GaussianMixture([0.5, 0.5], [0.0, 0.0], [1.0, 0.0]), r"sds = \[1.0, 0.0\]"),
+    ],
+)
+def test_densities_refuse_numbers_that_they_cannot_have(make, message) -> None:
+    with pytest.raises(engine.ModelError, match=message):
+        make()
+    GaussianMixture([1.0, 0.0], [0.0, 5.0], [1.0, 1.0])  # a share of 0 is one
+
+
 def test_filter_and_smoother_agree_with_kalman(linear_series: engine.Series) -> None:
     exact = kalman_smoother(scalar_linear.MODEL, None, linear_series)
     likelihood, mean, second, cross = [], 0.0, 0.0, 0.0
