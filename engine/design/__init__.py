@@ -156,7 +156,7 @@ class Asked:
             shortest=shortest,
             undecided=tuple(weighing.settled(undecided, best)),
             predictions=weighing.predictions(best.experiment.u),
-            growth=best.growth,
+            growth=weighing.growth(best, undecided),
             level=LEVEL,
             anew=task.anew,
             tried=state.tried,

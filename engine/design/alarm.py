@@ -24,7 +24,7 @@ from engine.diagnose.search.calibration import (
 from engine.distributions import chi2_isf, chi2_sf
 from engine.statespace.model import Array
 
-CALIBRATIONS = 20  # that are drawn
+AGAIN = 4  # drawings of a calibration, from its own simulated records and its neighbours'
 MOST_TESTS = 40  # of a calibration that is drawn
 
 
@@ -50,7 +50,7 @@ class Alarm:
         """
         few, many = self._boldness(simulated, np.random.default_rng([seed, 1]))
         rank = np.argsort(np.argsort(statistic, kind="stable"))
-        group = rank * len(simulated) // len(statistic)
+        group = rank * len(few) // len(statistic)
         single = np.maximum(chi2_sf(statistic, 1) * _heavier(statistic, v), 1e-300)
         clear = self.tests * single ** (1.0 / BOLDEST) <= LEVEL
         first, last = (self.tests * single ** (1.0 / b[group]) for b in (few, many))
@@ -59,19 +59,21 @@ class Alarm:
         return np.asarray((self.tests * single <= LEVEL) & (clear | said))
 
     def _boldness(self, simulated: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Boldness (G,) after the fewest and after all simulated records; the other tests' is the mean."""
+        """Boldness after the fewest and after all simulated records, (AGAIN G,) each, record by record."""
         logs = -np.log(np.maximum(chi2_sf(simulated, 1), 1e-300))
         n = int(min(max(round(self.tests), 1), MOST_TESTS))
         expected = np.full(
             SERIES, float((1.0 / np.arange(1, n + 1)).sum())
         )  # largest of n exponentials
-        few, many = np.empty(len(logs)), np.empty(len(logs))
-        for k, own in enumerate(logs):
-            others = logs.mean() * rng.exponential(size=(SERIES, n - 1))
-            x = np.column_stack([own, others])
-            few[k] = boldness(x[:FEWEST], expected[:FEWEST])[0]
-            many[k] = boldness(x, expected)[0]
-        return few, many
+        out = []
+        for k in range(len(logs)):
+            near = logs[max(k - 1, 0) : k + 2].ravel()
+            for _ in range(AGAIN):
+                others = near.mean() * rng.exponential(size=(SERIES, n - 1))
+                x = np.column_stack([rng.choice(near, size=SERIES), others])
+                few = boldness(x[:FEWEST], expected[:FEWEST])[0]
+                out.append((few, boldness(x, expected)[0]))
+        return tuple(np.array(out).T)
 
 
 def _heavier(statistic: Array, v: Array) -> Array:

@@ -21,10 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.design.alarm import CALIBRATIONS, Alarm
+from engine.design.alarm import Alarm
 from engine.design.candidates import Candidate
 from engine.design.noise import NoiseRoom, noise_room
-from engine.design.residuals import Residuals
+from engine.design.residuals import NUMBERS, Residuals
 from engine.design.runs import Experiments, Runs, linearised, of_many
 from engine.diagnose.search.calibration import SERIES
 from engine.diagnose.search.likeness import NEEDED, SAME, TIE, contains
@@ -37,7 +37,8 @@ LOOSE = 100.0  # sizes of a parameter by which it may be anywhere before a recor
 STEPS = 8  # Gauss-Newton steps of a rival that adapts
 TRIES = (1.0, 0.5, 0.2, 0.05)  # lengths of them
 SETTLED = 0.01  # a gain in D below this share, or this much, ends them
-DRAWS = 2000  # of log-likelihood ratios
+DRAWS = 1200  # of log-likelihood ratios
+CALIBRATIONS = 10, 40  # of these, whose calibration is simulated: at least, and at most
 TINY = 1e-12  # below which a D is none
 LEAST_APART = 1e-3  # share of D below which a rival has nothing of the cause
 
@@ -252,10 +253,11 @@ class Contest:
                 gained[:, k] = np.where(ratio[:, k] > 0.0, lost, ratio[:, k])
         noisy = self.residuals(m - 1, n, left[-1], rng)
         if noisy is None:
-            statistic, simulated = base, rng.chisquare(1, size=(CALIBRATIONS, SERIES))
+            statistic, simulated = base, rng.chisquare(1, size=(max(CALIBRATIONS), SERIES))
         else:
             statistic, spectra = noisy.statistic(ahead)
-            middle = ((np.arange(CALIBRATIONS) + 0.5) / CALIBRATIONS * DRAWS).astype(int)
+            records = int(np.clip(NUMBERS // (SERIES * len(left[-1])), *CALIBRATIONS))
+            middle = ((np.arange(records) + 0.5) / records * DRAWS).astype(int)
             like = spectra[np.argsort(statistic)[middle]]
             simulated = noisy.simulated(np.repeat(like, SERIES, axis=0), rng).reshape(-1, SERIES)
         rivals = (statistic / np.maximum(base, TINY))[:, None] * others

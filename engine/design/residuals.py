@@ -29,6 +29,7 @@ PARTS = 24  # of a spectrum
 NUMBERS = 100_000  # that are drawn, about: records times readings
 MOST, FEWEST = 400, 50  # records that are drawn
 STEPS, LONGEST = 12, 1.5  # Fisher scoring on log w, and the longest step of it
+SETTLED = 0.002  # share of C by which a last step changes it
 SMALL = 1e-6  # ridge of the information, as a share
 DEPENDENT = 1e-6  # singular value below which a sensitivity is made of others
 
@@ -94,18 +95,20 @@ class Residuals:
         """The spectrum (D, B) of C that fits each power (D, B) best, and its f (D,)."""
         a, n = self.shares, self.n
         eta = np.zeros((len(power), len(a)))
+        pairs = (a[:, None] * a[None]).reshape(-1, a.shape[1])
+        d = np.ones_like(power)
         for _ in range(STEPS):
-            w = np.exp(eta)
-            d = 1.0 + (w - 1.0) @ a
+            w, before = np.exp(eta), d
             gradient = w * ((n / d - power / d**2) @ a.T)
-            pairs = (a[:, None] * a[None]).reshape(-1, a.shape[1])
             information = ((n / d**2) @ pairs.T).reshape(-1, len(a), len(a))
             information *= w[:, :, None] * w[:, None]
             size = np.trace(information, axis1=1, axis2=2)
             information += (SMALL * size[:, None, None] + 1e-300) * np.eye(len(a))
             step = np.linalg.solve(information, gradient[..., None])[..., 0]
             eta = np.clip(eta - np.clip(step, -LONGEST, LONGEST), -12.0, 12.0)
-        d = 1.0 + (np.exp(eta) - 1.0) @ a
+            d = 1.0 + (np.exp(eta) - 1.0) @ a
+            if (np.abs(d - before) < SETTLED * d).all():
+                break
         return d, (n * np.log(d) + power / d).sum(axis=1)
 
     def lost(self, x: Array) -> Array:

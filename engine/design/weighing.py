@@ -42,7 +42,6 @@ class Weighed:
     points: dict[Pair, Array]
     contests: tuple[Contest, ...]
     experiment: Experiment
-    growth: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +75,10 @@ class Weighing:
         D = np.zeros((m, m))
         for i, own in enumerate(contests):
             D[i, [j for j in range(m) if j != i]] = own.distance(self._rows(T))[:-1]
-        growth = np.array([[n, *self._named(contests, n, hopeless)] for n in self._lengths(T)])
         made = Experiment(
             one.u, D, self._named(contests, T, hopeless), " and ".join(s.family for s in one.plan)
         )
-        return Weighed(one.plan, one.points, contests, made, growth)
+        return Weighed(one.plan, one.points, contests, made)
 
     def _starts(self, one: Tried) -> list[dict[str, Array]]:
         """For each true cause the parameters of its rivals that were found before, by their names."""
@@ -211,10 +209,11 @@ class Weighing:
         weighed = [own.weighed(one, hopeless) for one in state.leaders[:2]]
         return max(weighed, key=lambda one: one.experiment.least)
 
-    def _lengths(self, T: int) -> list[int]:
-        """Lengths in samples at which the probability is given."""
-        grid = np.geomspace(self.shortest_length, T, LENGTHS)
-        return sorted({round(float(n)) for n in grid})
+    def growth(self, one: Weighed, undecided: Sequence[Undecided]) -> Array:
+        """Samples, and the probability of each cause in a record of so many (k, 1 + m)."""
+        grid = np.geomspace(self.shortest_length, len(one.experiment), LENGTHS)
+        lengths, hopeless = sorted({round(float(n)) for n in grid}), _hopeless(undecided)
+        return np.array([[n, *self._named(one.contests, n, hopeless)] for n in lengths])
 
     def reach(self, one: Weighed, hopeless: set[frozenset[str]]) -> int | None:
         """The samples of an input that reach the level; None where all of them do not."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from engine.design.alarm import CALIBRATIONS, Alarm, _heavier
+from engine.design.alarm import Alarm, _heavier
 from engine.design.candidates import before_any
 from engine.design.criterion import Demand, contest, demand_of
 from engine.design.noise import NoiseRoom, noise_room
@@ -88,7 +88,7 @@ def test_noise_that_the_mean_adapted_to_is_estimated_low_and_makes_tests_bold():
 
 
 def _of_chi2(times: float = 1.0) -> np.ndarray:
-    return times * np.random.default_rng(8).chisquare(1, size=(CALIBRATIONS, SERIES))
+    return times * np.random.default_rng(8).chisquare(1, size=(20, SERIES))
 
 
 def test_an_alarm_needs_more_where_simulated_records_are_bold():

@@ -25,7 +25,7 @@ def numbers(made):
 
 @pytest.mark.parametrize("steps", [5, 17])
 def test_stopped_after_every_few_parts(steps):
-    question = asked(bounds=BOUNDS, length=150)
+    question = asked(bounds=BOUNDS, length=240)
     expected = question.designed(32, 1)
     kept, times = {}, 0
     while True:
