@@ -92,7 +92,8 @@ def second_opinion(
         seen = beside.alarm(seed)
         progress(STAGE, ALARM_SHARE)
         if seen.p_value > level:
-            reason = f"{_noise_explains(seen)}{_part(records, given)}"
+            extended = settled and bool(named)
+            reason = f"{_noise_explains(seen, extended)}{_part(records, given)}"
             missing = None if settled else beside.missing()
             return SecondOpinion(*said, False, reason, seen, missing=missing)
         found = search_free_runs(
@@ -226,5 +227,6 @@ def _part(records: Sequence[Series], given: Sequence[Series]) -> str:
     return f" It was looked at on {seen} of {every} samples, in {len(records)} stretches."
 
 
-def _noise_explains(seen: Alarm) -> str:
-    return f"The likelihood decides: noise explains what the free run gets wrong (p = {seen.p_value:.2g})."
+def _noise_explains(seen: Alarm, extended: bool = False) -> str:
+    what = "still gets wrong with what was found" if extended else "gets wrong"
+    return f"The likelihood decides: noise explains what the free run {what} (p = {seen.p_value:.2g})."
