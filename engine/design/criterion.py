@@ -1,4 +1,4 @@
-"""How far apart two causes are in an experiment, and how often a diagnosis of it names the right one.
+"""How far apart two causes are in an experiment.
 
 Let cause i be true, and Delta the difference of the readings that i and its rival j predict. The rival may
 still adapt its parameters, along the sensitivities Gamma_j of its readings, as far as their covariance P_j
@@ -15,20 +15,11 @@ estimates all parameters again: then P_j is without end, but for LOOSE.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.design.alarm import Alarm
 from engine.design.candidates import Candidate
-from engine.design.noise import NoiseRoom, noise_room
-from engine.design.residuals import NUMBERS, Residuals
 from engine.design.runs import Experiments, Runs, linearised, of_many
-from engine.diagnose.search.calibration import SERIES
-from engine.diagnose.search.likeness import NEEDED, SAME, TIE, contains
-from engine.diagnose.search.rounds import MARGIN
 from engine.estimation.expectation import parameter_scale
 from engine.kernels.whitening import whitened
 from engine.statespace.model import Array
@@ -37,10 +28,6 @@ LOOSE = 100.0  # sizes of a parameter by which it may be anywhere before a recor
 STEPS = 8  # Gauss-Newton steps of a rival that adapts
 TRIES = (1.0, 0.5, 0.2, 0.05)  # lengths of them
 SETTLED = 0.01  # a gain in D below this share, or this much, ends them
-DRAWS = 1200  # of log-likelihood ratios
-CALIBRATIONS = 10, 40  # of these, whose calibration is simulated: at least, and at most
-TINY = 1e-12  # below which a D is none
-LEAST_APART = 1e-3  # share of D below which a rival has nothing of the cause
 
 
 def precision(candidate: Candidate, anew: bool) -> Array:
@@ -142,193 +129,7 @@ def adapted(
     return theta, runs, least
 
 
-@dataclass(frozen=True, eq=False)
-class Demand:
-    """What a diagnosis asks of a cause beside each of its m - 1 rivals, to name it.
-
-    ``lead`` in 2 log LR, ``cost`` of its further parameters; ``plainer``: it stands for a rival that says the
-    same.
-    """
-
-    lead: Array
-    cost: Array
-    plainer: NDArray[np.bool_]
-
-    def met(self, gained: Array, between: Array) -> NDArray[np.bool_]:
-        """Which leads ``gained`` (K, m - 1) are enough, where predictions differ by ``between``, squared."""
-        score = gained - self.cost
-        same = self.plainer & (score >= -TIE) & (between < SAME)
-        return np.asarray((score > self.lead) | same)
-
-    def but(self, alike: Sequence[bool]) -> Demand:
-        """The same with nothing asked beside some rivals."""
-        return replace(self, lead=np.where(alike, -np.inf, self.lead))
-
-
-@dataclass(frozen=True, eq=False)
-class Contest:
-    """Cause i in an experiment against each of its rivals, who have adapted.
-
-    ``columns`` of each rival: L^{-1} of Delta, of the sensitivities of i, and of those of the rival, at all
-    readings in order (n ny, 1 + p_i + p_j); ``known`` (p_j, 1 + p_i + p_j) the same of what holds the rival's
-    parameters, as further readings; ``noises`` what its noise may explain; ``seen`` (n ny,) which readings
-    there are. ``spread`` (p_i, p_i) is the covariance of i's own parameters.
-    """
-
-    name: str
-    rivals: tuple[str, ...]
-    columns: tuple[Array, ...]
-    known: tuple[Array, ...]
-    noises: tuple[NoiseRoom, ...]
-    seen: NDArray[np.bool_]
-    spread: Array
-    ny: int
-
-    def at(self, n: int) -> tuple[Array, list[Array]]:
-        """L^{-1} of Delta and of i's sensitivities beside the adapted rivals, in the first n readings' rows.
-
-        Returns their products (m, m, 1 + p_i, 1 + p_i) for m rivals, and of each rival what is left of Delta in
-        the readings there are.
-        """
-        rows, left = n * self.ny, []
-        for W, known in zip(self.columns, self.known, strict=True):
-            part = np.concatenate([W[:rows], known])
-            p = 1 + len(self.spread)
-            own, other = part[:, :p], part[:, p:]
-            step = adaptation(other.T @ other, other.T @ own, np.zeros((other.shape[1],) * 2))
-            left.append(own - other @ step)
-        # what holds two rivals has nothing to do with each other
-        products = np.array([[one[:rows].T @ two[:rows] for two in left] for one in left])
-        for k, one in enumerate(left):
-            products[k, k] += one[rows:].T @ one[rows:]
-        there = self.seen[:rows]
-        return products, [one[:rows, 0][there] for one in left]
-
-    def residuals(self, k: int, n: int, left: Array, rng: np.random.Generator) -> Residuals | None:
-        """What rival k leaves of the first n rows, where ``left`` (N,) is left of Delta."""
-        rows = n * self.ny
-        other = self.columns[k][:rows, 1 + len(self.spread) :][self.seen[:rows]]
-        return Residuals.drawn(self.noises[k], left, other, rng)
-
-    def distance(self, n: int) -> Array:
-        """D (m,) against each rival in the first n rows."""
-        return np.diagonal(self.at(n)[0][:, :, 0, 0]).copy()
-
-    def probability(self, n: int, demand: Demand, alarm: Alarm, seed: int) -> float:
-        """How often i wins against all rivals in the first n rows.
-
-        It must lead each as the ``demand`` says; the last rival is the model without a cause, against which
-        the screen must raise an ``alarm``. Averaged over what is not known of i's own parameters.
-        """
-        products, left = self.at(n)
-        rng = np.random.default_rng(seed)
-        p = len(self.spread)
-        draws = np.ones((DRAWS, 1 + p))
-        draws[:, 1:] = rng.standard_normal((DRAWS, p)) @ _root(self.spread).T
-        m = len(products)
-        D = products.reshape(m * m, -1) @ (draws[:, :, None] * draws[:, None]).reshape(DRAWS, -1).T
-        D = np.ascontiguousarray(D.T).reshape(DRAWS, m, m)
-        e = np.einsum("kij,kj->ki", _root(D), rng.standard_normal((DRAWS, m)))
-        own = np.diagonal(D, axis1=1, axis2=2)
-        # what the sizes gain over the base, each along its own direction beside the base's parameters
-        ahead = np.sqrt(own[:, -1]) + e[:, -1] / np.sqrt(np.maximum(own[:, -1], TINY))
-        base = ahead**2
-        shared = np.sqrt(np.maximum(own[:, -1:] - own[:, :-1], 0.0))
-        apart = D[:, -1:, -1] + own[:, :-1] - 2.0 * D[:, -1, :-1]
-        fresh = rng.standard_normal((DRAWS, m - 1))
-        z = (e[:, -1:] - e[:, :-1]) / np.sqrt(np.maximum(apart, TINY))
-        z = np.where(apart > LEAST_APART * own[:, -1:], z, fresh)
-        others = (shared + z) ** 2
-        # squared, between what i and a rival predict, both fitted, from the cosine of their directions
-        cosine = shared / np.sqrt(np.maximum(own[:, -1:], TINY))
-        between = base[:, None] + others - 2.0 * cosine * np.abs(ahead)[:, None] * (shared + z)
-        ratio = (
-            own[:, :-1] + 2.0 * e[:, :-1] + e[:, -1:] ** 2 / np.maximum(own[:, -1:], TINY) - z**2
-        )
-        gained = ratio.copy()
-        for k in range(m - 1):
-            noisy = self.residuals(k, n, left[k], rng)
-            if noisy is not None:
-                lost = noisy.lost(np.sqrt(np.maximum(ratio[:, k], 0.0)))
-                gained[:, k] = np.where(ratio[:, k] > 0.0, lost, ratio[:, k])
-        noisy = self.residuals(m - 1, n, left[-1], rng)
-        if noisy is None:
-            statistic, simulated = base, rng.chisquare(1, size=(max(CALIBRATIONS), SERIES))
-        else:
-            statistic, spectra = noisy.statistic(ahead)
-            records = int(np.clip(NUMBERS // (SERIES * len(left[-1])), *CALIBRATIONS))
-            middle = ((np.arange(records) + 0.5) / records * DRAWS).astype(int)
-            like = spectra[np.argsort(statistic)[middle]]
-            simulated = noisy.simulated(np.repeat(like, SERIES, axis=0), rng).reshape(-1, SERIES)
-        rivals = (statistic / np.maximum(base, TINY))[:, None] * others
-        largest = np.maximum(statistic, rivals.max(axis=1, initial=0.0))
-        seen = alarm.raised(largest, left[-1], simulated, seed)
-        return float((demand.met(gained, between).all(axis=1) & seen).mean())
-
-
-def _root(S: Array) -> Array:
+def square_root(S: Array) -> Array:
     """A factor W with W W' = S for symmetric S (..., n, n), negative eigenvalues from rounding set to zero."""
     values, vectors = np.linalg.eigh(S)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
-
-
-def contest(
-    i: int,
-    candidates: Sequence[Candidate],
-    base: Candidate,
-    experiment: Experiments,
-    seen: NDArray[np.bool_],
-    anew: bool,
-    starts: Mapping[str, Array],
-) -> Contest:
-    """Cause i against all others, and the model without a cause, in one experiment.
-
-    ``starts`` are parameters of rivals to begin with, by their names.
-    """
-    true = candidates[i]
-    own = linearised(true.model, true.theta, experiment, true.indices)
-    columns, knowns, names, noises = [], [], [], []
-    for rival in [*(c for c in candidates if c is not true), base]:
-        held = precision(rival, anew)
-        start = starts.get(rival.name)
-        theta, runs, _ = adapted(own.y, rival, held, experiment, seen, start)
-        Delta = (own.y - runs.y)[..., None]
-        W = whiten(runs, np.concatenate([Delta, own.dy, runs.dy], axis=-1), seen)
-        columns.append(W[0].reshape(-1, W.shape[-1]))
-        noises.append(noise_room(rival, theta, runs, experiment, seen))
-        root = _root(held).T
-        away = theta[rival.indices] - rival.theta[rival.indices]
-        none = np.zeros((len(root), len(true.free)))
-        knowns.append(np.concatenate([-(root @ away)[:, None], none, root], axis=1))
-        names.append(rival.name)
-    return Contest(
-        true.name,
-        tuple(names),
-        tuple(columns),
-        tuple(knowns),
-        tuple(noises),
-        seen.ravel(),
-        true.covariance,
-        own.y.shape[2],
-    )
-
-
-def demand_of(i: int, candidates: Sequence[Candidate], T: int, anew: bool) -> Demand:
-    """What a diagnosis of T samples asks of cause i, to name it.
-
-    It names what leads by MARGIN, further parameters costing log T each; an earlier record counts where it is
-    kept. A rival that contains i must itself be ahead, and of two that say the same the plainer is named.
-    """
-    true = candidates[i]
-    lead, cost, plainer = [], [], []
-    for rival in candidates:
-        if rival is true:
-            continue
-        cost.append((true.further - rival.further) * np.log(max(T, 2)))
-        cost[-1] -= 0.0 if anew else true.lead - rival.lead
-        wider = len(true.effects) == len(rival.effects) == 1 and contains(
-            rival.effects[0], true.effects[0]
-        )
-        lead.append(-NEEDED if wider else MARGIN)
-        plainer.append(true.rank < rival.rank)
-    return Demand(np.array(lead), np.array(cost), np.array(plainer, dtype=bool))

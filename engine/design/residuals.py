@@ -38,8 +38,10 @@ DEPENDENT = 1e-6  # singular value below which a sensitivity is made of others
 class Residuals:
     """Sums over the parts (B,) of a spectrum, of K records that were drawn.
 
-    ``shares`` (k, B) of each noise, and readings ``n`` (B,); ``power`` (K, B) of what is left beside v,
-    ``along`` (K, B) its product with v / |v|, and ``share`` (B,) of v itself, squared.
+    A ``basis`` (M, M) of a block of readings has its parts at ``starts`` (B,). ``adapted`` (N, q) is Q and
+    ``direction`` (N,) v / |v|. Of each part: ``shares`` (k, B) of each noise, readings ``n`` (B,), ``share``
+    (B,) of v / |v|, squared; ``power`` (K, B) of what is left beside v, and ``along`` (K, B) its product with
+    v / |v|.
     """
 
     basis: Array

@@ -10,7 +10,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.design.alarm import Alarm
 from engine.design.candidates import Question
-from engine.design.criterion import Contest, contest, demand_of
+from engine.design.contest import Contest, contest, demand_of
 from engine.design.design import Experiment, Undecided
 from engine.design.inputs import Plan
 from engine.design.runs import simulated

@@ -229,4 +229,6 @@ def _part(records: Sequence[Series], given: Sequence[Series]) -> str:
 
 def _noise_explains(seen: Alarm, extended: bool = False) -> str:
     what = "still gets wrong with what was found" if extended else "gets wrong"
-    return f"The likelihood decides: noise explains what the free run {what} (p = {seen.p_value:.2g})."
+    return (
+        f"The likelihood decides: noise explains what the free run {what} (p = {seen.p_value:.2g})."
+    )

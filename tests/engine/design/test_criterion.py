@@ -6,13 +6,8 @@ import pytest
 from engine.data.series import Series
 from engine.design.bounds import Bounds
 from engine.design.candidates import before_any
-from engine.design.criterion import (
-    adapted,
-    contest,
-    linear_distances,
-    precision,
-    whiten,
-)
+from engine.design.contest import contest
+from engine.design.criterion import adapted, linear_distances, precision, whiten
 from engine.design.runs import Experiments, linearised, simulated
 from engine.design.search import Search, Task
 from engine.errors import OptionError

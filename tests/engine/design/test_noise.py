@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from engine.design.alarm import Alarm, _heavier
 from engine.design.candidates import before_any
-from engine.design.criterion import Demand, contest, demand_of
+from engine.design.contest import Demand, contest, demand_of
 from engine.design.noise import NoiseRoom, noise_room
 from engine.design.residuals import Residuals
 from engine.design.runs import Experiments, linearised
