@@ -66,9 +66,8 @@ def work(case: str, seed: int, run: int) -> Row:
             windows([series]),
             theta,
             held,
-            alpha=ALPHA,
+            levels=(ALPHA, ALPHA / 5.0),
             kinds=None,
-            later=ALPHA / 5.0,
             seed=run,
             progress=lambda stage, fraction: None,
         )

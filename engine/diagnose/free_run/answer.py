@@ -80,19 +80,18 @@ def search_free_runs(
     theta: Theta,
     held: tuple[str, ...],
     *,
-    alpha: float,
+    levels: tuple[float, float],
     kinds: Sequence[str] | None,
     seed: int,
     progress: Progress,
-    later: float,
     rivals: Sequence[Sequence[Pick]] = (),
     whole: Sequence[Series] = (),
 ) -> FreeRunSearch:
     """Search for what the free run of ``base`` gets wrong; ``theta`` is another start of its fit.
 
     ``rivals`` are answers of others, which are judged beside its own in the first round. ``records`` may be
-    windows of the ``whole`` ones; to these both models are fitted in the end. ``alpha`` is the level of the
-    first round's alarm, ``later`` that of the others: small patches go on being significant.
+    windows of the ``whole`` ones; to these both models are fitted in the end. ``levels`` are those of the alarm
+    of the first round, and of the others: small patches go on being significant.
     """
     starting = part_of(progress, 0.0, STARTED)
     fit = best_runs(base.model, records, [base.theta, theta], base.free, seed, starting)
@@ -100,7 +99,7 @@ def search_free_runs(
     done: list[FreeRound] = []
     for k in range(ROUNDS + 1):  # the last one only asks whether noise explains the rest
         setting = setting_of(fit, held)
-        others, level = (rivals, alpha) if k == 0 else ((), later)
+        others, level = (rivals, levels[0]) if k == 0 else ((), levels[1])
         theta = noise[-1].theta
         noisy, more = np.asarray(theta), k < ROUNDS
         # nobody knows how many rounds there will be

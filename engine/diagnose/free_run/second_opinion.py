@@ -101,13 +101,12 @@ def second_opinion(
             records,
             theta,
             held,
-            alpha=level,
+            levels=(level, SETTLED * alpha),
             kinds=kinds,
             rivals=_rivals(named),
             seed=seed,
             progress=part_of(progress, ALARM_SHARE, 1.0),
             whole=() if records == list(given) else given,
-            later=SETTLED * alpha,
         )
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")

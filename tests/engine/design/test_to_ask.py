@@ -92,9 +92,8 @@ def test_where_the_free_run_decided_its_causes_are_asked_for():
         [series],
         MODEL.theta(),
         (),
-        alpha=0.05,
+        levels=(0.05, 0.01),
         kinds=("cubic", "drag", "force", "bias", "gain"),
-        later=0.01,
         seed=1,
         progress=lambda stage, fraction: None,
     )

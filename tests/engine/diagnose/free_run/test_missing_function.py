@@ -85,8 +85,7 @@ def test_where_no_name_does_nearly_as_well_the_answer_is_unknown_with_the_curve(
         [series],
         fit.theta,
         (),
-        alpha=1.0,  # whatever noise explains
-        later=1.0,
+        levels=(1.0, 1.0),  # whatever noise explains
         kinds=("drag", "bias"),
         seed=1,
         progress=lambda stage, fraction: None,

@@ -54,9 +54,8 @@ def _searched(series):
         [series],
         theta,
         (),
-        alpha=0.05,
+        levels=(0.05, 0.01),
         kinds=KINDS,
-        later=0.01,
         seed=1,
         progress=lambda stage, fraction: None,
     )
