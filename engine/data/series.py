@@ -80,7 +80,7 @@ class Series(Shown):
     time_unit: str
     units: Mapping[str, str]
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         y: ArrayLike,
         u: ArrayLike | None = None,

@@ -83,7 +83,7 @@ __all__ = [
 LEAST = 30  # measured rows without which nothing can be said
 
 
-def diagnose(
+def diagnose(  # noqa: PLR0913
     model: MixedModel,
     series: Series | Sequence[Series],
     theta: ThetaLike = None,

@@ -27,7 +27,7 @@ METHODS = ("quasi-newton", "em")
 WORTH = 20.0  # nats per parameter and ``tolerance`` that Monte Carlo noise may cost
 
 
-def rbps_em(
+def rbps_em(  # noqa: PLR0913
     model: MixedModel,
     series: Series | Sequence[Series],
     theta0: ThetaLike = None,

@@ -37,7 +37,7 @@ from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.points import Points
 
 
-def ps_em(
+def ps_em(  # noqa: PLR0913
     model: MixedModel | NonlinearModel,
     series: Series | Sequence[Series],
     theta0: ThetaLike = None,

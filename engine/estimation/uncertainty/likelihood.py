@@ -101,7 +101,7 @@ class LikelihoodIntervals(Shown):
         return sheet(title, tables().line(self.warning), tables().table(head, rows))
 
 
-def likelihood_intervals(
+def likelihood_intervals(  # noqa: PLR0913
     model: MixedModel,
     theta: ThetaLike,
     series: Series | Sequence[Series],
