@@ -71,7 +71,7 @@ def multisine():
     return 2.5 * np.sum(waves, axis=0) / np.abs(np.sum(waves, axis=0)).max()
 
 
-@pytest.mark.parametrize("force", [few_steps, multisine])
+@pytest.mark.parametrize("force", [few_steps, pytest.param(multisine, marks=pytest.mark.slow)])
 def test_a_right_name_is_rejected_no_more_often_than_said(force):
     """Of 60 series at a level of 0.02, five or more have probability 0.7 %.
 
@@ -159,7 +159,7 @@ def test_noise_parameters_are_known_and_share_no_innovations_with_others():
 
 
 def test_the_same_in_other_units():
-    record = series(with_shape(SHAPES["speed times force"]), 2)
+    record = series(with_shape(SHAPES["speed times force"]), 2).part(0, 160)
     rng = np.random.default_rng(3)
     units = Units.of(DRIVE, lambda: rng.integers(-20, 20))
     model, there = units.model(DRIVE), units.series(record)
