@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from statistics import median
 from typing import Any, TypeVar
 
+from engine.diagnose.symptoms.compare import TRANSIENT
 from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
 from engine.presentation.report.html import Html, bullets, join, table, tag
 from engine.presentation.report.parts import Document, Drawer, grid, label, measured, pretty, prose
@@ -88,12 +90,8 @@ def errors_over_time(symptoms: Document, units: Document, draw: Drawer) -> list[
             comparison = symptoms[what]
             if comparison is None or "curves" not in comparison:
                 continue
-            c = comparison["curves"]
-            e = [
-                None if a is None or b is None else a - b
-                for a, b in zip(c["measured"][name], c["y"][name], strict=True)
-            ]
-            traces.append(Trace(f"{WHAT[what].lower()}", e, "line", role))
+            e = _errors(comparison["curves"], name, settled=what == "one_step")
+            traces.append(Trace(WHAT[what].lower(), e, "line", role))
         if traces:
             t = symptoms["one_step"]["curves"]["t"]
             title = f"Error of {name} over time (measured less simulated)"
@@ -101,6 +99,20 @@ def errors_over_time(symptoms: Document, units: Document, draw: Drawer) -> list[
             errors = Chart(title, TIME, y_label, t, tuple(traces), level=(0.0,), wide=wide)
             figures.append(draw(errors))
     return figures
+
+
+def _errors(curves: Document, name: str, settled: bool) -> list[float | None]:
+    """Measured less computed; where ``settled``, without predictions from next to nothing, as the first one."""
+    y, readings = curves["y"][name], curves["measured"][name]
+    lower, upper = curves["lower"][name], curves["upper"][name]
+    widths = [b - a for a, b in zip(lower, upper, strict=True) if a is not None and b is not None]
+    most = TRANSIENT * median(widths) if settled and widths else math.inf
+    return [
+        None
+        if m is None or p is None or (a is not None and b is not None and b - a > most)
+        else m - p
+        for m, p, a, b in zip(readings, y, lower, upper, strict=True)
+    ]
 
 
 def fits(symptoms: Document) -> Html:
