@@ -167,15 +167,3 @@ def _raw(shape: Shape, T: int) -> Array:
     clock = max(round(float(max(T / 4.0, 1.0) ** v[2])), 1)
     bits = np.random.default_rng(int(v[3] * SEEDS)).integers(0, 2, size=T // clock + 1)
     return np.asarray(v[:2][np.repeat(bits, clock)[:T]])
-
-
-def random_binary(
-    bounds: Sequence[InputBounds], T: int, dt: float, clock: int, rng: np.random.Generator
-) -> Array:
-    """Inputs (T, nu) that are at one end of their range or the other, drawn every ``clock`` samples."""
-    out = np.empty((T, len(bounds)))
-    for i, limits in enumerate(bounds):
-        bits = rng.integers(0, 2, size=T // clock + 1)
-        ends = np.array([limits.low, limits.high])
-        out[:, i] = limited(ends[np.repeat(bits, clock)[:T]], limits, dt)
-    return out

@@ -14,10 +14,10 @@ from engine.design.inputs import (
     leakage,
     limited,
     played,
-    random_binary,
 )
 from engine.errors import OptionError
 from tests.engine.design.models_for_design import drive
+from tests.studies.design.cases import random_binary
 
 NUMBERS = st.floats(-5.0, 5.0)
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from engine.design import Bounds
+from engine.design.bounds import InputBounds
 from engine.design.candidates import Question
+from engine.design.inputs import limited
 from engine.design.search import Task
+from engine.statespace.model import Array
 from tests.studies.design.systems import SYSTEMS, System
 
 Own = dict[str, float]
@@ -108,3 +112,15 @@ def _bounds(system: System, narrow: float) -> Bounds:
         half = 0.5 * narrow * (one.high - one.low)
         inputs[name] = {"low": centre - half, "high": centre + half, "rate": one.rate}
     return Bounds(inputs, full.states, full.outputs, full.dt, full.sigmas)
+
+
+def random_binary(
+    bounds: Sequence[InputBounds], T: int, dt: float, clock: int, rng: np.random.Generator
+) -> Array:
+    """Inputs (T, nu) that are at one end of their range or the other, drawn every ``clock`` samples."""
+    out = np.empty((T, len(bounds)))
+    for i, limits in enumerate(bounds):
+        bits = rng.integers(0, 2, size=T // clock + 1)
+        ends = np.array([limits.low, limits.high])
+        out[:, i] = limited(ends[np.repeat(bits, clock)[:T]], limits, dt)
+    return out

@@ -12,7 +12,6 @@ import numpy as np
 from engine.data.series import Series
 from engine.design import Asked, Design
 from engine.design.candidates import Question, before_any
-from engine.design.inputs import random_binary
 from engine.design.runs import linearised
 from engine.design.search import Tried, violations
 from engine.design.weighing import Weighing
@@ -21,7 +20,15 @@ from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.verdict import set_of
 from engine.errors import EngineError
 from engine.simulation.simulate import simulate
-from tests.studies.design.cases import DECIDABLE, ROWS, UNDECIDABLE, Case, Pair, drawn
+from tests.studies.design.cases import (
+    DECIDABLE,
+    ROWS,
+    UNDECIDABLE,
+    Case,
+    Pair,
+    drawn,
+    random_binary,
+)
 from tests.studies.study import Arm, Row
 
 INPUTS = 128  # tried for a design
