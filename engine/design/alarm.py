@@ -1,8 +1,8 @@
 """Whether a diagnosis will see something, from the statistic of its screen.
 
 The diagnosis calibrates p-values that are near its level by a few simulated records
-(:mod:`engine.diagnose.search.calibration`): their logarithms are divided by a boldness, which on few readings
-is above 1 (:mod:`engine.design.residuals`), and by its own scatter too, for it is not let below 1.
+(:mod:`engine.diagnose.search.calibration`): their logarithms are divided by a boldness. It is above 1 on few
+readings (:mod:`engine.design.residuals`), and by its own scatter, because it is never let below 1.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Alarm:
 
     @property
     def tests(self) -> float:
-        """Of a screen with this threshold: how many that know nothing of each other."""
+        """Number of independent tests that have this threshold together."""
         return max(LEVEL / float(chi2_sf(self.threshold, 1)), 1.0)
 
     def raised(self, statistic: Array, v: Array, simulated: Array, seed: int) -> NDArray[np.bool_]:

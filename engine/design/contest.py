@@ -96,8 +96,9 @@ class Contest:
     def residuals(self, k: int, n: int, left: Array, rng: np.random.Generator) -> Residuals | None:
         """What rival k leaves of the first n rows, where ``left`` (N,) is left of Delta."""
         rows = n * self.ny
-        other = self.columns[k][:rows, 1 + len(self.spread) :][self.seen[:rows]]
-        return Residuals.drawn(self.noises[k], left, other, rng)
+        p = 1 + len(self.spread)
+        other, held = self.columns[k][:rows, p:][self.seen[:rows]], self.known[k][:, p:]
+        return Residuals.drawn(self.noises[k], left, other, held, rng)
 
     def distance(self, n: int) -> Array:
         """D (m,) against each rival in the first n rows."""

@@ -9,10 +9,11 @@ which the rival takes for noise: the variances of its noise become w times as la
 
     f(w) = log det C + r' C^{-1} r,      C = I + sum_k (w_k - 1) A_k,
 
-with A_k the share of each noise (:mod:`engine.design.noise`). Twice the log-likelihood lost is f beside its
-value at x = 0, and a score test of the effect has the statistic (v' C^{-1} r)^2 / v' C^{-1} v. In a basis
-that makes all A_k diagonal these are sums over a spectrum, whose neighbours go together. Where w is estimated
-low, as after the mean has adapted to what the noise drives most, a statistic is too large without any effect.
+with A_k the share of each noise (:mod:`engine.design.noise`). Twice the log-likelihood lost is the least f
+less the least f at x = 0, and a score test of the effect has the statistic (v' C^{-1} r)^2 / v' C^{-1} v. In
+a basis that makes all A_k diagonal these are sums over a spectrum, whose neighbours go together. Where w is
+estimated low, as after the mean has adapted to what the noise drives most, a statistic is too large without
+any effect. What an earlier record tells of the rival's parameters counts as further readings, of known noise.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from engine.design.noise import NoiseRoom
 from engine.statespace.model import Array
 
 PARTS = 24  # of a spectrum
-NUMBERS = 100_000  # that are drawn, about: records times readings
+NUMBERS = 100_000  # that are drawn at once, about: records times readings
 MOST, FEWEST = 400, 50  # records that are drawn
 STEPS, LONGEST = 12, 1.5  # Fisher scoring on log w, and the longest step of it
 SETTLED = 0.002  # share of C by which a last step changes it
@@ -38,7 +39,7 @@ DEPENDENT = 1e-6  # singular value below which a sensitivity is made of others
 class Residuals:
     """Sums over the parts (B,) of a spectrum, of K records that were drawn.
 
-    A ``basis`` (M, M) of a block of readings has its parts at ``starts`` (B,). ``adapted`` (N, q) is Q and
+    A ``basis`` (M, M) of a block of readings has its parts at ``starts`` (B,). ``adapted`` (N + h, q) is Q and
     ``direction`` (N,) v / |v|. Of each part: ``shares`` (k, B) of each noise, readings ``n`` (B,), ``share``
     (B,) of v / |v|, squared; ``power`` (K, B) of what is left beside v, and ``along`` (K, B) its product with
     v / |v|.
@@ -56,9 +57,12 @@ class Residuals:
 
     @classmethod
     def drawn(
-        cls, room: NoiseRoom, v: Array, sensitivities: Array, rng: np.random.Generator
+        cls, room: NoiseRoom, v: Array, sensitivities: Array, held: Array, rng: np.random.Generator
     ) -> Residuals | None:
-        """Of a rival with these sensitivities (N, p) in N readings; None where its noise is known."""
+        """Of a rival with these sensitivities (N, p) in N readings; None where its noise is known.
+
+        ``held`` (h, p) are those of what holds its parameters beside these readings.
+        """
         size = float(np.linalg.norm(v))
         if not len(room.shares) or not size > 0.0:
             return None
@@ -69,8 +73,8 @@ class Residuals:
         each = np.diff(np.append(starts, M))
         there = _in_basis(np.ones((1, N)), basis**2)[0].sum(axis=0)
         records = int(np.clip(NUMBERS // N, FEWEST, MOST))
-        adapted, direction = _span(sensitivities), v / size
-        left = _off(rng.standard_normal((records, N)), adapted)
+        adapted, direction = _span(np.concatenate([sensitivities, held])), v / size
+        left = _off(rng.standard_normal((records, N)), adapted, rng)
         left -= np.outer(left @ direction, direction)
         rows, own = _in_basis(left, basis), _in_basis(direction[None], basis)
         return cls(
@@ -132,13 +136,17 @@ class Residuals:
     def simulated(self, d: Array, rng: np.random.Generator) -> Array:
         """The statistic (D,) in a record without the effect for each spectrum (D, B), estimated again."""
         M, N = len(self.basis), len(self.direction)
-        blocks = -(-N // M)
-        scale = np.repeat(np.sqrt(d), np.diff(np.append(self.starts, M)), axis=1)[:, None]
-        rows = rng.standard_normal((len(d), blocks, M)) * scale
-        left = _off((rows @ self.basis.T).reshape(len(d), -1)[:, :N], self.adapted)
-        rows, own = _in_basis(left, self.basis), _in_basis(self.direction[None], self.basis)
-        again = self.fitted(_summed(rows**2, self.starts))[0]
-        return self._score(_summed(rows * own, self.starts), again)
+        blocks, at_once = -(-N // M), max(NUMBERS // N, 1)
+        each = np.diff(np.append(self.starts, M))
+        own, out = _in_basis(self.direction[None], self.basis), []
+        for k in range(0, len(d), at_once):
+            scale = np.repeat(np.sqrt(d[k : k + at_once]), each, axis=1)[:, None]
+            rows = rng.standard_normal((len(scale), blocks, M)) * scale
+            left = (rows @ self.basis.T).reshape(len(scale), -1)[:, :N]
+            rows = _in_basis(_off(left, self.adapted, rng), self.basis)
+            again = self.fitted(_summed(rows**2, self.starts))[0]
+            out.append(self._score(_summed(rows * own, self.starts), again))
+        return np.concatenate(out)
 
 
 def _parts(shares: Array) -> NDArray[np.intp]:
@@ -157,8 +165,11 @@ def _span(sensitivities: Array) -> Array:
     return np.asarray(U[:, s > DEPENDENT])
 
 
-def _off(rows: Array, Q: Array) -> Array:
-    return np.asarray(rows - (rows @ Q) @ Q.T)
+def _off(rows: Array, Q: Array, rng: np.random.Generator) -> Array:
+    """What a fit leaves of rows (K, N); Q (N + h, q) has further readings, of noise that is drawn."""
+    K, N = rows.shape
+    further = rng.standard_normal((K, len(Q) - N))
+    return np.asarray(rows - (rows @ Q[:N] + further @ Q[N:]) @ Q[:N].T)
 
 
 def _in_basis(rows: Array, basis: Array) -> Array:

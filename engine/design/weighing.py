@@ -98,10 +98,11 @@ class Weighing:
         for i, one in enumerate(contests):
             demand = demand_of(i, self.question.candidates, n, self.task.anew)
             alike = [frozenset((one.name, rival)) in hopeless for rival in one.rivals[:-1]]
-            p = one.probability(
-                self._rows(n), demand.but(alike), Alarm(self.question.alarm), self.seed
-            )
-            out.append(0.0 if all(alike) else p)
+            if all(alike):
+                out.append(0.0)
+                continue
+            alarm = Alarm(self.question.alarm)
+            out.append(one.probability(self._rows(n), demand.but(alike), alarm, self.seed))
         return np.array(out)
 
     def _least(self, one: Weighed, hopeless: set[frozenset[str]]) -> float:

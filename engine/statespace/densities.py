@@ -16,6 +16,7 @@ from engine.errors import ModelError
 from engine.statespace.model import Array
 
 TINY = np.finfo(float).tiny
+GAUSSIAN = 1e8  # degrees of freedom from which a Student-t density is one to rounding
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,9 @@ class StudentT:
     def log_density(self, e: Array) -> Array:
         """Logarithm of the density (K,) at points e (K, n)."""
         nu = self.nu
-        c = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
+        c = -0.5 * np.log(2.0 * np.pi)  # of a Gaussian; its terms cancel below
+        if nu < GAUSSIAN:
+            c = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
         each = c - np.log(self.scale) - 0.5 * (nu + 1.0) * np.log1p((e / self.scale) ** 2 / nu)
         return np.asarray(each.sum(axis=1))
 
@@ -119,9 +122,7 @@ def _check(density: str, name: str, values: Array, least: float = 0.0) -> None:
     """Raise ModelError unless all values are finite and above the least."""
     if np.isfinite(values).all() and (values > least).all():
         return
-    needed = (
-        "finite" if least == -np.inf else "finite and positive" if least == 0.0 else "not negative"
-    )
+    needed = {-np.inf: "finite", 0.0: "finite and positive"}.get(least, "finite and not negative")
     raise ModelError(
         f"a {density} was given {name} = {values.tolist()}; every one must be {needed}. "
         "If it comes from a parameter, bound this one",

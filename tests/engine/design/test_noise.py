@@ -24,7 +24,7 @@ def test_one_scale_common_to_all_readings_explains_a_logarithm():
     rng, adapts = np.random.default_rng(0), np.random.default_rng(1).standard_normal((N, 5))
     v = np.full(N, 0.7)
     v -= adapts @ np.linalg.lstsq(adapts, v, rcond=None)[0]
-    drawn = Residuals.drawn(WHITE, v, adapts, rng)
+    drawn = Residuals.drawn(WHITE, v, adapts, np.zeros((0, 5)), rng)
     alone = drawn.power.sum(axis=1)[np.arange(50) % len(drawn.power)]
     np.testing.assert_allclose(drawn.lost(x), N * np.log1p(x**2 / alone), rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(
@@ -36,7 +36,7 @@ def test_one_scale_common_to_all_readings_explains_a_logarithm():
 def test_noise_that_is_not_estimated_explains_nothing():
     known = NoiseRoom(np.eye(30), np.zeros((0, 30)))
     rng = np.random.default_rng(0)
-    assert Residuals.drawn(known, np.ones(30), np.ones((30, 1)), rng) is None
+    assert Residuals.drawn(known, np.ones(30), np.ones((30, 1)), np.ones((1, 1)), rng) is None
 
 
 def test_the_spectrum_gives_what_whole_matrices_give():
@@ -53,7 +53,7 @@ def test_the_spectrum_gives_what_whole_matrices_give():
         A = ((room.basis * room.shares[0]) @ room.basis.T)[:N, :N]
         np.testing.assert_allclose((one.of(N)[0] * one.of(N)[1]) @ one.of(N)[0].T, A, atol=1e-9)
         v = np.sin(np.arange(N) / 4.0)
-        drawn = Residuals.drawn(one, v, np.ones((N, 1)), np.random.default_rng(4))
+        drawn = Residuals.drawn(one, v, np.ones((N, 1)), np.zeros((0, 1)), np.random.default_rng(4))
         left = np.random.default_rng(4).standard_normal((len(drawn.power), N))
         left -= left.mean(axis=1, keepdims=True)
         unit = v / np.linalg.norm(v)
@@ -81,10 +81,17 @@ def test_noise_that_the_mean_adapted_to_is_estimated_low_and_makes_tests_bold():
     strong = np.where(np.arange(60) < 6, 0.9, 0.0)
     room = NoiseRoom(basis, np.array([strong, 1.0 - strong]))
     v = basis[:, 4] + 0.3 * basis[:, 5]
-    free, adapts = (Residuals.drawn(room, v, basis[:, :p], rng) for p in (0, 3))
+    free, adapts, held = (
+        Residuals.drawn(room, v, basis[:, :p], h * np.eye(p), rng)
+        for p, h in ((0, 0.0), (3, 1e-3), (3, 1e3))
+    )
     spectrum = 1.0 + (9.0 - 1.0) * free.shares[0]
-    plain, bold = (r.simulated(np.tile(spectrum, (2000, 1)), rng).mean() for r in (free, adapts))
+    plain, bold, known = (
+        r.simulated(np.tile(spectrum, (3000, 1)), rng).mean() for r in (free, adapts, held)
+    )
+    assert plain == pytest.approx(1.0, abs=0.15)
     assert bold > 1.15 * plain
+    assert known == pytest.approx(plain, abs=0.12)  # an earlier record leaves nothing to adapt to
 
 
 def _of_chi2(times: float = 1.0) -> np.ndarray:
@@ -158,3 +165,6 @@ def test_the_probability_falls_as_the_alarm_needs_more():
     p = [own.probability(60, demand, Alarm(t), 0) for t in (1.0, 5.0, 12.0, 30.0)]
     assert np.all(np.diff(p) <= 0.0)
     assert p[0] > p[-1]
+    known = NoiseRoom(np.eye(40), np.zeros((0, 40)))
+    sure = replace(own, noises=(known,) * len(own.noises))
+    assert sure.probability(40, demand, Alarm(5.0), 0) > own.probability(40, demand, Alarm(5.0), 0)

@@ -34,6 +34,9 @@ def test_densities_agree_with_scipy() -> None:
     got = StudentT([0.5, 2.0], 3.0).log_density(e)
     want = student.logpdf(e / [0.5, 2.0], 3.0).sum(axis=1) - np.log(0.5 * 2.0)
     np.testing.assert_allclose(got, want, rtol=1e-12)
+    for nu in (1e7, 1e9, 1e16):
+        gaussian = StudentT([0.5, 2.0], nu).log_density(e)
+        np.testing.assert_allclose(gaussian, norm.logpdf(e, 0.0, [0.5, 2.0]).sum(axis=1), atol=1e-5)
     mixture = GaussianMixture([0.9, 0.1], [0.0, 1.0], [1.0, 3.0], n=2)
     want = np.log(0.9 * norm.pdf(e) + 0.1 * norm.pdf(e, 1.0, 3.0)).sum(axis=1)
     np.testing.assert_allclose(mixture.log_density(e), want, rtol=1e-12)
@@ -56,7 +59,10 @@ def test_densities_agree_with_scipy() -> None:
         (lambda: StudentT(1.0, -1.0), r"nu = \[-1.0\]"),
         (lambda: StudentT(1.0, np.inf), r"nu = \[inf\]"),
         (lambda: GaussianMixture([0.5, 0.5], [0.0], [1.0, 1.0]), "lists of the same length"),
-        (lambda: GaussianMixture([1.5, -0.5], [0.0, 0.0], [1.0, 1.0]), "must be not negative"),
+        (
+            lambda: GaussianMixture([1.5, -0.5], [0.0, 0.0], [1.0, 1.0]),
+            "must be finite and not negative",
+        ),
         (lambda: GaussianMixture([0.0, 0.0], [0.0, 0.0], [1.0, 1.0]), "sum of the shares"),
         (
             lambda: GaussianMixture([0.5, 0.5], [0.0, np.nan], [1.0, 1.0]),
