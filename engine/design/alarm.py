@@ -62,9 +62,8 @@ class Alarm:
         """Boldness after the fewest and after all simulated records, (AGAIN G,) each, record by record."""
         logs = -np.log(np.maximum(chi2_sf(simulated, 1), 1e-300))
         n = int(min(max(round(self.tests), 1), MOST_TESTS))
-        expected = np.full(
-            SERIES, float((1.0 / np.arange(1, n + 1)).sum())
-        )  # largest of n exponentials
+        largest = float((1.0 / np.arange(1, n + 1)).sum())  # of n exponentials, on average
+        expected = np.full(SERIES, largest)
         out = []
         for k in range(len(logs)):
             near = logs[max(k - 1, 0) : k + 2].ravel()
