@@ -119,24 +119,14 @@ class Contest:
             if noisy is not None:
                 lost = noisy.lost(np.sqrt(np.maximum(fits.ratio[:, k], 0.0)))
                 gained[:, k] = np.where(fits.ratio[:, k] > 0.0, lost, fits.ratio[:, k])
-        statistic, simulated = self._screened(n, left[-1], fits.size, rng)
-        rivals = (statistic / np.maximum(fits.size**2, TINY))[:, None] * fits.rivals
+        screen = self.residuals(gained.shape[1], n, left[-1], rng)
+        statistic, simulated = _screened(screen, fits.size, len(left[-1]), rng)
+        rivals = fits.rivals
+        if screen is not None:
+            rivals = np.column_stack([screen.statistic(np.sqrt(x))[0] for x in rivals.T])
         largest = np.maximum(statistic, rivals.max(axis=1, initial=0.0))
         seen = alarm.raised(largest, left[-1], simulated, seed)
         return float((demand.met(gained, fits.between).all(axis=1) & seen).mean())
-
-    def _screened(
-        self, n: int, left: Array, size: Array, rng: np.random.Generator
-    ) -> tuple[Array, Array]:
-        """Statistics (K,) of the screen, and (G, SERIES) of records simulated without a cause."""
-        noisy = self.residuals(len(self.columns) - 1, n, left, rng)
-        if noisy is None:
-            return size**2, rng.chisquare(1, size=(max(CALIBRATIONS), SERIES))
-        statistic, spectra = noisy.statistic(size)
-        records = int(np.clip(NUMBERS // (SERIES * len(left)), *CALIBRATIONS))
-        middle = ((np.arange(records) + 0.5) / records * len(size)).astype(int)
-        like = np.repeat(spectra[np.argsort(statistic)[middle]], SERIES, axis=0)
-        return statistic, noisy.simulated(like, rng).reshape(-1, SERIES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +167,19 @@ class Fits:
         between = size[:, None] ** 2 + rivals - 2.0 * cosine * np.abs(size)[:, None] * (shared + z)
         ratio = own[:, :-1] + 2.0 * e[:, :-1] + e[:, -1:] ** 2 / base - z**2
         return cls(size, rivals, ratio, between)
+
+
+def _screened(
+    screen: Residuals | None, size: Array, N: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Statistics (K,) of a screen of N readings, and (G, SERIES) of records simulated without a cause."""
+    if screen is None:
+        return size**2, rng.chisquare(1, size=(max(CALIBRATIONS), SERIES))
+    statistic, spectra = screen.statistic(size)
+    records = int(np.clip(NUMBERS // (SERIES * N), *CALIBRATIONS))
+    middle = ((np.arange(records) + 0.5) / records * len(size)).astype(int)
+    like = np.repeat(spectra[np.argsort(statistic)[middle]], SERIES, axis=0)
+    return statistic, screen.simulated(like, rng).reshape(-1, SERIES)
 
 
 def contest(

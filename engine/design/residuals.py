@@ -9,11 +9,12 @@ which the rival takes for noise: the variances of its noise become w times as la
 
     f(w) = log det C + r' C^{-1} r,      C = I + sum_k (w_k - 1) A_k,
 
-with A_k the share of each noise (:mod:`engine.design.noise`). Twice the log-likelihood lost is the least f
-less the least f at x = 0, and a score test of the effect has the statistic (v' C^{-1} r)^2 / v' C^{-1} v. In
-a basis that makes all A_k diagonal these are sums over a spectrum, whose neighbours go together. Where w is
-estimated low, as after the mean has adapted to what the noise drives most, a statistic is too large without
-any effect. What an earlier record tells of the rival's parameters counts as further readings, of known noise.
+with A_k the share of each noise (:mod:`engine.design.noise`), and w instead of w - 1 for one that is none yet.
+Twice the log-likelihood lost is the least f less the least f at x = 0, and a score test of the effect has the
+statistic (v' C^{-1} r)^2 / v' C^{-1} v. In a basis that makes all A_k diagonal these are sums over a spectrum,
+whose neighbours go together. Where w is estimated low, as after the mean has adapted to what the noise drives
+most, a statistic is too large without any effect. What an earlier record tells of the rival's parameters
+counts as further readings, of known noise.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from engine.statespace.model import Array
 PARTS = 24  # of a spectrum
 NUMBERS = 100_000  # that are drawn at once, about: records times readings
 MOST, FEWEST = 400, 50  # records that are drawn
+NEW = 0.05  # times its share is a noise that is none yet, to begin with
 STEPS, LONGEST = 12, 1.5  # Fisher scoring on log w, and the longest step of it
 SETTLED = 0.002  # share of C by which a last step changes it
 SMALL = 1e-6  # ridge of the information, as a share
@@ -41,8 +43,8 @@ class Residuals:
 
     A ``basis`` (M, M) of a block of readings has its parts at ``starts`` (B,). ``adapted`` (N + h, q) is Q and
     ``direction`` (N,) v / |v|. Of each part: ``shares`` (k, B) of each noise, readings ``n`` (B,), ``share``
-    (B,) of v / |v|, squared; ``power`` (K, B) of what is left beside v, and ``along`` (K, B) its product with
-    v / |v|.
+    (B,) of v / |v|, squared; ``fixed`` (B,) is what C has of no noise that is ``there`` (k,) and estimated;
+    ``power`` (K, B) of what is left beside v, and ``along`` (K, B) its product with v / |v|.
     """
 
     basis: Array
@@ -50,6 +52,8 @@ class Residuals:
     adapted: Array
     direction: Array
     shares: Array
+    there: NDArray[np.bool_]
+    fixed: Array
     n: Array
     share: Array
     power: Array
@@ -67,23 +71,27 @@ class Residuals:
         if not len(room.shares) or not size > 0.0:
             return None
         N = len(v)
-        basis, shares = room.of(N)
+        room = room.of(N)
+        basis, shares = room.basis, room.shares
         M = len(basis)
         starts = _parts(shares)
         each = np.diff(np.append(starts, M))
-        there = _in_basis(np.ones((1, N)), basis**2)[0].sum(axis=0)
+        seen = _in_basis(np.ones((1, N)), basis**2)
         records = int(np.clip(NUMBERS // N, FEWEST, MOST))
         adapted, direction = _span(np.concatenate([sensitivities, held])), v / size
         left = _off(rng.standard_normal((records, N)), adapted, rng)
         left -= np.outer(left @ direction, direction)
+        shares = np.add.reduceat(shares, starts, axis=1) / each
         rows, own = _in_basis(left, basis), _in_basis(direction[None], basis)
         return cls(
             basis,
             starts,
             adapted,
             direction,
-            np.add.reduceat(shares, starts, axis=1) / each,
-            _summed(there[None, None], starts)[0],
+            shares,
+            room.there,
+            np.maximum(1.0 - shares[room.there].sum(axis=0), 0.0),
+            _summed(seen, starts)[0],
             _summed(own**2, starts)[0],
             _summed(rows**2, starts),
             _summed(rows * own, starts),
@@ -100,9 +108,9 @@ class Residuals:
     def fitted(self, power: Array) -> tuple[Array, Array]:
         """The spectrum (D, B) of C that fits each power (D, B) best, and its f (D,)."""
         a, n = self.shares, self.n
-        eta = np.zeros((len(power), len(a)))
+        eta = np.tile(np.where(self.there, 0.0, np.log(NEW)), (len(power), 1))
         pairs = (a[:, None] * a[None]).reshape(-1, a.shape[1])
-        d = np.ones_like(power)
+        d = self.fixed + np.exp(eta) @ a
         for _ in range(STEPS):
             w, before = np.exp(eta), d
             gradient = w * ((n / d - power / d**2) @ a.T)
@@ -112,7 +120,7 @@ class Residuals:
             information += (SMALL * size[:, None, None] + 1e-300) * np.eye(len(a))
             step = np.linalg.solve(information, gradient[..., None])[..., 0]
             eta = np.clip(eta - np.clip(step, -LONGEST, LONGEST), -12.0, 12.0)
-            d = 1.0 + (np.exp(eta) - 1.0) @ a
+            d = self.fixed + np.exp(eta) @ a
             if (np.abs(d - before) < SETTLED * d).all():
                 break
         return d, (n * np.log(d) + power / d).sum(axis=1)

@@ -16,7 +16,7 @@ from engine.diagnose.search.calibration import SERIES
 from engine.distributions import chi2_sf
 from tests.engine.design.models_for_design import CAUSES, drive
 
-WHITE = NoiseRoom(np.eye(80), np.ones((1, 80)))
+WHITE = NoiseRoom(np.eye(80), np.ones((1, 80)), np.ones(1, dtype=bool))
 
 
 def test_one_scale_common_to_all_readings_explains_a_logarithm():
@@ -34,7 +34,7 @@ def test_one_scale_common_to_all_readings_explains_a_logarithm():
 
 
 def test_noise_that_is_not_estimated_explains_nothing():
-    known = NoiseRoom(np.eye(30), np.zeros((0, 30)))
+    known = NoiseRoom(np.eye(30), np.zeros((0, 30)), np.zeros(0, dtype=bool))
     rng = np.random.default_rng(0)
     assert Residuals.drawn(known, np.ones(30), np.ones((30, 1)), np.ones((1, 1)), rng) is None
 
@@ -48,10 +48,12 @@ def test_the_spectrum_gives_what_whole_matrices_give():
     assert len(room.shares) == 2
     together = np.sort(room.shares.sum(axis=0))
     np.testing.assert_allclose(together[2:], 1.0, atol=1e-2)  # the first state has the rest
-    one = NoiseRoom(room.basis, room.shares[:1])
+    one = NoiseRoom(room.basis, room.shares[:1], room.there[:1])
     for N in (100, 60):
         A = ((room.basis * room.shares[0]) @ room.basis.T)[:N, :N]
-        np.testing.assert_allclose((one.of(N)[0] * one.of(N)[1]) @ one.of(N)[0].T, A, atol=1e-9)
+        np.testing.assert_allclose(
+            (one.of(N).basis * one.of(N).shares) @ one.of(N).basis.T, A, atol=1e-9
+        )
         v = np.sin(np.arange(N) / 4.0)
         drawn = Residuals.drawn(one, v, np.ones((N, 1)), np.zeros((0, 1)), np.random.default_rng(4))
         left = np.random.default_rng(4).standard_normal((len(drawn.power), N))
@@ -73,13 +75,61 @@ def test_the_spectrum_gives_what_whole_matrices_give():
         np.testing.assert_allclose(drawn.lost(x), near, rtol=0.05, atol=0.1)
 
 
+def _room(**drive_is):
+    q = before_any(drive(**drive_is), CAUSES, None, 0.1, None)
+    u = np.repeat(np.random.default_rng(3).uniform(-6, 6, (1, 8, 1)), 10, axis=1)
+    e, seen = Experiments.of(u, 0.1, "zoh", 1), np.ones((80, 1), dtype=bool)
+    runs = linearised(q.base.model, q.base.theta, e, q.base.indices)
+    return noise_room(q.base, q.base.theta, runs, e, seen)
+
+
+def _matrices(room):
+    return np.array([(room.basis * share) @ room.basis.T for share in room.shares])
+
+
+@pytest.mark.parametrize("noise", ["variance", "logarithm"])
+def test_it_does_not_matter_what_a_parameter_is_of_a_noise(noise):
+    as_it_is, otherwise = _room(), _room(noise=noise)
+    assert otherwise.there.all()
+    np.testing.assert_allclose(_matrices(otherwise), _matrices(as_it_is), atol=0.02)
+
+
+def test_noise_that_was_estimated_at_zero_may_grow():
+    room = _room(q=0.0)
+    assert room.there.tolist() == [False, True]
+    grows, is_there = room.shares
+    np.testing.assert_allclose(is_there[1:], 1.0, atol=0.02)
+    assert grows.mean() == pytest.approx(1.0)
+    v = room.basis @ np.sqrt(grows)  # what the noise would be
+    v, other = v / np.linalg.norm(v), room.basis[:, np.argmin(grows)]
+    known = NoiseRoom(room.basis, room.shares[1:], room.there[1:])
+    for direction, less in ((v, True), (other, False)):
+        with_it, without = (
+            Residuals.drawn(
+                r, direction, np.zeros((80, 0)), np.zeros((0, 0)), np.random.default_rng(1)
+            )
+            .lost(np.full(200, 6.0))
+            .mean()
+            for r in (room, known)
+        )
+        assert bool(with_it < 0.9 * without) is less
+
+
+def test_a_first_reading_without_noise_tells_of_none():
+    """Nothing scatters there: neither the first state nor the sensor."""
+    room = _room(r=0.0, first=0.0)
+    assert np.isfinite(room.shares).all()
+    assert len(room.basis) == 79
+    np.testing.assert_allclose(room.shares[room.there].sum(axis=0), 1.0, atol=0.02)
+
+
 def test_noise_that_the_mean_adapted_to_is_estimated_low_and_makes_tests_bold():
     """As with process noise, of which the slowest part is what a force or a gain would be, too."""
     rng = np.random.default_rng(6)
     slow = np.cos(np.pi * np.outer(np.arange(60) + 0.5, np.arange(60)) / 60.0)
     basis = slow / np.linalg.norm(slow, axis=0)
     strong = np.where(np.arange(60) < 6, 0.9, 0.0)
-    room = NoiseRoom(basis, np.array([strong, 1.0 - strong]))
+    room = NoiseRoom(basis, np.array([strong, 1.0 - strong]), np.ones(2, dtype=bool))
     v = basis[:, 4] + 0.3 * basis[:, 5]
     free, adapts, held = (
         Residuals.drawn(room, v, basis[:, :p], h * np.eye(p), rng)
@@ -165,6 +215,6 @@ def test_the_probability_falls_as_the_alarm_needs_more():
     p = [own.probability(60, demand, Alarm(t), 0) for t in (1.0, 5.0, 12.0, 30.0)]
     assert np.all(np.diff(p) <= 0.0)
     assert p[0] > p[-1]
-    known = NoiseRoom(np.eye(40), np.zeros((0, 40)))
+    known = NoiseRoom(np.eye(40), np.zeros((0, 40)), np.zeros(0, dtype=bool))
     sure = replace(own, noises=(known,) * len(own.noises))
     assert sure.probability(40, demand, Alarm(5.0), 0) > own.probability(40, demand, Alarm(5.0), 0)

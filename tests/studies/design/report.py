@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -150,32 +150,53 @@ def _samples(table: Table) -> str:
     return "## Samples to 95 %\n\n" + markdown(head, rows)
 
 
-def calibration(table: Table) -> list[tuple[float, int, int]]:
-    """Mean printed probability, right names and records in each bin; several records of each design."""
-    p, right = table.numbers("probability"), table.numbers("right")
-    out = []
-    for low, high in pairwise(BINS):
-        own = (p >= low) & (p < high)
-        if own.any():
-            out.append((float(p[own].mean()), int(right[own].sum()), RECORDS * int(own.sum())))
-    return out
+@dataclass(frozen=True)
+class Bin:
+    """Records whose printed probability is alike: its mean, how many end right, and the share's interval."""
+
+    printed: float
+    right: int
+    records: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, p: Array, right: Array) -> Bin:
+        """From (designs, RECORDS), NaN where there is none; records of one design are not independent."""
+        there = ~np.isnan(p)
+        n, share = int(there.sum()), float(right[there].mean())
+        apart = np.where(there, right - share, 0.0).sum(axis=1)
+        half = 1.96 * float(np.sqrt((apart**2).sum())) / n
+        low, high = max(share - half, 0.0), min(share + half, 1.0)
+        return cls(float(p[there].mean()), int(right[there].sum()), n, low, high)
+
+
+def calibration(table: Table) -> list[Bin]:
+    """The records of each bin of the printed probability."""
+    p, right = (
+        np.column_stack([table.numbers(f"{of}_{k}") for k in range(RECORDS)])
+        for of in ("probability", "right")
+    )
+    bins = [np.where((p >= low) & (p < high), p, np.nan) for low, high in pairwise(BINS)]
+    return [Bin.of(own, right) for own in (*bins, p) if not np.isnan(own).all()]
 
 
 def _calibration(short: Table, whole: Table) -> str:
-    bins = calibration(short)
-    n = sum(one[2] for one in bins)
-    rows = [[f"{100 * p:.1f} %", _share(k, m)] for p, k, m in bins]
-    if n:
-        mean = sum(p * m for p, _, m in bins) / n
-        rows.append([f"**all**: {100 * mean:.1f} %", _share(sum(k for _, k, _ in bins), n)])
+    rows = []
+    for one in calibration(short):
+        share, low, high = (100 * x for x in (one.right / one.records, one.low, one.high))
+        said = f"{share:.1f} % ({low:.1f} to {high:.1f}; {one.right} of {one.records})"
+        rows.append([f"{100 * one.printed:.1f} %", said])
+    if rows:
+        rows[-1][0] = f"**all**: {rows[-1][0]}"
     p, right = whole.numbers("probability"), _right(whole, "set")
     rows.append([f"whole designs, above: {100 * p.mean():.1f} %", _share(sum(right), len(right))])
     text = (
         "## Is the printed probability right?\n\n"
-        f"Designs of {FEW_INPUTS} inputs, each cut off at a length whose "
-        f"probability is anything between 0 and 1, and {RECORDS} records of it. Records of one design are not "
-        "independent: the intervals are too narrow. What a design takes into account was settled on other "
-        "cases, by their likelihood.\n\n"
+        f"{len(short)} designs of {FEW_INPUTS} inputs, of each {RECORDS} records: either cause true in turn, "
+        "each cut off where the printed probability is anything between 0 and 0.5, and between 0.5 and 1. "
+        "Intervals count a design's records as one (a normal distribution of their sums). What a design takes "
+        "into account was settled on other cases, by their likelihood.\n\n"
     )
     return text + markdown(["probability printed, mean of the bin", "right names"], rows)
 
@@ -238,7 +259,9 @@ def plot(tables: Tables, path: Path) -> None:
     table = tables[DECIDED_ARM.name]
     figure, (left, right) = axes(1, 2, (9.0, 4.0))
     left.plot([0, 1], [0, 1], color="#888888", linewidth=0.8)
-    _errorbars(left, calibration(tables[CALIBRATION_ARM.name]))
+    for one in calibration(tables[CALIBRATION_ARM.name])[:-1]:
+        left.plot([one.printed] * 2, [one.low, one.high], color=COLOR, linewidth=1.2)
+        left.plot([one.printed], [one.right / one.records], "o", color=COLOR, markersize=4)
     left.set(xlabel="probability printed", ylabel="share of right names", xlim=(0, 1), ylim=(0, 1))
     reach = _reaching(table)
     short = table.numbers("shortest")[reach]
@@ -258,19 +281,12 @@ def plot(tables: Tables, path: Path) -> None:
     save(figure, path)
 
 
-def _errorbars(panel: object, bins: Sequence[tuple[float, int, int]]) -> None:
-    for p, k, n in bins:
-        low, high = wilson(k, n)
-        panel.plot([p, p], [low, high], color=COLOR, linewidth=1.2)  # type: ignore[attr-defined]
-        panel.plot([p], [k / n], "o", color=COLOR, markersize=4)  # type: ignore[attr-defined]
-
-
 STUDY = Study(
     "design",
     "Designed experiments: do they end in the right name?",
     {
         DECIDED_ARM: 45 * len(DECIDABLE),
-        CALIBRATION_ARM: 24 * len(DECIDABLE),
+        CALIBRATION_ARM: 40 * len(DECIDABLE),
         NEVER_ARM: 20 * len(UNDECIDABLE),
         TIME_ARM: 4,
     },

@@ -32,10 +32,10 @@ from tests.studies.design.cases import (
 from tests.studies.study import Arm, Row
 
 INPUTS = 128  # tried for a design
-FEW_INPUTS, RECORDS = 32, 4  # of a design that is only asked whether its probability is right
-CALIBRATION_STREAM = (
-    8  # another one whenever the probability was changed after cases of it were seen
-)
+FEW_INPUTS, LENGTHS = 32, 2  # of a design that is only asked whether its probability is right
+RECORDS = 2 * LENGTHS  # of it: either cause is true in turn
+# another one whenever the probability was changed after cases of it were seen
+CALIBRATION_STREAM = 9
 ALARM = 5.0  # the statistic at which a diagnosis of two effects alone sees something
 CLOCKS = (1, 8)  # samples that a random binary input holds, at least one of which suits a system
 LONGER = 3  # times the designed length: how far a random binary input is followed
@@ -74,7 +74,11 @@ BLANK: Row = {
     "seconds_diagnosis": np.nan,
     "note": "",
 }
-SHORT: Row = {"rows": np.nan, "probability": np.nan, "right": np.nan, "seconds": np.nan, "note": ""}
+SHORT: Row = {
+    **{f"{of}_{k}": np.nan for k in range(RECORDS) for of in ("rows", "probability", "right")},
+    "seconds": np.nan,
+    "note": "",
+}
 
 
 def work(pairs: Sequence[Pair], first: int, stream: int, seed: int, run: int) -> Row:
@@ -131,8 +135,10 @@ def _designed(made: Design, case: Case) -> Row:
     return row
 
 
-def _at_lengths(made: Design, case: Case) -> list[tuple[int, float]]:
-    return [(int(row[0]), float(row[1 + case.true])) for row in made.growth]
+def _length(made: Design, cause: int, probability: float) -> tuple[int, float]:
+    """Samples of a design after which the cause is named with a probability near this one, and that."""
+    row = min(made.growth, key=lambda row: abs(float(row[1 + cause]) - probability))
+    return int(row[0]), float(row[1 + cause])
 
 
 def _binary(case: Case, question: Question, rng: np.random.Generator) -> Row:
@@ -176,26 +182,29 @@ def _said(case: Case, record: Series, run: int) -> Row:
 
 
 def calibrated(seed: int, run: int) -> Row:
-    """A design of few inputs, and how many of several short records of it end in the right name."""
+    """A design of few inputs, and which of several short records of it end in the right name.
+
+    Either cause is true in turn, and the probability is anything in each of LENGTHS parts of 0 to 1.
+    """
     pair = DECIDABLE[run % len(DECIDABLE)]
     rng = np.random.default_rng([JUDGED, seed, CALIBRATION_STREAM, run])
     case = drawn(pair, rng)
-    model, i = case.system.model, case.true
-    true = list(case.causes)[i]
-    row: Row = {"system": pair.system, "pair": " / ".join(pair.causes), "true": true, **SHORT}
+    model = case.system.model
+    row: Row = {"system": pair.system, "pair": " / ".join(pair.causes), **SHORT}
     asked = before_any(model, case.causes, None, case.system.dt, case.free)
     question = replace(asked, alarm=ALARM)
     try:
         made = Asked(model, question, case.task(question, ROWS)).designed(FEW_INPUTS, run)
         row["seconds"] = made.seconds
-        wanted = rng.uniform()
-        n, p = min(_at_lengths(made, case), key=lambda pair: abs(pair[1] - wanted))
-        own, right = question.candidates[i], 0
-        for _ in range(RECORDS):
+        for k in range(RECORDS):
+            i, part = k % 2, k // 2
+            own = question.candidates[i]
+            n, p = _length(made, i, (part + rng.uniform()) / LENGTHS)
             record = simulate(own.model, own.theta, n, rng, u=made.u[:n], dt=case.system.dt).series
             said = _said(case, record.replace(y_names=tuple(model.outputs)), run)
-            right += said["set"] == true
-        return row | {"rows": n, "probability": p, "right": right}
+            right = float(said["set"] == list(case.causes)[i])
+            row |= {f"rows_{k}": n, f"probability_{k}": p, f"right_{k}": right}
+        return row
     except (EngineError, np.linalg.LinAlgError) as error:
         return row | {"note": " ".join(str(error).split())[:200]}
 
