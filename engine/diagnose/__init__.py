@@ -36,7 +36,6 @@ from engine.diagnose.effects.catalogue import (
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.traits import Course, Traits
-from engine.diagnose.free_run.second_opinion import second_opinion
 from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.held_out import HeldOut
@@ -49,16 +48,15 @@ from engine.diagnose.search.pipeline import (
     FIRST_FIT_SHARE,
     Callback,
     Clock,
-    find_causes,
     fit_base,
 )
 from engine.diagnose.search.substeps import is_enough, prepare
 from engine.diagnose.search.verdict import detectable_of
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
+from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError, SeriesError
 from engine.statespace.model import MixedModel, ThetaLike
-from engine.words import enumerated
 
 __all__ = [
     "Cause",
@@ -199,48 +197,18 @@ def diagnose(  # noqa: PLR0913
         ),
         part,
     )
-    theta = theta if fine.theta is None else fine.theta
-    train = fine.records.train
-
-    begin, end = rows_searched(model, theta, train)
-    searched = train if end - begin == len(train) else train.part(begin, end)
-    if searched is not train:
-        notes.append(
-            f"The likelihood searched {len(searched.samples)} of {len(train.samples)} samples, "
-            f"{'those that move most' if begin else 'the first, as the model says where a record begins'}: "
-            f"from t = {searched.t[0]:g} to {searched.t[-1]:g} {searched.time_unit}."
-        )
-    causes = find_causes(
+    both = ask_both(
         model,
-        searched,
+        records,
+        fine,
         theta,
-        free=free,
-        alpha=alpha,
-        max_effects=max_effects,
-        effects=effects,
-        seed=seed,
-        clock=clock,
-        kept=done,
+        Options(free, alpha, max_effects, effects, seed),
+        clock,
+        done,
     )
-    found = causes.search
-    silent = np.diag(causes.base.information) == 0.0
-    if searched is not train and silent.any():
-        untold = [name for name, none in zip(causes.base.free, silent, strict=True) if none]
-        notes.append(
-            f"Of {enumerated(untold)} these samples tell nothing: one step ahead they keep their start values."
-        )
-    notes.extend([*fine.notes, *causes.notes])
+    fine, causes, searched, found = both.fine, both.causes, both.searched, both.causes.search
+    notes.extend(both.notes)
 
-    clock.start("free run")
-    asked = second_opinion(
-        causes,
-        [train, *fine.records.others],
-        model.theta(theta),
-        alpha=alpha,
-        kinds=effects,
-        seed=seed,
-        progress=clock.progress,
-    )
     p_bootstrap = None
     if bootstrap:
         clock.start(STAGE)
@@ -257,7 +225,7 @@ def diagnose(  # noqa: PLR0913
         )
 
     clock.start("gain")
-    judged = HeldOut(fine.records, searched, fine.k, seed).judge(causes, asked, clock.progress)
+    judged = HeldOut(fine.records, searched, fine.k, seed).judge(causes, both.asked, clock.progress)
     after = judged.after
     notes.extend(judged.notes)
 

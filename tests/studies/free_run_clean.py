@@ -65,7 +65,6 @@ def work(case: str, seed: int, run: int) -> Row:
             base,
             windows([series]),
             theta,
-            held,
             levels=(ALPHA, ALPHA / 5.0),
             kinds=None,
             seed=run,

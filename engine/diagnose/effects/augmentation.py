@@ -114,7 +114,8 @@ def add_memory(
 ) -> MixedModel:
     """The model with more nonlinear states, name -> unit, without noise of their own.
 
-    ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory;
+    ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory, which
+    linear states move where A has rows of it, too;
     ``observe(a, memory, u, t, base, own)`` returns h, C, R; ``begin(own)`` the memory's mean and variance at
     first, independent of x_1. A memory of one state is (M,), of k states (k, M), so that it unpacks. p(a_1)
     may be any density.
@@ -129,7 +130,8 @@ def add_memory(
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         f, A, Q, memory = step(*own_states(a), u, t, dt, *split(theta))
         f = np.concatenate([f, np.reshape(memory, (k, -1)).T], axis=1)
-        A = np.concatenate([A, np.zeros((*A.shape[:-2], k, model.nz))], axis=-2)
+        if A.shape[-2] == nx:
+            A = np.concatenate([A, np.zeros((*A.shape[:-2], k, model.nz))], axis=-2)
         Q_all = np.zeros((*Q.shape[:-2], nx + k, nx + k))
         Q_all[..., :nx, :nx] = Q
         return f[:, order], A[..., order, :], Q_all[..., rows, order]

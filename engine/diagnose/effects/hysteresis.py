@@ -65,9 +65,20 @@ def _bouc_wen(
             a: Array, memory: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
         ) -> tuple[Array, Array, Array, Array]:
             pushes = {row: dt * own[0] * memory}
-            way = dt * (a[:, column] - origin.of(own))
-            after = _after(memory, way, own[1], own[2] if shaped else 0.0)
-            return *pushed(base, pushes, a, u, t, dt, record), after
+            f, A, Q = pushed(base, pushes, a, u, t, dt, record)
+            delta = own[2] if shaped else 0.0
+            if not base.continuous:
+                way = dt * (a[:, column] - origin.of(own))
+                return f, A, Q, _after(memory, way, own[1], delta)
+            # the mean speed over the step: after the push, and at its end, as far as a tells it
+            speed = a[:, column] + pushes[row] if row == column else a[:, column]
+            way = dt * (0.5 * (speed + f[:, column]) - origin.of(own))
+            after = _after(memory, way, own[1], delta)
+            if A[..., column, :].any():
+                slope = 0.5 * dt * _slope(after, way, own[1], delta)
+                moved = np.reshape(slope, (-1, 1, 1)) * A[..., column, None, :]
+                A = np.concatenate([np.broadcast_to(A, (len(a), *A.shape[-2:])), moved], axis=-2)
+            return f, A, Q, after
 
         def observe(
             a: Array, memory: Array, u: Any, t: Any, record: Any, own: Any
@@ -104,6 +115,12 @@ def _after(m: Array, way: Array, width: Any, delta: Any) -> Array:
     q = np.where(first > 0.0, _along(q, first, back), q)
     q = np.where(left > crossing, _along(np.where(crossing > 0.0, 0.0, q), left - first, out), q)
     return np.asarray(sign * q)
+
+
+def _slope(m: Array, way: Array, width: Any, delta: Any) -> Array:
+    """How much further the memory m, after a way, is for a longer way."""
+    q = m * np.where(way < 0.0, -1.0, 1.0)
+    return np.asarray(1.0 - q * (1.0 + np.where(q < 0.0, -delta, delta)) / width)
 
 
 def _along(q: Array, s: Array, k: Any) -> Array:

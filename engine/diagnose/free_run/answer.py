@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,7 +36,8 @@ class FreeRunSearch:
     ``before`` and ``after`` are the fits of the free run without and with what was found, as maxima of the
     likelihood over the noise alone: parameters that a noise-free run shows are those of the free run. ``gains``
     are 2 x the log-likelihood that each round gained so. ``missing`` is a force without a name, where the last
-    round has an alarm that no name explains and some function of a signal would.
+    round has an alarm that no name explains and some function of a signal would. ``coarse`` where the steps
+    are too long for what was found last: what would be found beside it may be their error.
     """
 
     rounds: tuple[FreeRound, ...]
@@ -44,6 +45,7 @@ class FreeRunSearch:
     after: QuasiFit
     gains: tuple[float, ...]
     missing: MissingFunction | None = None
+    coarse: bool = False
 
     @property
     def found(self) -> tuple[Candidate, ...]:
@@ -78,7 +80,6 @@ def search_free_runs(
     base: QuasiFit,
     records: Sequence[Series],
     theta: Theta,
-    held: tuple[str, ...],
     *,
     levels: tuple[float, float],
     kinds: Sequence[str] | None,
@@ -86,13 +87,17 @@ def search_free_runs(
     progress: Progress,
     rivals: Sequence[Sequence[Pick]] = (),
     whole: Sequence[Series] = (),
+    enough: Callable[[Fitted], bool] = lambda fit: True,
 ) -> FreeRunSearch:
     """Search for what the free run of ``base`` gets wrong; ``theta`` is another start of its fit.
 
     ``rivals`` are answers of others, which are judged beside its own in the first round. ``records`` may be
     windows of the ``whole`` ones; to these both models are fitted in the end. ``levels`` are those of the alarm
-    of the first round, and of the others: small patches go on being significant.
+    of the first round, and of the others: small patches go on being significant. ``enough`` tells whether the
+    steps of the records are short enough for a fit with effects; where not, the search ends there.
     """
+    held = tuple(name for name in base.model.parameter_names if name not in base.free)
+    coarse = False
     starting = part_of(progress, 0.0, STARTED)
     fit = best_runs(base.model, records, [base.theta, theta], base.free, seed, starting)
     noise = [noise_fit(fit)]
@@ -110,7 +115,8 @@ def search_free_runs(
             break
         fit = one.chosen.fit
         noise.append(noise_fit(fit))
-        if fit.rms <= LEFT * done[0].fit.rms:
+        coarse = not enough(fit)
+        if coarse or fit.rms <= LEFT * done[0].fit.rms:
             break
     progress(STAGE, SEARCHED)
     last, missing = done[-1], None
@@ -121,7 +127,8 @@ def search_free_runs(
     if whole and done[0].survivors:
         before, after = on_whole(done[0].fit, before, whole), on_whole(fit, after, whole)
     values = [one.log_likelihood for one in noise]
-    return FreeRunSearch(tuple(done), before, after, tuple(2.0 * np.diff(values)), missing)
+    gains = tuple(2.0 * np.diff(values))
+    return FreeRunSearch(tuple(done), before, after, gains, missing, coarse)
 
 
 def setting_of(fit: Fitted, held: tuple[str, ...]) -> Setting:

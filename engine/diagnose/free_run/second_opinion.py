@@ -8,7 +8,7 @@ answer competes with those of the free run on rows left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,7 @@ from engine.diagnose.free_run.search import STAGE, FreeRound, Progress
 from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
 from engine.diagnose.free_run_fits.columns import CANNOT, columns
-from engine.diagnose.free_run_fits.fitted import Pick
+from engine.diagnose.free_run_fits.fitted import Fitted, Pick
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses
 from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
@@ -74,8 +74,12 @@ def second_opinion(
     kinds: Sequence[str] | None,
     seed: int,
     progress: Progress,
+    enough: Callable[[Fitted], bool] = lambda fit: True,
 ) -> SecondOpinion:
-    """Ask the free run of the records ``given``; ``theta`` is another start for the base's parameters."""
+    """Ask the free run of the records ``given``; ``theta`` is another start for the base's parameters.
+
+    ``enough`` tells whether their steps are short enough for a fit with effects.
+    """
     records = telling(causes.base.model, causes.base.theta, causes.base.free, given)
     named = [r.refits[0] for r in causes.search.rounds if r.equivalent]
     patches = any(refit.effect.family == "noise" for refit in named)
@@ -100,13 +104,13 @@ def second_opinion(
             base,
             records,
             theta,
-            held,
             levels=(level, SETTLED * alpha),
             kinds=kinds,
             rivals=_rivals(named),
             seed=seed,
             progress=part_of(progress, ALARM_SHARE, 1.0),
             whole=() if records == list(given) else given,
+            enough=enough,
         )
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")

@@ -60,7 +60,7 @@ class Kept:
 
     def apart(self, what: str) -> Kept:
         """The same parts, for a search beside the first, whose names may be the same."""
-        return replace(self, where=f"{what}: ", of=f"{what}: ")
+        return replace(self, where=f"{self.of}{what}: ", of=f"{self.of}{what}: ")
 
     def within(self, where: str) -> Kept:
         """The same parts, named by where in the diagnosis they belong."""

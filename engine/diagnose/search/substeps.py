@@ -9,13 +9,13 @@ neither the free run of the model nor what typical effects do over a sample chan
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.catalogue import all_effects, extend
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.rates import Points, step
 from engine.diagnose.effects.setting import ON_TIME, Setting, setting_for
@@ -34,20 +34,32 @@ KINDS = ("force", "linear", "coupling", "drag", "cubic")  # effects that are loo
 LOOKED_AT = 12  # samples
 SHORT = 1.0 / 16.0  # of a sample: steps at which the order of the scheme shows
 FASTER, SLOWER = 0.4, 0.75  # an error of order h^2, of order h, falls below these where h is halved
-EXACT, EXACT_NOISE = 1e-8, 1e-4  # of a state's, a covariance's size: a difference that is rounding
+EXACT = 1e-8  # of a state's size: a difference that is rounding
+ALIKE_NOISE = (
+    0.05  # of a covariance: a rule for Q that ends up so near, however short the step, will do
+)
+MUCH = 0.5  # of the free run's residual: change by which the steps are what it is mostly wrong by
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """The records to work on, ``k`` steps a sample, what there is to say about it, and the base's theta.
 
-    ``theta`` is None for a model that was not looked at, as it does not declare ``continuous``.
+    ``theta`` is None for a model that was not looked at, as it does not declare ``continuous``. ``finer`` is
+    whether more steps mean anything.
     """
 
     records: Records
     k: int = 1
     notes: tuple[str, ...] = ()
     theta: Array | None = None
+    finer: bool = False
+
+    def with_shorter_steps(self, given: Records) -> Prepared:
+        """The records ``given`` with twice as many steps a sample, as what was found needs them."""
+        k = 2 * self.k
+        text = f"The model makes {k} steps a sample: of what was found, fewer get too much wrong."
+        return replace(self, records=given.refined(k), k=k, notes=(text,), finer=k < MOST)
 
 
 def prepare(
@@ -78,7 +90,7 @@ def prepare(
         return Prepared(records, notes=(text,), theta=theta)
     k = choose(setting, part, theta)
     notes = (f"The model makes {k} steps a sample, so that effects act within it.",)
-    return Prepared(records.refined(k), k, notes if k > 1 else (), theta)
+    return Prepared(records.refined(k), k, notes if k > 1 else (), theta, finer=k < MOST)
 
 
 def can_be_finer(setting: Setting, series: Series, theta: Array) -> bool:
@@ -102,7 +114,8 @@ def is_consistent(model: MixedModel, theta: Array, points: Points) -> bool:
     errors = [_halving(model, theta, points, SHORT * way) for way in (1.0, 0.5)]
     (mean, cov), (finer_mean, finer_cov) = errors
     fine = (mean <= EXACT) | (finer_mean <= FASTER * mean)
-    return bool(fine.all() and (cov <= EXACT_NOISE or finer_cov <= SLOWER * cov))
+    alike = max(cov, finer_cov) <= ALIKE_NOISE
+    return bool(fine.all() and (alike or finer_cov <= SLOWER * cov))
 
 
 def _halving(model: MixedModel, theta: Array, points: Points, share: float) -> tuple[Array, float]:
@@ -171,6 +184,22 @@ def is_enough(model: MixedModel, theta: Array, series: Series, k: int) -> bool:
     return bool(np.isfinite([one, other]).all()) and _same_run(series, one, other)
 
 
+def are_too_long(
+    model: MixedModel, names: Sequence[str], theta: Array, series: Series, x1: Array
+) -> bool:
+    """Whether much of what the free run of a model with effects gets wrong is an error of its steps.
+
+    ``theta`` are the values of the extended model, ``x1`` (nx,) its first state.
+    """
+    plain = series.held(series.hold)
+    runs = []
+    for k in (series.substeps, 2 * series.substeps):
+        fine = plain.refined(k)
+        extended = extend(model, names, setting_for(model, fine, theta[: len(model.parameters)]))
+        runs.append(_run(extended, theta, fine, x1))
+    return bool(np.isfinite(runs).all()) and not _same_run(plain, runs[0], runs[1], MUCH)
+
+
 def _run(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
     """The noise-free run at the samples (T, ny), not finite where it is lost."""
     with np.errstate(all="ignore"):
@@ -192,12 +221,12 @@ def _done(
     return out
 
 
-def _same_run(series: Series, one: Array, other: Array) -> bool:
+def _same_run(series: Series, one: Array, other: Array, share: float = FREE_RUN) -> bool:
     if not (np.isfinite(one).all() and np.isfinite(other).all()):
         return True
     change = np.sqrt(np.mean((other - one) ** 2, axis=0))
     residual = np.sqrt(np.nanmean((series.y - one) ** 2, axis=0))
-    return bool((change <= FREE_RUN * residual).all())
+    return bool((change <= share * residual).all())
 
 
 def _same_effects(one: list[Array], other: list[Array]) -> bool:

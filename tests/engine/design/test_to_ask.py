@@ -91,7 +91,6 @@ def test_where_the_free_run_decided_its_causes_are_asked_for():
         base,
         [series],
         MODEL.theta(),
-        (),
         levels=(0.05, 0.01),
         kinds=("cubic", "drag", "force", "bias", "gain"),
         seed=1,

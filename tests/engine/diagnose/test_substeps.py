@@ -170,6 +170,69 @@ def test_what_counts_samples_counts_them_on_a_refined_series_too(own):
     assert values[1] == pytest.approx(values[0], abs=within)
 
 
+@pytest.mark.parametrize("linear", [False, True], ids=["nonlinear", "linear"])
+@pytest.mark.parametrize(
+    ("name", "own"),
+    [
+        ("drag:{}", (0.6,)),
+        ("cubic:{}", (-0.4,)),
+        ("hysteresis:{}", (-8.0, 0.4)),
+        ("boucwen:{}", (-8.0, 0.4, -0.5)),
+    ],
+    ids=["drag", "cubic", "hysteresis", "boucwen"],
+)
+def test_the_error_of_an_effect_falls_with_the_square_of_the_step(name, own, linear):
+    """Whatever the rest of the model is, a chain of two exact steps among others (Strang's splitting)."""
+    model = engine.get_model("oscillator") if linear else pendulum(continuous=True)
+    name = name.format("velocity" if linear else "rate")
+    n, theta = 100, np.asarray(model.theta())
+    series = engine.Series(np.zeros(n), 2.0 * np.sin(0.13 * np.arange(n)), dt=0.1)
+    runs = []
+    for k in (1, 2, 4, 32):
+        fine = series.refined(k)
+        extended = extend(model, [name], setting_for(model, fine, theta))
+        start = np.asarray(extended.theta())
+        start[len(theta) : len(theta) + len(own)] = own
+        runs.append(engine.free_run(extended, start, fine).y[fine.samples, 0])
+    *coarse, exact = runs
+    errors = [float(np.sqrt(np.mean((run - exact) ** 2))) for run in coarse]
+    plain = engine.free_run(model, theta, series).y[:, 0]
+    assert errors[0] < 0.3 * np.sqrt(np.mean((exact - plain) ** 2))  # of what the effect does
+    assert errors[1] < errors[0] / 2.5
+    assert errors[2] < errors[1] / 2.5
+
+
+def test_a_rule_for_the_noise_that_ends_up_near_will_do():
+    """Simpson's, of noise that reaches a state through two others: 4 % too much of almost nothing."""
+    drift = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+
+    def dynamics(a, u, t, dt, th, rule=None):
+        def power(h):
+            return np.eye(3) + h * drift + 0.5 * h**2 * drift @ drift
+
+        Qc = np.diag([0.0, 0.0, 1.0])
+        whole, half = power(dt), power(0.5 * dt)
+        Q = dt / 6.0 * (Qc + 4.0 * half @ Qc @ half.T + whole @ Qc @ whole.T)
+        return np.zeros(3), whole, Q * (1.0 if rule is None else rule(dt))
+
+    def told(rule):
+        model = engine.MixedModel(
+            name="thrice integrated",
+            dynamics=lambda *args: dynamics(*args, rule=rule),
+            measurement=lambda a, u, t, th: (np.zeros(1), np.eye(3)[:1], [[1e-2]]),
+            initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), np.ones(3), np.eye(3)),
+            linear=dict.fromkeys(("x", "v", "force"), "1"),
+            outputs={"y": "1"},
+            parameters=[],
+            continuous=True,
+        )
+        return is_consistent(model, np.zeros(0), guessed_points(model, 0.5))
+
+    assert told(None)
+    assert not told(lambda dt: dt)  # of order dt^2
+    assert not told(lambda dt: 1.0 / dt)  # as much in any step
+
+
 def test_times_and_frequencies_are_tried_at_samples():
     model, series = engine.get_model("oscillator"), swings()
     setting = setting_for(model, series, np.asarray(model.theta()))

@@ -84,7 +84,6 @@ def test_where_no_name_does_nearly_as_well_the_answer_is_unknown_with_the_curve(
         base,
         [series],
         fit.theta,
-        (),
         levels=(1.0, 1.0),  # whatever noise explains
         kinds=("drag", "bias"),
         seed=1,

@@ -53,7 +53,6 @@ def _searched(series):
         base,
         [series],
         theta,
-        (),
         levels=(0.05, 0.01),
         kinds=KINDS,
         seed=1,

@@ -1,0 +1,105 @@
+"""The likelihood one step ahead, then the free run, on records whose steps are short enough for what is found.
+
+How many steps a sample a model needs is known of the model as given. Where the free run finds a cause for
+which they are too long, what it would find beside that may be the error of the steps, and the causes are
+looked for again with twice as many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.free_run.second_opinion import SecondOpinion, second_opinion
+from engine.diagnose.free_run.windows import rows_searched
+from engine.diagnose.free_run_fits.fitted import Fitted
+from engine.diagnose.records import Records
+from engine.diagnose.search.checkpoint import Kept
+from engine.diagnose.search.pipeline import Causes, Clock, find_causes
+from engine.diagnose.search.substeps import Prepared, are_too_long
+from engine.statespace.model import MixedModel, ThetaLike
+from engine.words import enumerated
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is looked for, as in :func:`engine.diagnose.diagnose`."""
+
+    free: Sequence[str] | None
+    alpha: float
+    max_effects: int
+    effects: Sequence[str] | None
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class TwoAnswers:
+    """What the likelihood and the free run say of ``fine`` records; the rows the likelihood ``searched``."""
+
+    fine: Prepared
+    causes: Causes
+    asked: SecondOpinion
+    searched: Series
+    notes: tuple[str, ...]
+
+
+def ask_both(
+    model: MixedModel,
+    records: Records,
+    fine: Prepared,
+    theta: ThetaLike,
+    options: Options,
+    clock: Clock,
+    kept: Kept,
+) -> TwoAnswers:
+    """Both answers; ``fine`` are the ``records`` with as many steps a sample as the model as given needs."""
+    while True:
+        found = _with_these_steps(model, fine, theta, options, clock, kept)
+        if found.asked.search is None or not found.asked.search.coarse:
+            return found
+        fine = fine.with_shorter_steps(records)
+        kept = kept.apart(f"{fine.k} steps a sample")
+
+
+def _with_these_steps(
+    model: MixedModel, fine: Prepared, theta: ThetaLike, options: Options, clock: Clock, kept: Kept
+) -> TwoAnswers:
+    start, train, notes = theta if fine.theta is None else fine.theta, fine.records.train, []
+    begin, end = rows_searched(model, start, train)
+    searched = train if end - begin == len(train) else train.part(begin, end)
+    if searched is not train:
+        notes.append(
+            f"The likelihood searched {len(searched.samples)} of {len(train.samples)} samples, "
+            f"{'those that move most' if begin else 'the first, as the model says where a record begins'}: "
+            f"from t = {searched.t[0]:g} to {searched.t[-1]:g} {searched.time_unit}."
+        )
+    causes = find_causes(model, searched, start, **asdict(options), clock=clock, kept=kept)
+    silent = np.diag(causes.base.information) == 0.0
+    if searched is not train and silent.any():
+        untold = [name for name, none in zip(causes.base.free, silent, strict=True) if none]
+        notes.append(
+            f"Of {enumerated(untold)} these samples tell nothing: one step ahead they keep their start values."
+        )
+    base = causes.base.model
+
+    def enough(fit: Fitted) -> bool:
+        values = np.asarray(fit.theta)
+        return not fine.finer or not are_too_long(
+            base, fit.names, values, fit.records[0], fit.x1[0]
+        )
+
+    clock.start("free run")
+    asked = second_opinion(
+        causes,
+        [train, *fine.records.others],
+        model.theta(start),
+        alpha=options.alpha,
+        kinds=options.effects,
+        seed=options.seed,
+        progress=clock.progress,
+        enough=enough,
+    )
+    return TwoAnswers(fine, causes, asked, searched, (*notes, *fine.notes, *causes.notes))
