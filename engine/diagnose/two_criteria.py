@@ -2,7 +2,7 @@
 
 How many steps a sample a model needs is known of the model as given. Where the free run finds a cause for
 which they are too long, what it would find beside that may be the error of the steps, and the causes are
-looked for again with twice as many.
+looked for again with twice as many. An answer that is lost by that stays the one with fewer.
 """
 
 from __future__ import annotations
@@ -56,12 +56,15 @@ def ask_both(
     kept: Kept,
 ) -> TwoAnswers:
     """Both answers; ``fine`` are the ``records`` with as many steps a sample as the model as given needs."""
-    while True:
-        found = _with_these_steps(model, fine, theta, options, clock, kept)
-        if found.asked.search is None or not found.asked.search.coarse:
-            return found
+    found = _with_these_steps(model, fine, theta, options, clock, kept)
+    while found.asked.search is not None and found.asked.search.coarse:
         fine = fine.with_shorter_steps(records)
-        kept = kept.apart(f"{fine.k} steps a sample")
+        own = kept.apart(f"{fine.k} steps a sample")
+        again = _with_these_steps(model, fine, theta, options, clock, own)
+        if again.asked.search is None or not again.asked.search.found:
+            break
+        found = again
+    return found
 
 
 def _with_these_steps(

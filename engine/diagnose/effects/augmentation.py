@@ -114,11 +114,10 @@ def add_memory(
 ) -> MixedModel:
     """The model with more nonlinear states, name -> unit, without noise of their own.
 
-    ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory, which
-    linear states move where A has rows of it, too;
-    ``observe(a, memory, u, t, base, own)`` returns h, C, R; ``begin(own)`` the memory's mean and variance at
-    first, independent of x_1. A memory of one state is (M,), of k states (k, M), so that it unpacks. p(a_1)
-    may be any density.
+    ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory, on
+    which linear states act where A has rows of it, too; ``observe(a, memory, u, t, base, own)`` returns h, C,
+    R; ``begin(own)`` the memory's mean and variance at first, independent of x_1. A memory of one state is
+    (M,), of k states (k, M), so that it unpacks. p(a_1) may be any density.
     """
     na, nx, k = model.na, model.nx, len(states)
     order = np.array([*range(na), *range(nx, nx + k), *range(na, nx)])

@@ -12,7 +12,7 @@ from engine.diagnose.effects.rates import guessed_points
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.records import Records
 from engine.diagnose.screening.time_scan import grid
-from engine.diagnose.search.substeps import is_consistent, is_enough, prepare
+from engine.diagnose.search.substeps import are_too_long, is_consistent, is_enough, prepare
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter
 from tests.engine.plain_models import pendulum
@@ -200,6 +200,51 @@ def test_the_error_of_an_effect_falls_with_the_square_of_the_step(name, own, lin
     assert errors[0] < 0.3 * np.sqrt(np.mean((exact - plain) ** 2))  # of what the effect does
     assert errors[1] < errors[0] / 2.5
     assert errors[2] < errors[1] / 2.5
+
+
+def slipping(n=200, dt=0.05):
+    """A pendulum with a stiff spring that slips, in steps of dt / 64; the values of the hidden effect."""
+    model, t = with_noise(pendulum(continuous=True)), dt * np.arange(n)
+    u = 1.5 * np.sin(0.9 * t) + 0.8 * np.sin(2.3 * t + 1.0)
+    fine = engine.Series(np.zeros(n), u, dt=dt, hold="foh").refined(64)
+    theta = np.asarray(model.theta())
+    hidden = extend(model, ["boucwen:rate"], setting_for(model, fine, theta))
+    values = np.asarray(hidden.theta())
+    values[len(theta) : len(theta) + 3] = (-8.0, 0.4, -0.5)
+    y = engine.free_run(hidden, values, fine).y[fine.samples, 0]
+    y += 2e-4 * np.random.default_rng(5).standard_normal(n)
+    return model, engine.Series(y, u, dt=dt, hold="foh"), values
+
+
+def test_steps_may_be_short_enough_for_a_model_and_too_long_for_what_it_lacks():
+    model, series, values = slipping()
+    theta = values[: len(model.parameters)]
+    assert prepare(model, Records(series), lambda: theta).k == 1
+    told = [
+        are_too_long(model, ["boucwen:rate"], values, series.refined(k), np.array([0.2, 0.0, 0.0]))
+        for k in (1, 2, 16)
+    ]
+    assert told == [True, True, False]
+    assert not are_too_long(model, [], theta, series, np.array([0.2, 0.0]))
+
+
+@pytest.mark.slow
+def test_steps_are_chosen_again_for_what_was_found():
+    model, series, _ = slipping()
+    options = {"effects": ["boucwen", "drag"], "max_effects": 1, "seed": 1}
+    kept = {}
+    found = engine.diagnose(model, series, kept=kept, **options)
+    k = found.substeps
+    assert k > 1
+    assert f"{k} steps a sample: of what was found, fewer get too much wrong" in " ".join(
+        found.notes
+    )
+    (cause,) = found.causes
+    assert cause.effect == "boucwen:rate"
+    assert cause.size == pytest.approx(-8.0, abs=0.02)
+    assert any(name.startswith(f"{k} steps a sample: round 1") for name in kept)
+    again = engine.diagnose(model, series, kept=dict(kept), **options)
+    assert np.asarray(again.theta).tolist() == np.asarray(found.theta).tolist()
 
 
 def test_a_rule_for_the_noise_that_ends_up_near_will_do():
