@@ -2,7 +2,8 @@
 
 How many steps a sample a model needs is known of the model as given. Where the free run finds a cause for
 which they are too long, what it would find beside that may be the error of the steps, and the causes are
-looked for again with twice as many. An answer that is lost by that stays the one with fewer.
+looked for again with twice as many; a few times also where they decide between names that the likelihood has
+for it. An answer of the free run that is lost by that stays the one with fewer.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from engine.diagnose.search.pipeline import Causes, Clock, find_causes
 from engine.diagnose.search.substeps import Prepared, are_too_long
 from engine.statespace.model import MixedModel, ThetaLike
 from engine.words import enumerated
+
+ENOUGH = 4  # steps a sample, with which names that they decide between are left as a set
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,18 @@ class TwoAnswers:
     searched: Series
     notes: tuple[str, ...]
 
+    @property
+    def of_free_run(self) -> bool:
+        """Whether the free run has found something."""
+        return self.asked.search is not None and bool(self.asked.search.found)
+
+    @property
+    def coarse(self) -> bool:
+        """Whether shorter steps may say something else."""
+        by_likelihood = self.causes.coarse and not self.asked.decides and self.fine.k < ENOUGH
+        by_free_run = self.asked.search is not None and self.asked.search.coarse
+        return self.fine.finer and (by_likelihood or by_free_run)
+
 
 def ask_both(
     model: MixedModel,
@@ -57,11 +72,11 @@ def ask_both(
 ) -> TwoAnswers:
     """Both answers; ``fine`` are the ``records`` with as many steps a sample as the model as given needs."""
     found = _with_these_steps(model, fine, theta, options, clock, kept)
-    while found.asked.search is not None and found.asked.search.coarse:
+    while found.coarse:
         fine = fine.with_shorter_steps(records)
         own = kept.apart(f"{fine.k} steps a sample")
         again = _with_these_steps(model, fine, theta, options, clock, own)
-        if again.asked.search is None or not again.asked.search.found:
+        if found.of_free_run and not again.of_free_run:
             break
         found = again
     return found

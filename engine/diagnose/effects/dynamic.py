@@ -22,6 +22,7 @@ class _Following:
         self.k, self.na, self.nx, self.nz = k, model.na, model.nx, model.nz
         states = [*model.nonlinear, *model.linear]
         self.row, self.column, self.source = states.index(target), states.index(source), source
+        self.continuous = model.continuous
 
     def begin(self, setting: Setting) -> Begin:
         """The first at x_1, the others at zero; their spread is the source's, where it is known."""
@@ -42,6 +43,8 @@ class _Following:
     ) -> tuple[Array, Array, Array]:
         """The step with ``force`` (l - x) on the target and ``drives`` x on each of the new states."""
         f, A, Q = step
+        if self.continuous:
+            return *self._around(f, A, a, force, drives), Q
         A[:, self.row, self.nz] += force
         rows = [(self.row, -force), *((self.nx + i, drive) for i, drive in enumerate(drives))]
         for row, factor in rows:
@@ -50,6 +53,42 @@ class _Following:
             else:
                 A[:, row, self.column - self.na] += factor
         return f, A, Q
+
+    def _around(
+        self, f: Array, A: Array, a: Array, force: Any, drives: Sequence[Any]
+    ) -> tuple[Array, Array]:
+        """Half the force before the step of the model, half after it; the new states follow the mean of x.
+
+        All of it comes after the step, around what the new states do, where the target is nonlinear.
+        """
+        own, lag = slice(self.nx, self.nx + self.k), 1 + self.nz
+        whole = np.concatenate([f[..., None], A], axis=2)  # of 1, z and the new states
+        block = whole[:, own, lag:].copy()
+        whole[:, own] = 0.0
+        whole[:, own, lag:] = np.eye(self.k)
+        half = np.reshape(0.5 * force, (-1, 1))
+
+        def push() -> None:
+            whole[:, self.row] += half * (whole[:, self.nx] - whole[:, self.column])
+
+        if self.row < self.na:
+            push()
+            x = whole[:, self.column].copy()
+        else:
+            x = np.zeros_like(whole[:, 0])
+            if self.column < self.na:
+                x[:, 0] = a[:, self.column]
+            else:
+                x[:, 1 + self.column - self.na] = 1.0
+            before = -half * x
+            before[:, lag] += half[:, 0]
+            on = whole[:, : self.nx, 1 + self.row - self.na].copy()
+            whole[:, : self.nx] += on[..., None] * before[:, None]
+            x = 0.5 * (x + whole[:, self.column] + (before if self.row == self.column else 0.0))
+        driven = np.stack(np.broadcast_arrays(*drives), axis=-1)
+        whole[:, own] = block @ whole[:, own] + np.reshape(driven, (-1, self.k, 1)) * x[:, None]
+        push()
+        return whole[..., 0], whole[..., 1:]
 
 
 def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:

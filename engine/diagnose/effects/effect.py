@@ -21,6 +21,7 @@ from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 from engine.statespace.rows import with_input
 
+NEARBY = 1e-6  # of a state's size or way, over which the slope of a term is taken
 MOST_GROWTH = 100.0  # logarithm of a growth within a step beyond which a run is lost anyway
 
 
@@ -134,14 +135,16 @@ def identifier(*parts: str) -> str:
 class Values:
     """Named signals at the points where a model is evaluated: ``v["velocity"]`` is (M,) or a number.
 
-    ``t`` and ``dt`` in seconds.
+    ``t`` and ``dt`` in seconds; ``read`` are the names that were asked for.
     """
 
     signals: dict[str, Any]
     t: Any
     dt: Any
+    read: set[str] = field(default_factory=set)
 
     def __getitem__(self, name: str) -> Any:
+        self.read.add(name)
         return self.signals[name]
 
 
@@ -157,11 +160,12 @@ def add_to_state(
     target: str,
     term: Callable[[Values, Sequence[Any]], Any],
     needs: Sequence[str] = (),
-    midway: bool = True,
+    smooth: bool = True,
 ) -> MixedModel:
     """``target``' = ... + dt * term(signals, own parameters); linear states in ``needs`` are promoted.
 
-    Of a continuous model the term is that midway of its own push, unless it knows where it ends itself.
+    Of a continuous model half of it comes before the step and half after it (Strang 1968), each midway of its
+    own push. All of it comes before where linear states move what a term that is not ``smooth`` depends on.
     """
     base = promote(model, needs)
     split = Split(model)
@@ -169,14 +173,62 @@ def add_to_state(
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         own_base, own = split(theta)
-        push = dt * term(Values(signals(base, a, u), t, dt), own)
-        if base.continuous and midway and row < base.na:
-            half = a.copy()
-            half[:, row] += 0.5 * push
-            push = dt * term(Values(signals(base, half, u), t, dt), own)
-        return pushed(base, {row: push}, a, u, t, dt, own_base)
+        read: set[str] = set()
+
+        def rate(a: Array) -> Any:
+            return term(Values(signals(base, a, u), t, dt, read), own)
+
+        if not base.continuous:
+            return pushed(base, {row: dt * rate(a)}, a, u, t, dt, own_base)
+        half = 0.5 * dt
+        push = half * _midway(rate, a, half, row)
+        f, A, Q = pushed(base, {row: push}, a, u, t, dt, own_base)
+        columns = [i for i, name in enumerate(base.nonlinear) if name in read]
+        if A[..., columns, :].any():
+            if not smooth:
+                return pushed(base, {row: dt * _midway(rate, a, dt, row)}, a, u, t, dt, own_base)
+            return *_pushed_linearly(rate, f, A, a, half, row, columns), Q
+        f[:, row] += half * _midway(rate, f[:, : base.na], half, row)
+        return f, A, Q
 
     return on_base(base, split, dynamics=dynamics)
+
+
+Rate: TypeAlias = Callable[[Array], Any]
+
+
+def _midway(rate: Rate, a: Array, half: Any, row: int) -> Any:
+    """The rate (M,) at states a (M, na), midway of its own push on a row of them."""
+    there = rate(a)
+    if row >= a.shape[1]:
+        return there
+    a = a.copy()
+    a[:, row] += 0.5 * half * there
+    return rate(a)
+
+
+def _pushed_linearly(
+    rate: Rate, f: Array, A: Array, a: Array, half: Any, row: int, columns: Sequence[int]
+) -> tuple[Array, Array]:
+    """f and A after a push at the step's end, where linear states move what it depends on.
+
+    There the rate is that at the step's beginning and its slopes by the ``columns`` of a times their way.
+    """
+    there, own = rate(a), 0.0
+    ways = f[:, : a.shape[1]] - a
+    slopes = np.zeros((len(columns), len(a)))
+    for k, i in enumerate(columns):
+        moved = a.copy()
+        moved[:, i] += NEARBY * np.maximum(np.abs(a[:, i]), np.abs(ways[:, i])) + 1e-300
+        slopes[k] = (rate(moved) - there) / (moved[:, i] - a[:, i])
+        own = slopes[k] if i == row else own
+    share = np.reshape(half * (1.0 + 0.5 * half * own), (-1, 1))  # midway of its own push
+    f, M = f.copy(), len(a)
+    f[:, row] += share[:, 0] * (there + np.einsum("km,mk->m", slopes, ways[:, columns]))
+    more = np.einsum("km,mkz->mz", slopes, np.broadcast_to(A, (M, *A.shape[-2:]))[:, columns])
+    A = np.array(np.broadcast_to(A, (M, *A.shape[-2:])))
+    A[:, row] += share * more
+    return f, A
 
 
 def pushed(
@@ -184,8 +236,8 @@ def pushed(
 ) -> tuple[Array, Array, Array]:
     """One step of ``model`` with ``pushes``, row -> a number or (M,), added to its states.
 
-    After the step; of a continuous model before it, so that they move the other states within the step. A
-    chain of such steps is Strang's splitting, of second order, seen half a push early (Strang 1968).
+    After the step; of a continuous model before it, so that they move the other states within the step. Where
+    that is all, a chain of such steps is Strang's splitting, of second order, seen half a push early.
     """
     if model.continuous:
         a = a.copy()
@@ -209,7 +261,8 @@ def add_linear_coupling(
 ) -> MixedModel:
     """``target``' = ... + dt * size * (source - zero), for a linear state ``source``.
 
-    The source at the step's start; of a continuous model at its end, which is Strang's splitting as well.
+    The source at the step's start. Of a continuous model half of it comes before the step and half after it
+    (Strang 1968); all after it where the target is a nonlinear state.
     """
     split = Split(model)
     row = [*model.nonlinear, *model.linear].index(target)
@@ -219,16 +272,20 @@ def add_linear_coupling(
         own_base, own = split(theta)
         f, A, Q = model.transition(a, u, t, dt, own_base)
         A, f, size = per_point(A, len(a), dt, own[0]), f.copy(), dt * own[0]
-        if model.continuous and target == source:
-            size = np.expm1(np.minimum(size, MOST_GROWTH))
-        f[:, row] -= size * zero(own)
-        if model.continuous:
-            f[:, row] += size * f[:, model.na + column]
-            A[..., row, :] += (
-                np.reshape(size, (-1, 1) if np.ndim(size) else ()) * A[..., model.na + column, :]
-            )
-        else:
+        if not model.continuous:
+            f[:, row] -= size * zero(own)
             A[..., row, column] += size
+            return f, A, Q
+        size *= 1.0 if row < model.na else 0.5
+        if target == source:
+            size = np.expm1(np.minimum(size, MOST_GROWTH))
+        each = np.reshape(size, (-1, 1) if np.ndim(size) else ())
+        if row >= model.na:
+            pushed_on = A[..., row - model.na].copy()
+            A[..., column] += each * pushed_on
+            f -= np.reshape(size * zero(own), (-1, 1)) * pushed_on
+        f[:, row] += size * (f[:, model.na + column] - zero(own))
+        A[..., row, :] += each * A[..., model.na + column, :]
         return f, A, Q
 
     return on_base(model, split, dynamics=dynamics)

@@ -64,20 +64,24 @@ def _bouc_wen(
         def step(
             a: Array, memory: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
         ) -> tuple[Array, Array, Array, Array]:
-            pushes = {row: dt * own[0] * memory}
-            f, A, Q = pushed(base, pushes, a, u, t, dt, record)
             delta = own[2] if shaped else 0.0
             if not base.continuous:
+                f, A, Q = pushed(base, {row: dt * own[0] * memory}, a, u, t, dt, record)
                 way = dt * (a[:, column] - origin.of(own))
                 return f, A, Q, _after(memory, way, own[1], delta)
-            # the mean speed over the step: after the push, and at its end, as far as a tells it
-            speed = a[:, column] + pushes[row] if row == column else a[:, column]
-            way = dt * (0.5 * (speed + f[:, column]) - origin.of(own))
+            half = 0.5 * dt * own[0]  # of the push comes before the step, half after it
+            push = half * memory
+            f, A, Q = pushed(base, {row: push}, a, u, t, dt, record)
+            speed = a[:, column] + push if row == column else a[:, column]
+            way = dt * (0.5 * (speed + f[:, column]) - origin.of(own))  # but for linear states
             after = _after(memory, way, own[1], delta)
             if A[..., column, :].any():
                 slope = 0.5 * dt * _slope(after, way, own[1], delta)
-                moved = np.reshape(slope, (-1, 1, 1)) * A[..., column, None, :]
-                A = np.concatenate([np.broadcast_to(A, (len(a), *A.shape[-2:])), moved], axis=-2)
+                A = np.broadcast_to(A, (len(a), *A.shape[-2:]))
+                moved = np.reshape(slope, (-1, 1)) * A[:, column]
+                A = np.concatenate([A, moved[:, None]], axis=1)
+                A[:, row] += np.reshape(half, (-1, 1)) * moved
+            f[:, row] += half * after
             return f, A, Q, after
 
         def observe(

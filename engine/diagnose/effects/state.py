@@ -11,15 +11,18 @@ import numpy as np
 
 from engine.diagnose.effects.effect import (
     Effect,
-    Values,
+    Split,
     add_linear_coupling,
     add_to_state,
     identifier,
+    on_base,
+    pushed,
 )
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Setting, at_pairs, at_states, each_pair
 from engine.diagnose.effects.traits import USUAL, Traits
-from engine.statespace.model import MixedModel, Parameter
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.promotion import promote
 from engine.units import product
 
 ODD = "an odd function of the same state; told apart by the amplitudes that were visited"
@@ -36,6 +39,7 @@ def _static(
     power: float,
     look_alikes: dict[str, str],
     width: bool = False,
+    smooth: bool = True,
     traits: Traits = USUAL,
 ) -> Kind:
     """A kind ``size * term(x)``, x counted from its zero, where term grows like x ** power.
@@ -61,6 +65,7 @@ def _static(
                 target,
                 lambda v, own: own[0] * term(v[source] - origin.of(own), own[1:]),
                 needs=(source,) if source in model.linear else (),
+                smooth=smooth,
             )
 
         return Effect(
@@ -86,16 +91,26 @@ def _coulomb(setting: Setting, channel: str, name: str, source: str, target: str
     """Friction of constant size against the motion; it may stop the motion in a step, not reverse it."""
     origin = Origin(setting, name, source)
 
-    def term(v: Values, own: Sequence[Any]) -> Any:
-        speed = v[source] - origin.of(own)
-        if source != target:
-            return -own[0] * np.sign(speed)
-        most = v.dt * np.abs(own[0])
-        return -np.sign(own[0]) * np.clip(speed, -most, most) / v.dt
-
     def extend(model: MixedModel) -> MixedModel:
-        needs = (source,) if source in model.linear else ()
-        return add_to_state(model, target, term, needs, midway=False)
+        base = promote(model, (source,) if source in model.linear else ())
+        split, column = Split(model), list(base.nonlinear).index(source)
+        row = [*base.nonlinear, *base.linear].index(target)
+
+        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
+            record, own = split(theta)
+            speed, most = a[:, column] - origin.of(own), dt * np.abs(own[0])
+            push = -dt * own[0] * np.sign(speed)
+            after = np.zeros_like(push)
+            if base.continuous:  # half before the step, half after; all before where it may stop
+                after = np.where((np.abs(speed) > most) | (source != target), 0.5 * push, after)
+                push = push - after
+            if source == target:
+                push = np.sign(push) * np.minimum(np.abs(push), np.abs(speed))
+            f, A, Q = pushed(base, {row: push}, a, u, t, dt, record)
+            f[:, row] += after
+            return f, A, Q
+
+        return on_base(base, split, dynamics=dynamics)
 
     size = Parameter(name, 0.0, setting.rate(target), description="friction per unit of inertia")
     return Effect(
@@ -217,6 +232,7 @@ KINDS: list[Kind] = [
         0,
         {"coulomb": "does not fade with speed"},
         width=True,
+        smooth=False,
         traits=replace(FRICTION, contains=("coulomb",)),
     ),
     _static(

@@ -12,7 +12,8 @@ from engine.filters.sigma_point import moment_path
 from engine.simulation.problem import FreeRunProblem
 from engine.statespace.model import MixedModel, ThetaLike
 
-MOST_ROWS = 4000  # of all windows together, steps between samples counted
+MOST_ROWS = 4000  # of all windows together; steps between samples count, but ...
+MOST_STEPS = 4  # ... up to so many a sample, windows have as many samples
 MOST_WHOLE = 20_000  # rows of a record that is searched whole where its windows tell too little
 WINDOWS = 4
 WIDE = 0.3  # of the standard deviation of a state over a record
@@ -22,9 +23,10 @@ LONG, STRETCH = 10_000, 3000  # rows from which on the likelihood searches a str
 def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
     """The records, or windows of the only one: the one that moves most, the least, and two between.
 
-    Of each of several its share, the stretch that moves most.
+    Of each of several its share, the stretch that moves most. ``most`` rows where each is a sample.
     """
     rows = sum(len(one) for one in records)
+    most *= min(records[0].substeps, MOST_STEPS)
     if rows <= most:
         return list(records)
     if len(records) > 1:

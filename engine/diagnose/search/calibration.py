@@ -103,7 +103,8 @@ def boldness(x: Array, expected: Array) -> Array:
     overall = float(total.sum() / max(int(n.sum()), 1))
     each = np.maximum((PRIOR * overall + total) / (PRIOR + n), 1.0)
     largest = np.where(tested, x / each, 0.0).max(axis=1)
-    left = float(largest.mean() / expected.mean())
+    # where draws never see anything, nothing can be too large beside them
+    left = float(largest.mean() / expected.mean()) if expected.any() else 1.0
     return np.asarray(each * max(left, 1.0))
 
 

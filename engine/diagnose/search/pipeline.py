@@ -17,8 +17,11 @@ from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import undetermined
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
+from engine.diagnose.search.rounds import settle
 from engine.diagnose.search.search import LATER, OUTLYING, Search, search
+from engine.diagnose.search.step_error import decides
 from engine.diagnose.search.verdict import PATCHES, patchwork, verdict_of
+from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done, whitening
 from engine.estimation.start import WarmStart
 from engine.filters.sigma_point import moment_path
@@ -39,13 +42,17 @@ Callback = Callable[[str, float], Any]
 
 @dataclass(frozen=True, eq=False)
 class Causes:
-    """The fitted base model, what was searched and found beyond it, and the verdict."""
+    """The fitted base model, what was searched and found beyond it, and the verdict.
+
+    ``coarse`` where the error of the steps may decide between names.
+    """
 
     base: QuasiFit
     setting: Setting
     search: Search
     verdict: Verdict
     notes: tuple[str, ...]
+    coarse: bool = False
 
 
 def find_causes(
@@ -105,6 +112,12 @@ def find_causes(
         found = other.search
         notes.append(other.note)
     clock.progress("contradictions", 0.0)
+    found, worth = _widened(found, series, setting)
+    if worth:
+        notes.append(
+            "What the steps of the model get wrong is worth as much as the lead of a name over others "
+            f"(2 x log-likelihood {worth:.0f}): those within it are not told apart."
+        )
     verdict = verdict_of(found, alpha)
     if patchwork(found, alpha):
         notes.append(
@@ -136,7 +149,28 @@ def find_causes(
         )
         verdict = Verdict.UNKNOWN
     clock.stop()
-    return Causes(base, setting, found, verdict, tuple(notes))
+    return Causes(base, setting, found, verdict, tuple(notes), worth > 0.0)
+
+
+def _widened(found: Search, series: Series, setting: Setting) -> tuple[Search, float]:
+    """The search with a first round that names all between which the error of the steps may decide.
+
+    And what that error is worth, 0 where it decides nothing.
+    """
+    named = [r for r in found.rounds if r.equivalent]
+    if not named or has_tails(found) or found.of_the_steps:
+        return found, 0.0
+    first, names = named[0], [r.refits[0].effect.name for r in named]
+    try:
+        worth = decides(first, names, found.final, series, setting)
+    except (EngineError, np.linalg.LinAlgError):
+        return found, 0.0
+    if not worth:
+        return found, 0.0
+    refits = [*first.refits, *([] if first.generic is None else [first.generic])]
+    wide = settle(first.screen, refits, series, setting, worth)
+    at = found.rounds.index(first)
+    return replace(found, rounds=(*found.rounds[:at], wide, *found.rounds[at + 1 :])), worth
 
 
 def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> str | None:

@@ -1,10 +1,11 @@
-"""Whether what a later round finds is an error of the steps that the model makes.
+"""Whether what is found is an error of the steps that the model makes.
 
-An effect acts step by step, half a push early. The model that was diagnosed may be exact at any step, and with
-the effect it no longer is: on a nearly noise-free record the remainder, a static function of the states that is
-in proportion to the step, passes for a further effect of sensors or states. Steps half as long get rid of half
-of it, and so of three quarters of what its likelihood ratio would be; of an effect that is there they leave
-all. The round before is then ranked anew by such steps, for the longer ones may have favoured one of its names.
+An effect acts step by step. The model that was diagnosed may be exact at any step, and with the effect it no
+longer is: what the steps get wrong, where friction turns within one or a user's effect is put in before it, is
+a static function of the states that is in proportion to the step. On a nearly noise-free record it passes for
+a further effect of sensors or states, or makes another name fit better. Steps half as long get rid of half of
+it, and so of three quarters of what its likelihood ratio would be; of an effect that is there they leave all.
+The round before is then ranked anew by such steps, for the longer ones may have favoured one of its names.
 """
 
 from __future__ import annotations
@@ -75,6 +76,24 @@ def ranked_anew(
             one = replace(one, gain=one.gain + more, score=one.score + more)
         refits.append(one)
     return settle(found.screen, refits, series, setting, max(MARGIN, within / 3.0))
+
+
+def decides(
+    found: Round, names: Sequence[str], fit: QuasiFit, series: Series, setting: Setting
+) -> float:
+    """What the error of the steps is worth, 2 x log-likelihood, where it may decide a first round; else 0.
+
+    ``fit`` is of the model with all effects that were found, ``names``. It may where it is worth as much as the
+    lead over others is.
+    """
+    model, theta = setting.model, np.asarray(fit.theta)
+    if not can_be_finer(setting, series, theta[: len(model.parameters)]):
+        return 0.0
+    finer, extended = _finer(model, names, fit, series)
+    worth = WHOLE * apart(fit.model, extended, theta, series, finer)
+    others = [one.score for one in found.refits if one not in found.equivalent]
+    lead = found.refits[0].score - max([0.0, *others])
+    return worth if worth > max(lead, MARGIN) else 0.0
 
 
 def _finer(

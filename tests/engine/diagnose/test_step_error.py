@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 from engine import Gaussian, MixedModel, Parameter, Series
+from engine.diagnose import Effect, register_effect
+from engine.diagnose.effects import catalogue
+from engine.diagnose.effects.effect import Split, on_base, pushed
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.substeps import can_be_finer
+from engine.statespace.promotion import promote
 
 DT = 0.05
 KINDS = ["drag", "cubic", "coulomb", "cubic-sensor", "gain", "saturation-sensor"]
@@ -43,7 +47,7 @@ DRIVE = MixedModel(
 )
 
 
-def measured(drag, bent, T=400, fine=20, seed=3):
+def measured(drag, bent, T=400, fine=20, seed=3, friction=0.0):
     """By another program: Euler steps twenty times shorter, a nearly noise-free sensor, ``bent`` or not."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.uniform(-6.0, 6.0, T), rng.integers(5, 30, T))[:T]
@@ -51,7 +55,8 @@ def measured(drag, bent, T=400, fine=20, seed=3):
     for t in range(T):
         y[t] = v - bent * v**3
         for _ in range(fine):
-            v += h * (u[t] - v - drag * v * abs(v)) + 0.01 * math.sqrt(h) * rng.standard_normal()
+            force = drag * v * abs(v) + friction * np.sign(v)
+            v += h * (u[t] - v - force) + 0.01 * math.sqrt(h) * rng.standard_normal()
     return Series(y + 1e-3 * rng.standard_normal(T), u=u, dt=DT)
 
 
@@ -59,16 +64,58 @@ def names(found):
     return [r.refits[0].effect.name for r in found.search.rounds if r.equivalent]
 
 
-@pytest.fixture(scope="module")
-def plain():
-    return find_causes(DRIVE, measured(0.1, 0.0), None, effects=KINDS, seed=1)
+def early_drag(setting, channel):
+    """As a user may write it: the whole push of a step before it, so that it is seen half a push early."""
+    name = f"early_{channel}"
+
+    def extend(model):
+        base, split = promote(model, (channel,)), Split(model)
+        row = [*base.nonlinear, *base.linear].index(channel)
+
+        def dynamics(a, u, t, dt, theta):
+            record, own = split(theta)
+            push = -dt * own[0] * a[:, row] * np.abs(a[:, row])
+            return pushed(base, {row: push}, a, u, t, dt, record)
+
+        return on_base(base, split, dynamics=dynamics)
+
+    size = Parameter(name, 0.0, setting.rate(channel))
+    return Effect("early-drag", channel, "state", "drag", "", (size,), extend)
 
 
-def test_what_shorter_steps_explain_is_not_named(plain):
-    assert names(plain) == ["drag:speed"]
-    assert plain.search.of_the_steps == "cubic-sensor:tacho"
-    assert any("what the steps get wrong" in note for note in plain.notes)
-    assert plain.verdict.value == "named"
+@pytest.fixture
+def registered():
+    register_effect("early-drag", early_drag, lambda setting: iter(setting.states))
+    yield
+    del catalogue._makers["early-drag"]
+
+
+def test_an_effect_beside_a_model_that_is_exact_leaves_nothing_behind():
+    """Drag comes half before a step, half after it; once a sensor with a cubic error was seen, too."""
+    found = find_causes(DRIVE, measured(0.1, 0.0), None, effects=KINDS, seed=1)
+    assert names(found) == ["drag:speed"]
+    assert found.verdict.value == "named"
+    assert not found.search.of_the_steps
+    assert not found.coarse
+
+
+@pytest.mark.usefixtures("registered")
+def test_what_shorter_steps_explain_is_not_named():
+    kinds = ["early-drag", *KINDS[1:]]
+    found = find_causes(DRIVE, measured(0.1, 0.0), None, effects=kinds, seed=1)
+    assert names(found) == ["early-drag:speed"]
+    assert found.search.of_the_steps == "cubic-sensor:tacho"
+    assert any("what the steps get wrong" in note for note in found.notes)
+
+
+def test_names_between_which_the_steps_may_decide_are_a_set():
+    """Friction that turns within a step: one that fades with speed fitted better and was named, LR 1171."""
+    kinds = ["coulomb", "stribeck", "drag"]
+    found = find_causes(DRIVE, measured(0.0, 0.0, friction=0.5), None, effects=kinds, seed=1)
+    assert found.coarse
+    assert "coulomb:speed" in [refit.effect.name for refit in found.search.rounds[0].equivalent]
+    assert found.verdict.value in ("set", "unknown")
+    assert any("those within it are not told apart" in note for note in found.notes)
 
 
 def test_a_second_effect_is_named_beside_the_first():

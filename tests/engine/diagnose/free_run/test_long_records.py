@@ -84,7 +84,7 @@ def test_derivatives_are_kept_where_residuals_change_as_they_foretell(monkeypatc
     monkeypatch.setattr(problem, "BENT", 0.0)
     anew = losses(fit, folds)
     assert 2 * few <= len(taken) - few
-    np.testing.assert_allclose(kept, anew, atol=1e-2)
+    np.testing.assert_allclose(kept, anew, atol=5e-2)
 
 
 def test_a_run_that_is_lost_ends_there():
