@@ -184,11 +184,18 @@ def add_to_state(
         push = half * _midway(rate, a, half, row)
         f, A, Q = pushed(base, {row: push}, a, u, t, dt, own_base)
         columns = [i for i, name in enumerate(base.nonlinear) if name in read]
-        if A[..., columns, :].any():
-            if not smooth:
-                return pushed(base, {row: dt * _midway(rate, a, dt, row)}, a, u, t, dt, own_base)
-            return *_pushed_linearly(rate, f, A, a, half, row, columns), Q
-        f[:, row] += half * _midway(rate, f[:, : base.na], half, row)
+        moved = np.broadcast_to(A[..., columns, :].any(axis=(-2, -1)), (len(a),))
+        if moved.any() and not smooth:
+            push = np.where(moved, dt * _midway(rate, a, dt, row), push)
+            f, A, Q = pushed(base, {row: push}, a, u, t, dt, own_base)
+        after = half * _midway(rate, f[:, : base.na], half, row)
+        if not moved.any():
+            f[:, row] += after
+        elif smooth:
+            linear, A = _pushed_linearly(rate, f, A, a, half, row, columns)
+            f[:, row] += np.where(moved, linear, after)
+        else:
+            f[:, row] += np.where(moved, 0.0, after)
         return f, A, Q
 
     return on_base(base, split, dynamics=dynamics)
@@ -210,7 +217,7 @@ def _midway(rate: Rate, a: Array, half: Any, row: int) -> Any:
 def _pushed_linearly(
     rate: Rate, f: Array, A: Array, a: Array, half: Any, row: int, columns: Sequence[int]
 ) -> tuple[Array, Array]:
-    """f and A after a push at the step's end, where linear states move what it depends on.
+    """A push (M,) at the step's end, and A after it, where linear states move what it depends on.
 
     There the rate is that at the step's beginning and its slopes by the ``columns`` of a times their way.
     """
@@ -223,12 +230,10 @@ def _pushed_linearly(
         slopes[k] = (rate(moved) - there) / (moved[:, i] - a[:, i])
         own = slopes[k] if i == row else own
     share = np.reshape(half * (1.0 + 0.5 * half * own), (-1, 1))  # midway of its own push
-    f, M = f.copy(), len(a)
-    f[:, row] += share[:, 0] * (there + np.einsum("km,mk->m", slopes, ways[:, columns]))
-    more = np.einsum("km,mkz->mz", slopes, np.broadcast_to(A, (M, *A.shape[-2:]))[:, columns])
-    A = np.array(np.broadcast_to(A, (M, *A.shape[-2:])))
-    A[:, row] += share * more
-    return f, A
+    push = share[:, 0] * (there + np.einsum("km,mk->m", slopes, ways[:, columns]))
+    A = np.array(np.broadcast_to(A, (len(a), *A.shape[-2:])))
+    A[:, row] += share * np.einsum("km,mkz->mz", slopes, A[:, columns])
+    return push, A
 
 
 def pushed(

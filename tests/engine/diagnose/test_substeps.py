@@ -9,7 +9,7 @@ import engine
 from engine.diagnose.effects.catalogue import all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.rates import guessed_points
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.records import Records
 from engine.diagnose.screening.time_scan import grid
 from engine.diagnose.search.substeps import are_too_long, is_consistent, is_enough, prepare
@@ -203,6 +203,39 @@ def test_the_error_of_an_effect_falls_with_the_square_of_the_step(name, own, lin
     assert (errors[0] < 0.1 * exact.std(axis=0)).all()
     assert (errors[1] < errors[0] / 2.5).all()
     assert (errors[2] < errors[1] / 2.5).all()
+
+
+@pytest.mark.parametrize("kind", ["drag", "stribeck", "coulomb", "hysteresis", "pole"])
+def test_rows_are_kept_apart_where_some_are_moved_by_linear_states(kind):
+    """A state that a linear one multiplies: it does not move where it is zero."""
+
+    def dynamics(a, u, t, dt, th):
+        A = np.zeros((len(a), 2, 1))
+        A[:, 0, 0], A[:, 1, 0] = dt * a[:, 0], 1.0
+        return np.stack([a[:, 0], np.zeros(len(a))], axis=1), A, dt * np.diag([0.1, 0.1])
+
+    model = engine.MixedModel(
+        name="multiplied",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 1)), [[0.1]]),
+        initial=lambda th: (engine.Gaussian([1.0], [[1.0]]), [0.0], [[1.0]]),
+        nonlinear={"x": "m"},
+        linear={"rate": "1/s"},
+        outputs={"y": "m"},
+        parameters=[],
+        continuous=True,
+    )
+    effect = make_effect(f"{kind}:x", Setting(model, dt=0.1, span=(0.0, 10.0)))
+    extended = effect.apply(model)
+    theta = extended.record([0.5, *(p.default for p in effect.parameters[1:])])
+    a = np.zeros((4, extended.na))
+    a[:, 0] = [0.0, 1.0, -2.0, 1e-3]
+    together = extended.transition(a, np.zeros(0), 0.0, 0.1, theta)
+    for m, row in enumerate(a):
+        alone = extended.transition(row[None], np.zeros(0), 0.0, 0.1, theta)
+        for one, every, dims in zip(alone, together, (1, 2, 2), strict=True):
+            own = every[m] if every.ndim > dims else every
+            np.testing.assert_allclose(one[0] if one.ndim > dims else one, own, rtol=1e-12)
 
 
 def slipping(n=200, dt=0.05):
