@@ -28,8 +28,8 @@ far worse.""",
 As documented: hysteresis with a state of its own, by Bouc and Wen with both its terms (gamma and delta). Its
 test error is a forty-third of the base's, a third of that of published black boxes (0.012 to 0.019 mm), and
 below the 0.0063 mm of the reference. Two steps a sample were chosen for what was found; the base model is exact
-with one. The direct path beside it is not in the truth: it is worth 0.009 mm where the force is 100 N, about what
-a step gets wrong of a force that goes straight from sample to sample.""",
+with one. The direct path beside it is not in the truth: it is worth 0.009 mm where the force is 100 N, about
+what a step gets wrong of a force that goes straight from sample to sample.""",
     "battery": """\
 Not as wanted. The stretch that the likelihood searches shows 5 of the 15 entries of the table, and one step
 ahead coloured noise of the reading beats the missing pair of R and C (`path:current->voltage`), which it
