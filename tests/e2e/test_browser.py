@@ -277,7 +277,8 @@ def test_a_diagnosis_leads_to_the_next_experiment(visit, address):
     assert bounds["states"] == {"position": [None, 3.0]}
     assert bounds["dt"] == pytest.approx(0.05)
     assert bounds["hold"] == "foh"
-    assert bounds["substeps"] == 1
+    diagnosed = httpx.get(f"{job}/results" if "://" in job else f"{address}{job}/results").json()
+    assert bounds["substeps"] == diagnosed["diagnosis"]["extension"]["model"]["setting"]["substeps"]
 
 
 def test_a_column_that_the_model_does_not_use_is_asked_about(visit, tmp_path):
