@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,8 @@ STRETCH = 60  # samples over which that is looked at
 TYPICAL = 0.03  # of what a state moves over a sample: what an effect does to it
 KINDS = ("force", "linear", "coupling", "drag", "cubic")  # effects that are looked at
 LOOKED_AT = 12  # samples
+# Another size of an effect is tried so often, each this share of the last at least, until one comes so close.
+SIZES_TRIED, LEAST_SHARE, CLOSE = 200, 1e-3, 1.5
 SHORT = 1.0 / 16.0  # of a sample: steps at which the order of the scheme shows
 FASTER, SLOWER = 0.4, 0.75  # an error of order h^2, of order h, falls below these where h is halved
 EXACT = 1e-8  # of a state's size: a difference that is rounding
@@ -254,13 +257,44 @@ def _sized(setting: Setting, theta: Array) -> list[tuple[Effect, float]]:
     base = np.array([step(model, theta, x[None], u, t, dt)[0] for x, u, t, dt in rows])
     moves = np.sqrt(np.mean((base - points.x) ** 2, axis=0))
     for effect in all_effects(setting, KINDS):
-        extended = effect.apply(model)
-        order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
         target = states.index(effect.channel.rpartition("->")[2])
-        own = np.array([*theta, 1.0, *effect.probes[0]])
-        ends = [step(extended, own, x[order][None], u, t, dt)[0] for x, u, t, dt in rows]
-        done = np.array(ends)[:, order.index(target)] - base[:, target]
-        size = float(np.sqrt(np.mean(done**2)))
-        if size > 0.0 and np.isfinite(size) and moves[target] > 0.0:
-            out.append((effect, TYPICAL * float(moves[target]) / size))
+        wanted = TYPICAL * float(moves[target])
+        if wanted > 0.0:
+            size = _reaching(wanted, _change(effect, setting, theta, rows, base[:, target]))
+            out += [] if size is None else [(effect, size)]
     return out
+
+
+def _change(
+    effect: Effect, setting: Setting, theta: Array, rows: list[tuple[Any, ...]], base: Array
+) -> Callable[[float], float]:
+    """What an effect of a size changes of a step of its state, root mean square, from ``base`` (n,)."""
+    extended = effect.apply(setting.model)
+    names = [*extended.nonlinear, *extended.linear]
+    order = [list(setting.states).index(name) for name in names]
+    row = names.index(effect.channel.rpartition("->")[2])
+
+    def change(size: float) -> float:
+        own = np.array([*theta, size, *effect.probes[0]])
+        ends = [step(extended, own, x[order][None], u, t, dt)[0, row] for x, u, t, dt in rows]
+        return float(np.sqrt(np.mean((np.array(ends) - base) ** 2)))
+
+    return change
+
+
+@np.errstate(all="ignore")  # sizes are tried that are far too large
+def _reaching(wanted: float, change: Callable[[float], float]) -> float | None:
+    """The size that changes so much, from 1; None where none is found.
+
+    What an effect does within a step may grow with its size faster than in proportion to it.
+    """
+    size = 1.0
+    for _ in range(SIZES_TRIED):
+        now = change(size)
+        if now == 0.0:
+            return None
+        if np.isfinite(now) and wanted / CLOSE <= now <= wanted * CLOSE:
+            return size * wanted / now
+        share = wanted / now if np.isfinite(now) else 0.0
+        size *= float(np.clip(share, LEAST_SHARE, 1.0 / LEAST_SHARE))
+    return None

@@ -12,6 +12,7 @@ from engine.diagnose.effects.rates import guessed_points
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.records import Records
 from engine.diagnose.screening.time_scan import grid
+from engine.diagnose.search import substeps
 from engine.diagnose.search.substeps import are_too_long, is_consistent, is_enough, prepare
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter
@@ -402,3 +403,43 @@ def test_steps_enough_for_the_model_may_be_too_few_for_what_was_found():
     measured = series.replace(y=run.y[fine.samples] + noise[:, None])
     assert not is_enough(model, theta, measured, 1)
     assert is_enough(model, theta, measured, 16)
+
+
+def heated(second):
+    """A room beside its wall as differential equations, in a unit of time that is 1 / ``second`` seconds."""
+
+    def drift(a, u, t, th):
+        none = np.zeros((len(a), 2))
+        f = none + [th.h * u[0] / second, 0.0]
+        return f, np.array([[-th.c, th.c], [0.1 * th.c, -0.1 * th.c]]) / second
+
+    return engine.continuous(
+        name="heated",
+        drift=drift,
+        diffusion=lambda a, u, t, th: np.diag([1e-6, 1e-8]) / second,
+        measurement=lambda a, u, t, th: (np.zeros((len(a), 1)), [[1.0, 0.0]], [[0.01]]),
+        initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), [20.0, 18.0], np.eye(2)),
+        linear={"air": "degC", "wall": "degC"},
+        inputs={"heater": "kW"},
+        outputs={"thermometer": "degC"},
+        parameters=[engine.Parameter("c", 1e-4), engine.Parameter("h", 2e-3)],
+    )
+
+
+def test_how_many_steps_are_enough_has_nothing_to_do_with_the_unit_of_time():
+    """An effect of size 1 in seconds is far too large for a step of five minutes: its error says nothing."""
+    u = np.repeat(np.random.default_rng(2).uniform(0.0, 2.0, 10), 12)
+    told = {}
+    for unit, second in (("s", 1.0), ("h", 1.0 / 3600.0)):
+        model = heated(second)
+        y = engine.simulate(
+            model, None, 120, np.random.default_rng(3), u=u, dt=300.0 * second
+        ).series.y
+        series = engine.Series(y, u, dt=300.0 * second)
+        setting = setting_for(model, series, np.asarray(model.theta()))
+        sizes = {e.size.name: s for e, s in substeps._sized(setting, np.asarray(model.theta()))}
+        told[unit] = sizes, substeps.choose(setting, series, np.asarray(model.theta()))
+    assert told["s"][1] == told["h"][1] == 1
+    force = told["s"][0]["force_air"]
+    assert told["h"][0]["force_air"] == pytest.approx(3600.0 * force, rel=1e-3)
+    assert told["h"][0]["drag_air"] == pytest.approx(3600.0 * told["s"][0]["drag_air"], rel=0.05)
