@@ -46,6 +46,23 @@ def noise_only(
     return out
 
 
+def inside(
+    model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series, path: MomentPath
+) -> NDArray[np.intp]:
+    """The parameters ``indices`` but those of the noise that stand at a bound.
+
+    There their score is not zero: the likelihood would go on to less noise than there can be. Projected out it
+    would be counted for, or against, an effect.
+    """
+    value = theta[indices]
+    bound = (value <= model.lower[indices]) | (value >= model.upper[indices])
+    if not bound.any():
+        return indices
+    out = bound.copy()
+    out[bound] = noise_only(model, theta, indices[bound], series, path)
+    return np.asarray(indices[~out])
+
+
 def apart(columns: Sequence[Column], noise: NDArray[np.bool_], readings: int) -> list[Column]:
     """Columns whose noise parameters have innovations of their own; ``readings`` T ny come first in v."""
     out = []

@@ -12,6 +12,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.noise_parameters import inside
 from engine.diagnose.screening.score_columns import Projection, effect_columns, parameter_columns
 from engine.diagnose.screening.screen import Screen, Test, make_test, screen
 from engine.diagnose.screening.tails import fit_tails, pit_of, standardised_errors, tail_test
@@ -43,9 +44,9 @@ def screen_effects(
     is left of it, smaller outliers and a cut, is no finding of its own.
     """
     model, theta = fit.model, np.asarray(fit.theta)
-    indices = model.free_indices(fit.free)
-    projection = Projection(parameter_columns(model, theta, indices, series))
     path = moment_path(model, theta, series)
+    indices = inside(model, theta, model.free_indices(fit.free), series, path)
+    projection = Projection(parameter_columns(model, theta, indices, series))
     errors = None
     if outliers is None:
         errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))
