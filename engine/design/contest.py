@@ -123,7 +123,7 @@ class Contest:
         statistic, simulated = _screened(screen, fits.size, len(left[-1]), rng)
         rivals = fits.rivals
         if screen is not None:
-            rivals = np.column_stack([screen.statistic(np.sqrt(x))[0] for x in rivals.T])
+            rivals = np.column_stack([screen.statistic(np.sqrt(x), rng)[0] for x in rivals.T])
         largest = np.maximum(statistic, rivals.max(axis=1, initial=0.0))
         seen = alarm.raised(largest, left[-1], simulated, seed)
         return float((demand.met(gained, fits.between).all(axis=1) & seen).mean())
@@ -175,7 +175,7 @@ def _screened(
     """Statistics (K,) of a screen of N readings, and (G, SERIES) of records simulated without a cause."""
     if screen is None:
         return size**2, rng.chisquare(1, size=(max(CALIBRATIONS), SERIES))
-    statistic, spectra = screen.statistic(size)
+    statistic, spectra = screen.statistic(size, rng)
     records = int(np.clip(NUMBERS // (SERIES * N), *CALIBRATIONS))
     middle = ((np.arange(records) + 0.5) / records * len(size)).astype(int)
     like = np.repeat(spectra[np.argsort(statistic)[middle]], SERIES, axis=0)

@@ -25,12 +25,14 @@ def test_one_scale_common_to_all_readings_explains_a_logarithm():
     v = np.full(N, 0.7)
     v -= adapts @ np.linalg.lstsq(adapts, v, rcond=None)[0]
     drawn = Residuals.drawn(WHITE, v, adapts, np.zeros((0, 5)), rng)
-    alone = drawn.power.sum(axis=1)[np.arange(50) % len(drawn.power)]
+    white = np.ones(drawn.noise.power.shape)
+    rest = drawn._left(drawn.noise, white)[0].sum(axis=1)
+    alone = rest[np.arange(50) % len(rest)]
     np.testing.assert_allclose(drawn.lost(x), N * np.log1p(x**2 / alone), rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(
-        drawn.statistic(x)[0], N * x**2 / (alone + x**2), rtol=1e-6, atol=1e-9
+        drawn.statistic(x, rng)[0], N * x**2 / (alone + x**2), rtol=1e-6, atol=1e-9
     )
-    assert drawn.power.sum(axis=1).mean() == pytest.approx(N - 5 - 1, abs=3.0)  # chi2 of the rest
+    assert rest.mean() == pytest.approx(N - 5 - 1, abs=3.0)  # chi2 of the rest
 
 
 def test_noise_that_is_not_estimated_explains_nothing():
@@ -56,14 +58,15 @@ def test_the_spectrum_gives_what_whole_matrices_give():
         )
         v = np.sin(np.arange(N) / 4.0)
         drawn = Residuals.drawn(one, v, np.ones((N, 1)), np.zeros((0, 1)), np.random.default_rng(4))
-        left = np.random.default_rng(4).standard_normal((len(drawn.power), N))
-        left -= left.mean(axis=1, keepdims=True)
+        left = np.random.default_rng(4).standard_normal((len(drawn.noise.power), N))
         unit = v / np.linalg.norm(v)
         left -= np.outer(left @ unit, unit)
 
         def f(log_w, r, A=A, N=N):
             C = np.eye(N) + (np.exp(log_w) - 1.0) * A
-            return np.linalg.slogdet(C)[1] + r @ np.linalg.inv(C) @ r
+            inverse, ones = np.linalg.inv(C), np.ones(N)
+            follows = (ones @ inverse @ r) ** 2 / (ones @ inverse @ ones)
+            return np.linalg.slogdet(C)[1] + r @ inverse @ r - follows
 
         x, near = np.array([2.0, 4.0, 8.0]), []
         for k in range(3):
@@ -139,9 +142,9 @@ def test_noise_that_the_mean_adapted_to_is_estimated_low_and_makes_tests_bold():
     plain, bold, known = (
         r.simulated(np.tile(spectrum, (3000, 1)), rng).mean() for r in (free, adapts, held)
     )
-    assert plain == pytest.approx(1.0, abs=0.15)
+    assert plain == pytest.approx(1.2, abs=0.15)  # what it has in common with the noise by chance
     assert bold > 1.15 * plain
-    assert known == pytest.approx(plain, abs=0.12)  # an earlier record leaves nothing to adapt to
+    assert known == pytest.approx(plain, abs=0.15)  # an earlier record leaves nothing to adapt to
 
 
 def _of_chi2(times: float = 1.0) -> np.ndarray:
