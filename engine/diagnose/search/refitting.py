@@ -24,6 +24,7 @@ from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Array
 
 REFITS = 12  # effects refitted in a round
+MORE_REFITS = 24  # where a statistic is above the number of readings: so large an effect bends all scores
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
 AT_LEAST = 8  # ... unless it is among the first few: large effects bend the scores of others
 AGAIN = (
@@ -158,9 +159,10 @@ def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list
     worth = {s.effect.name: s.statistic - cost(s.effect, series) for s in named}
     named.sort(key=lambda s: -worth[s.effect.name])
     best = worth[named[0].effect.name] if named else 0.0
+    most = REFITS if best <= series.observed.sum() else MORE_REFITS
     chosen = [
         s
-        for i, s in enumerate(named[:REFITS])
+        for i, s in enumerate(named[:most])
         if i < AT_LEAST or worth[s.effect.name] >= WORTH * best
     ]
     chosen += [s for s in seen.scores if s.effect.name in asked and s not in chosen]

@@ -409,8 +409,7 @@ def heated(second):
     """A room beside its wall as differential equations, in a unit of time that is 1 / ``second`` seconds."""
 
     def drift(a, u, t, th):
-        none = np.zeros((len(a), 2))
-        f = none + [th.h * u[0] / second, 0.0]
+        f = np.tile([th.h * u[0] / second, 0.0], (len(a), 1))
         return f, np.array([[-th.c, th.c], [0.1 * th.c, -0.1 * th.c]]) / second
 
     return engine.continuous(
