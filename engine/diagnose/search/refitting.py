@@ -24,7 +24,8 @@ from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Array
 
 REFITS = 12  # effects refitted in a round
-MORE_REFITS = 24  # where a statistic is above the number of readings: so large an effect bends all scores
+# Where a statistic is above the number of readings: so large an effect bends all scores.
+MORE_REFITS = 24
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
 AT_LEAST = 8  # ... unless it is among the first few: large effects bend the scores of others
 AGAIN = (
