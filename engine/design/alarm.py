@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.diagnose.screening.screen import CLEARLY_HEAVIER
 from engine.diagnose.search.calibration import (
     BOLDEST,
     CLEARLY,
@@ -26,6 +25,8 @@ from engine.statespace.model import Array
 
 AGAIN = 4  # drawings of a calibration, from its own simulated records and its neighbours'
 MOST_TESTS = 40  # of a calibration that is drawn
+CLEAREST = 1e9  # statistic, above which all is clear
+LEAST_NOISE = 0.1  # of what is left of a record, beside an effect that is nearly all of it
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ class Alarm:
         ``v`` (N,) is the effect's footprint on N readings. ``simulated`` (G, SERIES) are its statistics in
         simulated records without it, for G records like those given, from the lowest statistic to the highest.
         """
-        few, many = self._boldness(simulated, np.random.default_rng([seed, 1]))
+        rng = np.random.default_rng([seed, 1])
+        few, many = self._boldness(simulated, rng)
         rank = np.argsort(np.argsort(statistic, kind="stable"))
         group = rank * len(few) // len(statistic)
         single = np.maximum(chi2_sf(statistic, 1) * _heavier(statistic, v), 1e-300)
@@ -78,14 +80,23 @@ class Alarm:
 def _heavier(statistic: Array, v: Array) -> Array:
     """How much heavier than chi2 the tail of multiplier draws is that keep the size of every reading's score.
 
-    Of scores v_t z_t, z_t = e_t + size v_t, random signs make sums with the variance sum v_t^2 z_t^2, and not
-    sum v_t^2: more by (statistic - 1) sum v_t^4 / (sum v_t^2)^2, as a share. An effect that few readings show
-    is seen with care (:mod:`engine.diagnose.screening.screen`).
+    Of scores w_t = u_t z_t, u = v / |v|, z = (I - u u') e + sqrt(statistic) u, random signs make sums with the
+    variance V = sum w_t^2, and not 1, on average. Where few of them count their tail is shorter than a normal
+    one's (Cornish, Fisher 1938), and ends where all of these agree. An effect that few readings show is seen
+    with care (:mod:`engine.diagnose.screening.screen`).
     """
-    power = float((v**2).sum())
-    share = float((v**4).sum()) / power**2 if power > 0.0 else 0.0
-    usual = float(chi2_isf(LEVEL, 1))
-    edge = usual * (1.0 + np.maximum(statistic - 1.0, 0.0) * share)
-    edge = np.minimum(edge, np.maximum(statistic, usual))  # where all signs agree
-    heavier = LEVEL / np.maximum(chi2_sf(edge, 1), 1e-300)
-    return np.where(heavier > CLEARLY_HEAVIER, heavier, 1.0)
+    size = float(np.linalg.norm(v))
+    if not size > 0.0:
+        return np.ones_like(statistic)
+    statistic = np.minimum(statistic, CLEAREST)
+    u2 = (v / size) ** 2
+    four, six, eight = (float((u2**k).sum()) for k in (2, 3, 4))
+    noise = np.maximum(
+        1.0 - statistic / len(u2), LEAST_NOISE
+    )  # of z, whose squares have the mean 1
+    V = np.maximum(noise * (1.0 - four) + statistic * four, 1e-12)
+    fourth = 3.0 * noise**2 * (four - 2.0 * six + eight) + 6.0 * noise * statistic * (six - eight)
+    alike = np.clip(fourth / V**2 + eight * (statistic / V) ** 2, 1e-9, 1.0)  # 1 / those that count
+    q = float(np.sqrt(chi2_isf(LEVEL, 1)))
+    edge = V * np.minimum((q - alike * (q**3 - 3.0 * q) / 12.0) ** 2, 1.0 / alike)
+    return np.asarray(LEVEL / np.maximum(chi2_sf(edge, 1), 1e-300))
