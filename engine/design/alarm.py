@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.diagnose.screening.screen import CLEARLY_HEAVIER
 from engine.diagnose.search.calibration import (
     BOLDEST,
     CLEARLY,
@@ -53,12 +54,15 @@ class Alarm:
         few, many = self._boldness(simulated, rng)
         rank = np.argsort(np.argsort(statistic, kind="stable"))
         group = rank * len(few) // len(statistic)
-        single = np.maximum(chi2_sf(statistic, 1) * _heavier(statistic, v), 1e-300)
-        clear = self.tests * single ** (1.0 / BOLDEST) <= LEVEL
-        first, last = (self.tests * single ** (1.0 / b[group]) for b in (few, many))
+        heavier = _heavier(statistic, v)
+        known = heavier > CLEARLY_HEAVIER  # the screen then counts it, and calibrates the product
+        single = np.maximum(chi2_sf(statistic, 1) * np.where(known, heavier, 1.0), 1e-300)
+        tests = self.tests * np.where(known, 1.0, heavier)
+        clear = tests * single ** (1.0 / BOLDEST) <= LEVEL
+        first, last = (tests * single ** (1.0 / b[group]) for b in (few, many))
         open_ = (first < CLEARLY * LEVEL) & (first > LEVEL / CLEARLY)
         said = np.where(open_, last, first) <= LEVEL
-        return np.asarray((self.tests * single <= LEVEL) & (clear | said))
+        return np.asarray((tests * single <= LEVEL) & (clear | said))
 
     def _boldness(self, simulated: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Boldness after the fewest and after all simulated records, (AGAIN G,) each, record by record."""
@@ -91,9 +95,8 @@ def _heavier(statistic: Array, v: Array) -> Array:
     statistic = np.minimum(statistic, CLEAREST)
     u2 = (v / size) ** 2
     four, six, eight = (float((u2**k).sum()) for k in (2, 3, 4))
-    noise = np.maximum(
-        1.0 - statistic / len(u2), LEAST_NOISE
-    )  # of z, whose squares have the mean 1
+    # of z, whose squares have the mean 1
+    noise = np.maximum(1.0 - statistic / len(u2), LEAST_NOISE)
     V = np.maximum(noise * (1.0 - four) + statistic * four, 1e-12)
     fourth = 3.0 * noise**2 * (four - 2.0 * six + eight) + 6.0 * noise * statistic * (six - eight)
     alike = np.clip(fourth / V**2 + eight * (statistic / V) ** 2, 1e-9, 1.0)  # 1 / those that count
