@@ -12,8 +12,12 @@ from engine.design.contest import Demand, contest, demand_of
 from engine.design.noise import NoiseRoom, noise_room
 from engine.design.residuals import Residuals
 from engine.design.runs import Experiments, linearised
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.screening.screening import screen_effects
 from engine.diagnose.search.calibration import SERIES
 from engine.distributions import chi2_sf
+from engine.estimation.quasi_ml import quasi_ml
+from engine.simulation.simulate import simulate
 from tests.engine.design.models_for_design import CAUSES, drive
 
 WHITE = NoiseRoom(np.eye(80), np.ones((1, 80)), np.ones(1, dtype=bool))
@@ -145,6 +149,27 @@ def test_noise_that_the_mean_adapted_to_is_estimated_low_and_makes_tests_bold():
     assert plain == pytest.approx(1.2, abs=0.15)  # what it has in common with the noise by chance
     assert bold > 1.15 * plain
     assert known == pytest.approx(plain, abs=0.15)  # an earlier record leaves nothing to adapt to
+
+
+def test_statistics_that_are_drawn_are_those_of_a_screen():
+    """Also what noise parameters have in common with the effect, by chance, which a screen takes out of it."""
+    N, model, u = 60, drive(), np.repeat(np.random.default_rng(5).uniform(-6, 6, (1, 12, 1)), 5, 1)
+    q = before_any(model, CAUSES, None, 0.1, None)
+    own = contest(
+        0, q.candidates, q.base, Experiments.of(u, 0.1, "zoh", 1), np.ones((N, 1), bool), True, {}
+    )
+    left, rng = own.at(N)[1], np.random.default_rng(0)
+    size = np.sqrt(own.distance(N)[-1]) + rng.standard_normal(400)
+    drawn, _ = own.residuals(len(left) - 1, N, left[-1], rng).statistic(size, rng)
+    true, said = q.candidates[0], []
+    for k in range(24):
+        rng = np.random.default_rng([1, k])
+        series = simulate(true.model, true.theta, N, rng, u=u[0], dt=0.1).series
+        fit = quasi_ml(model, series, None, None)
+        setting = setting_for(model, series, np.asarray(fit.theta))
+        seen = screen_effects(fit, series, setting, ["drag"], 0.05, 0, lambda stage, share: None)
+        said.append(seen.scores[0].statistic)
+    assert np.mean(drawn) == pytest.approx(np.mean(said), rel=0.25)  # a third less without that
 
 
 def _of_chi2(times: float = 1.0) -> np.ndarray:
