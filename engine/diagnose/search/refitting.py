@@ -31,6 +31,7 @@ AT_LEAST = 8  # ... unless it is among the first few: large effects bend the sco
 AGAIN = (
     0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
 )
+TIED = 1e-6  # share of a statistic: rounding, and so units, may not decide which of two is refitted
 REACH = 0.5  # of the best score: a refit left half-way that has this much is taken up again
 
 # Of refitting a round: the first refits, and those followed to their end; the choice is finished then.
@@ -161,15 +162,21 @@ def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list
     named.sort(key=lambda s: -worth[s.effect.name])
     best = worth[named[0].effect.name] if named else 0.0
     most = REFITS if best <= series.observed.sum() else MORE_REFITS
-    chosen = [
-        s
-        for i, s in enumerate(named[:most])
-        if i < AT_LEAST or worth[s.effect.name] >= WORTH * best
-    ]
+    values = [worth[s.effect.name] for s in named]
+    first, most = _with_ties(values, AT_LEAST), _with_ties(values, most)
+    chosen = [s for i, s in enumerate(named[:most]) if i < first or values[i] >= WORTH * best]
     chosen += [s for s in seen.scores if s.effect.name in asked and s not in chosen]
     tails = [s for s in seen.scores if s.effect.traits.outliers and s.p_value < TAILS_ALARM]
     chosen += [s for s in tails if s not in chosen]
     return chosen + [s for s in seen.scores if s.effect.traits.unnamed and s.statistic > 0.0][:2]
+
+
+def _with_ties(values: Sequence[float], n: int) -> int:
+    """How many of these, from the largest, are the first n and those that rounding alone puts behind."""
+    if len(values) <= n:
+        return len(values)
+    least = values[n - 1] - TIED * abs(values[n - 1])
+    return sum(value >= least for value in values)
 
 
 def _made(compute: Callable[[], Refit]) -> Refit | None:

@@ -7,7 +7,7 @@ import engine
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.screening import screen_effects
-from engine.diagnose.search.refitting import REFITS, _worth_refitting
+from engine.diagnose.search.refitting import REFITS, _with_ties, _worth_refitting
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.diagnose.test_substeps import heated
 
@@ -35,6 +35,12 @@ def test_more_are_refitted_where_the_effect_is_larger_than_the_noise(leaking):
     assert "linear:wall" in chosen
     place = sorted(seen.scores, key=lambda s: -s.statistic)
     assert [s.effect.name for s in place].index("linear:wall") >= REFITS  # it scores low
+
+
+def test_rounding_does_not_decide_which_are_refitted():
+    """A constant force is Coulomb friction of a state that never turns: their scores are the same."""
+    values = [9.0, 7.0, 5.0, 5.0 * (1.0 - 1e-10), 5.0 * (1.0 - 1e-9), 4.9]
+    assert [_with_ties(values, n) for n in (1, 2, 3, 4, 6, 8)] == [1, 2, 5, 5, 6, 6]
 
 
 @pytest.mark.slow
