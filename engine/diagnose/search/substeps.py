@@ -290,11 +290,13 @@ def _reaching(wanted: float, change: Callable[[float], float]) -> float | None:
     """
     size = 1.0
     for _ in range(SIZES_TRIED):
-        now = change(size)
-        if now == 0.0:
-            return None
-        if np.isfinite(now) and wanted / CLOSE <= now <= wanted * CLOSE:
-            return size * wanted / now
-        share = wanted / now if np.isfinite(now) else 0.0
+        now = np.float64(change(size))
+        if wanted / CLOSE <= now <= wanted * CLOSE:
+            return float(size * wanted / now)
+        share = (
+            wanted / now if np.isfinite(now) else 0.0
+        )  # without end where it is lost in rounding
         size *= float(np.clip(share, LEAST_SHARE, 1.0 / LEAST_SHARE))
+        if not 0.0 < size < np.inf:
+            break
     return None

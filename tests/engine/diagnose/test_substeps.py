@@ -442,3 +442,15 @@ def test_how_many_steps_are_enough_has_nothing_to_do_with_the_unit_of_time():
     force = told["s"][0]["force_air"]
     assert told["h"][0]["force_air"] == pytest.approx(3600.0 * force, rel=1e-3)
     assert told["h"][0]["drag_air"] == pytest.approx(3600.0 * told["s"][0]["drag_air"], rel=0.05)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-3, 1.0, 1e30])
+def test_a_size_is_found_whatever_its_unit(scale):
+    """Above rounding, and below what overflows; of an effect that does nothing there is none."""
+
+    def change(size):
+        own = size * scale
+        return float(1.0 + np.expm1(own) - 1.0) if own < 700.0 else np.inf  # lost below 1e-16
+
+    assert substeps._reaching(0.02, change) * scale == pytest.approx(0.02, rel=0.05)
+    assert substeps._reaching(0.02, lambda size: 0.0) is None
