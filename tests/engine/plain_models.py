@@ -182,3 +182,23 @@ def referred(model, values=None):
     """The model with the zero of every channel declared."""
     names = [*model.nonlinear, *model.linear, *model.inputs, *model.outputs]
     return replace(model, reference=dict.fromkeys(names, 0.0) | dict(values or {}))
+
+
+def heated(second):
+    """A room beside its wall as differential equations, in a unit of time that is 1 / ``second`` seconds."""
+
+    def drift(a, u, t, th):
+        f = np.tile([th.h * u[0] / second, 0.0], (len(a), 1))
+        return f, np.array([[-th.c, th.c], [0.1 * th.c, -0.1 * th.c]]) / second
+
+    return engine.continuous(
+        name="heated",
+        drift=drift,
+        diffusion=lambda a, u, t, th: np.diag([1e-6, 1e-8]) / second,
+        measurement=lambda a, u, t, th: (np.zeros((len(a), 1)), [[1.0, 0.0]], [[0.01]]),
+        initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), [20.0, 18.0], np.eye(2)),
+        linear={"air": "degC", "wall": "degC"},
+        inputs={"heater": "kW"},
+        outputs={"thermometer": "degC"},
+        parameters=[engine.Parameter("c", 1e-4), engine.Parameter("h", 2e-3)],
+    )

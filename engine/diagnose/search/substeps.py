@@ -293,9 +293,8 @@ def _reaching(wanted: float, change: Callable[[float], float]) -> float | None:
         now = np.float64(change(size))
         if wanted / CLOSE <= now <= wanted * CLOSE:
             return float(size * wanted / now)
-        share = (
-            wanted / now if np.isfinite(now) else 0.0
-        )  # without end where it is lost in rounding
+        # without end where the change is lost in rounding
+        share = wanted / now if np.isfinite(now) else 0.0
         size *= float(np.clip(share, LEAST_SHARE, 1.0 / LEAST_SHARE))
         if not 0.0 < size < np.inf:
             break

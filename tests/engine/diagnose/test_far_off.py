@@ -9,7 +9,7 @@ from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.screening import screen_effects
 from engine.diagnose.search.refitting import REFITS, _with_ties, _worth_refitting
 from engine.estimation.quasi_ml import quasi_ml
-from tests.engine.diagnose.test_substeps import heated
+from tests.engine.plain_models import heated
 
 KINDS = ["drag", "cubic", "linear", "force", "lag", "coupling", "coulomb", "hysteresis", "pole"]
 

@@ -16,7 +16,7 @@ from engine.diagnose.search import substeps
 from engine.diagnose.search.substeps import are_too_long, is_consistent, is_enough, prepare
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter
-from tests.engine.plain_models import pendulum
+from tests.engine.plain_models import heated, pendulum
 
 
 def swings(n=120, dt=0.08, seed=3):
@@ -403,26 +403,6 @@ def test_steps_enough_for_the_model_may_be_too_few_for_what_was_found():
     measured = series.replace(y=run.y[fine.samples] + noise[:, None])
     assert not is_enough(model, theta, measured, 1)
     assert is_enough(model, theta, measured, 16)
-
-
-def heated(second):
-    """A room beside its wall as differential equations, in a unit of time that is 1 / ``second`` seconds."""
-
-    def drift(a, u, t, th):
-        f = np.tile([th.h * u[0] / second, 0.0], (len(a), 1))
-        return f, np.array([[-th.c, th.c], [0.1 * th.c, -0.1 * th.c]]) / second
-
-    return engine.continuous(
-        name="heated",
-        drift=drift,
-        diffusion=lambda a, u, t, th: np.diag([1e-6, 1e-8]) / second,
-        measurement=lambda a, u, t, th: (np.zeros((len(a), 1)), [[1.0, 0.0]], [[0.01]]),
-        initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), [20.0, 18.0], np.eye(2)),
-        linear={"air": "degC", "wall": "degC"},
-        inputs={"heater": "kW"},
-        outputs={"thermometer": "degC"},
-        parameters=[engine.Parameter("c", 1e-4), engine.Parameter("h", 2e-3)],
-    )
 
 
 def test_how_many_steps_are_enough_has_nothing_to_do_with_the_unit_of_time():
