@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.design.residuals import FEWEST as FEWEST_DRAWN
+from engine.design.residuals import MOST, NUMBERS
 from engine.diagnose.screening.screen import CLEARLY_HEAVIER
 from engine.diagnose.search.calibration import (
     BOLDEST,
@@ -44,17 +46,20 @@ class Alarm:
         """Number of independent tests that have this threshold together."""
         return max(LEVEL / float(chi2_sf(self.threshold, 1)), 1.0)
 
-    def raised(self, statistic: Array, v: Array, simulated: Array, seed: int) -> NDArray[np.bool_]:
+    def raised(
+        self, statistic: Array, v: Array, shared: Array, simulated: Array, seed: int
+    ) -> NDArray[np.bool_]:
         """Which of the statistics (K,) of a screen raise one.
 
-        ``v`` (N,) is the effect's footprint on N readings. ``simulated`` (G, SERIES) are its statistics in
-        simulated records without it, for G records like those given, from the lowest statistic to the highest.
+        ``v`` (N,) is the effect's footprint on N readings, of whose information noise parameters have a part
+        ``shared`` (K,). ``simulated`` (G, SERIES) are its statistics in simulated records without it, for G
+        records like those given, from the lowest statistic to the highest.
         """
         rng = np.random.default_rng([seed, 1])
         few, many = self._boldness(simulated, rng)
         rank = np.argsort(np.argsort(statistic, kind="stable"))
         group = rank * len(few) // len(statistic)
-        heavier = _heavier(statistic, v)
+        heavier = _heavier(statistic, v, shared, rng)
         known = heavier > CLEARLY_HEAVIER  # the screen then counts it, and calibrates the product
         single = np.maximum(chi2_sf(statistic, 1) * np.where(known, heavier, 1.0), 1e-300)
         tests = self.tests * np.where(known, 1.0, heavier)
@@ -81,25 +86,37 @@ class Alarm:
         return tuple(np.array(out).T)
 
 
-def _heavier(statistic: Array, v: Array) -> Array:
+def _heavier(statistic: Array, v: Array, shared: Array, rng: np.random.Generator) -> Array:
     """How much heavier than chi2 the tail of multiplier draws is that keep the size of every reading's score.
 
-    Of scores w_t = u_t z_t, u = v / |v|, z = (I - u u') e + sqrt(statistic) u, random signs make sums with the
-    variance V = sum w_t^2, and not 1, on average. Where few of them count their tail is shorter than a normal
-    one's (Cornish, Fisher 1938), and ends where all of these agree. An effect that few readings show is seen
-    with care (:mod:`engine.diagnose.screening.screen`).
+    Of scores w_t, whose sum squared is the statistic T,
+
+        w_t = u_t z_t,    z = (I - u u') e + sqrt(T) u,    u = sqrt(1 - q) v / |v| - sqrt(q) d,
+
+    e white and q the part of the effect's information that noise parameters have ``shared`` with it by chance,
+    along a d of past noise that is projected out, random signs make sums with the variance V = sum w_t^2. Where
+    few of them count their tail is shorter than a normal one's (Cornish, Fisher 1938), and ends where all of
+    these agree. An effect that few readings show is seen with care (:mod:`engine.diagnose.screening.screen`).
     """
-    size = float(np.linalg.norm(v))
+    N, size = len(v), float(np.linalg.norm(v))
     if not size > 0.0:
         return np.ones_like(statistic)
-    statistic = np.minimum(statistic, CLEAREST)
-    u2 = (v / size) ** 2
-    four, six, eight = (float((u2**k).sum()) for k in (2, 3, 4))
-    # of z, whose squares have the mean 1
-    noise = np.maximum(1.0 - statistic / len(u2), LEAST_NOISE)
-    V = np.maximum(noise * (1.0 - four) + statistic * four, 1e-12)
-    fourth = 3.0 * noise**2 * (four - 2.0 * six + eight) + 6.0 * noise * statistic * (six - eight)
-    alike = np.clip(fourth / V**2 + eight * (statistic / V) ** 2, 1e-9, 1.0)  # 1 / those that count
-    q = float(np.sqrt(chi2_isf(LEVEL, 1)))
-    edge = V * np.minimum((q - alike * (q**3 - 3.0 * q) / 12.0) ** 2, 1.0 / alike)
+    K = int(np.clip(NUMBERS // N, FEWEST_DRAWN, MOST))
+    e, d = rng.standard_normal((2, K, N))
+    d -= np.outer(d @ v, v / size**2)
+    d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300)
+    T = np.minimum(statistic, CLEAREST)
+    noise = np.sqrt(np.maximum(1.0 - T / N, LEAST_NOISE))  # of z, whose squares have the mean 1
+    V, alike = np.empty_like(T), np.empty_like(T)
+    for start in range(0, len(T), K):
+        k = slice(start, start + K)
+        n, q = len(T[k]), shared[k, None]
+        u = np.sqrt(1.0 - q) * v / size - np.sqrt(q) * d[:n]
+        along = np.sqrt(T[k]) - noise[k] * (e[:n] * u).sum(axis=1)
+        squares = (u * (noise[k, None] * e[:n] + along[:, None] * u)) ** 2
+        V[k] = squares.sum(axis=1)
+        alike[k] = (squares**2).sum(axis=1) / np.maximum(V[k], 1e-300) ** 2  # 1 / those that count
+    normal = float(np.sqrt(chi2_isf(LEVEL, 1)))
+    alike = np.clip(alike, 1e-9, 1.0)
+    edge = V * np.minimum((normal - alike * (normal**3 - 3.0 * normal) / 12.0) ** 2, 1.0 / alike)
     return np.asarray(LEVEL / np.maximum(chi2_sf(edge, 1), 1e-300))

@@ -18,7 +18,7 @@ from engine.design.alarm import Alarm
 from engine.design.candidates import Candidate
 from engine.design.criterion import adaptation, adapted, precision, square_root, whiten
 from engine.design.noise import NoiseRoom, noise_room
-from engine.design.residuals import NUMBERS, Residuals
+from engine.design.residuals import NUMBERS, Residuals, Scores
 from engine.design.runs import Experiments, linearised
 from engine.diagnose.search.calibration import SERIES
 from engine.diagnose.search.likeness import NEEDED, SAME, TIE, contains
@@ -120,12 +120,12 @@ class Contest:
                 lost = noisy.lost(np.sqrt(np.maximum(fits.ratio[:, k], 0.0)))
                 gained[:, k] = np.where(fits.ratio[:, k] > 0.0, lost, fits.ratio[:, k])
         screen = self.residuals(gained.shape[1], n, left[-1], rng)
-        statistic, simulated = _screened(screen, fits.size, len(left[-1]), rng)
+        scores, simulated = _screened(screen, fits.size, len(left[-1]), rng)
         rivals = fits.rivals
         if screen is not None:
-            rivals = np.column_stack([screen.statistic(np.sqrt(x), rng)[0] for x in rivals.T])
-        largest = np.maximum(statistic, rivals.max(axis=1, initial=0.0))
-        seen = alarm.raised(largest, left[-1], simulated, seed)
+            rivals = np.column_stack([screen.scores(np.sqrt(x), rng).statistic for x in rivals.T])
+        largest = np.maximum(scores.statistic, rivals.max(axis=1, initial=0.0))
+        seen = alarm.raised(largest, left[-1], scores.shared, simulated, seed)
         return float((demand.met(gained, fits.between).all(axis=1) & seen).mean())
 
 
@@ -171,15 +171,16 @@ class Fits:
 
 def _screened(
     screen: Residuals | None, size: Array, N: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Statistics (K,) of a screen of N readings, and (G, SERIES) of records simulated without a cause."""
+) -> tuple[Scores, Array]:
+    """K scores of a screen of N readings, and statistics (G, SERIES) of records simulated without a cause."""
     if screen is None:
-        return size**2, rng.chisquare(1, size=(max(CALIBRATIONS), SERIES))
-    statistic, spectra = screen.statistic(size, rng)
+        known = Scores(size**2, np.zeros(len(size)), np.zeros((len(size), 0)))
+        return known, rng.chisquare(1, size=(max(CALIBRATIONS), SERIES))
+    scores = screen.scores(size, rng)
     records = int(np.clip(NUMBERS // (SERIES * N), *CALIBRATIONS))
     middle = ((np.arange(records) + 0.5) / records * len(size)).astype(int)
-    like = np.repeat(spectra[np.argsort(statistic)[middle]], SERIES, axis=0)
-    return statistic, screen.simulated(like, rng).reshape(-1, SERIES)
+    like = np.repeat(scores.d[np.argsort(scores.statistic)[middle]], SERIES, axis=0)
+    return scores, screen.simulated(like, rng).reshape(-1, SERIES)
 
 
 def contest(

@@ -48,6 +48,7 @@ FARTHEST = 12.0  # log w, either way
 AT_BOUND = -6.0  # log w below which a noise counts as none, and is not estimated
 SETTLED = 0.002  # share of C by which a last step changes it
 SMALL = 1e-6  # ridge of the information, as a share
+MOST_SHARED = 0.99  # of an effect's information
 DEPENDENT = 1e-6  # singular value below which a sensitivity is made of others
 
 
@@ -62,6 +63,18 @@ class Fitted:
     f: Array
     beta: Array
     free: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Score tests of D records: ``statistic`` (D,), beside the spectra ``d`` (D, B) of C.
+
+    ``shared`` (D,) is the part of an effect's information that noise parameters have taken by chance.
+    """
+
+    statistic: Array
+    shared: Array
+    d: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,11 +167,10 @@ class Residuals:
         there: Array = self.fitted(self.noise.plus(x, self.gram)).f
         return np.maximum(there - alone, 0.0)
 
-    def statistic(self, x: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """The statistics (D,) of a score test for effects of these sizes, and the spectra (D, B) of C."""
+    def scores(self, x: Array, rng: np.random.Generator) -> Scores:
+        """Score tests of effects of these sizes (D,)."""
         y = self.noise.plus(x, self.gram)
-        fit = self.fitted(y)
-        return self._score(y, fit, rng), fit.d
+        return self._scores(y, self.fitted(y), rng)
 
     def simulated(self, d: Array, rng: np.random.Generator) -> Array:
         """The statistic (D,) in a record without the effect for each spectrum (D, B), estimated again."""
@@ -167,10 +179,10 @@ class Residuals:
         for k in range(0, len(d), at_once):
             rows = self.parts.drawn(d[k : k + at_once], len(self.columns) - N, rng)
             y = self.parts.sums(rows, self.columns)
-            out.append(self._score(y, self.fitted(y), rng))
+            out.append(self._scores(y, self.fitted(y), rng).statistic)
         return np.concatenate(out)
 
-    def _score(self, y: Sums, fit: Fitted, rng: np.random.Generator) -> Array:
+    def _scores(self, y: Sums, fit: Fitted, rng: np.random.Generator) -> Scores:
         weights, own = 1.0 / fit.d, self.gram[:, 1:, 1:]
         with_Q = weights @ self.gram[:, 1:, 0]
         follows = _solved(np.tensordot(weights, own, axes=1), with_Q)
@@ -178,9 +190,9 @@ class Residuals:
         r_v = y.products[..., 0] - fit.beta @ self.gram[:, 1:, 0].T
         r_Q = y.products[..., 1:] - np.einsum("dq,bqr->dbr", fit.beta, own)
         along = weights * (r_v - _times(r_Q, follows))  # v~' C^{-1} r, part by part
-        norm = np.maximum(power - self._by_chance(along, power, fit, rng), 0.0)
-        score: Array = along.sum(axis=1) ** 2 / (norm + 1e-300)
-        return score
+        shared = np.minimum(self._by_chance(along, power, fit, rng) / (power + 1e-300), MOST_SHARED)
+        score = along.sum(axis=1) ** 2 / (power * (1.0 - shared) + 1e-300)
+        return Scores(np.asarray(score), np.asarray(shared), fit.d)
 
     def _by_chance(
         self, along: Array, power: Array, fit: Fitted, rng: np.random.Generator

@@ -35,7 +35,7 @@ INPUTS = 128  # tried for a design
 FEW_INPUTS, LENGTHS = 32, 2  # of a design that is only asked whether its probability is right
 RECORDS = 2 * LENGTHS  # of it: either cause is true in turn
 # another one whenever the probability was changed after cases of it were seen
-CALIBRATION_STREAM = 11
+CALIBRATION_STREAM = 12
 ALARM = 5.0  # the statistic at which a diagnosis of two effects alone sees something
 CLOCKS = (1, 8)  # samples that a random binary input holds, at least one of which suits a system
 LONGER = 3  # times the designed length: how far a random binary input is followed
