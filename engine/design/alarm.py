@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.design.residuals import FEWEST as FEWEST_DRAWN
-from engine.design.residuals import MOST, NUMBERS
+from engine.design.spectrum import records_of
 from engine.diagnose.screening.screen import CLEARLY_HEAVIER
 from engine.diagnose.search.calibration import (
     BOLDEST,
@@ -101,7 +100,7 @@ def _heavier(statistic: Array, v: Array, shared: Array, rng: np.random.Generator
     N, size = len(v), float(np.linalg.norm(v))
     if not size > 0.0:
         return np.ones_like(statistic)
-    K = int(np.clip(NUMBERS // N, FEWEST_DRAWN, MOST))
+    K = records_of(N)
     e, d = rng.standard_normal((2, K, N))
     d -= np.outer(d @ v, v / size**2)
     d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300)

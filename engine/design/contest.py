@@ -18,8 +18,9 @@ from engine.design.alarm import Alarm
 from engine.design.candidates import Candidate
 from engine.design.criterion import adaptation, adapted, precision, square_root, whiten
 from engine.design.noise import NoiseRoom, noise_room
-from engine.design.residuals import NUMBERS, Residuals, Scores
+from engine.design.residuals import Residuals, Scores
 from engine.design.runs import Experiments, linearised
+from engine.design.spectrum import NUMBERS
 from engine.diagnose.search.calibration import SERIES
 from engine.diagnose.search.likeness import NEEDED, SAME, TIE, contains
 from engine.diagnose.search.rounds import MARGIN

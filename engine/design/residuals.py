@@ -37,11 +37,9 @@ from numpy.typing import NDArray
 
 from engine.design.criterion import square_root
 from engine.design.noise import NoiseRoom
-from engine.design.spectrum import Parts, Sums
+from engine.design.spectrum import NUMBERS, Parts, Sums, records_of
 from engine.statespace.model import Array
 
-NUMBERS = 100_000  # that are drawn at once, about: records times readings
-MOST, FEWEST = 400, 50  # records that are drawn
 NEW = 0.05  # times its share is a noise that is none yet, to begin with
 STEPS, LONGEST = 12, 1.5  # Fisher scoring on log w, and the longest step of it
 FARTHEST = 12.0  # log w, either way
@@ -112,7 +110,7 @@ class Residuals:
         shares = parts.means(room.shares)
         direction = np.concatenate([v / size, np.zeros(h)])
         columns = np.column_stack([direction, _span(np.concatenate([sensitivities, held]))])
-        rows = rng.standard_normal((int(np.clip(NUMBERS // N, FEWEST, MOST)), N + h))
+        rows = rng.standard_normal((records_of(N), N + h))
         rows -= np.outer(rows @ direction, direction)
         return cls(
             parts,

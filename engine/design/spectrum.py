@@ -11,6 +11,13 @@ from engine.design.noise import NoiseRoom
 from engine.statespace.model import Array
 
 PARTS = 24  # of a spectrum, and one more for readings beside it
+NUMBERS = 100_000  # that are drawn at once, about: records times readings
+MOST, FEWEST = 400, 50  # records that are drawn
+
+
+def records_of(N: int) -> int:
+    """How many records of N readings are drawn."""
+    return int(np.clip(NUMBERS // max(N, 1), FEWEST, MOST))
 
 
 @dataclass(frozen=True, eq=False)
