@@ -109,10 +109,39 @@ def tank():
     )
 
 
+def cart(pull=0.0, reading=lambda x: x):
+    """A cart on a rail, seen by a tape measure; ``pull`` of a spring to the middle in 1/s^2."""
+
+    def dynamics(a, u, t, dt, th):
+        x, v = a[:, 0], a[:, 1]
+        v = v + dt * (th.b * u[0] - th.c * v - pull * x)
+        return [x + dt * v, v], np.zeros((2, 0)), [[1e-8, 0.0], [0.0, dt * 0.05**2]]
+
+    return engine.MixedModel(
+        name="cart",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: ([reading(a[:, 0])], np.zeros((1, 0)), [[th.r**2]]),
+        initial=lambda th: (engine.Gaussian([0.0, 0.0], 0.01 * np.eye(2)), [], np.zeros((0, 0))),
+        nonlinear={"position": "m", "speed": "m/s"},
+        inputs={"force": "N"},
+        outputs={"tape": "m"},
+        parameters=[
+            engine.Parameter("b", 1.0, "1/kg", (0.01, 10.0)),
+            engine.Parameter("c", 0.5, "1/s", (0.0, 5.0)),
+            engine.Parameter("r", 0.02, "m", (1e-4, 1.0)),
+        ],
+    )
+
+
 def record(model, n=120, seed=1, dt=0.1):
     """A clean series of one of these, driven by levels that are held for a while."""
     rng = np.random.default_rng(seed)
-    low, high = {"room": (0.0, 8.0), "pendulum": (-1.5, 1.5), "tank": (1.0, 3.5)}[model.name]
+    low, high = {
+        "room": (0.0, 8.0),
+        "pendulum": (-1.5, 1.5),
+        "tank": (1.0, 3.5),
+        "cart": (-1.0, 1.0),
+    }[model.name]
     u = np.repeat(rng.uniform(low, high, -(-n // 10)), 10)[:n]
     if model.nu == 2:
         u = np.column_stack([u, 5.0 + np.cumsum(0.2 * rng.standard_normal(n))])

@@ -120,9 +120,7 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
 
 def extend(model: MixedModel, effects: Sequence[str], setting: Setting | None = None) -> MixedModel:
     """The model with effects applied one after the other, by name."""
-    known = setting or Setting(model)
-    # what an effect adds moves no zero of the model's
-    known = replace(known, zeros=known.known_zeros)
+    known = (setting or Setting(model)).keeping_zeros()
     for name in effects:
         model = make_effect(name, replace(known, model=model)).apply(model)
     return model

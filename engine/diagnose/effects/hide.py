@@ -44,8 +44,7 @@ def hide(
     """
     fine = FINE_STEPS if model.continuous else 1
     span = (0.0, dt * (n_samples - 1))
-    setting = Setting(model, span=span, dt=dt, substeps=fine, time_unit=time_unit)
-    setting = replace(setting, zeros=setting.known_zeros)
+    setting = Setting(model, span=span, dt=dt, substeps=fine, time_unit=time_unit).keeping_zeros()
     extended, changes = model, []
     own = dict(values)
     for name in effects:

@@ -73,7 +73,7 @@ def _quantisation(setting: Setting, channel: str, name: str) -> Effect:
     """Readings rounded to steps of q: white noise of variance q^2 / 12 on top, where q is not large.
 
     By its effect on predictions it is a noise level and nothing else, so it is a candidate only where
-    the readings themselves lie on a lattice, and its variance is bounded by twice what that explains.
+    the readings themselves lie on a lattice. That shows its variance, which is bounded by twice as much.
     """
     unit, step = setting.unit(channel), setting.resolution.get(channel)
     most = np.inf if step is None else step**2 / 6.0
@@ -102,6 +102,7 @@ def _quantisation(setting: Setting, channel: str, name: str) -> Effect:
         traits=Traits(plainness=4),
         one_sided=True,
         readings=_rounded,
+        shown=None if step is None else step**2 / 12.0,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -15,6 +15,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect, identifier
 from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
+from engine.diagnose.effects.zeros import without_zero
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel
 from engine.units import SECOND, product
@@ -46,10 +47,10 @@ class Setting:
     ``span`` is the first and last time; ``dt`` the median time between samples. ``extra`` are
     those inputs that were recorded but that the model does not use; ``resolution`` maps an output to the
     step its readings come in, where they show one. ``record`` is what the series showed, None without
-    data. ``zeros`` are the known zeros of channels (default: as the model declares and tells);
-    ``substeps`` the steps that the model makes from one sample to the next; ``hold`` what the series says of
-    its inputs between samples; ``held`` the parameters of the model that are not estimated; ``time_unit`` what
-    its times count.
+    data. ``zeros`` are the known zeros of channels (default: as the model declares and tells), ``afloat``
+    channels whose zero means nothing to the model (default: as it tells); ``substeps`` the steps that the
+    model makes from one sample to the next; ``hold`` what the series says of its inputs between samples;
+    ``held`` the parameters of the model that are not estimated; ``time_unit`` what its times count.
     """
 
     model: MixedModel
@@ -60,6 +61,7 @@ class Setting:
     resolution: Mapping[str, float] = field(default_factory=dict)
     record: Record | None = None
     zeros: Mapping[str, float] | None = None
+    afloat: frozenset[str] | None = None
     substeps: int = 1
     hold: str = "zoh"
     held: tuple[str, ...] = ()
@@ -128,9 +130,23 @@ class Setting:
         derived = {name: rate.zero for name, rate in self._rates.items() if rate.zero is not None}
         return {**derived, **self.model.reference}
 
+    @cached_property
+    def _afloat(self) -> frozenset[str]:
+        return without_zero(self.model, self.dt) if self.afloat is None else self.afloat
+
     def zero(self, channel: str) -> float:
-        """The channel's zero in its unit: declared, derived from the model, else 0 of the unit."""
-        return float(self.known_zeros.get(channel, 0.0))
+        """The channel's zero in its unit: declared, derived from the model, else 0 of the unit.
+
+        Where that means nothing to the model it is the middle of the record.
+        """
+        if channel in self.known_zeros:
+            return float(self.known_zeros[channel])
+        values = self._values(channel)
+        return float(np.median(values)) if values.size and channel in self._afloat else 0.0
+
+    def keeping_zeros(self) -> Setting:
+        """The same for models that effects extend: what an effect adds moves no zero."""
+        return replace(self, zeros=self.known_zeros, afloat=self._afloat)
 
     def is_rate(self, state: str) -> bool:
         """Whether the state is the rate of another one: friction and drag suit it, stiffness does not."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -102,7 +102,7 @@ def refit(
             extended, series, other, free, tolerance=TOLERANCE, target=at_least, hope=HOPE
         )
         found = max(found, again, key=lambda one: one.log_likelihood)
-    return _with_zero(_weighed(effect, found, zero, series), zero, series)
+    return _complete(_weighed(effect, found, zero, series), zero, series)
 
 
 def taken_up(refit: Refit, series: Series) -> Refit:
@@ -110,13 +110,38 @@ def taken_up(refit: Refit, series: Series) -> Refit:
     known = refit.fit
     null = known.log_likelihood - 0.5 * refit.gain
     found = quasi_ml(known.model, series, known.theta, known.free, tolerance=TOLERANCE)
-    return _with_zero(_weighed(refit.effect, found, null, series), null, series)
+    return _complete(_weighed(refit.effect, found, null, series), null, series)
 
 
 def _weighed(effect: Effect, fit: QuasiFit, null: float, series: Series) -> Refit:
     """A refit with its gain over the log-likelihood ``null`` without the effect."""
     gain = 2.0 * (fit.log_likelihood - null)
     return Refit(effect, fit, gain, gain - cost(effect, series))
+
+
+def _complete(refit: Refit, null: float, series: Series) -> Refit:
+    """The refit with what else is known, or may be estimated, of its effect."""
+    return _with_shown_size(_with_zero(refit, null, series), null, series)
+
+
+def _with_shown_size(refit: Refit, null: float, series: Series) -> Refit:
+    """The refit with the score of the size that the readings show, where that is the better one.
+
+    That costs a parameter less than the size of another effect: log T.
+    """
+    effect, known = refit.effect, refit.fit
+    if effect.shown is None or known.given_up or not refit.gain > 0.0:
+        return refit
+    size = effect.size.name
+    theta = known.model.theta({**known.theta.asdict(), size: effect.shown})
+    free = [name for name in known.free if name != size]
+    try:
+        found = quasi_ml(known.model, series, theta, free, tolerance=TOLERANCE)
+    except (EngineError, np.linalg.LinAlgError):
+        return refit
+    gain = 2.0 * (found.log_likelihood - null)
+    score = gain - cost(effect, series) + float(np.log(series.n_measured))
+    return replace(refit, score=max(score, refit.score))
 
 
 def _with_zero(refit: Refit, null: float, series: Series) -> Refit:

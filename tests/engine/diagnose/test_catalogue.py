@@ -12,11 +12,13 @@ from engine.diagnose.effects.quantization import lattice_step
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.screening.score_columns import static_column
+from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.pipeline import find_causes
+from engine.diagnose.search.refits import refit
 from engine.diagnose.search.rounds import MARGIN
 from engine.diagnose.search.verdict import set_of
 from engine.diagnose.symptoms.runs import noise_free
-from engine.estimation.quasi_ml import log_likelihoods
+from engine.estimation.quasi_ml import log_likelihoods, quasi_ml
 from engine.filters.sigma_point import moment_filter, moment_path
 from tests.engine.hidden_effects import CASES, DRIVE, DT, ON_SWING, T, case, hidden, levels, smooth
 
@@ -160,6 +162,23 @@ def test_rounding_is_asked_for_only_where_readings_lie_on_a_lattice():
     assert lattice_step(plain.y[:, 0]) is None
     theirs = setting_for(DRIVE, plain, np.asarray(DRIVE.theta()))
     assert "quantisation" not in {e.kind for e in all_effects(theirs)}
+
+
+def test_a_step_that_the_readings_show_is_no_parameter():
+    """Noise that grows with something may fit a little better; rounding is there, and its variance is known."""
+    _, series, name = case("quantisation", seed=5)
+    base = quasi_ml(DRIVE, series)
+    shown = make_effect(name, setting_for(DRIVE, series, np.asarray(DRIVE.theta())))
+    unknown = replace(shown, shown=None)
+    far = replace(shown, shown=1.9 * shown.shown)
+    known, free, wrong = (
+        refit(base, series, Score(effect, 1.0, 0.1 * shown.shown, 0.1, 0.1, 1.0, ()))
+        for effect in (shown, unknown, far)
+    )
+    assert known.gain == pytest.approx(free.gain, abs=0.1)
+    assert free.score == pytest.approx(free.gain, abs=1e-9)
+    assert free.score + 1.0 < known.score <= free.score + np.log(series.n_measured)
+    assert free.score <= wrong.score < known.score
 
 
 def test_a_lattice_is_seen_through_gaps_offsets_and_rounded_numbers():

@@ -11,13 +11,14 @@ import engine
 from engine.diagnose.effects.catalogue import all_effects, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.effects.zeros import without_zero
 from engine.diagnose.screening.score_columns import Projection, effect_columns
 from engine.diagnose.screening.screen import make_test
 from engine.diagnose.screening.time_scan import family_test, is_timed
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter, moment_path
 from engine.statespace.densities import GaussianMixture
-from tests.engine.plain_models import Units, pendulum, record, referred, room, tank
+from tests.engine.plain_models import Units, cart, pendulum, record, referred, room, tank
 
 ROWS = 60
 MODELS = {"room": room, "pendulum": pendulum, "tank": tank}
@@ -116,6 +117,41 @@ def test_scores_are_the_same_from_another_zero(name):
         assert not declared or len(free) == len(effects)
         assert len(free) > 10
         compare(one, other, free)
+
+
+def test_what_can_be_counted_from_anywhere_is():
+    """A position on a rail has no zero; the user's, wherever it is, changes no score."""
+    model = cart()
+    series = record(model, ROWS)
+    one, effects = seen(model, series)
+    assert any(effect.zero is not None for effect in effects.values())
+    for away in (-3.0, 400.0):
+        units = Units(model, {"position": (1.0, away), "tape": (1.0, away)})
+        other, _ = seen(units.converted(), units.series(series))
+        assert set(one) == set(other)
+        compare(one, other, one)
+
+
+@pytest.mark.parametrize(
+    ("model", "afloat"),
+    [
+        (cart(), {"position", "tape"}),
+        (cart(pull=1e-3), set()),  # a spring, however soft, knows where it is
+        (cart(reading=lambda x: x + 0.01 * x**2), set()),
+        (replace(cart(), reference={"position": 2.0}), {"position", "tape"}),
+        (room(), set()),
+        (pendulum(), set()),
+    ],
+)
+def test_what_can_be_counted_from_anywhere_is_told_by_the_equations(model, afloat):
+    for dt in (0.1, 1e-3, 10.0):
+        assert without_zero(model, dt) == afloat
+    setting = setting_for(cart(), record(cart(), ROWS), np.asarray(cart().theta()))
+    for channel in ("position", "tape"):
+        middle = float(np.median(setting.record.values[channel]))
+        assert setting.zero(channel) == middle
+        assert replace(setting, record=None).zero(channel) == 0.0
+    assert setting.zero("force") == 0.0
 
 
 def likelihoods(model, series, name, starts):
