@@ -39,11 +39,17 @@ class Interrupt:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Hold it back within; it is raised at the end at the latest."""
+        """Hold it back within; it is raised at the end at the latest.
+
+        Compiled code that it reaches makes an error of its own of it, which is not what happened.
+        """
         self.holding = True
         before = signal.signal(signal.SIGINT, self._take)
         try:
             yield
+        except Exception:
+            self.check()
+            raise
         finally:
             signal.signal(signal.SIGINT, before)
         self.check()
@@ -59,10 +65,9 @@ class Interrupt:
             raise KeyboardInterrupt
 
     def _take(self, *_: Any) -> None:
-        if not self.holding:
+        again, self.came = self.came, True
+        if again or not self.holding:
             raise KeyboardInterrupt
-        self.check()
-        self.came = True
 
 
 class Ending(Exception):  # noqa: N818 - an end need not be an error
