@@ -117,12 +117,7 @@ def rates(model: MixedModel) -> dict[str, Rate]:
     """
     states = [*model.nonlinear, *model.linear]
     try:
-        theta = np.asarray(model.theta())
-        other = np.clip(
-            theta + 0.07 * np.array([parameter_scale(model, theta, k) for k in range(len(theta))]),
-            model.lower,
-            model.upper,
-        )
+        theta, other = two_thetas(model)
         points = guessed_points(model, 1.0)
         out: dict[str, Rate] = {}
         for dt in TIME_STEPS:
@@ -135,6 +130,13 @@ def rates(model: MixedModel) -> dict[str, Rate]:
         return out
     except Exception:  # noqa: BLE001 - a user's function may refuse points that are only guessed
         return {}
+
+
+def two_thetas(model: MixedModel) -> tuple[Array, Array]:
+    """The default parameters and others beside them: what holds at one alone is chance."""
+    theta = np.asarray(model.theta())
+    away = 0.07 * np.array([parameter_scale(model, theta, k) for k in range(len(theta))])
+    return theta, np.clip(theta + away, model.lower, model.upper)
 
 
 def _rates(

@@ -1,55 +1,76 @@
-"""Channels whose zero means nothing to a model: a position on a road, and the reading that follows it.
+"""Channels whose zero means nothing to a model: a position on a road, all temperatures of a room.
 
-Where x is a path of the model, so is one with a constant added to such a state, and readings are moved by a
-constant. It could be counted from anywhere.
+Where x is a path of the model, so is one with a constant added to such states and inputs, and readings are
+moved by a constant. They could be counted from anywhere.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from engine.diagnose.effects.rates import Points, guessed_points, step
+from engine.diagnose.effects.rates import Points, guessed_points, step, two_thetas
 from engine.statespace.model import Array, MixedModel
 
 STEPS = (1.0, 0.1)  # times the time between samples
 ROUNDING = 1e-11  # of a number
-FAR = 7.0  # times a state's size: how far it is moved
+FAR = 7.0  # times the size of a state: how far it is moved
 
 
 def without_zero(model: MixedModel, dt: float) -> frozenset[str]:
-    """The states and outputs of which the model does not care where they are counted from.
+    """The states, inputs and outputs of which the model does not care where they are counted from.
 
-    ``dt`` is the time between samples, in the model's unit of time.
+    One state alone, or all states and inputs of a unit together. ``dt`` is the time between samples, in the
+    model's unit of time.
     """
     try:
         points = guessed_points(model, dt)
-        states = enumerate([*model.nonlinear, *model.linear])
-        return frozenset(name for i, state in states for name in _moved(model, points, i, state))
+        theta, other = two_thetas(model)
+        out: set[str] = set()
+        for ways in _ways(model, points):
+            moved = _moved(model, points, theta, *ways)
+            if moved == _moved(model, points, other, *ways):
+                out |= moved
+        return frozenset(out)
     except Exception:  # noqa: BLE001 - a user's function may refuse points that are only guessed
         return frozenset()
 
 
-def _moved(model: MixedModel, points: Points, i: int, state: str) -> set[str]:
-    """The i-th state and the outputs that move with it, if nothing but a constant comes of moving it."""
-    theta = np.asarray(model.theta())
-    away = FAR * points.scale[i] * np.eye(model.nx)[i]
-    places = points.x, points.x + away
+def _ways(model: MixedModel, points: Points) -> Iterator[tuple[Array, Array]]:
+    """How far states (nx,) and inputs (nu,) are moved, in turn."""
+    states = np.array([*model.nonlinear.values(), *model.linear.values()])
+    inputs = np.array(list(model.inputs.values()))
+    for i, size in enumerate(points.scale):
+        yield FAR * size * np.eye(model.nx)[i], np.zeros(model.nu)
+    for unit in dict.fromkeys(states.tolist()):
+        own, driven = states == unit, inputs == unit
+        if own.sum() + driven.sum() > 1:
+            far = FAR * points.scale[own].max()
+            yield far * own, far * np.asarray(driven, dtype=float)
+
+
+def _moved(model: MixedModel, points: Points, theta: Array, dx: Array, du: Array) -> set[str]:
+    """The channels that are moved, if nothing but a constant comes of it."""
     read = np.zeros(model.ny, dtype=bool)
     for u, t, dt in zip(points.u, points.t, points.dt, strict=True):
+        places = (points.x, u), (points.x + dx, u + du)
         for h in STEPS:
-            if not _apart(*(step(model, theta, x, u, t, h * dt) for x in places), away):
+            if not _apart(*(step(model, theta, x, v, t, h * dt) for x, v in places), dx):
                 return set()
-        here, there = (_reading(model, theta, x, u, t) for x in places)
+        here, there = (_reading(model, theta, x, v, t) for x, v in places)
         change = there[0] - here[0]
         if not _apart(here, there, change):
             return set()
         read |= np.abs(change) > ROUNDING * (np.abs(here[0]) + np.abs(there[0]))
-    return {state, *(name for name, moves in zip(model.outputs, read, strict=True) if moves)}
+    names = [*model.nonlinear, *model.linear, *model.inputs, *model.outputs]
+    moves = np.concatenate([dx != 0.0, du != 0.0, read])
+    return {name for name, moved in zip(names, moves, strict=True) if moved}
 
 
 def _apart(here: Array, there: Array, change: Array) -> bool:
     """Whether rows (M, n) are as far apart as this ``change`` (n,), but for rounding."""
-    rounding = ROUNDING * (np.abs(here) + np.abs(there)).max(axis=0)
+    rounding = ROUNDING * (np.abs(here) + np.abs(there) + np.abs(change)).max(axis=0)
     return bool((np.abs(there - here - change) <= rounding).all())
 
 

@@ -119,14 +119,20 @@ def test_scores_are_the_same_from_another_zero(name):
         compare(one, other, free)
 
 
-def test_what_can_be_counted_from_anywhere_is():
-    """A position on a rail has no zero; the user's, wherever it is, changes no score."""
-    model = cart()
+@pytest.mark.parametrize(
+    ("model", "channels"),
+    [
+        (cart(), ["position", "tape"]),
+        pytest.param(room(), ["air", "masonry", "outside", "y"], marks=SLOW),
+    ],
+)
+def test_what_can_be_counted_from_anywhere_is(model, channels):
+    """A position on a rail and a temperature have no zero; the user's, wherever it is, changes no score."""
     series = record(model, ROWS)
     one, effects = seen(model, series)
     assert any(effect.zero is not None for effect in effects.values())
     for away in (-3.0, 400.0):
-        units = Units(model, {"position": (1.0, away), "tape": (1.0, away)})
+        units = Units(model, dict.fromkeys(channels, (1.0, away)))
         other, _ = seen(units.converted(), units.series(series))
         assert set(one) == set(other)
         compare(one, other, one)
@@ -139,7 +145,7 @@ def test_what_can_be_counted_from_anywhere_is():
         (cart(pull=1e-3), set()),  # a spring, however soft, knows where it is
         (cart(reading=lambda x: x + 0.01 * x**2), set()),
         (replace(cart(), reference={"position": 2.0}), {"position", "tape"}),
-        (room(), set()),
+        (room(), {"air", "masonry", "outside", "y"}),
         (pendulum(), set()),
     ],
 )
