@@ -56,7 +56,8 @@ def _moved(model: MixedModel, points: Points, theta: Array, dx: Array, du: Array
     for u, t, dt in zip(points.u, points.t, points.dt, strict=True):
         places = (points.x, u), (points.x + dx, u + du)
         for h in STEPS:
-            if not _apart(*(step(model, theta, x, v, t, h * dt) for x, v in places), dx):
+            here, there = (step(model, theta, x, v, t, h * dt) for x, v in places)
+            if not _apart(here, there, dx):
                 return set()
         here, there = (_reading(model, theta, x, v, t) for x, v in places)
         change = there[0] - here[0]
