@@ -164,15 +164,21 @@ def test_two_columns_tested_together_are_two_degrees_of_freedom():
     rng = np.random.default_rng(6)
     z = rng.standard_normal(400)
     one, other = rng.standard_normal((2, 400))
+    z += 0.25 * (one - other)  # enough that thirty places leave something to see
     v = np.array([one, 0.9 * one + 0.4 * other])
     s = v * z
     total = s.sum(axis=1)
     expected = float(total @ np.linalg.solve(v @ v.T, total))
     test = one_test("harmonic", "speed", s, v, degrees=2)
     assert float(test.statistics(test.s.sum(axis=1))[0]) == pytest.approx(expected)
+    alone = screen([test], rng, 0.05)
+    assert alone.scores[0].p_value == pytest.approx(chi2.sf(expected, 2))
     test = replace(test, tries=30)  # chosen from thirty frequencies
     seen = screen([test], rng, 0.05)
-    assert seen.scores[0].p_value == pytest.approx(min(1.0, 30 * chi2.sf(expected, 2)))
+    p = 30 * chi2.sf(expected, 2)
+    assert p < 0.1
+    assert seen.scores[0].p_value == pytest.approx(p)
+    assert seen.scores[0].p_of(expected) == pytest.approx(p)  # as of a refit's likelihood ratio
 
 
 def test_two_waves_that_explain_the_same_are_alike_whatever_their_phases():
