@@ -1,11 +1,18 @@
 """Held-out data that contradict what the search gained."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from engine import Series
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.gain.adoption import Decision, falls_short
 from engine.diagnose.gain.gain import Gain
+from engine.diagnose.held_out import HeldOut
+from tests.engine.hidden_effects import DRIVE
 
 LOSS = Gain(
     how="held-out rows",
@@ -38,3 +45,33 @@ def test_a_loss_where_a_gain_was_promised_contradicts():
 )
 def test_other_losses_do_not(gain, promised):
     assert falls_short(gain, promised) == ""
+
+
+@pytest.mark.parametrize(
+    ("effects", "promised"),
+    [
+        (["drag:speed"], (20.0 - 2.0) * 100.0 / 150.0),
+        (["drag:speed", "bias:reading"], (20.0 - 2.0) * 100.0 / 150.0),
+        (["level:reading"], 0.0),  # noise may be another there
+        (["drag:speed", "step:reading"], 0.0),  # what came once need not come again
+    ],
+)
+def test_a_gain_is_promised_in_proportion_to_the_rows_less_a_nat_for_each_parameter(
+    effects, promised
+):
+    """Of 160 rows that were searched ten have no reading; two parameters gained 20 nats there."""
+    y = np.zeros(160)
+    y[:10] = np.nan
+    rounds = [
+        SimpleNamespace(refits=(SimpleNamespace(effect=make_effect(name, Setting(DRIVE))),))
+        for name in effects
+    ]
+    for one in rounds:
+        one.equivalent = one.refits
+    search = SimpleNamespace(
+        rounds=[*rounds, SimpleNamespace(refits=(), equivalent=())],
+        base=SimpleNamespace(log_likelihood=-120.0, free=("k",)),
+        final=SimpleNamespace(log_likelihood=-100.0, free=("k", "size", "another")),
+    )
+    judge = HeldOut(None, Series(y, dt=1.0), 1, 0)
+    assert judge._promised(search, LOSS) == pytest.approx(promised)
