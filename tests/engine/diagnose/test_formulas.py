@@ -1,10 +1,12 @@
 """What each plain kind adds to a step, a reading, an input or a noise is the formula that it shows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from engine.diagnose import make_effect
-from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.setting import Record, Setting
 from tests.engine.hidden_effects import DRIVE
 from tests.engine.plain_models import room
 
@@ -174,6 +176,16 @@ def test_a_parameter_changes_with_time_within_its_bounds(name, own, damping):
     model = make_effect(name, SETTING).apply(DRIVE)
     for t in TIMES:
         same(step(model, t, theta=THETA + own), step(DRIVE, theta=[damping(t), 1.0]))
+
+
+def test_a_parameter_that_was_held_moves_to_one_side_only_where_it_is_at_its_bound():
+    for value, one_sided in ((0.0, True), (1.5, False)):
+        record = Record({}, np.zeros(2), np.ones(2), np.array([value, 1.0]))
+        effect = make_effect("held:damping", replace(SETTING, record=record, held=("damping",)))
+        assert effect.one_sided is one_sided
+        assert effect.size.bounds == (0.0 - value, 10.0 - value)
+        model = effect.apply(DRIVE)
+        same(step(model, theta=[value, 1.0, 0.5]), step(DRIVE, theta=[value + 0.5, 1.0]))
 
 
 LOUDER = np.exp(0.4)
