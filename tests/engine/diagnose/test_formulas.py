@@ -188,6 +188,16 @@ def test_a_parameter_that_was_held_moves_to_one_side_only_where_it_is_at_its_bou
         same(step(model, theta=[value, 1.0, 0.5]), step(DRIVE, theta=[value + 0.5, 1.0]))
 
 
+def test_only_the_zero_is_set_free_and_only_jumps_are_sought():
+    held = make_effect("variance:reading->speed", SETTING)
+    size, per, zero = (p.name for p in held.parameters)
+    assert (held.size.name, held.held) == (size, (per, zero))
+    assert held.with_free_zero().held == (per,)
+    assert held.sought == ()
+    assert make_effect("step:speed", SETTING).sought == ("step_speed_time",)
+    assert make_effect("parameter-step:damping", SETTING).sought == ("parameter_step_damping_time",)
+
+
 LOUDER = np.exp(0.4)
 
 
