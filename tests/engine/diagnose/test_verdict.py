@@ -88,6 +88,16 @@ def test_what_is_detectable_is_seen_four_times_in_five():
     assert norm.sf(6.0 * se, bold, se) == pytest.approx(0.8, abs=0.005)
 
 
+def test_a_detector_and_outliers_have_no_smallest_size():
+    """An unnamed force stands for anything; how often outliers come is not how large they are."""
+    scores = tuple(
+        Score(make_effect(name, Setting(DRIVE)), 2.0, 0.1, 0.3, 0.2, 0.5, ())
+        for name in (STEP, FORCE, OUTLIERS, BIAS)
+    )
+    found = detectable_of(SimpleNamespace(scores=scores, threshold=9.0))
+    assert [one.effect for one in found] == [BIAS, STEP]  # by name
+
+
 def test_what_the_parameters_explain_or_leaves_no_trace_is_not_detectable_at_any_size():
     for found in (detectable(rho=0.0), detectable(se=np.inf)):
         assert not found.testable
