@@ -188,6 +188,23 @@ def test_a_parameter_that_was_held_moves_to_one_side_only_where_it_is_at_its_bou
         same(step(model, theta=[value, 1.0, 0.5]), step(DRIVE, theta=[value + 0.5, 1.0]))
 
 
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("drag:speed", "state"),
+        ("bias:reading", "measurement"),
+        ("play:reading", "measurement"),
+        ("play:force", "input"),
+        ("input-offset:force", "input"),
+        ("level:reading", "noise"),
+        ("step:reading", "time"),
+        ("held:damping", "parameter"),
+    ],
+)
+def test_an_effect_says_where_it_enters(name, family):
+    assert make_effect(name, replace(SETTING, held=("damping",))).family == family
+
+
 def test_only_the_zero_is_set_free_and_only_jumps_are_sought():
     held = make_effect("variance:reading->speed", SETTING)
     size, per, zero = (p.name for p in held.parameters)

@@ -159,6 +159,21 @@ def test_a_one_sided_test_has_half_the_tail():
         assert seen.scores[0].p_value == pytest.approx(p, rel=1e-6)
 
 
+def test_of_a_family_the_best_place_is_told():
+    rng = np.random.default_rng(9)
+    z, v = rng.standard_normal(300), rng.standard_normal((4, 300))
+    z += 0.3 * v[2]
+    effect = make_effect("stribeck:speed", Setting(DRIVE))
+    columns = [((float(k), 0.0), Column(one * z, one)) for k, one in enumerate(v)]
+    (score,) = screen([make_test(effect, [columns], Projection([]))], rng, 0.05).scores
+    power = (v[2] ** 2).sum()
+    assert score.at == (2.0, 0.0)
+    assert score.size == pytest.approx((v[2] @ z) / power)
+    assert score.se == pytest.approx(power**-0.5)
+    assert score.statistic == pytest.approx((score.size / score.se) ** 2)
+    assert score.rho == pytest.approx(1.0)
+
+
 def test_two_columns_tested_together_are_two_degrees_of_freedom():
     """Their statistic is that of the regression on both, however alike the two are."""
     rng = np.random.default_rng(6)
