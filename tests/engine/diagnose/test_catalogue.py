@@ -281,6 +281,27 @@ def test_what_is_hidden_is_labelled_in_the_models_time():
     assert [run.series.time_unit for run in runs] == ["s", "year"]
 
 
+def test_an_effect_may_act_on_a_state_that_an_earlier_one_brought():
+    """A lag that nothing feels, and a force on it."""
+    runs = [
+        hide(
+            DRIVE,
+            ["pole:speed", "force:lag_speed"],
+            {"pole_speed": 0.0, "pole_speed_time": 0.5, "force_lag_speed": force},
+            40,
+            np.random.default_rng(1),
+            u=np.ones(40),
+            dt=DT,
+        )
+        for force in (0.0, 2.0)
+    ]
+    place = list(runs[0].model.linear).index("lag_speed")
+    off = runs[1].z[:, place] - runs[0].z[:, place]
+    kept = np.exp(-DT / 0.5)
+    np.testing.assert_allclose(off, 2.0 * DT * (1.0 - kept ** np.arange(40)) / (1.0 - kept))
+    np.testing.assert_allclose(runs[1].y, runs[0].y)
+
+
 def test_what_hides_says_what_it_does_not_know():
     rng = np.random.default_rng(0)
     with pytest.raises(engine.OptionError, match="no parameter of bias:reading"):

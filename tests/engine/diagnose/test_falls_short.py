@@ -1,11 +1,21 @@
 """Held-out data that contradict what the search gained."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from engine import Series
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.gain.adoption import Decision, falls_short
 from engine.diagnose.gain.gain import Gain
+from engine.diagnose.held_out import HeldOut
+from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.rounds import Round
+from engine.diagnose.search.search import Search
+from tests.engine.hidden_effects import DRIVE
 
 LOSS = Gain(
     how="held-out rows",
@@ -38,3 +48,77 @@ def test_a_loss_where_a_gain_was_promised_contradicts():
 )
 def test_other_losses_do_not(gain, promised):
     assert falls_short(gain, promised) == ""
+
+
+@pytest.mark.parametrize(
+    ("effects", "promised"),
+    [
+        (["drag:speed"], (20.0 - 2.0) * 100.0 / 150.0),
+        (["drag:speed", "bias:reading"], (20.0 - 2.0) * 100.0 / 150.0),
+        (["level:reading"], 0.0),  # noise may be another there
+        (["drag:speed", "step:reading"], 0.0),  # what came once need not come again
+    ],
+)
+def test_a_gain_is_promised_in_proportion_to_the_rows_less_a_nat_for_each_parameter(
+    effects, promised
+):
+    """Of 160 rows that were searched ten have no reading; two parameters gained 20 nats there."""
+    y = np.zeros(160)
+    y[:10] = np.nan
+    rounds = [
+        SimpleNamespace(refits=(SimpleNamespace(effect=make_effect(name, Setting(DRIVE))),))
+        for name in effects
+    ]
+    for one in rounds:
+        one.equivalent = one.refits
+    search = SimpleNamespace(
+        rounds=[*rounds, SimpleNamespace(refits=(), equivalent=())],
+        base=SimpleNamespace(log_likelihood=-120.0, free=("k",)),
+        final=SimpleNamespace(log_likelihood=-100.0, free=("k", "size", "another")),
+    )
+    judge = HeldOut(None, Series(y, dt=1.0), 1, 0)
+    assert judge._promised(search, LOSS) == pytest.approx(promised)
+
+
+@dataclass(frozen=True, eq=False)
+class Said(HeldOut):
+    """Held-out data that object to some names."""
+
+    objections: dict[str, str]
+
+    def _asked(self, search):
+        return None, self.objections.get(search.rounds[0].refits[0].effect.name, "")
+
+
+@pytest.mark.parametrize(
+    ("objections", "verdict", "causes"),
+    [
+        ({}, Verdict.SET, {"drag:speed", "cubic:speed"}),
+        ({"drag:speed": "It loses."}, Verdict.NAMED, {"cubic:speed"}),
+        (
+            {"drag:speed": "It loses.", "cubic:speed": "So does it."},
+            Verdict.UNKNOWN,
+            {"drag:speed", "cubic:speed"},
+        ),
+    ],
+)
+def test_the_verdict_is_that_of_the_names_to_which_nothing_objects(objections, verdict, causes):
+    refits = []
+    for name in ("drag:speed", "cubic:speed"):
+        effect = make_effect(name, Setting(DRIVE))
+        fit = SimpleNamespace(theta={p.name: 0.5 for p in effect.parameters}, given_up=False)
+        refits.append(
+            SimpleNamespace(
+                effect=effect, fit=fit, size=0.5, standard_error=0.1, gain=50.0, score=50.0
+            )
+        )
+    scores = tuple(SimpleNamespace(effect=r.effect, statistic=40.0) for r in refits)
+    screen = SimpleNamespace(p_value=0.002, scores=scores, likeness=lambda i, j: 0.9)
+    found = Search(None, None, (Round(screen, tuple(refits), None, tuple(refits)),), False)
+    judged = Said(None, Series(np.zeros(160), dt=1.0), 1, 0, objections).judge(
+        SimpleNamespace(search=found, verdict=Verdict.SET, base=None),
+        SimpleNamespace(decides=False, search=None),
+    )
+    assert judged.verdict is verdict
+    assert set(judged.causes[0].equivalent) == causes
+    assert len(judged.notes) == (1 if objections else 0)

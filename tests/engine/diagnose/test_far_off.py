@@ -1,14 +1,18 @@
 """Effects so large that the scores of the model without them say little."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import engine
+from engine.diagnose import make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.screening import screen_effects
 from engine.diagnose.search.refitting import REFITS, _with_ties, _worth_refitting
 from engine.estimation.quasi_ml import quasi_ml
+from tests.engine.hidden_effects import DRIVE, DT
 from tests.engine.plain_models import heated
 
 KINDS = ["drag", "cubic", "linear", "force", "lag", "coupling", "coulomb", "hysteresis", "pole"]
@@ -41,6 +45,36 @@ def test_rounding_does_not_decide_which_are_refitted():
     """A constant force is Coulomb friction of a state that never turns: their scores are the same."""
     values = [9.0, 7.0, 5.0, 5.0 * (1.0 - 1e-10), 5.0 * (1.0 - 1e-9), 4.9]
     assert [_with_ties(values, n) for n in (1, 2, 3, 4, 6, 8)] == [1, 2, 5, 5, 6, 6]
+
+
+def worth(tails, asked=()):
+    """Names worth refitting of twelve, of which nine explain much, where outliers have this p-value."""
+    setting = Setting(DRIVE)
+    kinds = ["drag", "cubic", "quadratic", "coulomb", "deadzone", "saturation"]
+    names = [f"{kind}:{place}" for kind in kinds for place in ("speed", "speed->load")]
+    scores = [
+        SimpleNamespace(effect=make_effect(name, setting), statistic=200.0 - i, p_value=1e-9)
+        for i, name in enumerate(names[:9])
+    ]
+    little = [("bias:reading", 30.0, 1e-6), ("gain:reading", 20.0, 1e-5)]
+    for name, statistic, p in (*little, ("heavy-tails:reading", 15.0, tails)):
+        effect = make_effect(name, setting)
+        scores.append(SimpleNamespace(effect=effect, statistic=statistic, p_value=p))
+    seen = SimpleNamespace(scores=scores)
+    chosen = _worth_refitting(seen, engine.Series(np.zeros(300), dt=DT), asked)
+    return [s.effect.name for s in chosen], names[:9]
+
+
+def test_outliers_are_refitted_where_they_are_likely_whatever_their_rank():
+    chosen, large = worth(tails=1e-5)
+    assert chosen == [*large, "heavy-tails:reading"]
+    chosen, large = worth(tails=0.01)
+    assert chosen == large
+
+
+def test_what_is_asked_for_is_refitted_whatever_its_rank():
+    chosen, large = worth(tails=0.01, asked=["gain:reading"])
+    assert chosen == [*large, "gain:reading"]
 
 
 @pytest.mark.slow

@@ -61,6 +61,17 @@ def test_a_right_model_lacks_nothing():
     assert sum(p <= 0.1 for p in p_values) < 10
 
 
+def test_the_p_value_is_that_of_as_many_equations_as_were_asked():
+    """The first equation is asked the same alone and before another one; here it lacks more."""
+    record = series(DRIVE, 102).part(0, 150)
+    fit = quasi_ml(DRIVE, record)
+    both = lack_of_fit(fit, record, ["speed", "load"], STATES)
+    alone = lack_of_fit(fit, record, ["speed"], STATES)
+    assert both.target == "speed"
+    assert both.statistic == pytest.approx(alone.statistic)
+    assert both.p_value == pytest.approx(2.0 * alone.p_value)
+
+
 def few_steps():
     return np.repeat([1.5, -0.5, 3, -3, 0.8, -1.5, 2.2, 0.3], [50, 20, 45, 40, 30, 45, 40, 30])
 

@@ -8,7 +8,7 @@ import pytest
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search import likeness, refitting
-from engine.diagnose.search.likeness import TIE, distinct
+from engine.diagnose.search.likeness import NEEDED, TIE, distinct
 from tests.engine.hidden_effects import DRIVE
 
 
@@ -73,6 +73,16 @@ def test_what_predicts_otherwise_stays():
 def test_the_plainer_name_stands_for_the_same_thing():
     alike = refits(("pulse:speed", 40.0, 1.0), ("step:reading", 39.8, 1.0))
     assert names(distinct(alike, None, place("neither"))) == ["step:reading"]
+
+
+def test_a_wider_kind_must_be_clearly_ahead_of_what_it_contains():
+    """Stribeck friction is Coulomb friction with one parameter more, even where it predicts otherwise."""
+    for ahead, left in ((0.5, ["coulomb:speed"]), (2.0, ["stribeck:speed", "coulomb:speed"])):
+        wide = ("stribeck:speed", 40.0 + ahead * NEEDED, 2.0)
+        both = refits(wide, ("coulomb:speed", 40.0, 1.0))
+        assert names(distinct(both, None, place("rate"))) == left
+    elsewhere = refits(("stribeck:speed", 40.0, 2.0), ("coulomb:load", 40.0, 1.0))
+    assert len(distinct(elsewhere, None, place("rate"))) == 2
 
 
 def half_way(score, ends_at, name):

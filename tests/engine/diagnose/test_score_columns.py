@@ -32,6 +32,7 @@ def test_the_base_s_way_serves_an_effect_s_filters(name, monkeypatch):
     ]
     assert len(effects) >= 3
     found = [effect_columns(effect, model, theta, series, path) for effect in effects]
+    assert any(found)
     monkeypatch.setattr(score_columns, "visited_on", lambda path, na: None)
     for effect, columns in zip(effects, found, strict=True):
         alone = effect_columns(effect, model, theta, series, path)

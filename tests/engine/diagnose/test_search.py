@@ -159,20 +159,41 @@ def test_a_one_sided_test_has_half_the_tail():
         assert seen.scores[0].p_value == pytest.approx(p, rel=1e-6)
 
 
+def test_of_a_family_the_best_place_is_told():
+    rng = np.random.default_rng(9)
+    z, v = rng.standard_normal(300), rng.standard_normal((4, 300))
+    z += 0.3 * v[2]
+    effect = make_effect("stribeck:speed", Setting(DRIVE))
+    columns = [((float(k), 0.0), Column(one * z, one)) for k, one in enumerate(v)]
+    (score,) = screen([make_test(effect, [columns], Projection([]))], rng, 0.05).scores
+    power = (v[2] ** 2).sum()
+    assert score.at == (2.0, 0.0)
+    assert score.size == pytest.approx((v[2] @ z) / power)
+    assert score.se == pytest.approx(power**-0.5)
+    assert score.statistic == pytest.approx((score.size / score.se) ** 2)
+    assert score.rho == pytest.approx(1.0)
+
+
 def test_two_columns_tested_together_are_two_degrees_of_freedom():
     """Their statistic is that of the regression on both, however alike the two are."""
     rng = np.random.default_rng(6)
     z = rng.standard_normal(400)
     one, other = rng.standard_normal((2, 400))
+    z += 0.25 * (one - other)  # enough that thirty places leave something to see
     v = np.array([one, 0.9 * one + 0.4 * other])
     s = v * z
     total = s.sum(axis=1)
     expected = float(total @ np.linalg.solve(v @ v.T, total))
     test = one_test("harmonic", "speed", s, v, degrees=2)
     assert float(test.statistics(test.s.sum(axis=1))[0]) == pytest.approx(expected)
+    alone = screen([test], rng, 0.05)
+    assert alone.scores[0].p_value == pytest.approx(chi2.sf(expected, 2))
     test = replace(test, tries=30)  # chosen from thirty frequencies
     seen = screen([test], rng, 0.05)
-    assert seen.scores[0].p_value == pytest.approx(min(1.0, 30 * chi2.sf(expected, 2)))
+    p = 30 * chi2.sf(expected, 2)
+    assert p < 0.1
+    assert seen.scores[0].p_value == pytest.approx(p)
+    assert seen.scores[0].p_of(expected) == pytest.approx(p)  # as of a refit's likelihood ratio
 
 
 def test_two_waves_that_explain_the_same_are_alike_whatever_their_phases():

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import ndtr
+from scipy.stats import chi2
 
 from engine.data import nile
 from engine.data.series import Series
@@ -146,6 +147,41 @@ def test_whiteness_sees_correlation_and_leaves_gaps_out():
     assert whiteness(white, ("y",))[0].p_value > 0.01
     moving[50:80] = np.nan
     assert whiteness(moving, ("y",))[0].p_value < 1e-6
+
+
+def test_whiteness_is_the_statistic_of_ljung_and_box():
+    n, lags = 150, 20
+    z = 1.3 * np.random.default_rng(10).standard_normal((n, 1))
+    (found,) = whiteness(z, ("y",))
+    e = z[:, 0] - z.mean()
+    r = np.array([e[k:] @ e[:-k] for k in range(1, lags + 1)]) / (e @ e)
+    Q = n * (n + 2.0) * float(np.sum(r**2 / (n - np.arange(1, lags + 1))))
+    assert (found.lags, found.statistic) == (lags, pytest.approx(Q))
+    assert found.p_value == pytest.approx(chi2.sf(Q, lags))
+    assert found.variance == pytest.approx(float(np.mean(z**2)))
+    assert whiteness(z[:9], ("y",)) == ()  # too few to say
+
+
+def test_a_region_is_judged_by_the_errors_that_the_model_itself_makes():
+    """And its shares are of the squares and of the readings."""
+    rng = np.random.default_rng(11)
+    x = np.tile([0.0, 1.0, 2.0], 40)
+    drawn = 0.2 + rng.standard_normal((30, 120))
+    e = np.where(x == 1.0, 2.0, 0.5) * rng.standard_normal(120)
+    e[:9] = np.nan
+    regions = by_signal(Errors("y", "V", e, 4.0 * x, drawn), "state", "x", "V", x)
+    (one,) = (r for r in regions if not (r.lowest or r.highest))
+    inside = (x == 1.0) & np.isfinite(e)
+    means = drawn[:, inside].mean(axis=1)
+    assert (one.low, one.high) == (0.5, 1.5)
+    assert one.mean == pytest.approx(e[inside].mean())
+    assert one.standard_error == pytest.approx(means.std(ddof=1))
+    assert one.score == pytest.approx((e[inside].mean() - means.mean()) / means.std(ddof=1))
+    assert one.rms == pytest.approx(np.sqrt(np.mean(e[inside] ** 2)))
+    assert one.band == 4.0
+    assert one.share_error == pytest.approx(np.sum(e[inside] ** 2) / np.nansum(e**2))
+    assert one.share_samples == pytest.approx(1.0 / 3.0)
+    assert len(regions) == 5  # all runs of three bands but the whole
 
 
 def test_a_sensor_that_reads_high_at_high_levels_is_said_in_words():

@@ -2,14 +2,17 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from scipy.stats import norm
 
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
-from engine.diagnose.search.verdict import patchwork, verdict_of
+from engine.diagnose.search.verdict import detectable_of, patchwork, verdict_of
 from tests.engine.hidden_effects import DRIVE
 
 DRAG, BIAS, STEP = "drag:speed", "bias:reading", "step:reading"
@@ -66,3 +69,37 @@ def test_an_alarm_that_nothing_explains_is_unknown():
 )
 def test_a_name_must_clearly_beat_the_unnamed_force(unnamed, verdict):
     assert verdict_of(searched(DRAG, unnamed=unnamed), alpha=0.05).value == verdict
+
+
+def detectable(boldness=1.0, rho=0.5, se=0.3):
+    """The smallest size of a drag that is seen where a statistic of 9 is an alarm, and whether one is."""
+    effect = make_effect(DRAG, Setting(DRIVE))
+    score = Score(effect, 2.0, 0.1, se, 0.2, rho, (), boldness=boldness)
+    (found,) = detectable_of(SimpleNamespace(scores=(score,), threshold=9.0))
+    return found
+
+
+def test_what_is_detectable_is_seen_four_times_in_five():
+    """An estimate scatters by its standard error about the size; beyond three of them it is an alarm."""
+    se = 0.3
+    assert norm.sf(3.0 * se, detectable(se=se).smallest, se) == pytest.approx(0.8, abs=0.005)
+    # where p-values are four times as bold, an alarm needs twice the size
+    bold = detectable(boldness=4.0, se=se).smallest
+    assert norm.sf(6.0 * se, bold, se) == pytest.approx(0.8, abs=0.005)
+
+
+def test_a_detector_and_outliers_have_no_smallest_size():
+    """An unnamed force stands for anything; how often outliers come is not how large they are."""
+    scores = tuple(
+        Score(make_effect(name, Setting(DRIVE)), 2.0, 0.1, 0.3, 0.2, 0.5, ())
+        for name in (STEP, FORCE, OUTLIERS, BIAS)
+    )
+    found = detectable_of(SimpleNamespace(scores=scores, threshold=9.0))
+    assert [one.effect for one in found] == [BIAS, STEP]  # by name
+
+
+def test_what_the_parameters_explain_or_leaves_no_trace_is_not_detectable_at_any_size():
+    for found in (detectable(rho=0.0), detectable(se=np.inf)):
+        assert not found.testable
+        assert found.smallest == np.inf
+    assert detectable().testable

@@ -39,6 +39,17 @@ def test_agrees_with_exact_em_on_linear_2():
     assert np.all(np.diff(exact.log_likelihood) > -1e-9)  # exact EM never descends
 
 
+def test_exact_em_ends_once_it_has_settled_and_not_before():
+    series = SERIES.part(0, 30)
+    found = rts_em(MODEL, series, theta0=[0.3], tolerance=1e-2, n_iterations=50)
+    assert found.outcome is Outcome.CONVERGED
+    assert len(found.log_likelihood) < 45
+    assert found.theta[0] == pytest.approx(found.trace[-20:].mean())
+    few = rts_em(MODEL, series, theta0=[0.3], tolerance=1e-2, n_iterations=3)
+    assert few.outcome is Outcome.ITERATIONS_USED_UP
+    assert few.theta[0] == few.trace[-1, 0]
+
+
 @pytest.mark.parametrize("method", ["quasi-newton", "em"])
 @pytest.mark.parametrize("warm_start", [True, False])
 def test_resumed_runs_give_the_same_bits(method, warm_start):

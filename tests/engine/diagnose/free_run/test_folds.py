@@ -35,6 +35,17 @@ def test_folds_do_not_depend_on_units_nor_on_a_shift():
     np.testing.assert_array_equal(folds_of([record]).fold, folds_of([other]).fold)
 
 
+def test_a_large_slow_swing_is_as_extreme_as_a_quick_one_however_long_the_blocks_are():
+    """Blocks of 50 and of 500 rows: two with a swing of twenty, fourteen with noise of one."""
+    for rows in (50, 500):
+        y = np.random.default_rng(1).standard_normal(BLOCKS * rows)
+        swing = 20.0 * np.hanning(rows)
+        for k in (3, 9):
+            y[k * rows : (k + 1) * rows] = swing
+        fold = folds_of([Series(y, dt=1.0)]).fold
+        assert fold[3] == fold[9] == 0
+
+
 def test_several_records_share_the_blocks():
     folds = folds_of([_record(600), _record(200, 1)])
     assert folds.blocks == BLOCKS

@@ -1,0 +1,69 @@
+"""Free-run errors before and after an extension, by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from engine import Series
+from engine.diagnose.gain.simulation_gain import output_gains
+
+T = 1000
+BASE = SimpleNamespace(model=SimpleNamespace(outputs={"near": "m", "far": "K", "silent": "V"}))
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Readings of three outputs, one nearly without any, and two runs; every fourth row is held out."""
+    rng = np.random.default_rng(3)
+    y = rng.standard_normal((T, 3)) * [2.0, 5.0, 1.0]
+    y[rng.random(T) < 0.1, 0] = np.nan
+    y[3:, 2] = np.nan
+    rows = np.arange(T) % 4 != 1
+    runs = [np.nan_to_num(y) + size * rng.standard_normal((T, 3)) for size in (0.5, 0.3)]
+    floor = np.array([0.1, 0.6, 0.1])
+    return y, rows, runs, output_gains(BASE, Series(y, dt=1.0), rows, *runs, floor, seed=1)
+
+
+def test_errors_are_those_of_the_rows_held_out_that_have_a_reading(made):
+    y, rows, runs, found = made
+    assert [(one.output, one.unit) for one in found][:2] == [("near", "m"), ("far", "K")]
+    for i, one in enumerate(found[:2]):
+        kept = rows & np.isfinite(y[:, i])
+        before, after = (np.sqrt(np.mean((y[kept, i] - run[kept, i]) ** 2)) for run in runs)
+        assert (one.rmse_before, one.rmse_after) == pytest.approx((before, after))
+        assert one.difference == pytest.approx(after - before)
+        spread = np.std(y[kept, i])
+        assert one.fit_before == pytest.approx(100.0 * (1.0 - before / spread))
+        assert one.fit_after == pytest.approx(100.0 * (1.0 - after / spread))
+
+
+def test_the_share_that_is_gone_is_of_what_stands_above_the_noise(made):
+    near, far = made[3][:2]
+    gone = near.rmse_before**2 - near.rmse_after**2
+    assert near.share_gone == pytest.approx(gone / (near.rmse_before**2 - 0.1**2))
+    assert far.share_gone is None  # there was nothing above it
+
+
+def test_intervals_are_those_of_a_mean_of_independent_squares(made):
+    """Of n normal errors the rms has the standard error rms / sqrt(2 n); 95 % lie within 1.96 of them."""
+    y, rows, _, found = made
+    for i, one in enumerate(found[:2]):
+        n = int((rows & np.isfinite(y[:, i])).sum())
+        for rms, (low, high) in (
+            (one.rmse_before, one.interval_before),
+            (one.rmse_after, one.interval_after),
+        ):
+            assert low < rms < high
+            assert high - low == pytest.approx(2 * 1.96 * rms / np.sqrt(2.0 * n), rel=0.2)
+        low, high = one.interval_difference
+        width = 2 * 1.96 * np.hypot(one.rmse_before, one.rmse_after) / np.sqrt(2.0 * n)
+        assert low < one.difference < high
+        assert high - low == pytest.approx(width, rel=0.2)  # the two runs' errors are independent
+
+
+def test_an_output_with_a_single_reading_held_out_has_no_error(made):
+    y, _, runs, found = made
+    assert [one.output for one in found] == ["near", "far", "silent"]  # rows 0 and 2
+    only = np.arange(T) == 0
+    assert output_gains(BASE, Series(y, dt=1.0), only, *runs, np.ones(3), seed=1) == []
