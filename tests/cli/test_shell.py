@@ -32,6 +32,7 @@ def run_all(rbps, page, tmp_path):
     return said
 
 
+@pytest.mark.slow
 def test_the_commands_from_the_shell_work(rbps, tmp_path):
     from engine.data import nile
     from engine.data.files import write_series

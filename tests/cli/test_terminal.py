@@ -247,6 +247,7 @@ DESIGN = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_designing_and_going_on_end_with_the_same_input(folder, terminal):
     whole = terminal(*DESIGN, "--out", "whole.csv")
     code, expected = whole.end()

@@ -232,6 +232,7 @@ def test_diagnose_and_go_on_with_the_extension(visit):
     page.wait_for_selector("#status.successful")
 
 
+@pytest.mark.slow
 def test_a_diagnosis_leads_to_the_next_experiment(visit, address):
     rng = np.random.default_rng(0)
     model = engine.get_model("oscillator", effects=["coulomb:velocity"])

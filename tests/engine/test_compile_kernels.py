@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from engine import Series, get_model, rbps_em, simulate
 from engine.compile_kernels import compiled_kernels, warm
@@ -34,6 +35,7 @@ def used():
     return {name: s for name, s in compiled_kernels().items() if name.startswith(USED)}
 
 
+@pytest.mark.slow
 def test_no_model_needs_a_kernel_in_another_form():
     warm()
     before = used()

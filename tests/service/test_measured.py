@@ -1,6 +1,7 @@
 """Measured data through POST /jobs: the cascaded tanks, estimated and simulated on the test record."""
 
 import numpy as np
+import pytest
 
 import engine
 
@@ -14,6 +15,7 @@ def free_run_rmse(model, theta, test):
     return float(np.sqrt(np.mean((run.y[FIRST:] - test.y[FIRST:]) ** 2)))
 
 
+@pytest.mark.slow
 def test_tanks(client, ended, measured_data):
     folder = measured_data("cascaded_tanks")
     record = engine.Series.read(folder / "estimation.csv", dt=4.0)

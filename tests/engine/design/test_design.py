@@ -128,6 +128,7 @@ def test_twins_are_said_to_be_such():
     assert "Nor would a sensor" in " ".join(str(made).split())
 
 
+@pytest.mark.slow
 def test_a_third_cause_is_told_apart_from_twins():
     made = _designed(
         causes={"force:velocity": 0.6, "input-offset:voltage": 1.2, "drag:velocity": 0.4}

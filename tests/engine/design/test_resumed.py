@@ -23,7 +23,7 @@ def numbers(made):
     return json.dumps(told)
 
 
-@pytest.mark.parametrize("steps", [5, 17])
+@pytest.mark.parametrize("steps", [pytest.param(5, marks=pytest.mark.slow), 17])
 def test_stopped_after_every_few_parts(steps):
     question = asked(bounds=BOUNDS, length=240)
     expected = question.designed(32, 1)

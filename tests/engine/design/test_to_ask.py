@@ -83,6 +83,7 @@ def test_what_an_earlier_round_found_is_in_the_model():
     the_same(of_diagnosis(diagnosis, None), asked_again(diagnosis))
 
 
+@pytest.mark.slow
 def test_where_the_free_run_decided_its_causes_are_asked_for():
     """Pairs among them; the likelihood's rounds say something else here."""
     series = record(["cubic:position->velocity"], {"cubic_position__velocity": -20.0}, T=240)

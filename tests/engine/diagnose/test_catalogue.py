@@ -114,6 +114,7 @@ def test_a_hidden_effect_is_found_among_its_look_alikes(kind):
     assert name in explains(first)
 
 
+@pytest.mark.slow
 def test_a_hidden_force_that_nobody_named_is_seen_and_not_named():
     """The detector of "something" is no cause."""
     model, series, name = case("latent", seed=5)

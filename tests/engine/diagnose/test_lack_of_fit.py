@@ -169,6 +169,7 @@ def test_noise_parameters_are_known_and_share_no_innovations_with_others():
     assert np.abs(both[:3, 3:] - (before[:3, 60:] @ before[3:, 60:].T)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_the_same_in_other_units():
     record = series(with_shape(SHAPES["speed times force"]), 2).part(0, 160)
     rng = np.random.default_rng(3)

@@ -21,6 +21,7 @@ def test_clipped_readings_are_not_taken_for_noise():
     assert limit == pytest.approx(y.max(), abs=0.01 * np.std(y))
 
 
+@pytest.mark.slow
 def test_without_the_free_run_their_scores_would_not_call_for_it(monkeypatch):
     monkeypatch.setattr(search, "leading", lambda *_: {})
     found = find_causes(

@@ -52,6 +52,7 @@ def test_the_cause_is_named_and_the_gain_is_of_all_that_is_held_out(found):
     assert "and 2 records more" in str(found)
 
 
+@pytest.mark.slow
 def test_records_may_come_in_any_order(found, parts):
     again = ask(parts[::-1], [record(80, 4), record(90, 5)])
     assert again.verdict is found.verdict
