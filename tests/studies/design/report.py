@@ -196,7 +196,7 @@ def _calibration(short: Table, whole: Table) -> str:
         f"{len(short)} designs of {FEW_INPUTS} inputs, of each {RECORDS} records: either cause true in turn, "
         "each cut off where the printed probability is anything between 0 and 0.5, and between 0.5 and 1. "
         "Intervals count a design's records as one (a normal distribution of their sums). What a design takes "
-        "into account was settled on other cases, by their likelihood.\n\n"
+        "into account was settled on other cases.\n\n"
     )
     return text + markdown(["probability printed, mean of the bin", "right names"], rows)
 
