@@ -109,8 +109,11 @@ def tank():
     )
 
 
-def cart(pull=0.0, reading=lambda x: x):
-    """A cart on a rail, seen by a tape measure; ``pull`` of a spring to the middle in 1/s^2."""
+def cart(pull=0.0, reading=lambda x: x, rough=0.0):
+    """A cart on a rail, seen by a tape measure; ``pull`` of a spring to the middle in 1/s^2.
+
+    The variance of a reading may grow with the square of the position, by a share ``rough`` per m^2.
+    """
 
     def dynamics(a, u, t, dt, th):
         x, v = a[:, 0], a[:, 1]
@@ -120,7 +123,11 @@ def cart(pull=0.0, reading=lambda x: x):
     return engine.MixedModel(
         name="cart",
         dynamics=dynamics,
-        measurement=lambda a, u, t, th: ([reading(a[:, 0])], np.zeros((1, 0)), [[th.r**2]]),
+        measurement=lambda a, u, t, th: (
+            [reading(a[:, 0])],
+            np.zeros((1, 0)),
+            [[th.r**2 * (1.0 + rough * a[:, 0] ** 2)]],
+        ),
         initial=lambda th: (engine.Gaussian([0.0, 0.0], 0.01 * np.eye(2)), [], np.zeros((0, 0))),
         nonlinear={"position": "m", "speed": "m/s"},
         inputs={"force": "N"},

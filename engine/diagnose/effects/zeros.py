@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from engine.diagnose.effects.rates import Points, guessed_points, step, two_thetas
+from engine.diagnose.effects.rates import Points, guessed_points, two_thetas
 from engine.statespace.model import Array, MixedModel
 
 STEPS = (1.0, 0.1)  # times the time between samples
@@ -56,12 +56,12 @@ def _moved(model: MixedModel, points: Points, theta: Array, dx: Array, du: Array
     for u, t, dt in zip(points.u, points.t, points.dt, strict=True):
         places = (points.x, u), (points.x + dx, u + du)
         for h in STEPS:
-            here, there = (step(model, theta, x, v, t, h * dt) for x, v in places)
-            if not _apart(here, there, dx):
+            (here, Q), (there, Q_there) = (_next(model, theta, x, v, t, h * dt) for x, v in places)
+            if not (_apart(here, there, dx) and _same(Q, Q_there)):
                 return set()
-        here, there = (_reading(model, theta, x, v, t) for x, v in places)
+        (here, R), (there, R_there) = (_reading(model, theta, x, v, t) for x, v in places)
         change = there[0] - here[0]
-        if not _apart(here, there, change):
+        if not (_apart(here, there, change) and _same(R, R_there)):
             return set()
         read |= np.abs(change) > ROUNDING * (np.abs(here[0]) + np.abs(there[0]))
     names = [*model.nonlinear, *model.linear, *model.inputs, *model.outputs]
@@ -75,7 +75,22 @@ def _apart(here: Array, there: Array, change: Array) -> bool:
     return bool((np.abs(there - here - change) <= rounding).all())
 
 
-def _reading(model: MixedModel, theta: Array, x: Array, u: Array, t: float) -> Array:
-    """Means (M, ny) of what is read at x (M, nx)."""
-    h, C, _ = model.observation(np.ascontiguousarray(x[:, : model.na]), u, t, model.record(theta))
-    return np.asarray(h + np.einsum("...ij,...j->...i", C, x[:, model.na :]))
+def _same(here: Array, there: Array) -> bool:
+    """Whether two covariances are the same, but for rounding."""
+    return bool((np.abs(there - here) <= ROUNDING * np.abs(here)).all())
+
+
+def _next(
+    model: MixedModel, theta: Array, x: Array, u: Array, t: float, dt: float
+) -> tuple[Array, Array]:
+    """Means (M, nx) one step after x (M, nx), and their covariances."""
+    a = np.ascontiguousarray(x[:, : model.na])
+    f, A, Q = model.transition(a, u, t, dt, model.record(theta))
+    return np.asarray(f + np.einsum("...ij,...j->...i", A, x[:, model.na :])), Q
+
+
+def _reading(model: MixedModel, theta: Array, x: Array, u: Array, t: float) -> tuple[Array, Array]:
+    """Means (M, ny) of what is read at x (M, nx), and their covariances."""
+    a = np.ascontiguousarray(x[:, : model.na])
+    h, C, R = model.observation(a, u, t, model.record(theta))
+    return np.asarray(h + np.einsum("...ij,...j->...i", C, x[:, model.na :])), R

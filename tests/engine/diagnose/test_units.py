@@ -144,6 +144,7 @@ def test_what_can_be_counted_from_anywhere_is(model, channels):
         (cart(), {"position", "tape"}),
         (cart(pull=1e-3), set()),  # a spring, however soft, knows where it is
         (cart(reading=lambda x: x + 0.01 * x**2), set()),
+        (cart(rough=0.1), set()),
         (replace(cart(), reference={"position": 2.0}), {"position", "tape"}),
         (room(), {"air", "masonry", "outside", "y"}),
         (pendulum(), set()),
