@@ -223,6 +223,7 @@ def test_starts_and_bootstrap_are_the_services(rbps, flows):
     assert not list(flows.parent.rglob("*.state"))
 
 
+@pytest.mark.slow
 def test_fit_writes_what_is_asked_for(rbps, flows, tmp_path):
     result = rbps("fit", flows, "-m", "local-level", "--method", "rts-em", "-n", "300",
                   "--out", "out.json", "--report", "out.html", "--plot", "figures")  # fmt: skip
@@ -316,6 +317,7 @@ def test_diagnose(rbps, flows, tmp_path):
     assert document["extension"]["model"]["name"] == "local-level"
 
 
+@pytest.mark.slow
 def test_diagnose_lists_what_is_asked_about_first_and_all_on_demand(rbps, flows):
     kinds = "step,pulse,ramp,harmonic,drift,gain,cubic,drag,coulomb,deadzone,lag,heavy-tails,level"
     result = rbps("diagnose", flows, "-m", "local-level", "--effects", kinds, "--all",
@@ -434,6 +436,7 @@ def test_what_is_simulated_can_be_fitted(rbps):
 # ---- serve ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_serve(tmp_path):
     import socket
 
@@ -513,6 +516,7 @@ def run(rbps, tmp_path):
     return tmp_path / "run.csv"
 
 
+@pytest.mark.slow
 def test_the_simulation_is_fitted_first(rbps, run, tmp_path):
     asked = ("fit", run, "-m", "oscillator", "--free", "omega,zeta", "--set", "omega=7")
     found = rbps(

@@ -31,6 +31,7 @@ def fit(rbps, out, *more):
     return result.stdout
 
 
+@pytest.mark.slow
 def test_two_results_side_by_side(rbps, records, tmp_path):
     said = fit(rbps, "a.json", "--method", "simulation", "--name", "by simulation", "--tag", "x,y")
     assert "on held-out data the simulation of y is wrong by" in said
@@ -112,6 +113,7 @@ def test_the_jobs_of_the_service_here(rbps, tmp_path, monkeypatch):
     assert rbps("jobs", "--sort", "nonsense").exit_code == 2
 
 
+@pytest.mark.slow
 def test_a_unit_of_time(rbps, tmp_path):
     """Read from the column's name, or given: it is printed, and changes no number."""
     from engine.data import nile

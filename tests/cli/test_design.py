@@ -19,6 +19,7 @@ BEFORE = (
 RANGE = ("--input", "drive=-1:1:20")
 
 
+@pytest.mark.slow
 def test_before_any_experiment(rbps, tmp_path):
     run = rbps(*BEFORE, *RANGE, "-o", "in.csv", "--report", "in.html")
     assert run.exit_code == 0, run.stderr
@@ -55,6 +56,7 @@ def record():
     return engine.simulate(model, theta, 200, rng, u=u, dt=0.05, hold="past").series
 
 
+@pytest.mark.slow
 def test_from_a_diagnosis(rbps, tmp_path, record):
     write_series(record, tmp_path / "run.csv")
     kinds = ["coulomb:velocity", "drag:velocity"]

@@ -64,6 +64,7 @@ def test_the_shell_completes(typed, offered, others):
     assert not set(others) & set(words)
 
 
+@pytest.mark.slow
 def test_state_files_have_a_folder_of_their_own_and_go_with_it(rbps, tmp_path):
     command = "simulate -m oscillator --excite drive=steps:1:2 -n 100 --dt 0.02 -o run.csv"
     assert rbps(*command.split()).exit_code == 0

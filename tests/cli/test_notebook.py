@@ -101,6 +101,7 @@ def test_a_model_in_a_cell_needs_no_registration(cell):
     assert cell["diagnosis"].model is cell["mine"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [FORKED, SENT], ids=["forked", "sent as Dask does"])
 def test_a_model_in_a_cell_works_in_workers(how):
     script = CELL + DATA + ESTIMATE + how

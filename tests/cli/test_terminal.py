@@ -58,6 +58,7 @@ def same_numbers(one, other):
     return texts[0] == texts[1]
 
 
+@pytest.mark.slow
 def test_a_bar_with_the_time_that_is_left(folder, terminal):
     run = terminal("fit", *FIT, "--quiet")
     code, quiet = run.end()
@@ -115,6 +116,7 @@ def test_ctrl_c_in_a_later_start(folder, terminal):
     assert not (folder / ".rbps" / "result.state").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_after_the_iterations_loses_none(folder, terminal, uninterrupted):
     run = terminal("fit", *FIT, "--state", "kept.state")
     run.until("smoothing|comparing")
@@ -133,6 +135,7 @@ def test_ctrl_c_after_the_iterations_loses_none(folder, terminal, uninterrupted)
     assert same_numbers(json.loads(again.stdout), uninterrupted)
 
 
+@pytest.mark.slow
 def test_what_follows_the_iterations_claims_no_time(folder, terminal):
     """The bar of the iterations is full or gone, and nobody says how long standard errors take."""
     run = terminal("fit", *FIT[:-1])  # with standard errors
@@ -170,6 +173,7 @@ def without_times(page):
     return [line for line in page.splitlines() if " s in all: " not in line]
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_a_diagnosis_knows_by_then(folder, terminal):
     run = terminal(*DIAGNOSE, "--report", "early.html", "--out", "early.json")
     run.until(r"Free-run simulation of \w+: wrong by [^.]")  # as soon as the model is fitted
@@ -222,6 +226,7 @@ def test_ctrl_c_while_diagnosing_and_going_on_end_with_the_same_page(folder, ter
     assert not list(folder.rglob("*.state"))
 
 
+@pytest.mark.slow
 def test_a_killed_diagnosis_leaves_its_parts(folder):
     few = (*DIAGNOSE[:-1], "bias,gain")
     run = subprocess.Popen([*RBPS, *few, "-q", "--state", "kept.state"], cwd=folder)
@@ -274,6 +279,7 @@ def test_ctrl_c_while_designing_and_going_on_end_with_the_same_input(folder, ter
     assert not (folder / ".rbps").exists()
 
 
+@pytest.mark.slow
 def test_a_killed_design_leaves_its_parts(folder):
     run = subprocess.Popen([*RBPS, *DESIGN, "-q", "--state", "kept.state"], cwd=folder)
     path = folder / "kept.state"
@@ -289,6 +295,7 @@ def test_a_killed_design_leaves_its_parts(folder):
     assert len(more) >= len(parts)
 
 
+@pytest.mark.slow
 def test_plain_lines_where_the_terminal_is_dumb_or_none(folder):
     run = subprocess.run(
         [*RBPS, "fit", *FIT], cwd=folder, capture_output=True, text=True, check=True

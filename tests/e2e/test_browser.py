@@ -84,6 +84,7 @@ def long(address):
     httpx.delete(f"{address}/jobs/{job}")
 
 
+@pytest.mark.slow
 def test_watch_a_job_and_stop_it(visit, long):
     page = visit(f"/jobs/{long}")
     page.wait_for_selector("#traces canvas")
@@ -103,6 +104,7 @@ def test_watch_a_job_and_stop_it(visit, long):
     assert page.locator("#traces canvas").count() >= 2  # and their curves
 
 
+@pytest.mark.slow
 def test_held_parameters_have_no_curve_from_the_first_iteration_on(visit, address):
     """Their curve, once drawn, would stand still beside the others."""
     model = engine.get_model("oscillator")
@@ -134,6 +136,7 @@ def test_held_parameters_have_no_curve_from_the_first_iteration_on(visit, addres
     assert not set(titles) & {"zeta", "gain", "sigma_v", "sigma_y"}
 
 
+@pytest.mark.slow
 def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
     page = visit(f"/jobs/{long}")
     page.wait_for_selector("#traces canvas")
@@ -159,6 +162,7 @@ def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
     assert not page.is_visible("#resume")
 
 
+@pytest.mark.slow
 def test_a_diagnosis_shows_what_it_knows_while_it_goes_on_and_keeps_it(visit, address):
     """The simulation of the fitted model first, then what a first look suspects; Stop leaves both."""
     servo, rng = engine.get_model("servo"), np.random.default_rng(2)
@@ -198,6 +202,7 @@ def iteration(page):
     return int(re.search(r"iteration\s+(\d+)", page.inner_text("#facts"), re.IGNORECASE)[1])
 
 
+@pytest.mark.slow
 def test_diagnose_and_go_on_with_the_extension(visit):
     page = visit("/")
     ready(page)
@@ -455,6 +460,7 @@ def submit(address, name, **more):
     return httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
 
 
+@pytest.mark.slow
 def test_jobs_are_named_sorted_and_compared(visit):
     ids = [
         submit(visit.address, name, tags=["flows", tag])
@@ -535,6 +541,7 @@ def test_a_job_is_named_where_it_is_made(visit, flows):
     assert "flows.csv" in page.inner_text("#checks")
 
 
+@pytest.mark.slow
 def test_keys(visit, tmp_path):
     keys = tmp_path / "keys"
     keys.write_text(
@@ -618,6 +625,7 @@ def test_columns_are_matched_as_the_service_does(visit):
     assert found == expected
 
 
+@pytest.mark.slow
 def test_a_model_of_ones_own_with_its_equations_and_what_its_check_says(chrome, tmp_path):
     models = tmp_path / "models"
     models.mkdir()
@@ -674,6 +682,7 @@ def test_the_simulation_is_fitted_first(visit, tmp_path):
     assert page.input_value("#estimate-method") == "simulation"
 
 
+@pytest.mark.slow
 def test_the_guide_is_there_without_a_network(visit):
     page = visit("/")
     ready(page)

@@ -89,6 +89,7 @@ def test_results_are_kept_as_the_guide_says(capsys, tmp_path, monkeypatch):
     assert (tmp_path / "fit.json").is_file()
 
 
+@pytest.mark.slow
 def test_the_glider_in_short(capsys, monkeypatch):
     """The block runs as it stands, on fewer samples, with fewer iterations and few effects."""
     (block,) = (one for one in BLOCKS if "glider" in one)

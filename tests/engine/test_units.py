@@ -153,6 +153,7 @@ def test_estimates(method):
     np.testing.assert_allclose(two, one * units.theta, rtol=1e-5)
 
 
+@pytest.mark.slow
 @settings(few, max_examples=3)
 @given(data=st.data())
 def test_estimates_of_what_has_no_scale_of_its_own(data):

@@ -42,6 +42,7 @@ def run(client, ended, job):
     return url, client.get(f"{url}/results").json()
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_found_estimated_and_simulated(client, ended, record):
     _, found = run(
         client,

@@ -58,6 +58,7 @@ def compare(client, jobs, ended):
     return compared
 
 
+@pytest.mark.slow
 def test_parameters_errors_curves_and_held_out_errors_side_by_side(client, jobs, compare):
     found = compare("first", "second").json()
     results = [client.get(f"/jobs/{jobs[name]}/results").json() for name in ("first", "second")]
@@ -111,6 +112,7 @@ def test_what_is_of_different_data_is_not_subtracted(compare):
     ]
 
 
+@pytest.mark.slow
 def test_a_diagnosis_beside_an_estimate(compare, client, jobs):
     found = compare("diagnosis", "first").json()
     assert found["models"][0].startswith("oscillator")

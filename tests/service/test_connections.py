@@ -105,6 +105,7 @@ def test_others_are_answered_whoever_waits(make_client, sent):
             one.close()
 
 
+@pytest.mark.slow
 def test_few_files_are_enough(spawn):
     """More connections than the service may have open files; and what it writes about it."""
     files = ["sh", "-c", f'ulimit -n {OTHER_FILES + 100}; exec "$@"', "sh"]
@@ -121,6 +122,7 @@ def test_few_files_are_enough(spawn):
     assert len((service.state / "log").read_text().splitlines()) < 200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", WAITING)
 def test_a_stop_does_not_wait_for_what_may_never_come(spawn, sent):
     """By far: the client has thousands of seconds for each pause."""

@@ -54,6 +54,7 @@ def test_a_killed_worker_is_replaced_and_goes_on(running, catch, wait, ended, re
     assert without_seconds(service.client.get(f"{url}/results").json()) == expected
 
 
+@pytest.mark.slow
 def test_what_the_quasi_newton_method_remembers_outlives_its_worker(
     running, catch, ended, request_, client
 ):
@@ -68,6 +69,7 @@ def test_what_the_quasi_newton_method_remembers_outlives_its_worker(
     assert without_seconds(running.client.get(f"{url}/results").json()) == expected
 
 
+@pytest.mark.slow
 def test_a_killed_service_leaves_no_worker_and_is_taken_up_again(
     spawn, catch, dead, eventually, ended, request_, expected
 ):
@@ -102,6 +104,7 @@ def without_times(results):
     return found
 
 
+@pytest.mark.slow
 def test_a_diagnosis_goes_on_with_what_a_killed_worker_had_finished(
     running, catch, wait, ended, diagnosis
 ):
@@ -121,6 +124,7 @@ def test_a_diagnosis_goes_on_with_what_a_killed_worker_had_finished(
     assert without_times(results[0]) == without_times(results[1])
 
 
+@pytest.mark.slow
 def test_a_design_goes_on_with_what_a_killed_worker_had_finished(running, catch, wait, ended):
     service, example = running, EXAMPLES["design"]["value"]
     long = {**example, "options": {**example["options"], "length": 150, "inputs": 160}}
@@ -180,6 +184,7 @@ def test_a_worker_that_always_dies_at_one_place_fails_the_job_and_it_can_be_resu
     service.client.delete(url)
 
 
+@pytest.mark.slow
 def test_losses_with_progress_between_them_do_not_add_up(
     running, workers, wait, ended, eventually, dead, request_, expected
 ):
@@ -230,6 +235,7 @@ def test_a_stopped_job_goes_on_where_it_was(make_client, wait, ended, request_, 
     assert client.post("/jobs/none/resume").status_code == 404
 
 
+@pytest.mark.slow
 def test_a_killed_forkserver_is_replaced(
     running, catch, ended, parent_of, dead, eventually, request_, expected
 ):
@@ -252,6 +258,7 @@ def test_a_forkserver_that_still_loads_goes_with_its_service(
     eventually(lambda: all(dead(pid) for pid in below))
 
 
+@pytest.mark.slow
 def test_a_stopped_service_goes_on_where_it_was(spawn, catch, ended, dead, request_, expected):
     """SIGTERM without draining: the task goes back to the queue unharmed, no loss is counted."""
     service = spawn(lease_seconds=1000)
@@ -265,6 +272,7 @@ def test_a_stopped_service_goes_on_where_it_was(spawn, catch, ended, dead, reque
     assert without_seconds(again.client.get(f"{url}/results").json()) == expected
 
 
+@pytest.mark.slow
 def test_a_suspended_service_has_lost_nothing(spawn, catch, ended, request_, expected):
     """Its own clock went on without it, far beyond the time after which silence is a loss."""
     service = spawn(lease_seconds=1)

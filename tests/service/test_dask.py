@@ -83,6 +83,7 @@ def client(make_client, cluster, database, eventually):
     return served
 
 
+@pytest.mark.slow
 def test_estimate_cancel_and_a_killed_worker(
     client, attempts, estimation, long, wait, ended, eventually
 ):
@@ -124,6 +125,7 @@ def front(spawn, cluster, database, eventually):
     return start
 
 
+@pytest.mark.slow
 def test_a_killed_computation_and_a_killed_service(front, attempts, estimation, wait, ended):
     """The computation starts again where it was; that of a service that died goes on without it."""
     service = front(lease_seconds=5)
@@ -220,6 +222,7 @@ def test_what_ends_after_the_service_has_stopped_is_let_alone(store):
     assert store.holds(attempt)
 
 
+@pytest.mark.slow
 def test_a_study_is_spread_over_the_workers(client, attempts, estimation, ended):
     request = estimation(method="rts-em", iterations=15, bootstrap=8)
     url = client.post("/jobs", json=request).headers["location"]
@@ -231,6 +234,7 @@ def test_a_study_is_spread_over_the_workers(client, attempts, estimation, ended)
     assert max(seen) == 2
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_gone_and_comes_back(
     client, cluster, attempts, estimation, long, wait, ended, eventually
 ):

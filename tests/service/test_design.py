@@ -74,6 +74,7 @@ def diagnosed():
     return found, json.loads(strict_json.dumps(diagnoses.document(found, "oscillator", [])))
 
 
+@pytest.mark.slow
 def test_a_stored_diagnosis_asks_for_the_same_as_the_diagnosis_itself(client, ended, diagnosed):
     found, stored = diagnosed
     document = stored["diagnosis"]

@@ -62,6 +62,7 @@ def test_a_diagnosis_from_post_to_results_and_its_extension_used_at_once(client,
     assert gained > 5.0
 
 
+@pytest.mark.slow
 def test_the_service_says_what_the_engine_says(client, ended, nile_diagnosis):
     flows = nile()
     effects = ["step", "pulse"]
@@ -86,6 +87,7 @@ def test_the_service_says_what_the_engine_says(client, ended, nile_diagnosis):
     assert [d["effect"] for d in there["detectable"]] == [d["effect"] for d in here["detectable"]]
 
 
+@pytest.mark.slow
 def test_a_model_with_effects_is_estimated(client, ended, data):
     job = {
         "kind": "estimate", "model": {"name": "linear-2", "with": ["force:z"]},
@@ -128,6 +130,7 @@ def test_too_few_measurements_fail_with_the_reason(client, ended):
     assert "30" in job["message"]
 
 
+@pytest.mark.slow
 def test_what_was_kept_of_a_model_that_has_changed_since_is_not_used():
     flows = nile()
     document = {
@@ -148,6 +151,7 @@ def test_what_was_kept_of_a_model_that_has_changed_since_is_not_used():
     assert [one["early"]["screen"] is None for one in told] == [True, False] * 2
 
 
+@pytest.mark.slow
 def test_what_is_known_while_it_goes_on_and_after_it_was_stopped(client, ended, eventually):
     """The fit and its simulation with the status, as a result and as a report; Stop keeps them."""
     servo = engine.get_model("servo")

@@ -340,6 +340,7 @@ def test_a_body_that_stops_halfway(make_client):
         assert answer.startswith(b"HTTP/1.1 408")
 
 
+@pytest.mark.slow
 def test_a_body_that_trickles(make_client):
     """No pause is too long, but all together are; where this process was kept waiting, it tries again."""
     client = make_client(body_seconds=0.3)

@@ -223,6 +223,7 @@ def test_a_fresh_service_starts_warm(spawn, catch, long):
     assert used < 2.0  # to load takes as long, to compile ten times
 
 
+@pytest.mark.slow
 def test_estimates_are_there_before_their_standard_errors_and_stay_when_stopped(
     running, estimation, wait, ended
 ):

@@ -113,6 +113,7 @@ def of_a_terminal():
     signal.signal(signal.SIGINT, usual)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("of_a_terminal")
 @pytest.mark.parametrize("times", [1, 2])
 def test_ctrl_c_while_the_engine_loads(spawn, children_of, dead, eventually, times):

@@ -5,6 +5,8 @@ import re
 import time
 from datetime import datetime
 
+import pytest
+
 FAILS = {
     "kind": "simulate", "model": "mixed-4", "options": {"mode": "stochastic", "samples": 5000},
     "parameters": {"values": {"theta_4": 1.2}},
@@ -38,6 +40,7 @@ def samples(text):
     return found
 
 
+@pytest.mark.slow
 def test_metrics_of_queue_workers_durations_iterations_and_failures(
     make_client, estimation, long, ended, wait
 ):
@@ -69,6 +72,7 @@ def test_metrics_of_queue_workers_durations_iterations_and_failures(
     client.delete(running)
 
 
+@pytest.mark.slow
 def test_each_line_of_the_log_is_json_and_names_the_job(spawn, estimation, ended):
     service = spawn()
     urls = [

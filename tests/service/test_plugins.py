@@ -60,6 +60,7 @@ def service(spawn, tmp_path):
     return spawn({"PYTHONPATH": path}, worker_memory=3 << 30, run_seconds=6.0)
 
 
+@pytest.mark.slow
 def test_good_and_broken_and_misbehaving_models(service, workers, dead, ended, eventually, wait):
     client = service.client
     models = client.get("/models").json()
@@ -107,6 +108,7 @@ def limit(pids, size):
         resource.prlimit(pid, resource.RLIMIT_FSIZE, (size or most, most))
 
 
+@pytest.mark.slow
 def test_a_full_disk(spawn, catch, dead, estimation, ended, eventually):
     """With room again all goes on."""
     service = spawn(lease_seconds=2, losses_allowed=100)
@@ -126,6 +128,7 @@ def test_a_full_disk(spawn, catch, dead, estimation, ended, eventually):
     assert ended(client, client.post("/jobs", json=estimation()).headers["location"])
 
 
+@pytest.mark.slow
 def test_a_disk_that_stays_full_for_the_worker(spawn, catch, long, ended):
     """Its log, with what Python keeps of it until the end, is on the same disk."""
     service = spawn({"PYTHONUNBUFFERED": ""}, losses_allowed=0)

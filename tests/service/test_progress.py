@@ -81,6 +81,7 @@ def passes(monkeypatch):
     return made
 
 
+@pytest.mark.slow
 def test_the_progress_of_a_diagnosis_is_in_step_with_its_work(passes):
     """Two effects are found, and each weighed again beside the other."""
     model, series, options = two_effects()

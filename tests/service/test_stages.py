@@ -22,6 +22,7 @@ def test_best_of_several_starts(client, estimation, ended):
     )
 
 
+@pytest.mark.slow
 def test_bootstrap_agrees_with_the_observed_information(client, estimation, ended):
     request = estimation(method="rts-em", iterations=10, standard_errors=True)
     plain = client.post("/jobs", json=request).headers["location"]

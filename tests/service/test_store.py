@@ -414,6 +414,7 @@ def test_a_stopped_job_keeps_its_data_and_a_removed_one_does_not(store):
     store.check()
 
 
+@pytest.mark.slow
 def test_the_service_on_any_store(database, make_client, estimation, ended):
     client = make_client(database_url=database, workers=2)
     assert client.get("/readyz").status_code == 200

@@ -172,6 +172,7 @@ def test_who_made_room_comes_after_those_it_was_for(store):
     assert order == [1, 4, 6] * 3
 
 
+@pytest.mark.slow
 def test_a_key_that_comes_later_is_not_kept_waiting(make_client, tmp_path, long, estimation, wait):
     """One worker, and a computation of another key far longer than any test."""
     anna, bert = keyed(make_client, tmp_path, turn_seconds=0.2)
@@ -187,6 +188,7 @@ def test_a_key_that_comes_later_is_not_kept_waiting(make_client, tmp_path, long,
     anna("DELETE", slow)
 
 
+@pytest.mark.slow
 def test_turns_change_no_bit(make_client, tmp_path, client, estimation, ended):
     request = estimation(particles=100, iterations=60, seed=9)
     alone = client.post("/jobs", json=request).headers["location"]

@@ -303,6 +303,7 @@ def test_whatever_the_bytes_they_are_a_series_or_a_series_error(name, data):
     read_damaged(name, data)
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=12, deadline=None)
 def test_whatever_the_bytes_of_a_matlab_file(data):

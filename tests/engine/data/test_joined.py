@@ -64,6 +64,7 @@ def test_the_gain_on_what_follows_is_that_of_one_run_through_both():
     assert alone.log_density == pytest.approx(float(np.sum(terms[1] - terms[0])))
 
 
+@pytest.mark.slow
 def test_so_are_an_estimate_s_predictions_and_a_diagnosis_gain():
     whole = record()
     biased = whole.replace(y=whole.y + 0.3)

@@ -44,6 +44,7 @@ def test_the_design_tells_what_it_is_for(made):
     assert not made.undecided
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_the_new_record_ends_in_the_right_name(made):
     model, right = drive(), 0
     for true in before_any(model, CAUSES, None, 0.1, None).candidates:
@@ -67,6 +68,7 @@ def test_it_does_better_than_a_random_binary_input(made):
     assert made.D > 2.0 * D
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_design(made):
     again = _designed()
     assert np.array_equal(again.u, made.u)
@@ -100,6 +102,7 @@ def test_limits_on_states_and_outputs_are_kept_whichever_cause_is_true():
         assert np.mean(inside) > 0.97  # two standard deviations off at the worst time
 
 
+@pytest.mark.slow
 def test_stop_bands_are_left_alone_in_every_record_that_is_offered(made):
     band = {"low": -6.0, "high": 6.0, "stopbands": [[0.2, 0.5], [2.0, 4.0]]}
     quiet = _designed(bounds={"inputs": {"voltage": band}, "dt": 0.1})

@@ -23,7 +23,8 @@ def numbers(made):
     return json.dumps(told)
 
 
-@pytest.mark.parametrize("steps", [pytest.param(5, marks=pytest.mark.slow), 17])
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [5, 17])
 def test_stopped_after_every_few_parts(steps):
     question = asked(bounds=BOUNDS, length=240)
     expected = question.designed(32, 1)
@@ -63,6 +64,7 @@ def test_what_was_kept_of_another_design_is_refused():
         assert error.value.field == "kept"
 
 
+@pytest.mark.slow
 def test_what_a_document_tells_of_the_next_diagnosis_counts():
     """A higher threshold makes a right name rarer; which outputs are measured is known."""
     sure, careful = (asked(alarm=alarm).designed(16, 1) for alarm in (5.0, 60.0))

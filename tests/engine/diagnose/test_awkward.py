@@ -67,10 +67,8 @@ def looked_at(series, theta=None, effects=None):
     return found
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(one, marks=[pytest.mark.slow] * (one != "gaps")) for one in NOTHING_IN_THEM],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NOTHING_IN_THEM)
 def test_poor_data_in_which_nothing_is_hidden(name):
     assert looked_at(NOTHING_IN_THEM[name](0)).verdict is Verdict.NOTHING
 
@@ -83,13 +81,8 @@ def test_poor_data_raise_no_more_alarms_than_good_data(name):
     assert sum(verdict is not Verdict.NOTHING for verdict in verdicts) <= 2
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [
-        pytest.param(None, marks=pytest.mark.slow, id="all"),
-        pytest.param(["heavy-tails", "bias", "gain"], id="few"),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("effects", [None, ["heavy-tails", "bias", "gain"]], ids=["all", "few"])
 def test_two_outliers_in_a_hundred_are_seen_as_such(effects):
     """Seven outliers; with twelve as large the verdict is unknown, with notes but without the name."""
     found = looked_at(outliers(0), effects=effects)

@@ -23,6 +23,7 @@ def both(effects, values, seed):
     return seen.p_value, bootstrap_p(fit, series, setting, seen, N, seed, kinds=KINDS)
 
 
+@pytest.mark.slow
 def test_a_large_effect_is_beyond_all_bootstrap_series():
     multiplier, bootstrap = both(["coulomb:speed"], {"coulomb_speed": 0.6}, 1)
     assert multiplier < 0.01

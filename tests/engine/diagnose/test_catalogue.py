@@ -105,6 +105,7 @@ def sought(quick=()):
     return [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in quick)) for kind in kinds]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sought(QUICK))
 def test_a_hidden_effect_is_found_among_its_look_alikes(kind):
     model, series, name = case(kind, seed=5)
@@ -191,6 +192,7 @@ def test_a_lattice_is_seen_through_gaps_offsets_and_rounded_numbers():
     assert lattice_step(np.repeat([0.0, 1.0, np.pi], 50)) is None
 
 
+@pytest.mark.slow
 def test_an_extra_channel_is_diagnosed_and_becomes_an_input():
     model, wide, name = case("extra-input", seed=5)
     series = engine.Series(

@@ -74,10 +74,11 @@ def numbers(found):
     return json.dumps(told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "steps"),
     [
-        pytest.param("two effects", 1, marks=pytest.mark.slow),
+        ("two effects", 1),
         ("two effects", 9),
         ("outliers", 4),
         ("swallowed, bootstrap", 5),
@@ -171,6 +172,7 @@ def twice(a, u, t, theta):
 # ---- what is known while the search goes on -----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_it_tells_early_what_it_ends_with():
     """The fit and its symptoms before any effect is looked at; then the scores of the first screen."""
     model, series, options = two_effects()
@@ -196,6 +198,7 @@ def test_it_tells_early_what_it_ends_with():
     assert found.causes[0].effect in second["screen"]["sentence"]
 
 
+@pytest.mark.slow
 def test_a_resumed_one_tells_the_same_early():
     model, series, options = two_effects()
     parts, told = {}, []
@@ -207,6 +210,7 @@ def test_a_resumed_one_tells_the_same_early():
     assert again == told
 
 
+@pytest.mark.slow
 def test_what_is_known_early_is_a_report():
     model, series, options = two_effects()
     told = []

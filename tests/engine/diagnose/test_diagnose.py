@@ -57,6 +57,7 @@ def test_a_hidden_effect_is_found(name, sizes, family):
         assert found.extended.parameter_names[: len(DRIVE.parameters)] == DRIVE.parameter_names
 
 
+@pytest.mark.slow
 @open_to("coulomb:speed", "bias:reading")
 def test_two_effects_are_found_in_turn(effects):
     names = ["coulomb:speed", "bias:reading"]
@@ -74,6 +75,7 @@ def test_nothing_hidden_nothing_found():
     assert verdicts.count(Verdict.NOTHING) >= 3
 
 
+@pytest.mark.slow
 @open_to("coulomb", "bias", "step", "harmonic", "latent")
 def test_a_stranger_is_not_named_with_confidence(effects):
     """A chirp, a force of rising frequency, is in no catalogue."""

@@ -115,6 +115,7 @@ def cell(T, rng):
     return model, engine.simulate(model, None, T, rng, u=u, dt=1.0).series
 
 
+@pytest.mark.slow
 def test_a_record_cut_from_a_longer_one_is_found_out():
     model, series = cell(500, np.random.default_rng(2))
     found = diagnose(model, series.part(200, 500), seed=1)
@@ -159,6 +160,7 @@ def test_how_a_record_begins_says_nothing_of_another_one():
     assert found.gain.samples == len(part)
 
 
+@pytest.mark.slow
 def test_held_out_data_decide_where_the_record_cannot():
     """An offset of the sensor and another first charge are the same here, and not in a later record."""
     model, series = cell(500, np.random.default_rng(2))
@@ -173,6 +175,7 @@ def test_held_out_data_decide_where_the_record_cannot():
     assert found.gain.adopt
 
 
+@pytest.mark.slow
 def test_a_set_whose_members_are_all_contradicted_stays():
     model, series = cell(500, np.random.default_rng(2))
     found = diagnose(model, series.part(200, 500), seed=1, effects=["start", "bias"]).search

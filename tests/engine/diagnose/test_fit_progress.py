@@ -1,6 +1,7 @@
 """The first fit of a diagnosis tells how far it is, all the way."""
 
 import numpy as np
+import pytest
 
 import engine
 from engine.data import nile
@@ -34,6 +35,7 @@ def test_the_search_for_a_start_and_the_fit_move_it():
     assert max(told) >= 0.6  # what is left is the fit from there, which is at its end at once
 
 
+@pytest.mark.slow
 def test_a_continuous_model_is_fitted_twice():
     model = engine.get_model("oscillator")
     rng = np.random.default_rng(0)

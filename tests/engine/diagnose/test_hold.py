@@ -36,10 +36,12 @@ def asked(series):
     return looked.verdict.value, [cause.effect for cause in looked.causes]
 
 
+@pytest.mark.slow
 def test_it_is_the_cause_where_the_record_says_held(record):
     assert asked(record) == ("named", ["hold:drive"])
 
 
+@pytest.mark.slow
 def test_it_is_none_where_the_record_says_so(record):
     assert asked(record.replace(hold="foh")) == ("nothing", [])
 

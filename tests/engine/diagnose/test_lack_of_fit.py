@@ -46,6 +46,7 @@ def lacking(record, seed=0):
     return lack_of_fit(quasi_ml(DRIVE, record), record, STATES, STATES, seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_shape_that_no_name_has_is_seen(shape):
     found = lacking(series(with_shape(SHAPES[shape]), 1))
@@ -55,6 +56,7 @@ def test_a_shape_that_no_name_has_is_seen(shape):
     assert "another shape" in found.sentence
 
 
+@pytest.mark.slow
 def test_a_right_model_lacks_nothing():
     """Of 40 series at a level of 0.1, ten or more have probability 0.5 %."""
     p_values = [lacking(series(DRIVE, 100 + k)).p_value for k in range(40)]
@@ -82,7 +84,8 @@ def multisine():
     return 2.5 * np.sum(waves, axis=0) / np.abs(np.sum(waves, axis=0)).max()
 
 
-@pytest.mark.parametrize("force", [few_steps, pytest.param(multisine, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("force", [few_steps, multisine])
 def test_a_right_name_is_rejected_no_more_often_than_said(force):
     """Of 60 series at a level of 0.02, five or more have probability 0.7 %.
 
@@ -136,6 +139,7 @@ def road():
     )
 
 
+@pytest.mark.slow
 def test_states_that_wander_do_not_look_like_a_shape():
     """Of 12 series at a level of 0.02, three or more have probability 0.2 %.
 
@@ -184,6 +188,7 @@ def test_the_same_in_other_units():
     assert other.statistic == pytest.approx(one.statistic, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_name_whose_shape_is_wrong_is_not_said():
     record = series(with_shape(SHAPES["speed times force"]), 1)
     kinds = ["drag", "cubic", "quadratic", "coulomb", "force"]

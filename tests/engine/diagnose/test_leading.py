@@ -12,6 +12,7 @@ from tests.engine.diagnose import clipped
 search = importlib.import_module("engine.diagnose.search.search")
 
 
+@pytest.mark.slow
 def test_clipped_readings_are_not_taken_for_noise():
     found, y = clipped.found(), clipped.series().y
     (named,) = [r for r in found.search.rounds if r.equivalent]

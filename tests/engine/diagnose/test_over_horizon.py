@@ -12,6 +12,7 @@ from engine.presentation import over_horizon as words
 from tests.engine.diagnose import clipped
 
 module = importlib.import_module("engine.diagnose.over_horizon")
+pytestmark = pytest.mark.slow
 CAUSE, PATCH = ("saturation-sensor:y",), ("variance:velocity->drive",)
 
 

@@ -15,6 +15,7 @@ from engine.filters.sigma_point import moment_path
 KINDS = ["pole", "mode", "colored", "latent", "delay"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["servo", "tanks", "oscillator"])
 def test_the_base_s_way_serves_an_effect_s_filters(name, monkeypatch):
     """As filters of their own do, run step by step, but for what is of third order in the step."""

@@ -86,6 +86,7 @@ def test_a_further_parameter_must_gain_the_logarithm_of_the_rows():
     assert cost(make_effect("step:reading", setting), series) == pytest.approx(np.log(400))
 
 
+@pytest.mark.slow
 def test_when_all_that_was_asked_for_is_found_the_search_ends():
     series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
     found = engine.diagnose(DRIVE, series, effects=["bias:reading"], seed=1)
@@ -123,6 +124,7 @@ def test_draws_of_a_family_have_p_values_beyond_their_number():
     assert screen(tests, rng, alpha=0.05).lowest.min() < 1.0 / 500.0
 
 
+@pytest.mark.slow
 def test_family_wise_p_values_of_clean_tests_are_uniform():
     """Families of several columns beside single ones."""
     rng = np.random.default_rng(8)

@@ -61,6 +61,7 @@ def test_records_may_come_in_any_order(found, parts):
     assert again.gain.log_density == pytest.approx(found.gain.log_density, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_one_record_is_the_same_in_a_list_and_alone(parts):
     alone, listed = ask(parts[1]), ask([parts[1]])
     assert np.array_equal(alone.theta, listed.theta)

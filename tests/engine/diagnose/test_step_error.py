@@ -90,6 +90,7 @@ def registered():
     del catalogue._makers["early-drag"]
 
 
+@pytest.mark.slow
 def test_an_effect_beside_a_model_that_is_exact_leaves_nothing_behind():
     """Drag comes half before a step, half after it; once a sensor with a cubic error was seen, too."""
     found = find_causes(DRIVE, measured(0.1, 0.0), None, effects=KINDS, seed=1)
@@ -99,6 +100,7 @@ def test_an_effect_beside_a_model_that_is_exact_leaves_nothing_behind():
     assert not found.coarse
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("registered")
 def test_what_shorter_steps_explain_is_not_named():
     kinds = ["early-drag", *KINDS[1:]]
@@ -108,6 +110,7 @@ def test_what_shorter_steps_explain_is_not_named():
     assert any("what the steps get wrong" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_names_between_which_the_steps_may_decide_are_a_set():
     """Friction that turns within a step: one that fades with speed fitted better and was named, LR 1171."""
     kinds = ["coulomb", "stribeck", "drag"]
@@ -118,6 +121,7 @@ def test_names_between_which_the_steps_may_decide_are_a_set():
     assert any("those within it are not told apart" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_second_effect_is_named_beside_the_first():
     found = find_causes(DRIVE, measured(0.02, 2e-3), None, effects=KINDS, seed=1)
     assert {"drag:speed", "cubic-sensor:tacho"} == {*names(found)}

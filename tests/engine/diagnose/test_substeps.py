@@ -323,6 +323,7 @@ def test_times_and_frequencies_are_tried_at_samples():
         np.testing.assert_allclose(grid(effect, series.refined(4)), grid(effect, series))
 
 
+@pytest.mark.slow
 def test_drag_on_a_pendulum_leaves_nothing_for_hysteresis_to_explain():
     """Runge-Kutta's own drag, 16 samples a period; an effect once entered by one Euler step a sample."""
     series = by_runge_kutta(200, 0.13, drag=0.3)

@@ -42,6 +42,7 @@ def registered():
     del catalogue._makers[KIND]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("registered")
 def test_a_registered_effect_is_found_by_its_name():
     assert KIND in effect_kinds()
@@ -117,6 +118,7 @@ def make_dam():
     del catalogue._makers["dam"]
 
 
+@pytest.mark.slow
 def test_an_effect_over_time_is_sought_at_every_time(make_dam):
     make_dam(Traits(Course.STEP))
     values = {"dam_speed": 0.9, "dam_speed_begun": 23.0}

@@ -86,9 +86,10 @@ def test_two_effects_are_found_in_turn(pair):
     assert missed <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kinds",
-    [["stribeck", "drag"], pytest.param(["stribeck", "coulomb", "drag"], marks=pytest.mark.slow)],
+    [["stribeck", "drag"], ["stribeck", "coulomb", "drag"]],
 )
 def test_few_effects_asked_for_are_weighed_again_too(kinds):
     """A rival may be another round's cause, and a plainer kind may not have been asked for."""
@@ -102,6 +103,7 @@ def test_few_effects_asked_for_are_weighed_again_too(kinds):
     assert ("coulomb:velocity" in named) == ("coulomb" in kinds)
 
 
+@pytest.mark.slow
 def test_looking_back_loses_nothing_that_was_found(monkeypatch):
     """Neither to a refit that does not arrive, nor to outliers that were weighed beside other effects."""
     names, values = ["bias:reading", "cubic:speed"], {"bias_reading": 0.5, "cubic_speed": -2.0}

@@ -101,6 +101,7 @@ def test_scores_are_the_same_in_other_units(name, factor):
     compare(one, other, one)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param("room", marks=SLOW), "pendulum", pytest.param("tank", marks=SLOW)]
 )
@@ -119,6 +120,7 @@ def test_scores_are_the_same_from_another_zero(name):
         compare(one, other, free)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "channels"),
     [
@@ -176,6 +178,7 @@ def likelihoods(model, series, name, starts):
     return 2.0 * (best.log_likelihood - base.log_likelihood), best
 
 
+@pytest.mark.slow
 def test_a_lagging_sensor_is_seen_from_any_zero_of_the_temperature():
     """Memories that started at zero once hid it in degC, and showed it in degrees above 20."""
     rng = np.random.default_rng(3)

@@ -63,6 +63,7 @@ def test_particles_give_the_exact_interval_within_their_stated_error(linear):
 ALL = list(scalar_linear.MODEL.parameter_names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("free", [ALL[:2], pytest.param(ALL, marks=pytest.mark.slow)])
 def test_other_parameters_are_maximised_over(free):
     model = scalar_linear.MODEL

@@ -90,6 +90,7 @@ def test_exact_em_finds_the_exact_maximum(case):
     assert found.log_likelihood[-1] == pytest.approx(top, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_particles_find_it_too(case):
     """Monte Carlo noise of the averaged iterates is below a tenth of a standard error here."""
     model, series, best, _ = case
@@ -102,6 +103,7 @@ def test_particles_find_it_too(case):
     assert "not estimated" not in found._repr_html_()
 
 
+@pytest.mark.slow
 def test_their_standard_errors_are_those_of_the_exact_likelihood(case):
     """Fisher's identity gives no score for them; differences of the exact likelihood do."""
     model, series, _, _ = case

@@ -121,6 +121,7 @@ def test_a_trend_shortens_the_window():
     assert window(np.full((3, 2), 9.0), np.eye(2), 1.0) == (3, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [0.3, 0.02])
 def test_the_exact_smoother_reaches_the_maximum_of_the_exact_likelihood(start):
     series = simulate(LINEAR, None, 200, np.random.default_rng(1)).series
@@ -142,6 +143,7 @@ def test_particles_reach_it_too(warm_start):
     assert np.all(np.abs(found.theta - best.theta) < 0.34 * best.standard_errors)
 
 
+@pytest.mark.slow
 def test_eq_35_is_within_a_nat_after_few_iterations():
     """Against many particles; EM needs a hundred iterations from there."""
     series = simulate(MIXED, None, 120, np.random.default_rng(5)).series

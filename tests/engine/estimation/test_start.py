@@ -29,6 +29,7 @@ def test_a_start_in_another_basin_is_left_and_the_trace_begins_with_it(series):
     assert cold.log_likelihood[-1] < truth.log_likelihood[-1] - 20.0
 
 
+@pytest.mark.slow
 def test_resuming_a_warm_started_run_gives_the_same_bits(series):
     model = get_model("mixed-4")
     whole = rbps_em(model, series, LOST, n_particles=8, n_iterations=3)

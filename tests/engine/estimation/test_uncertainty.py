@@ -204,6 +204,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
     assert observed._jackknife(np.eye(1), np.ones((1, 1, 1)))[0] == 0.0
 
 
+@pytest.mark.slow
 def test_the_errors_of_interval_ends_are_their_spread_over_seeds(best):
     """12 seeds: outside these limits less than 1 time in 100."""
     errors = engine.standard_errors(MODEL, best, SERIES, exact=True)

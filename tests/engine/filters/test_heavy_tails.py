@@ -136,6 +136,7 @@ def test_nu_is_estimated() -> None:
     assert run.theta["nu"] == pytest.approx(np.exp(best.x), rel=0.15)
 
 
+@pytest.mark.slow
 def test_share_and_size_of_outliers_are_estimated() -> None:
     rng = np.random.default_rng(8)
     T = 200

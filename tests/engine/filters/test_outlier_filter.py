@@ -25,6 +25,7 @@ def test_without_outliers_it_is_the_moment_filter(channel):
     np.testing.assert_allclose(terms, np.repeat(base, 2, axis=1), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("channel", "where"), [("reading", "measurement"), ("speed", "dynamics")])
 def test_with_outliers_it_is_the_particle_filter(channel, where):
     """Within 1.5 nats of what 2000 particles say."""

@@ -56,6 +56,7 @@ def test_inputs_arrive_with_their_step():
     np.testing.assert_allclose(drawn.a[:, 0], [0, 1, 0.5, 0.25, 4.125])
 
 
+@pytest.mark.slow
 def test_first_state_has_the_initial_density():
     rng = np.random.default_rng(1)
     drawn = [simulate(LINEAR, None, 2, rng) for _ in range(2000)]

@@ -48,6 +48,7 @@ def test_tanks_parameters_and_levels_are_recovered():
     np.testing.assert_allclose(np.sqrt(np.mean(fit.residuals[0] ** 2)), fit.rmse)
 
 
+@pytest.mark.slow
 def test_standard_errors_are_the_spread_where_residuals_are_white():
     fits = [fit_simulation(TANKS, tanks(seed, 150).series, n_starts=0) for seed in range(40)]
     for name in TRUE:

@@ -55,6 +55,7 @@ def test_play_follows_only_once_it_is_taken_up():
     assert play(x, 1.0).tolist() == [0.0, 0.0, 1.0, 1.0, 1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_a_row_tells_what_was_hidden_and_what_was_said():
     cell = Cell("linear-2", "step:y", rows=200)
     row = work([cell], 99, 5, 0)

@@ -143,6 +143,7 @@ def test_windows_that_are_silent_on_what_the_record_tells_are_no_picture_of_it()
     assert len(windows.telling(TABLE, None, told, [LONG])) > 1
 
 
+@pytest.mark.slow
 def test_parameters_of_which_the_rows_searched_tell_nothing_keep_their_start():
     start = TABLE.theta({"k4": 2.5, "k5": 3.5})
     found, *_ = WarmStart(TABLE, [LONG.part(0, 2000)], TABLE.free_indices(None))(start)

@@ -75,6 +75,7 @@ def test_it_is_not_found_where_nothing_is_missing():
     assert _missing(1.0, 0.0, 0.0) is None
 
 
+@pytest.mark.slow
 def test_where_no_name_does_nearly_as_well_the_answer_is_unknown_with_the_curve():
     fit = _fit(1.0, 0.0, 1.0)
     y, u = _readings(1.0)

@@ -81,6 +81,7 @@ def _base(model, series):
     return quasi_ml(model, series, model.theta(), max_iterations=5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inputs", [0, 1, 2])
 def test_it_is_asked_however_many_inputs_there_are(inputs):
     model, series = cart(inputs=inputs), _series(1.0, 0.0, inputs)
@@ -102,6 +103,7 @@ def _search(unit, zero):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_depend_on_units_nor_on_their_zero():
     usual, other = _search(1.0, 0.0), _search(1e-6, 3e5)
     assert [c.names for c in usual.found] == [c.names for c in other.found]

@@ -60,6 +60,7 @@ def _searched(series):
     )
 
 
+@pytest.mark.slow
 def test_a_pair_is_found_that_no_greedy_order_is_needed_for():
     series = _duffing().refined(2)
     found = _searched(series)
@@ -99,6 +100,7 @@ def test_both_criteria_are_on_the_page_and_in_the_document(found):
         assert errors == sorted(errors)
 
 
+@pytest.mark.slow
 def test_process_noise_alone_is_no_cause():
     """A drive whose load drifts runs away from its simulation by itself."""
     T, dt = 500, 0.01
