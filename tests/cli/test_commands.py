@@ -194,6 +194,7 @@ class InMemory:
         return json.loads(dumps(self.results[task]))
 
 
+@pytest.mark.slow
 def test_starts_and_bootstrap_are_the_services(rbps, flows):
     result = rbps("fit", flows, "-m", "local-level", "--set", "q=3000", "--free", "q,r", "--method",
                   "rts-em", "-n", 5, "--starts", 3, "--bootstrap", 4, "--seed", 2, "-o", "a.json")  # fmt: skip
@@ -333,6 +334,7 @@ def test_diagnose_lists_what_is_asked_about_first_and_all_on_demand(rbps, flows)
     assert [name for name in there if f"  {name} " not in every] == []
 
 
+@pytest.mark.slow
 def test_diagnose_for_machines(rbps, flows):
     result = rbps("diagnose", flows, "-m", "local-level", *FEW, "--json", "--exit-code")
     assert result.exit_code == 3

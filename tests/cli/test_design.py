@@ -35,6 +35,7 @@ def test_before_any_experiment(rbps, tmp_path):
     np.testing.assert_allclose(again["experiment"]["u"]["drive"], u[:, 1], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_bounds_come_from_a_file_and_options_on_top(rbps, tmp_path):
     given = {"inputs": {"drive": {"low": -2, "high": 2, "forbidden": [[-0.1, 0.1]]}}, "dt": 0.1}
     (tmp_path / "bounds.json").write_text(json.dumps(given))

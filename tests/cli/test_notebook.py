@@ -138,6 +138,7 @@ def test_displays_are_tables(cell):
             assert word in page.text, (type(shown), word)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_shows_its_verdict(cell):
     page = Checker(cell["diagnosis"]._repr_html_())
     assert page.text[0] == f"mine: {cell['diagnosis'].verdict.value}"

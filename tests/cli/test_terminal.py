@@ -149,6 +149,7 @@ def test_what_follows_the_iterations_claims_no_time(folder, terminal):
     assert re.search(r"So far: theta_1 = [\d.]+, theta_2 = [\d.]+", run.shown), run.shown
 
 
+@pytest.mark.slow
 def test_a_killed_run_leaves_its_iterations(folder, uninterrupted):
     run = subprocess.Popen([*RBPS, "fit", *FIT, "-n", "100000", "-q"], cwd=folder)
     path = folder / ".rbps" / "data.state"

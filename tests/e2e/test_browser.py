@@ -287,6 +287,7 @@ def test_a_diagnosis_leads_to_the_next_experiment(visit, address):
     assert bounds["substeps"] == diagnosed["diagnosis"]["extension"]["model"]["setting"]["substeps"]
 
 
+@pytest.mark.slow
 def test_a_column_that_the_model_does_not_use_is_asked_about(visit, tmp_path):
     rng = np.random.default_rng(0)
     noise, rain = rng.standard_normal((2, 80))
@@ -573,6 +574,7 @@ def test_keys(visit, tmp_path):
         visit.contexts.clear()
 
 
+@pytest.mark.slow
 def test_100_000_samples(visit, tmp_path):
     model = engine.get_model("linear-2")
     y = engine.simulate(model, None, 100_000, np.random.default_rng(0)).y[:, 0]
@@ -646,6 +648,7 @@ def test_a_model_of_ones_own_with_its_equations_and_what_its_check_says(chrome, 
         watched.check()
 
 
+@pytest.mark.slow
 def test_the_simulation_is_fitted_first(visit, tmp_path):
     model = engine.get_model("oscillator")
     u = np.repeat(np.random.default_rng(0).uniform(-2, 2, 20), 10)

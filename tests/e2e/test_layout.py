@@ -32,7 +32,7 @@ def post(chrome, address):
 
 @pytest.fixture(scope="module")
 def diagnosis(post):
-    options = {"effects": ["step", "pulse"]}
+    options = {"effects": ["step"]}
     series = [{"y": nile().y.tolist(), "t": nile().t.tolist()}]
     return post({"kind": "diagnose", "model": "local-level", "series": series, "options": options})
 

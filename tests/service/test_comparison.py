@@ -85,6 +85,7 @@ def test_parameters_errors_curves_and_held_out_errors_side_by_side(client, jobs,
             assert curve is None or len(curve) == len(one["t"])
 
 
+@pytest.mark.slow
 def test_the_held_out_error_is_that_of_the_model_run_on_those_data(
     client, jobs, compare, records, model
 ):

@@ -309,6 +309,7 @@ uvicorn.run(create_app(settings), port=settings.port, log_config=None)
 """
 
 
+@pytest.mark.slow
 def test_a_script_without_a_main_guard_is_told_so(tmp_path, free_ports, ended, eventually):
     script, port = tmp_path / "serve.py", free_ports()
     script.write_text(UNGUARDED)

@@ -17,6 +17,7 @@ def _with(**options):
     return REQUEST | {"options": REQUEST["options"] | options}
 
 
+@pytest.mark.slow
 def test_a_design_from_post_to_results_and_its_report(client, ended):
     url = client.post("/jobs", json=REQUEST).headers["location"]
     job = ended(client, url, 120.0)

@@ -61,6 +61,7 @@ def test_the_service_computes_what_the_engine_computes(
     assert trace["log_likelihood"][1:] == found.log_likelihood.tolist()
 
 
+@pytest.mark.slow
 def test_exact_em_of_several_series_with_missing_values(client, estimation, ended, data):
     request = estimation(method="rts-em", iterations=60)
     gaps = [[None] if 10 <= i < 14 else row for i, row in enumerate(data)]
@@ -170,6 +171,7 @@ def test_a_computation_that_fails_tells_why(client, ended):
     assert "runs away" in answer.json()["detail"] == job["message"]
 
 
+@pytest.mark.slow
 def test_all_jobs_survive_a_restart(make_client, estimation, long, ended, wait):
     client = make_client(workers=1)
     done = client.post("/jobs", json=estimation()).headers["location"]

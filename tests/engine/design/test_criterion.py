@@ -65,6 +65,7 @@ def test_whitening_is_the_inverse_of_the_whole_covariance():
     assert (W[7] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_d_is_the_mean_of_twice_the_log_likelihood_ratio_and_its_variance_is_four_times_that():
     """Simulated records of one linear model, both models' exact likelihoods."""
     T, n = 60, 400

@@ -77,6 +77,7 @@ def test_the_same_seed_gives_the_same_design(made):
     assert not np.array_equal(first, other)
 
 
+@pytest.mark.slow
 def test_limits_on_states_and_outputs_are_kept_whichever_cause_is_true():
     bounds = {
         "inputs": {"voltage": {"low": -6.0, "high": 6.0, "rate": 20.0}},
@@ -188,6 +189,7 @@ def test_another_sensor_is_named_where_one_helps():
         assert [s.D for s in one.sensors] == sorted((s.D for s in one.sensors), reverse=True)
 
 
+@pytest.mark.slow
 def test_times_are_in_the_unit_of_the_bounds(made, tmp_path):
     assert made.time_unit == "s"
     hours = _designed(bounds={**BOUNDS, "time_unit": "h"}, length=60, inputs=16)
@@ -198,6 +200,7 @@ def test_times_are_in_the_unit_of_the_bounds(made, tmp_path):
         _designed(bounds={**BOUNDS, "time_unit": ""})
 
 
+@pytest.mark.slow
 def test_a_design_takes_the_unit_of_the_diagnosed_record(made):
     rng = np.random.default_rng(5)
     true = before_any(drive(), CAUSES, None, 0.1, None).candidates[0]
@@ -253,6 +256,7 @@ def test_what_cannot_be_asked(options, field):
     assert refused.value.field == field
 
 
+@pytest.mark.slow
 def test_events_are_left_out_with_a_reason():
     causes = {**CAUSES, "step:velocity": {"step_velocity": 1.0}}
     made = _designed(causes=causes, inputs=16, length=80)

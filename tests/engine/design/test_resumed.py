@@ -45,6 +45,7 @@ def test_stopped_after_every_few_parts(steps):
     )
 
 
+@pytest.mark.slow
 def test_what_was_kept_of_another_design_is_refused():
     kept = {}
     asked().designed(16, 1, kept=kept)

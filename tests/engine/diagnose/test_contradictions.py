@@ -46,6 +46,7 @@ def test_a_size_that_may_as_well_be_zero_is_no_finding(name, size, error, second
     assert all(name in text for text in texts)
 
 
+@pytest.mark.slow
 def test_an_undetermined_size_makes_the_verdict_unknown(monkeypatch):
     series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1)
     named = find_causes(DRIVE, series, effects=["bias"], seed=1)

@@ -308,7 +308,10 @@ def test_only_json_is_left():
 
 @pytest.fixture(scope="module")
 def found():
-    return diagnose(MIXED, biased(300, 7, 1.2), effects=["bias", "drift"], seed=1)
+    """A step of the readings half way."""
+    series = simulate(LINEAR, None, 300, np.random.default_rng(7)).series
+    y = series.y + 12.0 * (np.arange(300) >= 150)[:, None]
+    return diagnose(LINEAR, series.replace(y=y), effects=["step", "bias", "drift"], seed=1)
 
 
 def test_page_says_verdict_cause_and_gain_first(found):
@@ -316,7 +319,7 @@ def test_page_says_verdict_cause_and_gain_first(found):
     assert found.verdict is not Verdict.NOTHING
     top = "\n".join(page.splitlines()[:9])
     assert found.verdict.value.upper() in top
-    assert "bias:y1" in top
+    assert "step:y" in top
     assert "+-" in top
     assert "held-out" in top
     for title in ("1. What is wrong", "2. The cause", "3. The extension", "4. The gain"):
@@ -329,13 +332,13 @@ def test_page_says_verdict_cause_and_gain_first(found):
 def test_data_are_json_and_hold_the_extension(found):
     data = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert data["verdict"] == found.verdict.value
-    assert data["causes"][0]["effect"] == "bias:y1"
+    assert data["causes"][0]["effect"] == "step:y"
     assert data["causes"][0]["latex"]
-    assert "bias:y1" in data["extension"]["model"]["with"]
-    assert data["extension"]["theta"].keys() >= set(MIXED.parameter_names)
-    assert data["symptoms"]["free_run"]["fits"][0]["output"] == "y1"
-    assert data["gain"]["samples"] == 60
-    assert {d["effect"] for d in data["detectable"]} >= {"bias:y2", "drift:y2"}
+    assert "step:y" in data["extension"]["model"]["with"]
+    assert data["extension"]["theta"].keys() >= set(LINEAR.parameter_names)
+    assert data["symptoms"]["free_run"]["fits"][0]["output"] == "y"
+    assert data["gain"]["samples"] == 300  # blocks of the record, each left out in turn
+    assert {d["effect"] for d in data["detectable"]} >= {"bias:y", "drift:y"}
 
 
 @pytest.mark.slow

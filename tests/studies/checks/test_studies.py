@@ -61,6 +61,7 @@ def test_finished_runs_are_kept_and_an_interrupted_study_goes_on(tmp_path):
     assert resumed.wall >= kept.wall
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_rows_in_order(tmp_path):
     one = make_runs(an_arm(), 4, tmp_path / "one", workers=1)
     two = make_runs(an_arm(), 4, tmp_path / "two", workers=2)

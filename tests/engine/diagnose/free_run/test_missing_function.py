@@ -71,6 +71,7 @@ def test_a_force_without_a_name_is_found_with_its_curve_in_any_unit(unit, zero):
     assert x[np.argmax(mean)] == pytest.approx(0.3, abs=0.2)
 
 
+@pytest.mark.slow
 def test_it_is_not_found_where_nothing_is_missing():
     assert _missing(1.0, 0.0, 0.0) is None
 
