@@ -52,7 +52,11 @@ def of_the_process() -> dict[str, Any]:
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
     others = ("PYTEST_CURRENT_TEST", "KMP_DUPLICATE_LIB_OK", "KMP_INIT_AT_FORK")  # scikit-learn's
     env = {key: value for key, value in os.environ.items() if key not in (*threads, *others)}
+    registry = sys.modules.get("engine.models.registry")
     return {
+        "files of models": [[*one] for one in vars(registry._own).values() if one]
+        if registry
+        else [],
         "environment": env,
         "folder": os.getcwd(),
         "longest cell of a CSV": csv.field_size_limit(),

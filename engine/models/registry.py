@@ -170,6 +170,7 @@ def source_of(name: str) -> str | None:
 def _read_files() -> None:
     """Read the files that are new or not what they were, and forget those that have gone."""
     wanted: dict[Path, set[str]] = {}
+    _own.errors.clear()  # what cannot be used is read again below
     for reference in _own.references:
         parts = in_file(reference)
         try:
@@ -187,7 +188,6 @@ def _read_files() -> None:
 
 def _read_file(path: Path, names: set[str]) -> None:
     """Register a file's models; why that cannot be is kept."""
-    _own.errors.pop(path, None)
     _own.names[path] = []
     try:
         found = read_models(path)

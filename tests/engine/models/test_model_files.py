@@ -39,8 +39,8 @@ def nothing_stays():
     yield
     registry._own.references.clear()
     registry._read_files()
-    registry._own.errors.clear()
     assert not registry._own.names
+    assert not registry._own.errors
 
 
 def test_one_is_named_and_the_only_one_need_not_be(tmp_path):
@@ -116,6 +116,7 @@ def test_the_name_of_another_model_is_refused(tmp_path):
     with pytest.raises(ModelError, match="a model named 'servo' is already registered"):
         registry.register_files([str(write(tmp_path, "servo"))])
     assert registry.get_model("servo").nu == 1
+    assert registry.plugin_errors() == {}  # what was refused is not among what is in use and broken
 
 
 def test_what_the_check_says(tmp_path):
