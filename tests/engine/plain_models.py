@@ -140,6 +140,31 @@ def cart(pull=0.0, reading=lambda x: x, rough=0.0):
     )
 
 
+def mixer():
+    """Two stirred tanks in a row; nothing in the equations knows where concentrations count from."""
+
+    def dynamics(a, u, t, dt, th):
+        A = [[1.0 - dt * th.d1, 0.0], [dt * th.d2, 1.0 - dt * th.d2]]
+        return [dt * th.d1 * u[0], 0.0], A, dt * th.q * np.eye(2)
+
+    return engine.MixedModel(
+        name="mixer",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: ([0.0], [[0.0, 1.0]], [[th.r**2]]),
+        initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), [5.0, 5.0], np.eye(2)),
+        nonlinear={},
+        linear={"first": "g/L", "second": "g/L"},
+        inputs={"feed": "g/L"},
+        outputs={"probe": "g/L"},
+        parameters=[
+            engine.Parameter("d1", 0.1, "1/s", (1e-3, 1.0)),
+            engine.Parameter("d2", 0.06, "1/s", (1e-3, 1.0)),
+            engine.Parameter("q", 1e-4, "", (1e-9, 1.0)),
+            engine.Parameter("r", 0.05, "g/L", (1e-4, 1.0)),
+        ],
+    )
+
+
 def record(model, n=120, seed=1, dt=0.1):
     """A clean series of one of these, driven by levels that are held for a while."""
     rng = np.random.default_rng(seed)

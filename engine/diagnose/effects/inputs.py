@@ -178,7 +178,7 @@ def _extra_input(setting: Setting, channel: str) -> Effect | None:
         f"{target}' = ... + dt * {name} * {origin.text(source)}",
         extend=extend,
         look_alikes={"force": "is constant", "latent": "does not follow the channel"},
-        **origin.counted(
+        **origin.proportional(
             Parameter(name, 0.0, setting.rate(target, unit), description="rate per unit")
         ),
     )

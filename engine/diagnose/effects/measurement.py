@@ -163,7 +163,7 @@ def _gain(setting: Setting, channel: str, name: str) -> Effect:
         f"{channel} = y + {name} * {origin.text('y')}",
         extend=extend,
         look_alikes={"saturation-sensor": "acts on large readings only"},
-        **origin.counted(Parameter(name, 0.0, "1", (-0.99, 10.0), "relative gain error")),
+        **origin.proportional(Parameter(name, 0.0, "1", (-0.99, 10.0), "relative gain error")),
     )
 
 

@@ -13,7 +13,8 @@ class Origin:
     """The zero of ``channel`` for the effect whose size is ``name``.
 
     Where the setting does not know it, the effect gets the last parameter ``<name>_zero``, held at
-    ``start`` (default: 0 of the unit) until a search frees it.
+    ``start`` (default: :meth:`Setting.zero`) until a search frees it. Where it may be anywhere, an effect
+    that is proportional to the distance from it is looked at from ``outside`` of the record's range, too.
     """
 
     def __init__(
@@ -21,8 +22,12 @@ class Origin:
     ) -> None:
         self.value = setting.zero(channel) if start is None else start
         self.parameters: tuple[Parameter, ...] = ()
+        self.outside: tuple[float, ...] = ()
         if channel not in setting.known_zeros:
             low, high = setting.inside(channel)
+            if start is None:
+                self.outside = setting.zeros_outside(channel)
+                low, high = min((low, *self.outside)), max((high, *self.outside))
             self.parameters = (
                 Parameter(
                     f"{name}_zero",
@@ -48,6 +53,11 @@ class Origin:
             "held": tuple(p.name for p in self.parameters),
             "zero": self.name,
         }
+
+    def proportional(self, size: Parameter) -> dict[str, Any]:
+        """Members of an effect that is ``size`` times the distance from here."""
+        members = self.counted(size)
+        return members | {"probes": (*members["probes"], *((place,) for place in self.outside))}
 
     @property
     def probe(self) -> tuple[float, ...]:

@@ -61,7 +61,7 @@ def _direct(setting: Setting, channel: str) -> Effect | None:
             model, target, lambda v, own: own[0] * (v[source] - origin.of(own))
         ),
         look_alikes={"path": "follows the input with a lag", "gain": "grows with the reading"},
-        **origin.counted(_size(setting, name, *ends)),
+        **origin.proportional(_size(setting, name, *ends)),
     )
 
 

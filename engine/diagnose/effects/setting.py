@@ -22,6 +22,7 @@ from engine.units import SECOND, product
 
 PROBED = 32  # rows of a record at which a model's structure is looked at
 NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
+ZEROS_OUTSIDE = (0.5, 2.0, 10.0)  # of a channel's range, beyond it: where its zero is looked for
 POSITIVE = float(np.finfo(float).tiny)  # in any unit
 ON_TIME = 1e-3  # of a sample: how far off its time a sample may be
 
@@ -143,6 +144,18 @@ class Setting:
             return float(self.known_zeros[channel])
         values = self._values(channel)
         return float(np.median(values)) if values.size and channel in self._afloat else 0.0
+
+    def zeros_outside(self, channel: str) -> tuple[float, ...]:
+        """Where else the zero of a channel may be, if neither the model nor its declarations tell it.
+
+        Out of the record's range at both sides; from the last places all looks the same but for a constant.
+        """
+        values = self._values(channel)
+        if channel in self.known_zeros or channel not in self._afloat or not values.size:
+            return ()
+        low, high = float(values.min()), float(values.max())
+        ways = np.multiply(ZEROS_OUTSIDE, max(high - low, self.size(channel)))
+        return tuple(place for way in ways.tolist() for place in (low - way, high + way))
 
     def keeping_zeros(self) -> Setting:
         """The same for models that effects extend: what an effect adds moves no zero."""

@@ -158,7 +158,7 @@ def _linear(setting: Setting, channel: str, name: str) -> Effect:
             "saturation": "acts on large values only",
             "deadzone": "acts on small values only",
         },
-        **origin.counted(Parameter(name, 0.0, setting.per_time, description="rate")),
+        **origin.proportional(Parameter(name, 0.0, setting.per_time, description="rate")),
     )
 
 
@@ -176,7 +176,7 @@ def _coupling(setting: Setting, channel: str) -> Effect | None:
         f"{target}' = ... + dt * {name} * {origin.text(source)}",
         extend=partial(_coupled, source, target, origin),
         look_alikes={"cubic": "grows faster than the state", "gain": "acts on the reading only"},
-        **origin.counted(Parameter(name, 0.0, setting.rate(target, setting.unit(source)))),
+        **origin.proportional(Parameter(name, 0.0, setting.rate(target, setting.unit(source)))),
     )
 
 

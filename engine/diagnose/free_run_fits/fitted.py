@@ -143,8 +143,10 @@ def with_effects(fit: Fitted, picks: Sequence[Pick], best: float = np.inf) -> Fi
     for pick in picks:
         model = pick.effect.apply(model)
         theta += pick.start()
-        held = {*pick.effect.held}
-        free += [p.name for p in pick.effect.parameters if p.name not in held]
+        effect = pick.effect
+        if effect.from_elsewhere(pick.probe):
+            effect = effect.with_free_zero()
+        free += [p.name for p in effect.parameters if p.name not in effect.held]
     start = model.theta(np.clip(theta, model.lower, model.upper))
     x1 = first_states(model, start, fit)
     effects = (*fit.effects, *(pick.effect for pick in picks))

@@ -80,6 +80,11 @@ def refit(
     if effect.traits.outliers:
         return _refit_tails(fit, extended, effect, series)
     start = np.concatenate([fit.theta, [score.size], score.at])
+    # a zero elsewhere is estimated from there, never held there: the data chose it
+    elsewhere = _from_elsewhere(effect, start, further, n)
+    if elsewhere:
+        start[-1] = effect.probes[0][-1]
+        further = None
     null = start.copy()
     null[n] = 0.0
     sought = effect.sought
@@ -102,7 +107,10 @@ def refit(
             extended, series, other, free, tolerance=TOLERANCE, target=at_least, hope=HOPE
         )
         found = max(found, again, key=lambda one: one.log_likelihood)
-    return _complete(_weighed(effect, found, zero, series), zero, series)
+    best_elsewhere = None
+    if elsewhere:
+        best_elsewhere, _ = _best_start(extended, series, np.array(elsewhere), null, n)
+    return _complete(_weighed(effect, found, zero, series), zero, series, best_elsewhere)
 
 
 def taken_up(refit: Refit, series: Series) -> Refit:
@@ -119,9 +127,9 @@ def _weighed(effect: Effect, fit: QuasiFit, null: float, series: Series) -> Refi
     return Refit(effect, fit, gain, gain - cost(effect, series))
 
 
-def _complete(refit: Refit, null: float, series: Series) -> Refit:
+def _complete(refit: Refit, null: float, series: Series, elsewhere: Array | None = None) -> Refit:
     """The refit with what else is known, or may be estimated, of its effect."""
-    return _with_shown_size(_with_zero(refit, null, series), null, series)
+    return _with_shown_size(_with_zero(refit, null, series, elsewhere), null, series)
 
 
 def _with_shown_size(refit: Refit, null: float, series: Series) -> Refit:
@@ -144,18 +152,22 @@ def _with_shown_size(refit: Refit, null: float, series: Series) -> Refit:
     return replace(refit, score=max(score, refit.score))
 
 
-def _with_zero(refit: Refit, null: float, series: Series) -> Refit:
+def _with_zero(refit: Refit, null: float, series: Series, elsewhere: Array | None) -> Refit:
     """The refit with the zero of its channel estimated too, where the data tell it.
 
     Nothing says that the zero of a unit is that of the physics, unless the model declares it: drag about
-    20 m/s is not drag. One more parameter counts as any other.
+    20 m/s is not drag. One more parameter counts as any other. ``elsewhere`` (n,) is a theta with a zero from
+    which the screen saw more than from the one that is held.
     """
     effect, known = refit.effect, refit.fit
-    if effect.zero is None or known.given_up or not refit.score > 0.0:
+    if effect.zero not in effect.held:
         return refit
+    if elsewhere is None and (known.given_up or not refit.score > 0.0):
+        return refit
+    start = known.theta if elsewhere is None else elsewhere
     try:
         found = quasi_ml(
-            known.model, series, known.theta, [*known.free, effect.zero], tolerance=TOLERANCE
+            known.model, series, start, [*known.free, effect.zero], tolerance=TOLERANCE
         )
     except (EngineError, np.linalg.LinAlgError):
         return refit
@@ -188,13 +200,33 @@ def _places(effect: Effect, start: Array, n: int) -> Array:
     """Starts (k, .): at every probe where these differ in what is held, as a delay's samples, else at one.
 
     No slope leads from one to the next, and a large effect bends the scores by which they were compared.
+    A zero is no such place: elsewhere than at its start it is estimated.
     """
-    held = [i for i, p in enumerate(effect.parameters[1:]) if p.name in effect.held]
+    apart = {*effect.held} - {effect.zero}
+    held = [i for i, p in enumerate(effect.parameters[1:]) if p.name in apart]
     if len({tuple(probe[i] for i in held) for probe in effect.probes}) == 1:
         return start[None]
     starts = np.repeat(start[None], len(effect.probes), axis=0)
     starts[:, n + 1 :] = effect.probes
     return starts
+
+
+def _from_elsewhere(effect: Effect, start: Array, further: Array | None, n: int) -> list[Array]:
+    """Starts (.,) with the zero where it is not held; none where the screen saw the effect best from there.
+
+    From one side of the record to the other a zero goes through infinity only, so both are tried, with the push
+    that the screen saw in the middle of the record.
+    """
+    out = []
+    if effect.from_elsewhere(start[n + 1 :]):
+        middle, seen = effect.probes[0][-1], start[-1]
+        for probe in effect.probes[1:]:
+            one = start.copy()
+            one[n], one[-1] = start[n] * (middle - seen) / (middle - probe[-1]), probe[-1]
+            out.append(one)
+    if further is not None and effect.from_elsewhere(further[n + 1 :]):
+        out.append(further)
+    return out
 
 
 def _best_start(

@@ -1,0 +1,78 @@
+"""Effects that are proportional to the distance from a zero that nobody declares, out of the record's range."""
+
+import numpy as np
+import pytest
+
+from engine.diagnose import diagnose
+from engine.diagnose.effects.catalogue import make_effect
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.screening.screen import Score
+from engine.diagnose.search.refits import refit
+from engine.estimation.quasi_ml import quasi_ml
+from tests.engine.plain_models import Units, mixer, referred
+
+WORDS = {"linear:second", "linear:first", "coupling:second->first", "coupling:first->second"}
+KINDS = ["linear", "coupling", "gain", "force", "bias", "input-offset"]
+CHANNELS = ("first", "second", "feed", "probe")
+
+
+@pytest.fixture(scope="module")
+def decaying():
+    """What is in the second tank decays towards nothing; the record never comes near that."""
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.uniform(1.0, 9.0, 20), 20)
+    hidden = {"linear_second": -0.01}
+    return hide(referred(mixer()), ["linear:second"], hidden, 400, rng, u=u, dt=1.0).series
+
+
+def found_from(zero, series):
+    """The diagnosis where all concentrations count from elsewhere."""
+    units = Units(mixer(), dict.fromkeys(CHANNELS, (1.0, -zero)))
+    return diagnose(units.converted(), units.series(series), effects=KINDS, seed=1)
+
+
+@pytest.mark.slow
+def test_a_decay_is_one_effect_wherever_concentrations_count_from(decaying):
+    here, there = found_from(0.0, decaying), found_from(50.0, decaying)
+    (cause,) = here.causes
+    assert "linear:second" in cause.equivalent
+    assert set(cause.equivalent) <= WORDS | {"gain:probe"}
+    (zero,) = (value for name, value in cause.parameters.items() if name.endswith("_zero"))
+    assert abs(zero) < 1.5
+    (moved,) = there.causes
+    assert there.verdict is here.verdict
+    assert moved.equivalent == cause.equivalent
+    assert moved.size == pytest.approx(cause.size, rel=1e-3)
+    (other,) = (value for name, value in moved.parameters.items() if name.endswith("_zero"))
+    assert other == pytest.approx(zero - 50.0, abs=1e-2)
+
+
+def seen(effect, size, place):
+    """A score as a screen makes it, best with the zero at this place."""
+    return Score(effect, 100.0, size, 0.1 * size, 1e-9, 1.0, (place,))
+
+
+def test_a_zero_elsewhere_is_estimated_whichever_side_it_was_seen_from(decaying):
+    model = mixer()
+    fit = quasi_ml(model, decaying)
+    effect = make_effect("linear:second", setting_for(model, decaying, np.asarray(fit.theta)))
+    middle, *outside = (probe[-1] for probe in effect.probes)
+    low, high = decaying.y.min(), decaying.y.max()
+    assert len(outside) == 6
+    assert all(place < low or place > high for place in outside)
+    ends = [refit(fit, decaying, seen(effect, -0.05 / (middle - p), p)) for p in outside[:2]]
+    for end in ends:
+        assert "linear_second_zero" in end.fit.free
+        assert "linear_second_zero" not in end.effect.held
+        assert end.gain - end.score == pytest.approx(np.log(decaying.n_measured))
+    assert ends[0].gain == pytest.approx(ends[1].gain, abs=0.2)
+    held = refit(fit, decaying, seen(effect, -0.01, middle))
+    assert held.gain < ends[0].gain + 0.1
+
+
+def test_a_declared_zero_is_looked_at_alone(decaying):
+    model = referred(mixer())
+    effect = make_effect("linear:second", setting_for(model, decaying, np.asarray(model.theta())))
+    assert effect.probes == ((),)
+    assert effect.zero is None
