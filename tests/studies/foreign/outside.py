@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tests.studies.foreign.faults import force, onto, sign
-from tests.studies.foreign.plant import Array, Fault, Numbers, Own
+from tests.studies.foreign.plant import Fault, Numbers, Own
 
 SWEEP = (0.005, 0.05)  # cycles per sample, of a chirp from the first sample to the last
 FLIP = 40.0  # samples that a telegraph stays on average
@@ -38,20 +38,6 @@ def telegraph(state: int, of: int, first: float) -> Fault:
         return 1.0 if sum(turn <= t for turn in own.values()) % 2 == 0 else -1.0
 
     return Fault("outside:telegraph", first, push=onto(state, of, value), draw=draw)
-
-
-def play(channel: int, first: float) -> Fault:
-    """Backlash of the half-width size between the plant and its sensor."""
-
-    def read(y: Array, h: float, s: float, own: Own) -> Array:
-        out = y.copy()
-        at = float(y[0, channel])
-        for k, value in enumerate(y[:, channel].tolist()):
-            at = min(max(at, value - s), value + s)
-            out[k, channel] = at
-        return out
-
-    return Fault("outside:play", first, read=read)
 
 
 def root_friction(state: int, of: int, scale: float, first: float) -> Fault:

@@ -154,3 +154,17 @@ def rounded(name: str, channel: int, first: float) -> Fault:
         ),
         told=lambda s, own: {"": s * s / 12.0},
     )
+
+
+def play(name: str, channel: int, first: float) -> Fault:
+    """Backlash of the half-width size between the plant and its sensor."""
+
+    def read(y: Array, h: float, s: float, own: Own) -> Array:
+        out = y.copy()
+        at = float(y[0, channel])
+        for k, value in enumerate(y[:, channel].tolist()):
+            at = min(max(at, value - s), value + s)
+            out[k, channel] = at
+        return out
+
+    return Fault(name, first, read=read)

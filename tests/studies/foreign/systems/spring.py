@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from engine.statespace.model import Gaussian, MixedModel, Parameter
-from tests.studies.foreign import faults, outside, sensors
+from tests.studies.foreign import faults, sensors
 from tests.studies.foreign.plant import Array, Numbers, Plant
 from tests.studies.foreign.written import System, Units, model
 
@@ -119,7 +119,7 @@ SYSTEM = System(
         "hysteresis": faults.hysteresis("hysteresis:velocity", 1, 1, 2, 5.0, -100.0),
         "pole": faults.pole("pole:velocity", 1, 1, 2, 0.08, -10.0),
         "clip": sensors.clip("saturation-sensor:laser", 0, 62.0, 4.0, 11.0),
-        "play": outside.play(0, 0.5),
+        "play": sensors.play("play:laser", 0, 0.5),
     },
     known=(),
     units=Units(

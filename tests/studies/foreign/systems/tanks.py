@@ -133,7 +133,7 @@ FAULTS = {
     "outliers": sensors.outliers("heavy-tails:gauge1", 0, 0.03),
     "coloured": sensors.coloured("colored:gauge2", 1, 8.0, SENSORS["ordinary"][1], 0.5),
     "notch": outside.trickle(1, 2, 1.5, 18.0, 4.0, 0.02),
-    "play": outside.play(1, 0.3),
+    "play": sensors.play("play:gauge2", 1, 0.3),
 }
 UNITS = Units(
     {"upper": 10.0, "lower": 1e-2, "gauge1": 10.0, "gauge2": 1e-2, "pump": 1e3},
