@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from engine.presentation.report.chart import Chart
 from engine.presentation.report.comparison import (
     against_data,
-    auxiliary_figures,
+    auxiliary_charts,
     errors_over_time,
     fits,
-    residual_figures,
+    residual_charts,
     sentences,
     where_it_is,
 )
@@ -42,15 +43,15 @@ def diagnosis_report(d: Document, draw: Drawer) -> Report:
     symptoms = d["symptoms"]
     return Report(
         f"Diagnosis of the model {d['model']}",
-        join([verdict(d), answers(d), grid(_hero(d, units, draw))]),
+        join([verdict(d), answers(d), grid(_hero(d, units), draw)]),
         (
             *section(
                 "wrong",
                 "1. What is wrong",
                 sentences(symptoms) or tag("p", "Nothing stands out."),
                 fits(symptoms),
-                grid(_simulation(d, units, draw)),
-                grid(errors_over_time(symptoms, units, draw)),
+                grid(_simulation(d, units), draw),
+                grid(errors_over_time(symptoms, units), draw),
                 tag("h3", "Where the error is"),
                 where_it_is(symptoms, units, draw),
                 tag("h3", "One-step predictions and their residuals"),
@@ -59,9 +60,9 @@ def diagnosis_report(d: Document, draw: Drawer) -> Report:
                     "No verdict rests on these, because fitted process noise hides much of an error.",
                     class_="hint",
                 ),
-                grid(against_data(symptoms["one_step"], "one_step", units, draw)),
-                residual_figures(symptoms, draw),
-                folded("Auxiliary residuals", auxiliary_figures(symptoms, draw)),
+                grid(against_data(symptoms["one_step"], "one_step", units), draw),
+                grid(residual_charts(symptoms), draw),
+                folded("Auxiliary residuals", grid(auxiliary_charts(symptoms), draw)),
             ),
             *section("cause", "2. The cause", *cause_section(d, draw)),
             *section("extension", "3. The extension", *_extension(d)),
@@ -72,20 +73,21 @@ def diagnosis_report(d: Document, draw: Drawer) -> Report:
     )
 
 
-def _simulation(d: Document, units: Document, draw: Drawer) -> list[Html]:
+def _simulation(d: Document, units: Document) -> list[Chart]:
     """The simulation and all the data, where the top shows something else."""
     if not has_before_and_after(d["gain"]):
         return []
-    return against_data(d["symptoms"]["free_run"], "free_run", units, draw, wide=True)
+    return against_data(d["symptoms"]["free_run"], "free_run", units, wide=True)
 
 
-def _hero(d: Document, units: Document, draw: Drawer) -> list[Html]:
+def _hero(d: Document, units: Document) -> list[Chart]:
     """Measured, before and after on held-out data; where nothing was found, the simulation and the data."""
-    if found := before_and_after(d["gain"], units, draw):
-        return found
     symptoms = d["symptoms"]
-    figures = against_data(symptoms["free_run"], "free_run", units, draw, wide=True)
-    return figures or against_data(symptoms["one_step"], "one_step", units, draw, wide=True)
+    return (
+        before_and_after(d["gain"], units)
+        or against_data(symptoms["free_run"], "free_run", units, wide=True)
+        or against_data(symptoms["one_step"], "one_step", units, wide=True)
+    )
 
 
 def _extension(d: Document) -> list[object]:

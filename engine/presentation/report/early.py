@@ -26,7 +26,7 @@ def early_report(d: Document, draw: Drawer) -> Report:
     screen = d["screen"]
     return Report(
         f"Diagnosis of the model {d['model']}, so far",
-        join([head, grid(against_data(symptoms["free_run"], "free_run", units, draw, wide=True))]),
+        join([head, grid(against_data(symptoms["free_run"], "free_run", units, wide=True), draw)]),
         (
             *section(
                 "wrong",
