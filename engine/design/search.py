@@ -306,7 +306,7 @@ class Search:
             else:
                 values = slice(0, 2 if shape.family == "binary" else k)
                 v[values] = middle + share * (v[values] - middle)
-            out.append(type(shape)(shape.family, shape.pieces, v))
+            out.append(replace(shape, v=v))
         return tuple(out)
 
     def improved(self, best: Tried, n: int, pairs: Sequence[Pair] | None = None) -> Tried:
@@ -340,8 +340,6 @@ def violations(task: Task, runs: Sequence[Runs]) -> tuple[Array, list[str]]:
     B = len(runs[0].y)
     worst, where = np.zeros(B), [""] * B
     limits, sigmas = task.bounds, task.bounds.sigmas
-    if not (limits.states or limits.outputs):
-        return worst, where
     for candidate, run in zip(task.candidates, runs, strict=True):
         names = [*candidate.model.nonlinear, *candidate.model.linear]
         P = np.asarray(spread(run.J, run.Q, run.P1)) if sigmas else np.zeros((1, 1, *run.P1.shape))

@@ -97,7 +97,7 @@ class Weighing:
         out = []
         for i, one in enumerate(contests):
             demand = demand_of(i, self.question.candidates, n, self.task.anew)
-            alike = [frozenset((one.name, rival)) in hopeless for rival in one.rivals[:-1]]
+            alike = [frozenset((one.name, rival.name)) in hopeless for rival in one.rivals[:-1]]
             if all(alike):
                 out.append(0.0)
                 continue
