@@ -115,11 +115,7 @@ def of_document(document: Document) -> Figures:
         )
     clock = (document.get("diagnosis") or document).get("time_unit")
     return Figures(
-        {
-            name: figure([relabelled(one, clock) for one in charts], columns)
-            for name, charts, columns in groups
-            if charts
-        }
+        {name: figure(charts, columns, clock) for name, charts, columns in groups if charts}
     )
 
 
@@ -149,14 +145,14 @@ def _of_each(name: str, group: Document, make: Any, *given: Any) -> Iterator[Gro
         yield f"{name}-{i + 1}" if several else name, make(one, *given), 1
 
 
-def figure(charts: Sequence[Picture], columns: int = 1) -> Any:
-    """One figure with a panel for each chart, side by side in ``columns``."""
+def figure(charts: Sequence[Picture], columns: int = 1, clock: str | None = None) -> Any:
+    """One figure with a panel for each chart, side by side in ``columns``; times are in ``clock``."""
     columns = min(columns, len(charts))
     rows = -(-len(charts) // columns)
     each = max(2.4, *(0.28 * len(c.rows) + 0.8 for c in charts if isinstance(c, Ranking)), 0.0)
     made, panels = axes(rows, columns, (9.0 if columns < 3 else 3.6 * columns, each * rows))
     for panel, chart in zip(panels, charts, strict=False):
-        _draw(panel, chart)
+        _draw(panel, relabelled(chart, clock))
     for panel in panels[len(charts) :]:
         panel.set_visible(False)
     return made
@@ -186,7 +182,7 @@ def _draw(panel: Any, chart: Picture) -> None:
                 x, low, high, color=style["color"], alpha=0.18, linewidth=0.0, rasterized=heavy
             )
         if t.kind == "bars":
-            panel.bar(x, y, 2.0 * column(t.width or ()), **style)
+            panel.bar(x, y, 2.0 * column(() if t.width is None else t.width), **style)
         elif t.reach is not None:
             panel.errorbar(x, y, column(t.reach), t.width, ".", **style)
         elif t.kind == "points":
@@ -212,11 +208,8 @@ def convergence(found: EmResult, intervals: Array | None = None) -> Any:
     if intervals is not None:
         for one, ends in zip(estimate.values(), intervals, strict=True):
             one["interval"] = ends.tolist() if np.isfinite(ends).all() else None
-    document = {
-        "estimate": estimate,
-        "trace": trace_document(found.model.parameter_names, vars(found)),
-    }
-    return figure(convergence_charts(document), 2)
+    trace = trace_document(found.model.parameter_names, vars(found))
+    return figure(convergence_charts({"estimate": estimate, "trace": trace}), 2)
 
 
 def states(
@@ -228,7 +221,7 @@ def states(
         band = None if sd is None else around(mean[:, i], sd[:, i], TWO_SIDED)
         drawn = "mean, 95 % band", mean[:, i]
         charts.append(compared(name, unit, t, drawn, band=band))
-    return figure([relabelled(one, clock) for one in charts])
+    return figure(charts, clock=clock)
 
 
 def against_data(
@@ -250,7 +243,7 @@ def against_data(
         wrong = Trace("error", measured[:, i] - computed[:, i], "points", "data")
         said = f"measured - {computed_as}"
         charts.append(over_time(f"Error of {name}", said, t, wrong, level=(0.0,)))
-    return figure([relabelled(one, clock) for one in charts])
+    return figure(charts, clock=clock)
 
 
 def _png(figure: Any) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -173,46 +172,29 @@ def _by_signal(
 
 
 def _by_bands(what: str, unit: str, signal: str, bands: list[dict[str, Any]], role: str) -> Chart:
-    middle = [0.5 * (b["low"] + b["high"]) for b in bands]
-    return Chart(
-        f"Error of {what} by {signal}",
-        label(signal, bands[0]["unit"]),
-        f"error [{pretty(unit) or '1'}]",
-        middle,
-        (
-            Trace(
-                "mean error ± 2 standard errors",
-                [b["mean"] for b in bands],
-                "points",
-                role,
-                reach=[2.0 * b["standard_error"] for b in bands],
-                width=[0.5 * (b["high"] - b["low"]) for b in bands],
-            ),
-        ),
-        level=(0.0,),
-        small=True,
-        live=False,
+    low, high, mean, error = (
+        column([b[key] for b in bands]) for key in ("low", "high", "mean", "standard_error")
     )
+    half, said = 0.5 * (high - low), "mean error ± 2 standard errors"
+    trace = Trace(said, mean, "points", role, reach=2.0 * error, width=half)
+    axes = label(signal, bands[0]["unit"]), f"error [{pretty(unit) or '1'}]"
+    title, middle = f"Error of {what} by {signal}", 0.5 * (low + high)
+    return Chart(title, *axes, middle, (trace,), level=(0.0,), small=True, live=False)
 
 
 def _spectrum(what: str, unit: str, bands: list[dict[str, Any]], role: str) -> Chart:
     """``unit`` of the errors; without one they are in standard deviations of the prediction."""
     edges = [b["low"] for b in bands] + [bands[-1]["high"]]
-    error = [b["rms"] for b in bands]
-    expected = [b["expected_rms"] for b in bands]
-    return Chart(
-        f"Error of {what} by frequency",
-        FREQUENCY,
-        f"rms in the band [{pretty(unit)}]" if unit else "standardised rms in the band",
-        edges,
-        (
-            Trace("error", [*error, error[-1]], "steps", role),
-            Trace("expected by the model", [*expected, expected[-1]], "steps", "c4"),
-        ),
-        log="xy",
-        small=True,
-        live=False,
+    error, expected = (
+        [*(b[key] for b in bands), bands[-1][key]] for key in ("rms", "expected_rms")
     )
+    traces = (
+        Trace("error", error, "steps", role),
+        Trace("expected by the model", expected, "steps", "c4"),
+    )
+    title = f"Error of {what} by frequency"
+    y_label = f"rms in the band [{pretty(unit)}]" if unit else "standardised rms in the band"
+    return Chart(title, FREQUENCY, y_label, edges, traces, log="xy", small=True, live=False)
 
 
 def residual_charts(symptoms: Document) -> list[Chart]:
@@ -250,50 +232,34 @@ def _standardised(title: str, t: Numbers, what: str, values: Numbers) -> Chart:
 
 
 def _correlation(name: str, found: Document, whiteness: Document | None) -> Chart:
-    lags = list(range(1, len(found["r"]) + 1))
+    lags, limit = range(1, len(found["r"]) + 1), found["limit"]
     said = "" if whiteness is None else f" (Ljung-Box {p_value(whiteness['p_value'])})"
-    return Chart(
-        f"Autocorrelation of the innovations of {name}{said}",
-        "lag [samples]",
-        "correlation",
-        lags,
-        (Trace("correlation", found["r"], "bars", "data", width=[0.35] * len(lags)),),
-        level=(-found["limit"], found["limit"]),
-        live=False,
-    )
+    title = f"Autocorrelation of the innovations of {name}{said}"
+    bars = Trace("correlation", found["r"], "bars", "data", width=np.full(len(lags), 0.35))
+    axes = "lag [samples]", "correlation"
+    return Chart(title, *axes, lags, (bars,), level=(-limit, limit), live=False)
 
 
 def _histogram(name: str, found: Document) -> Chart:
-    edges, density = found["edges"], found["density"]
-    middle = [0.5 * (a + b) for a, b in pairwise(edges)]
-    half = 0.5 * (edges[1] - edges[0]) if len(edges) > 1 else 0.5
-    normal = [math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi) for x in middle]
-    return Chart(
-        f"Distribution of the innovations of {name}",
-        "standard deviations",
-        "density",
-        middle,
-        (
-            Trace("innovations", density, "bars", "data", width=[half] * len(middle)),
-            Trace("normal distribution", normal, "line", "model"),
-        ),
-        live=False,
+    edges = column(found["edges"])
+    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+    normal = np.exp(-0.5 * middle**2) / math.sqrt(2.0 * math.pi)
+    traces = (
+        Trace("innovations", found["density"], "bars", "data", width=half),
+        Trace("normal distribution", normal, "line", "model"),
     )
+    title = f"Distribution of the innovations of {name}"
+    return Chart(title, "standard deviations", "density", middle, traces, live=False)
 
 
 def _quantiles(name: str, found: Document) -> Chart:
     normal = found["normal"]
-    return Chart(
-        f"Quantiles of the innovations of {name}",
-        "normal distribution",
-        "innovations",
-        normal,
-        (
-            Trace("innovations", found["sample"], "points", "data"),
-            Trace("as expected", normal, "line", "model"),
-        ),
-        live=False,
+    traces = (
+        Trace("innovations", found["sample"], "points", "data"),
+        Trace("as expected", normal, "line", "model"),
     )
+    title = f"Quantiles of the innovations of {name}"
+    return Chart(title, "normal distribution", "innovations", normal, traces, live=False)
 
 
 def sentences(symptoms: Document) -> Html:

@@ -77,15 +77,9 @@ def prediction_charts(d: Document) -> list[Chart]:
 def growth_chart(d: Document) -> Chart:
     """The probability of the right name over the length of the record."""
     growth = {f"{c['effect']} is true": d["growth"][c["effect"]] for c in d["causes"]}
-    return Chart(
-        "Probability of the right name",
-        "samples of this input",
-        "probability",
-        d["growth"]["samples"],
-        _by_cause(growth),
-        level=(d["level"],),
-        sync="samples",
-    )
+    title, axes = "Probability of the right name", ("samples of this input", "probability")
+    traces, level = _by_cause(growth), (d["level"],)
+    return Chart(title, *axes, d["growth"]["samples"], traces, level=level, sync="samples")
 
 
 def _by_cause(curves: Mapping[str, Numbers]) -> tuple[Trace, ...]:

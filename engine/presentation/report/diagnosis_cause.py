@@ -29,67 +29,64 @@ from engine.presentation.report.priority import asked_first
 from engine.words import number
 
 RANKED_CANDIDATES = 12  # candidates in a picture
+HOW_RANKED = (
+    "Refitted effects: green could not be told apart; orange is the unnamed force, which a cause has to beat. "
+    "Screened effects: the line is what a single one needs to be an alarm among all."
+)
 
 
 def cause_section(d: Document, draw: Drawer) -> list[object]:
     """Everything about it."""
     parts: list[object] = []
-    for k, cause in enumerate(d["causes"]):
+    for k, cause in enumerate(d["causes"], 1):
         title = capital(cause["title"])
-        parts.append(tag("h3", f"{k + 1}. {title}" if len(d["causes"]) > 1 else title))
-        parts.append(
-            facts(
-                [
-                    ("effect", tag("code", cause["effect"])),
-                    ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
-                    ("p-value, all effects together", p_value(cause["p_value"])),
-                    ("2 × log-likelihood gained", _gained(cause)),
-                    ("enters through", cause["where"]),
-                ]
-            )
-        )
-        parts.append(equations([], [cause["equation"]]))
-        if cause["experiment"]:
-            parts.append(tag("p", cause["experiment"], class_="advice"))
-        if cause["look_alikes"]:
-            parts += [tag("h4", "Look-alikes"), _look_alikes(cause)]
+        parts.append(tag("h3", f"{k}. {title}" if len(d["causes"]) > 1 else title))
+        parts += _cause(cause)
     if not d["causes"]:
         parts.append(tag("p", "None named."))
     if d["unnamed"]:
         parts += [tag("h3", "An unnamed force"), tag("p", prose(d["unnamed"]["sentence"]))]
         parts.append(grid(force_charts(d["unnamed"]), draw))
     parts += two_criteria(d.get("free_run"), draw)
-    beside = d.get("over_horizon")
-    if beside:
+    if beside := d.get("over_horizon"):
         parts += [
             tag("h3", "Over the horizon"),
             tag("p", over_horizon.SAID, class_="hint"),
             table(over_horizon.head(beside), over_horizon.rows(beside), "numbers"),
             tag("p", beside["sentence"]),
         ]
-    ranked = rankings(d["rounds"])
-    if ranked:
-        parts += [
-            tag("h3", "Candidates and their evidence"),
-            tag(
-                "p",
-                "Refitted effects: green could not be told apart; orange is the unnamed force, which a "
-                "cause has to beat. Screened effects: the line is what a single one needs to be an alarm "
-                "among all.",
-                class_="hint",
-            ),
-            grid(ranked, draw),
-        ]
-    untestable = [x["effect"] for x in d["detectable"] if not x["testable"]]
-    if untestable:
-        some = ", ".join(asked_first(untestable))
-        rest = len(untestable) - len(asked_first(untestable))
+    if ranked := rankings(d["rounds"]):
+        said = tag("p", HOW_RANKED, class_="hint")
+        parts += [tag("h3", "Candidates and their evidence"), said, grid(ranked, draw)]
+    if untestable := [x["effect"] for x in d["detectable"] if not x["testable"]]:
+        first = asked_first(untestable)
+        rest = len(untestable) - len(first)
+        more = f" and {rest} more" if rest else ""
+        why = "the data do not excite them, or the fitted parameters take up all they would show."
+        every = tag("p", ", ".join(untestable)) if rest else Html("")
         parts += [
             tag("h3", "Not testable with this experiment"),
-            tag("p", f"{some}{f' and {rest} more' if rest else ''}: the data do not excite them, or the "
-                "fitted parameters take up all they would show."),
-            folded("All that were not testable", tag("p", ", ".join(untestable)) if rest else Html("")),
-        ]  # fmt: skip
+            tag("p", f"{', '.join(first)}{more}: {why}"),
+            folded("All that were not testable", every),
+        ]
+    return parts
+
+
+def _cause(cause: Document) -> list[object]:
+    about = facts(
+        [
+            ("effect", tag("code", cause["effect"])),
+            ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
+            ("p-value, all effects together", p_value(cause["p_value"])),
+            ("2 × log-likelihood gained", _gained(cause)),
+            ("enters through", cause["where"]),
+        ]
+    )
+    parts: list[object] = [about, equations([], [cause["equation"]])]
+    if cause["experiment"]:
+        parts.append(tag("p", cause["experiment"], class_="advice"))
+    if cause["look_alikes"]:
+        parts += [tag("h4", "Look-alikes"), _look_alikes(cause)]
     return parts
 
 
@@ -188,14 +185,11 @@ def _ranked(found: dict[str, Any], name: str) -> Ranking:
         if found["unnamed"]:
             bars.append(("unnamed force", found["unnamed"]["score"], "before"))
         bars = sorted(_finite(bars), key=lambda bar: -bar[1])
-        label = "2 × log-likelihood gained, less costs"
-        return Ranking(f"{name}refitted effects", label, bars)
+        return Ranking(f"{name}refitted effects", "2 × log-likelihood gained, less costs", bars)
     bars = [(x["title"], _evidence(x["p_value"]), "data") for x in found["screened"]]
     needed = math.erfc(math.sqrt(0.5 * found["threshold"]))  # chi2 with one degree of freedom
-    label = "-log10 of each one's p-value"
-    return Ranking(
-        f"{name}screened effects", label, _finite(bars[:RANKED_CANDIDATES]), _evidence(needed)
-    )
+    shown, said = _finite(bars[:RANKED_CANDIDATES]), "-log10 of each one's p-value"
+    return Ranking(f"{name}screened effects", said, shown, _evidence(needed))
 
 
 def _evidence(p: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from engine.presentation.report.chart import Chart, Trace
 from engine.presentation.report.comparison import over_time
-from engine.presentation.report.html import Html, bullets, join, table_of, tag
+from engine.presentation.report.html import Html, bullets, join, table, table_of, tag
 from engine.presentation.report.parts import (
     Document,
     Drawer,
@@ -18,6 +18,7 @@ from engine.presentation.report.parts import (
     prose,
     signed,
 )
+from engine.presentation.report.svg import drawn
 from engine.words import fit_quality, number, percent
 
 BUDGET = {"gone": "after", "left": "before", "noise": "data"}  # and their colours
@@ -28,7 +29,9 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
     gain = d["gain"]
     if gain is None:
         return [tag("p", "Nothing was added, so nothing is gained or lost.")]
-    parts: list[object] = [
+    # what was simulated before and after is at the top
+    charts = _gained(gain) if has_before_and_after(gain) else held_out_charts(gain, units)
+    return [
         tag("p", f"On {gain['samples']} samples ({gain['how']}) that {_unseen(gain)}."),
         facts(
             [
@@ -37,8 +40,6 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
                 ("test of no gain (Diebold-Mariano)", p_value(gain["p_value"])),
             ]
         ),
-    ]
-    parts.append(
         table_of(
             gain["outputs"],
             {
@@ -48,12 +49,12 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
                 "difference (95 %)": _difference,
                 "fit": lambda o: f"{_fit(o['fit_before'])} → {_fit(o['fit_after'])}",
             },
-        )
-    )
-    parts += [_budget(gain), adopted(gain, "in_full"), bullets(map(prose, gain["notes"]))]
-    # what was simulated before and after is at the top
-    charts = _gained(gain) if has_before_and_after(gain) else held_out_charts(gain, units)
-    return [*parts, grid(charts, draw)]
+        ),
+        _budget(gain),
+        adopted(gain, "in_full"),
+        bullets(map(prose, gain["notes"])),
+        grid(charts, draw),
+    ]
 
 
 def _difference(o: Document) -> str:
@@ -77,22 +78,11 @@ def _budget(gain: Document) -> Html:
     budget = [b for b in gain.get("budget") or () if b["gone"] >= 0.0]
     if not budget:
         return Html("")
-    titles = {
-        key: tag("span", tag("i", class_=f"swatch bars r-{role}"), key)
-        for key, role in BUDGET.items()
-    }
-    shown = table_of(
-        budget,
-        {
-            "": lambda b: b["output"],
-            "squared error of the free run before = 100 %": _stacked,
-            titles["gone"]: lambda b: percent(b["gone"]),
-            titles["left"]: lambda b: percent(b["left"]),
-            titles["noise"]: lambda b: percent(b["noise"]),
-        },
-        "budget-table",
-    )
-    return join([tag("h3", "Error budget"), shown])
+    swatches = [tag("i", class_=f"swatch bars r-{role}") for role in BUDGET.values()]
+    titles = [tag("span", *both) for both in zip(swatches, BUDGET, strict=True)]
+    head = ("", "squared error of the free run before = 100 %", *titles)
+    rows = [(b["output"], _stacked(b), *(percent(b[key]) for key in BUDGET)) for b in budget]
+    return join([tag("h3", "Error budget"), table(head, rows, "budget-table")])
 
 
 def _stacked(shares: Document) -> Html:
@@ -105,10 +95,7 @@ def _stacked(shares: Document) -> Html:
         )
         at += width
     said = ", ".join(f"{percent(shares[key])} {key}" for key in BUDGET)
-    return tag(
-        "svg", *parts, viewBox="0 0 100 8", preserveAspectRatio="none", class_="budget", role="img",
-        aria_label=said,
-    )  # fmt: skip
+    return drawn(parts, 100, 8, said, "budget", preserveAspectRatio="none")
 
 
 def before_and_after(gain: Document | None, units: Document) -> list[Chart]:

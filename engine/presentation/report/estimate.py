@@ -350,9 +350,6 @@ def _bootstrap(document: Document, draw: Drawer) -> Html:
 
 
 def _density(name: str, values: list[float]) -> Chart:
-    ordered = sorted(values)
-    share = [(i + 0.5) / len(ordered) for i in range(len(ordered))]
-    one = Trace("share of runs below", share, "points", "data")
-    return Chart(
-        f"Bootstrap estimates of {name}", name, "share of runs below", ordered, (one,), live=False
-    )
+    share, said = (np.arange(len(values)) + 0.5) / len(values), "share of runs below"
+    one = Trace(said, share, "points", "data")
+    return Chart(f"Bootstrap estimates of {name}", name, said, sorted(values), (one,), live=False)

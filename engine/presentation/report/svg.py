@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.arrays import Array
-from engine.presentation.report.chart import Band, Chart, Numbers, Ranking, Trace, column
+from engine.presentation.report.chart import Band, Chart, Numbers, Picture, Ranking, Trace, column
 from engine.presentation.report.html import Html, tag, text
 from engine.words import number
 
@@ -61,7 +61,7 @@ class Axis:
         return [k * step for k in range(begin, end + 1)]
 
 
-def svg_element(chart: Chart | Ranking) -> Html:
+def svg_element(chart: Picture) -> Html:
     """A figure: title, legend, and the chart; a wide one also drawn narrow, for small screens."""
     if isinstance(chart, Ranking):
         return _hbars(chart)
@@ -72,9 +72,9 @@ def svg_element(chart: Chart | Ranking) -> Html:
         sizes = [(*wide, "chart-svg for-wide"), (*narrow, "chart-svg for-narrow")]
     else:
         sizes = [(NARROW_WIDTH, USUAL_HEIGHT, "chart-svg")]
-    drawn = [svg(chart, width, height, class_) for width, height, class_ in sizes]
+    pictures = [svg(chart, width, height, class_) for width, height, class_ in sizes]
     head = tag("figcaption", text(chart.title))
-    return tag("figure", head, legend(chart), *drawn, class_=f"figure{' wide' * chart.wide}")
+    return tag("figure", head, legend(chart), *pictures, class_=f"figure{' wide' * chart.wide}")
 
 
 def legend(chart: Chart) -> Html:
@@ -105,14 +105,15 @@ def svg(chart: Chart, width: int, height: int, class_: str = "chart-svg") -> Htm
     for t in chart.traces:
         parts += _trace(xs, t, x, y)
     said = "; ".join(t.label for t in chart.traces)
-    return tag(
-        "svg",
-        *parts,
-        viewBox=f"0 0 {width} {height}",
-        class_=class_,
-        role="img",
-        aria_label=f"{chart.title}: {said} over {chart.x_label}",
-    )
+    return drawn(parts, width, height, f"{chart.title}: {said} over {chart.x_label}", class_)
+
+
+def drawn(
+    parts: Iterable[Html], width: int, height: int, said: str, class_: str, **more: str
+) -> Html:
+    """A picture of ``width`` by ``height`` units, and what is ``said`` where it cannot be seen."""
+    box = f"0 0 {width} {height}"
+    return tag("svg", *parts, viewBox=box, **more, class_=class_, role="img", aria_label=said)
 
 
 def y_axis(chart: Chart, start: float, end: float) -> Axis:
@@ -145,11 +146,8 @@ def _hbars(chart: Ranking) -> Html:
         parts.append(_line(x(line), 2, x(line), height - bottom, "level"))
     parts.append(_words(width / 2, height - 6, chart.x_label, "middle"))
     said = "; ".join(f"{name} {number(value)}" for name, value, _ in shown)
-    drawn = tag(
-        "svg", *parts, viewBox=f"0 0 {width} {height}", class_="chart-svg", role="img",
-        aria_label=f"{chart.title}: {said}",
-    )  # fmt: skip
-    return tag("figure", tag("figcaption", text(chart.title)), drawn, class_="figure")
+    picture = drawn(parts, width, height, f"{chart.title}: {said}", "chart-svg")
+    return tag("figure", tag("figcaption", text(chart.title)), picture, class_="figure")
 
 
 # ---- parts --------------------------------------------------------------------------------------

@@ -66,13 +66,9 @@ def _numbers(c: Document, names: Sequence[str]) -> Html:
         rows.append((f"held-out error of {output}, rms", *sizes, said))
     densities = [(one or {}).get("log_density") for one in c["held_out"]]
     difference = _difference(densities, c["same_held_out"])
-    rows.append(
-        (
-            "held-out log-density",
-            *("" if one is None else number(one, 6) for one in densities),
-            "" if difference is None else number(difference, 4),
-        )
-    )
+    gained = "" if difference is None else number(difference, 4)
+    logs = ["" if one is None else number(one, 6) for one in densities]
+    rows.append(("held-out log-density", *logs, gained))
     shown = [row for row in rows if any(cell != "" for cell in row[1:])]
     return table(("", *names, "difference"), shown, "numbers")
 
