@@ -127,10 +127,7 @@ class Series(Shown):
                 f"y is infinite at row {row}, channel '{self.y_names[column]}'; "
                 "use NaN for a missing value"
             )
-        for name, values, names in (
-            ("u", u_, self.u_names),
-            ("extra", extra_, self.extra_names),
-        ):
+        for name, values, names in (("u", u_, self.u_names), ("extra", extra_, self.extra_names)):
             for row, column in np.argwhere(~np.isfinite(values))[:1]:
                 raise SeriesError(
                     f"{name} is not finite at row {row}, channel '{names[column]}'; "

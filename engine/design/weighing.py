@@ -148,11 +148,7 @@ class Weighing:
         return min(max(LEAST, ROWS_EACH * most), self.task.length)
 
     def shortest(
-        self,
-        best: Weighed,
-        inputs: int,
-        undecided: Sequence[Undecided],
-        progress: Progress,
+        self, best: Weighed, inputs: int, undecided: Sequence[Undecided], progress: Progress
     ) -> Experiment | None:
         """The shortest experiment that reaches the level: searches of its own for shorter and shorter ones."""
         hopeless = hopeless_pairs(undecided)
@@ -176,13 +172,7 @@ class Weighing:
                 factor = SHORTER * LONGER
 
     def _within(
-        self,
-        n: int,
-        plan: Plan,
-        other: Plan,
-        inputs: int,
-        k: int,
-        hopeless: set[frozenset[str]],
+        self, n: int, plan: Plan, other: Plan, inputs: int, k: int, hopeless: set[frozenset[str]]
     ) -> Weighed | None:
         """The best input of n samples; None where none keeps the limits."""
         task = replace(self.task, length=n)
@@ -245,9 +235,5 @@ class Weighing:
     def predictions(self, u: Array) -> Array:
         """The outputs (m, T, ny) that each cause predicts."""
         experiment = self.task.experiments(u[None])
-        return np.array(
-            [
-                simulated(c.model, c.theta, experiment)[0][0, experiment.rows]
-                for c in self.question.candidates
-            ]
-        )
+        runs = [simulated(c.model, c.theta, experiment)[0] for c in self.question.candidates]
+        return np.array([y[0, experiment.rows] for y in runs])

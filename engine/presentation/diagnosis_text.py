@@ -24,15 +24,7 @@ from engine.presentation.cause_sentences import (
     took,
 )
 from engine.presentation.report.priority import asked_first
-from engine.words import (
-    enumerated,
-    fit_quality,
-    number,
-    percent,
-    probability,
-    tidy,
-    with_unit,
-)
+from engine.words import enumerated, fit_quality, number, percent, probability, tidy, with_unit
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis

@@ -97,11 +97,9 @@ def errors_over_time(symptoms: Document, units: Document) -> list[Chart]:
     for name, unit in units.items():
         traces = []
         for what, role in (("free_run", "model"), ("one_step", "data")):
-            comparison = symptoms[what]
-            if comparison is None or "curves" not in comparison:
-                continue
-            e = _errors(comparison["curves"], name, settled=what == "one_step")
-            traces.append(Trace(WHAT[what].lower(), e, "line", role))
+            if curves := (symptoms[what] or {}).get("curves"):
+                e = _errors(curves, name, settled=what == "one_step")
+                traces.append(Trace(WHAT[what].lower(), e, "line", role))
         if traces:
             t = symptoms["one_step"]["curves"]["t"]
             title = f"Error of {name} over time (measured less simulated)"

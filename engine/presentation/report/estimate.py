@@ -43,18 +43,11 @@ def estimate_report(document: Document, draw: Drawer) -> Report:
     model = document.get("model") or {}
     name = model.get("name", "")
     title = f"Estimate of the model {name}" if name else "Estimate"
-    numbers = estimates(document)
+    numbers = tag("h2", "Estimates"), _warned(document), estimates(document)
+    about = tag("p", model["description"]) if model.get("description") else ""
     return Report(
         title,
-        join(
-            [
-                _outcome(document),
-                _facts(document),
-                tag("h2", "Estimates"),
-                _warned(document),
-                numbers,
-            ]
-        ),
+        join([_outcome(document), _facts(document), *numbers]),
         (
             *section("convergence", "Convergence", grid(convergence_charts(document), draw)),
             *_states(document, draw),
@@ -62,12 +55,7 @@ def estimate_report(document: Document, draw: Drawer) -> Report:
             *_held_out(document, draw),
             *_examined(document, model, draw),
             *section("attempts", "Attempts", _starts(document), _bootstrap(document, draw)),
-            *section(
-                "model",
-                "The model",
-                tag("p", model["description"]) if model.get("description") else "",
-                equations(model.get("equations", ())),
-            ),
+            *section("model", "The model", about, equations(model.get("equations", ()))),
         ),
     )
 
@@ -226,12 +214,10 @@ def _beside(axis: list[int], others: list[tuple[int, Numbers, Numbers]]) -> list
             for k, ((i, _, _), curve) in enumerate(zip(others, curves, strict=True))
         ]
     ordered = np.sort(curves, axis=0)  # gaps go to the end
-    last = np.isfinite(ordered).sum(axis=0) - 1
-    low, middle, high = (
-        np.take_along_axis(ordered, k[None], axis=0)[0] for k in (0 * last, (last + 1) // 2, last)
-    )
+    n = np.isfinite(ordered).sum(axis=0)
+    middle, high = (ordered[k, np.arange(len(axis))] for k in (n // 2, n - 1))
     said = "middle and range of the other starts"
-    return [Trace(said, middle, "line", "data", (low, high), dash=True)]
+    return [Trace(said, middle, "line", "data", (ordered[0], high), dash=True)]
 
 
 def _on(axis: list[int], ks: Numbers, values: Numbers) -> Array:

@@ -186,7 +186,7 @@ def _ys(chart: Chart) -> Array:
     values = _finite(*seen)
     around = _finite(*(t.band for t in chart.traces if t.band is not None))
     if values.size and around.size:
-        low, high = values.min(), values.max()
+        low, high = float(values.min()), float(values.max())
         middle, reach = 0.5 * (low + high), 2.0 * (high - low) or math.inf
         around = np.clip(around, middle - reach, middle + reach)
     return np.concatenate([values, around])
