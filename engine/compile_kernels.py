@@ -38,7 +38,7 @@ from engine.kernels.whitening import spread, whitened
 from engine.models.registry import get_model
 from engine.simulation.fit import fit_simulation
 from engine.simulation.free_run import free_run
-from engine.simulation.sensitivities import sensitivities
+from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import simulate
 from engine.simulation.whole_record import SHORTEST
 from engine.smoothers.linear_cost import rb_ffbsi_linear
@@ -89,7 +89,8 @@ def warm() -> dict[str, set[Any]]:
     decay.transition(np.ones((2, 1)), np.zeros(0), 0.0, 1.0, decay.record(decay.theta()))
     run = free_run(walk, None, Series(np.zeros(SHORTEST)))
     first, x = np.arange(1), np.hstack((run.a, run.z))
-    sensitivities(walk, np.asarray(run.theta), run.series, x, first, first, np.full(1, 1e-5))
+    along = Along(walk, np.asarray(run.theta), run.series, x)
+    along.by(first, first, np.full(1, 1e-5))
     design_kernels()
     return compiled_kernels()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 
-from engine.data.files import read_series_bytes
+from engine.data.files import read_table, series_from
 from engine.data.series import Series
 
 
@@ -14,4 +14,4 @@ def nile() -> Series:
     Times count years: t = 1871, 1872, ... Nothing in ``local-level`` depends on the time step.
     """
     data = (resources.files("engine.data") / "nile.csv").read_bytes()
-    return read_series_bytes(data, "nile.csv", y=["flow"], t="year")
+    return series_from(read_table(data, "nile.csv"), y=["flow"], t="year")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from datetime import UTC
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,4 @@ def _utc(value: Any) -> Any:
     """A date without its zone, for datetime64 has none."""
     if getattr(value, "tzinfo", None) is None:
         return np.datetime64(value)
-    from datetime import UTC
-
     return np.datetime64(value.astimezone(UTC).replace(tzinfo=None))

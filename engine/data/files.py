@@ -23,7 +23,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -56,21 +56,7 @@ def read_series(
         data = path.read_bytes()
     except OSError as error:
         raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
-    return read_series_bytes(data, path.name, y=y, u=u, t=t, dt=dt, hold=hold, time_unit=time_unit)
-
-
-def read_series_bytes(
-    data: bytes,
-    filename: str,
-    y: Channels = None,
-    u: Channels = None,
-    t: str | None = None,
-    dt: float | None = None,
-    hold: str | None = None,
-    time_unit: str | None = None,
-) -> Series:
-    """The same from the bytes of an uploaded file; the name's ending tells the format."""
-    return series_from(read_table(data, filename), y, u, t, dt, hold, time_unit)
+    return series_from(read_table(data, path.name), y, u, t, dt, hold, time_unit)
 
 
 def read_table(data: bytes, filename: str) -> Table:
@@ -119,27 +105,19 @@ def write_series(series: Series, path: str | Path) -> None:
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix == ".npz":
-        np.savez_compressed(
-            path,
-            y=series.y,
-            u=series.u,
-            t=series.t,
-            y_names=np.array(series.y_names, dtype=np.str_),
-            u_names=np.array(series.u_names, dtype=np.str_),
-            hold=series.hold,
-            time_unit=series.time_unit,
-        )
-    elif suffix == ".mat":
-        from scipy.io import savemat
+    if suffix in (".npz", ".mat"):
+        text = np.str_ if suffix == ".npz" else object
+        arrays: dict[str, Any] = {"t": series.t, "hold": series.hold, "time_unit": series.time_unit}
+        for name, values in (("y", series.y), ("u", series.u)):
+            if values.shape[1] or suffix == ".npz":
+                arrays[name] = values
+                arrays[f"{name}_names"] = np.array(getattr(series, f"{name}_names"), dtype=text)
+        if suffix == ".npz":
+            np.savez_compressed(path, **arrays)
+        else:
+            from scipy.io import savemat
 
-        arrays: dict[str, object] = {"t": series.t[:, None], "y": series.y}
-        arrays |= {"hold": series.hold, "time_unit": series.time_unit}
-        arrays["y_names"] = np.array(series.y_names, dtype=object)
-        if series.u.shape[1]:
-            arrays["u"] = series.u
-            arrays["u_names"] = np.array(series.u_names, dtype=object)
-        savemat(path, arrays)
+            savemat(path, arrays, oned_as="column")
     elif suffix == ".csv":
         path.write_text(csv_text(series), encoding="utf-8")
     else:

@@ -67,11 +67,8 @@ def from_frame(
     clock = None if t is None else known.column(t)
     if clock is not None:
         arguments["t"] = table[clock]
-    if (
-        time_unit is None
-        and units is not None
-        and not _is_dated(table if t is None else table[clock])
-    ):
+    dated = _is_dated(table if clock is None else table[clock])
+    if time_unit is None and units is not None and not dated:
         named = str(clock if clock is not None else table.index.name or "")
         time_unit = table.attrs.get("time_unit") or clock_of(named)
     return Series(
@@ -90,11 +87,8 @@ class _Columns:
         self.in_names = units == "names"
         given = table.attrs.get("units", {}) if units == "attrs" else units
         self.given: Mapping[str, str] = given if isinstance(given, Mapping) else {}
-        if (
-            unknown := [name for name in self.given if name not in self.there]
-            if units != "attrs"
-            else []
-        ):
+        unknown = [name for name in self.given if name not in self.there]
+        if unknown and units != "attrs":
             raise SeriesError(f"units: there is no column '{unknown[0]}'; {self._listed()}")
 
     def column(self, name: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -127,10 +127,7 @@ class Series(Shown):
                 f"y is infinite at row {row}, channel '{self.y_names[column]}'; "
                 "use NaN for a missing value"
             )
-        for name, values, names in (
-            ("u", u_, self.u_names),
-            ("extra", extra_, self.extra_names),
-        ):
+        for name, values, names in (("u", u_, self.u_names), ("extra", extra_, self.extra_names)):
             for row, column in np.argwhere(~np.isfinite(values))[:1]:
                 raise SeriesError(
                     f"{name} is not finite at row {row}, channel '{names[column]}'; "
@@ -248,25 +245,11 @@ class Series(Shown):
 
     def held(self, hold: str) -> Series:
         """The samples of this series, not refined, with inputs that do what ``hold`` says between them."""
-        at = self.samples
-        return self.replace(
-            y=self.y[at], u=self.u[at], t=self.t[at], extra=self.extra[at], substeps=1, hold=hold
-        )
+        return self._rows(self.samples, substeps=1, hold=hold)
 
     def replace(self, **changes: Any) -> Series:
         """The same series with some of its fields changed, given by their names as for :class:`Series`."""
-        kept = {
-            "y": self.y,
-            "u": self.u,
-            "t": self.t,
-            "y_names": self.y_names,
-            "u_names": self.u_names,
-            "extra": self.extra,
-            "extra_names": self.extra_names,
-            "substeps": self.substeps,
-            "hold": self.hold,
-            "time_unit": self.time_unit,
-        }
+        kept = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "units"}
         made = {**kept, **changes}
         names = {name for key in ("y_names", "u_names", "extra_names") for name in made[key] or ()}
         made.setdefault("units", {k: v for k, v in self.units.items() if k in names})
@@ -290,8 +273,12 @@ class Series(Shown):
         """
         if start % self.substeps:
             raise SeriesError(f"row {start} of a refined series is no sample")
-        rows = slice(start, stop)
-        return self.replace(y=self.y[rows], u=self.u[rows], t=self.t[rows], extra=self.extra[rows])
+        return self._rows(slice(start, stop))
+
+    def _rows(self, rows: slice | NDArray[np.intp], **changes: Any) -> Series:
+        """Some of the rows, with other fields changed too."""
+        own = {name: getattr(self, name)[rows] for name in ("y", "u", "t", "extra")}
+        return self.replace(**own, **changes)
 
     def masked(self, rows: ArrayLike) -> Series:
         """The same series with the measurements of ``rows`` (mask or indices) missing."""

@@ -15,7 +15,6 @@ import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -126,9 +125,9 @@ def read_csv(data: bytes, file: str) -> Table:
     except csv.Error as error:
         reason = _TOO_LONG if "field limit" in str(error) else str(error)
         raise SeriesError(f"{file}, line {first + reader.line_num}: {reason}") from error
-    columns = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
     table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
     table.hold = hold[-1] if hold else None
     table.time_unit = time_unit[-1] if time_unit else None
@@ -240,11 +239,8 @@ def _stored_text(value: object) -> str | None:
 
 
 def _stored_names(value: object) -> list[str]:
-    """Channel names stored beside an array: a unicode array, or a MATLAB cell array."""
-    if not isinstance(value, np.ndarray):
-        return []
-    cells: list[Any] = value.ravel().tolist()
-    return [str(np.ravel(cell)[0]) if np.size(cell) else "" for cell in cells]
+    """Channel names stored beside an array."""
+    return list(map(str, value.ravel())) if isinstance(value, np.ndarray) else []
 
 
 def _check_header(names: list[str], file: str, line: int) -> None:

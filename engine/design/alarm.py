@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 
 from engine.design.spectrum import records_of
 from engine.diagnose.screening.screen import CLEARLY_HEAVIER
-from engine.diagnose.search.calibration import (
-    BOLDEST,
-    CLEARLY,
-    FEWEST,
-    LEVEL,
-    SERIES,
-    boldness,
-)
+from engine.diagnose.search.calibration import BOLDEST, CLEARLY, FEWEST, LEVEL, SERIES, boldness
 from engine.distributions import chi2_isf, chi2_sf
 from engine.statespace.model import Array
 

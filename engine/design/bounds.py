@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from dataclasses import fields as dataclass_fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from engine.data.series import HOLDS
 from engine.errors import OptionError, check_count
+from engine.json_values import plain
 from engine.statespace.model import MixedModel
 from engine.units import SECOND
 
@@ -93,34 +93,25 @@ class Bounds:
         if self.dt is not None:
             _positive(self.dt, "bounds.dt", self.time_unit or SECOND)
         if not (_is_number(self.sigmas) and 0.0 <= self.sigmas < np.inf):
-            raise OptionError(
-                f"bounds.sigmas = {self.sigmas}; a number from 0 on is needed", "bounds.sigmas"
-            )
+            raise refused("bounds.sigmas", f" = {self.sigmas}; a number from 0 on is needed")
         if self.hold is not None and self.hold not in HOLDS:
-            raise OptionError(
-                f"bounds.hold = {self.hold!r}; one of {', '.join(HOLDS)} is needed", "bounds.hold"
-            )
+            raise refused("bounds.hold", f" = {self.hold!r}; one of {', '.join(HOLDS)} is needed")
         if self.substeps is not None:
             check_count("bounds.substeps", self.substeps)
         unit = self.time_unit
         if unit is not None and not (isinstance(unit, str) and unit.strip()):
-            raise OptionError(
-                f"bounds.time_unit = {unit!r}; a unit such as 's' or 'h' is needed",
-                "bounds.time_unit",
-            )
+            raise refused("bounds.time_unit", f" = {unit!r}; a unit such as 's' or 'h' is needed")
 
     @classmethod
     def of(cls, given: Bounds | Mapping[str, Any]) -> Bounds:
         """Bounds from a mapping of the fields, as a request or a file has them."""
         if isinstance(given, Bounds):
             return given
-        fields = _mapping(given, "bounds")
-        _known(fields, [one.name for one in dataclass_fields(cls)], "bounds")
-        if "inputs" not in fields:
-            raise OptionError(
-                "bounds.inputs is missing: the range of every input is needed", "bounds.inputs"
-            )
-        return cls(**{name: value for name, value in fields.items() if value is not None})
+        own = _mapping(given, "bounds")
+        _known(own, cls, "bounds")
+        if "inputs" not in own:
+            raise refused("bounds.inputs", " is missing: the range of every input is needed")
+        return cls(**{name: value for name, value in own.items() if value is not None})
 
     def check(self, model: MixedModel) -> None:
         """Raise OptionError unless these are bounds of the model's own channels, of every input."""
@@ -132,10 +123,10 @@ class Bounds:
         for where, names in there.items():
             for name in getattr(self, where):
                 if name not in names:
-                    raise OptionError(
-                        f"bounds.{where}.{name}: model '{model.name}' has no such channel; it has "
-                        f"{', '.join(names) or 'none'}",
+                    there_are = ", ".join(names) or "none"
+                    raise refused(
                         f"bounds.{where}.{name}",
+                        f": model '{model.name}' has no such channel; it has {there_are}",
                     )
         if not model.nu:
             raise OptionError(
@@ -143,79 +134,57 @@ class Bounds:
             )
         for name in model.inputs:
             if name not in self.inputs:
-                raise OptionError(
-                    f"bounds.inputs.{name} is missing: the range of every input is needed",
-                    f"bounds.inputs.{name}",
-                )
+                said = " is missing: the range of every input is needed"
+                raise refused(f"bounds.inputs.{name}", said)
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as JSON values; ``Bounds.of`` reads them."""
-        return {
-            "inputs": {
-                name: {
-                    "low": one.low,
-                    "high": one.high,
-                    "rate": one.rate,
-                    "forbidden": [list(band) for band in one.forbidden],
-                    "start": one.start,
-                    "stopbands": [list(band) for band in one.stopbands],
-                }
-                for name, one in self.inputs.items()
-            },
-            **{
-                where: {
-                    name: [end if np.isfinite(end) else None for end in band]
-                    for name, band in getattr(self, where).items()
-                }
-                for where in ("states", "outputs")
-            },
-            "dt": self.dt,
-            "sigmas": self.sigmas,
-            "hold": self.hold,
-            "substeps": self.substeps,
-            "time_unit": self.time_unit,
-        }
+        document: dict[str, Any] = plain(asdict(self))
+        return document
+
+
+def refused(where: str, said: str) -> OptionError:
+    """The error about a field, whose message begins with the field."""
+    return OptionError(f"{where}{said}", where)
+
+
+def finite(value: Any, where: str) -> float:
+    """A field's value as a number. Raises OptionError."""
+    if not (_is_number(value) and np.isfinite(value)):
+        raise refused(where, f" = {value!r}; a finite number is needed")
+    return float(value)
 
 
 def _input(given: Any, where: str) -> InputBounds:
     if isinstance(given, InputBounds):
-        fields = dict(vars(given))
+        own = vars(given)
     elif isinstance(given, Mapping):
-        fields = dict(given)
+        own = dict(given)
     else:
-        fields = dict(zip(("low", "high"), _pair(given, where), strict=True))
-    _known(fields, [one.name for one in dataclass_fields(InputBounds)], where)
+        own = dict(zip(("low", "high"), _pair(given, where), strict=True))
+    _known(own, InputBounds, where)
     for name in ("low", "high"):
-        if name not in fields:
-            raise OptionError(f"{where}.{name} is missing", f"{where}.{name}")
-        _number(fields[name], f"{where}.{name}")
-    low, high = float(fields["low"]), float(fields["high"])
+        if name not in own:
+            raise refused(f"{where}.{name}", " is missing")
+    low, high = (finite(own[name], f"{where}.{name}") for name in ("low", "high"))
     if not low < high:
-        raise OptionError(f"{where}.low = {low:g} is not below high = {high:g}", f"{where}.low")
-    rate, start = fields.get("rate"), fields.get("start")
+        raise refused(f"{where}.low", f" = {low:g} is not below high = {high:g}")
+    rate, start = own.get("rate"), own.get("start")
     if rate is not None:
-        _positive(rate, f"{where}.rate", "units per unit of time")
-    bands = tuple(
-        _forbidden(band, f"{where}.forbidden[{i}]")
-        for i, band in enumerate(fields.get("forbidden") or ())
-    )
-    if start is not None:
-        _number(start, f"{where}.start")
-        if not low <= start <= high:
-            raise OptionError(
-                f"{where}.start = {start:g} is not within [{low:g}, {high:g}]", f"{where}.start"
-            )
-    stop = tuple(
-        _stopband(band, f"{where}.stopbands[{i}]")
-        for i, band in enumerate(fields.get("stopbands") or ())
-    )
-    out = InputBounds(low, high, None if rate is None else float(rate), bands, start, stop)
+        rate = _positive(rate, f"{where}.rate", "units per unit of time")
+    bands = _bands(own.get("forbidden"), f"{where}.forbidden")
+    if start is not None and not low <= finite(start, f"{where}.start") <= high:
+        raise refused(f"{where}.start", f" = {start:g} is not within [{low:g}, {high:g}]")
+    stop = _bands(own.get("stopbands"), f"{where}.stopbands")
+    for i, (slowest, fastest) in enumerate(stop):
+        if slowest < 0.0:
+            said = f" = [{slowest:g}, {fastest:g}]: a frequency is negative"
+            raise refused(f"{where}.stopbands[{i}]", said)
+    out = InputBounds(low, high, rate, bands, start, stop)
     if start is not None and not allowed(out, start):
-        raise OptionError(f"{where}.start = {start:g} is within a forbidden band", f"{where}.start")
+        raise refused(f"{where}.start", f" = {start:g} is within a forbidden band")
     if not any(allowed(out, value) for value in _edges(out)):
-        raise OptionError(
-            f"{where}.forbidden leaves no value between {low:g} and {high:g}", f"{where}.forbidden"
-        )
+        raise refused(f"{where}.forbidden", f" leaves no value between {low:g} and {high:g}")
     return out
 
 
@@ -230,62 +199,52 @@ def _edges(bounds: InputBounds) -> list[float]:
     return [bounds.low, bounds.high, *(end for band in bounds.forbidden for end in band)]
 
 
-def _forbidden(given: Any, where: str) -> Band:
-    low, high = _pair(given, where)
-    for end in (low, high):
-        _number(end, where)
-    if not low < high:
-        raise OptionError(f"{where} = [{low:g}, {high:g}]: its ends are not in order", where)
-    return float(low), float(high)
-
-
-def _stopband(given: Any, where: str) -> Band:
-    low, high = _forbidden(given, where)
-    if low < 0.0:
-        raise OptionError(f"{where} = [{low:g}, {high:g}]: a frequency is negative", where)
-    return low, high
+def _bands(given: Any, where: str) -> tuple[Band, ...]:
+    bands = []
+    for i, ends in enumerate(given or ()):
+        own = f"{where}[{i}]"
+        low, high = (finite(end, own) for end in _pair(ends, own))
+        if not low < high:
+            raise refused(own, f" = [{low:g}, {high:g}]: its ends are not in order")
+        bands.append((low, high))
+    return tuple(bands)
 
 
 def _limit(given: Any, where: str) -> Band:
     low, high = _pair(given, where)
     for end in (low, high):
         if end is not None and not (_is_number(end) and not np.isnan(end)):
-            raise OptionError(f"{where}: {end!r} is no number", where)
+            raise refused(where, f": {end!r} is no number")
     ends = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
     if not ends[0] < ends[1]:
-        raise OptionError(f"{where} = [{low}, {high}]: its ends are not in order", where)
+        raise refused(where, f" = [{low}, {high}]: its ends are not in order")
     return ends
 
 
 def _mapping(given: Any, where: str) -> dict[str, Any]:
     if not isinstance(given, Mapping):
-        raise OptionError(f"{where} = {given!r}; names with their bounds are needed", where)
+        raise refused(where, f" = {given!r}; names with their bounds are needed")
     return dict(given)
 
 
 def _pair(given: Any, where: str) -> tuple[Any, Any]:
     if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
-        raise OptionError(f"{where} = {given!r}; [low, high] is needed", where)
+        raise refused(where, f" = {given!r}; [low, high] is needed")
     return given[0], given[1]
 
 
-def _known(fields: Mapping[str, Any], names: Sequence[str], where: str) -> None:
-    for name in fields:
+def _known(given: Mapping[str, Any], kind: type[Bounds | InputBounds], where: str) -> None:
+    names = [one.name for one in fields(kind)]
+    for name in given:
         if name not in names:
-            raise OptionError(
-                f"{where}.{name} is not known; {', '.join(names)} are", f"{where}.{name}"
-            )
+            raise refused(f"{where}.{name}", f" is not known; {', '.join(names)} are")
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
-def _number(value: Any, where: str) -> None:
-    if not (_is_number(value) and np.isfinite(value)):
-        raise OptionError(f"{where} = {value!r}; a finite number is needed", where)
-
-
-def _positive(value: Any, where: str, unit: str) -> None:
+def _positive(value: Any, where: str, unit: str) -> float:
     if not (_is_number(value) and 0.0 < value < np.inf):
-        raise OptionError(f"{where} = {value!r} {unit}; a positive number is needed", where)
+        raise refused(where, f" = {value!r} {unit}; a positive number is needed")
+    return float(value)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.design.bounds import finite, refused
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
@@ -46,6 +47,17 @@ class Candidate:
     lead: float = 0.0
     effects: tuple[Effect, ...] = ()
     rank: tuple[int, int] = (0, 0)
+
+    @classmethod
+    def of(cls, effects: tuple[Effect, ...], setting: Setting, **known: Any) -> Candidate:
+        """The cause that these effects are together; ``known`` is the rest of it."""
+        return cls(
+            title=" and ".join(effect.title for effect in effects),
+            further=sum(map(further_parameters, effects)) + len(effects) - 1,
+            effects=effects,
+            rank=rank(effects, setting),
+            **known,
+        )
 
     @property
     def indices(self) -> list[int]:
@@ -115,17 +127,16 @@ def before_any(
         names += [one for one in own if one not in names]
         for one in names:
             extended.index(one)
+        told = _information(f"causes.{name}.information", given, names)
         out.append(
-            Candidate(
-                name,
-                " and ".join(effect.title for effect in effects),
-                extended,
-                theta_,
-                tuple(names),
-                _information(f"causes.{name}.information", given, names),
-                sum(map(further_parameters, effects)) + len(effects) - 1,
-                effects=effects,
-                rank=rank(effects, setting),
+            Candidate.of(
+                effects,
+                setting,
+                name=name,
+                model=extended,
+                theta=theta_,
+                free=tuple(names),
+                information=told,
             )
         )
     check_number([one.name for one in out], notes)
@@ -137,9 +148,7 @@ def before_any(
     for name in seen or ():
         if name not in model.outputs:
             there = ", ".join(model.outputs)
-            raise OptionError(
-                f"measured: there is no output '{name}'; there are {there}", "measured"
-            )
+            raise refused("measured", f": there is no output '{name}'; there are {there}")
     return Question(
         tuple(out), base, ALARM if alarm is None else alarm_of(alarm), seen, tuple(notes)
     )
@@ -180,19 +189,17 @@ def _values(
             if key == INFORMATION:
                 continue
             if key not in values:
-                raise OptionError(
-                    f"{where}.{key}: there is no such parameter; there are {', '.join(values)}",
-                    f"{where}.{key}",
-                )
-            values[key] = _float(value, f"{where}.{key}")
+                there = ", ".join(values)
+                raise refused(f"{where}.{key}", f": there is no such parameter; there are {there}")
+            values[key] = finite(value, f"{where}.{key}")
     elif len(effects) > 1:
         sizes = ", ".join(f"'{effect.size.name}': ..." for effect in effects)
-        raise OptionError(f"{where}: several effects need a size each, as {{{sizes}}}", where)
+        raise refused(where, f": several effects need a size each, as {{{sizes}}}")
     else:
-        values[effects[0].size.name] = _float(given, where)
+        values[effects[0].size.name] = finite(given, where)
     for effect in effects:
         if values[effect.size.name] == 0.0:
-            raise OptionError(f"{where}: its size {effect.size.name} must not be 0", where)
+            raise refused(where, f": its size {effect.size.name} must not be 0")
     return list(values.values())
 
 
@@ -203,7 +210,7 @@ def _information(where: str, given: Any, names: Sequence[str]) -> Array:
     if told is None:
         return out
     if not isinstance(told, Mapping) or {*told} != {"free", "matrix"}:
-        raise OptionError(f"{where}: {{free, matrix}} is needed", where)
+        raise refused(where, ": {free, matrix} is needed")
     free = [str(name) for name in told["free"]]
     try:
         matrix = np.asarray(told["matrix"], dtype=float)
@@ -211,24 +218,14 @@ def _information(where: str, given: Any, names: Sequence[str]) -> Array:
         matrix = np.full(0, np.nan)
     n = len(free)
     if matrix.shape != (n, n) or not np.isfinite(matrix).all() or len({*free}) < n:
-        raise OptionError(
-            f"{where}.matrix: {n} rows of {n} finite numbers are needed, one for each of free",
-            f"{where}.matrix",
-        )
+        said = f": {n} rows of {n} finite numbers are needed, one for each of free"
+        raise refused(f"{where}.matrix", said)
     if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-6 * np.abs(matrix).max(initial=0.0)):
-        raise OptionError(f"{where}.matrix is not symmetric", f"{where}.matrix")
+        raise refused(f"{where}.matrix", " is not symmetric")
     here = [k for k, name in enumerate(free) if name in names]
     there = [names.index(free[k]) for k in here]
     out[np.ix_(there, there)] = 0.5 * (matrix + matrix.T)[np.ix_(here, here)]
     return out
-
-
-def _float(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-        raise OptionError(f"{where} = {value!r}; a number is needed", where)
-    if not np.isfinite(value):
-        raise OptionError(f"{where} = {value!r}; a finite number is needed", where)
-    return float(value)
 
 
 def check_number(names: Sequence[str], notes: Sequence[str]) -> None:

@@ -56,20 +56,29 @@ class Demand:
 
 
 @dataclass(frozen=True, eq=False)
-class Contest:
-    """Cause i in an experiment against each of its rivals, who have adapted.
+class Adapted:
+    """A rival of cause i that has adapted.
 
-    ``columns`` of each rival: L^{-1} of Delta, of the sensitivities of i, and of those of the rival, at all
-    readings in order (n ny, 1 + p_i + p_j); ``known`` (p_j, 1 + p_i + p_j) the same of what holds the rival's
-    parameters, as further readings; ``noises`` what its noise may explain; ``seen`` (n ny,) which readings
-    there are. ``spread`` (p_i, p_i) is the covariance of i's own parameters.
+    ``columns``: L^{-1} of Delta, of the sensitivities of i, and of those of the rival, at all readings in order
+    (n ny, 1 + p_i + p_j); ``known`` (p_j, 1 + p_i + p_j) the same of what holds the rival's parameters, as
+    further readings; ``noise`` what its noise may explain.
     """
 
     name: str
-    rivals: tuple[str, ...]
-    columns: tuple[Array, ...]
-    known: tuple[Array, ...]
-    noises: tuple[NoiseRoom, ...]
+    columns: Array
+    known: Array
+    noise: NoiseRoom
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """Cause i in an experiment against each of its rivals, the last one the model without a cause.
+
+    ``seen`` (n ny,) is which readings there are, ``spread`` (p_i, p_i) the covariance of i's own parameters.
+    """
+
+    name: str
+    rivals: tuple[Adapted, ...]
     seen: NDArray[np.bool_]
     spread: Array
     ny: int
@@ -81,10 +90,9 @@ class Contest:
         the readings there are.
         """
         rows, left = n * self.ny, []
-        for W, known in zip(self.columns, self.known, strict=True):
-            part = np.concatenate([W[:rows], known])
-            p = 1 + len(self.spread)
-            own, other = part[:, :p], part[:, p:]
+        for rival in self.rivals:
+            part = np.concatenate([rival.columns[:rows], rival.known])
+            own, other = np.split(part, [1 + len(self.spread)], axis=1)
             step = adaptation(other.T @ other, other.T @ own, np.zeros((other.shape[1],) * 2))
             left.append(own - other @ step)
         # what holds two rivals has nothing to do with each other
@@ -96,10 +104,9 @@ class Contest:
 
     def residuals(self, k: int, n: int, left: Array, rng: np.random.Generator) -> Residuals | None:
         """What rival k leaves of the first n rows, where ``left`` (N,) is left of Delta."""
-        rows = n * self.ny
-        p = 1 + len(self.spread)
-        other, held = self.columns[k][:rows, p:][self.seen[:rows]], self.known[k][:, p:]
-        return Residuals.drawn(self.noises[k], left, other, held, rng)
+        rival, rows, p = self.rivals[k], n * self.ny, 1 + len(self.spread)
+        other, held = rival.columns[:rows, p:][self.seen[:rows]], rival.known[:, p:]
+        return Residuals.drawn(rival.noise, left, other, held, rng)
 
     def distance(self, n: int) -> Array:
         """D (m,) against each rival in the first n rows."""
@@ -199,30 +206,20 @@ def contest(
     """
     true = candidates[i]
     own = linearised(true.model, true.theta, experiment, true.indices)
-    columns, knowns, names, noises = [], [], [], []
+    rivals = []
     for rival in [*(c for c in candidates if c is not true), base]:
         held = precision(rival, anew)
         start = starts.get(rival.name)
         theta, runs, _ = adapted(own.y, rival, held, experiment, seen, start)
         Delta = (own.y - runs.y)[..., None]
         W = whiten(runs, np.concatenate([Delta, own.dy, runs.dy], axis=-1), seen)
-        columns.append(W[0].reshape(-1, W.shape[-1]))
-        noises.append(noise_room(rival, theta, runs, experiment, seen))
+        noise = noise_room(rival, theta, runs, experiment, seen)
         root = square_root(held).T
         away = theta[rival.indices] - rival.theta[rival.indices]
         none = np.zeros((len(root), len(true.free)))
-        knowns.append(np.concatenate([-(root @ away)[:, None], none, root], axis=1))
-        names.append(rival.name)
-    return Contest(
-        true.name,
-        tuple(names),
-        tuple(columns),
-        tuple(knowns),
-        tuple(noises),
-        seen.ravel(),
-        true.covariance,
-        own.y.shape[2],
-    )
+        known = np.concatenate([-(root @ away)[:, None], none, root], axis=1)
+        rivals.append(Adapted(rival.name, W[0].reshape(-1, W.shape[-1]), known, noise))
+    return Contest(true.name, tuple(rivals), seen.ravel(), true.covariance, own.y.shape[2])
 
 
 def demand_of(i: int, candidates: Sequence[Candidate], T: int, anew: bool) -> Demand:

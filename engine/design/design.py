@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,14 +130,7 @@ class Design(Shown):
     @property
     def smallest(self) -> tuple[tuple[str, str], float]:
         """The pair (true cause, rival) that is hardest to tell apart, of those that can be, and its D."""
-        hopeless = {frozenset(one.causes) for one in self.undecided if one.hopeless}
-        pairs = [
-            ((one, other), float(self.experiment.D[i, j]))
-            for i, one in enumerate(self.causes)
-            for j, other in enumerate(self.causes)
-            if i != j and frozenset((one, other)) not in hopeless
-        ]
-        return min(pairs, key=lambda pair: pair[1], default=((self.causes[0], self.causes[1]), 0.0))
+        return hardest(self.causes, self.experiment.D, hopeless_pairs(self.undecided))
 
     @property
     def decides(self) -> bool:
@@ -191,3 +185,21 @@ class Design(Shown):
     def _view(self) -> View:
         shown: View = view("design").page(self)
         return shown
+
+
+def hopeless_pairs(undecided: Sequence[Undecided]) -> set[frozenset[str]]:
+    """The pairs of causes that no input within the bounds tells apart."""
+    return {frozenset(one.causes) for one in undecided if one.hopeless}
+
+
+def hardest(
+    causes: Sequence[str], D: Array, hopeless: set[frozenset[str]]
+) -> tuple[tuple[str, str], float]:
+    """The pair (true cause, rival) of the least D (m, m) and that D, of those not hopeless; 0 of none."""
+    pairs = [
+        ((one, other), float(D[i, j]))
+        for i, one in enumerate(causes)
+        for j, other in enumerate(causes)
+        if i != j and frozenset((one, other)) not in hopeless
+    ]
+    return min(pairs, key=lambda pair: pair[1], default=((causes[0], causes[1]), 0.0))

@@ -27,8 +27,6 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run.answer import FreeRunSearch, noise_fit
 from engine.diagnose.search.findings import Verdict
-from engine.diagnose.search.likeness import rank
-from engine.diagnose.search.refits import further_parameters
 from engine.errors import OptionError
 from engine.estimation.quasi_ml import QuasiFit
 
@@ -60,17 +58,15 @@ class Rival:
         sought = {name for effect in self.effects for name in effect.sought}
         free = tuple(name for name in fit.free if name not in sought)
         keep = [fit.free.index(name) for name in free]
-        return Candidate(
-            self.name,
-            " and ".join(effect.title for effect in self.effects),
-            fit.model,
-            np.asarray(fit.theta),
-            free,
-            np.asarray(fit.information)[np.ix_(keep, keep)],
-            sum(map(further_parameters, self.effects)) + len(self.effects) - 1,
-            self.score,
+        return Candidate.of(
             self.effects,
-            rank(self.effects, setting),
+            setting,
+            name=self.name,
+            model=fit.model,
+            theta=np.asarray(fit.theta),
+            free=free,
+            information=np.asarray(fit.information)[np.ix_(keep, keep)],
+            lead=self.score,
         )
 
 

@@ -138,10 +138,13 @@ class Search:
         m = len(self.task.candidates)
         return [(i, j) for i in range(m) for j in range(m) if i != j]
 
+    def once(self) -> list[Pair]:
+        """All pairs (i, j), i > j."""
+        return [(i, j) for i, j in self.ordered() if i > j]
+
     def pairs(self) -> list[Pair]:
-        """Pairs (i, j), i > j, that count: not those that no input has told apart, unless all are such."""
-        every = [(i, j) for i, j in self.ordered() if i > j]
-        return [pair for pair in every if pair not in self.dead] or every
+        """Pairs that count: not those that no input has told apart, unless all are such."""
+        return [pair for pair in self.once() if pair not in self.dead] or self.once()
 
     def evaluate(self, plans: Sequence[Plan]) -> list[Tried]:
         """Each plan's input with its D and what it breaks."""
@@ -158,9 +161,7 @@ class Search:
             if one.violation < self.nearest[0]:
                 self.nearest = one.violation, which[k]
             if one.violation <= 0.0:
-                for i, j in self.ordered():
-                    if i > j and self._is_better(one, (i, j)):
-                        self.by[i, j] = one
+                self.by |= {pair: one for pair in self.once() if self._is_better(one, pair)}
             out.append(one)
         self.tried += len(plans)
         return out
@@ -239,7 +240,7 @@ class Search:
         D, *rest = np.split(found, ends[:-1])
         D, points = D.reshape(m, m), dict(zip(self.ordered(), rest, strict=True))
         made = replace(one, D=D, points=points, refined=True)
-        for pair in [(i, j) for i, j in self.ordered() if i > j]:
+        for pair in self.once():
             known = self.by.get(pair)
             if known is None or not known.refined or self._is_better(made, pair):
                 self.by[pair] = made
@@ -269,7 +270,7 @@ class Search:
                 self.refined(one) for one in order if all(one.plan is not b.plan for b in best)
             ]
             dead = set()
-            for pair in [pair for pair in self.ordered() if pair[0] > pair[1]]:
+            for pair in self.once():
                 most = max(self.worth(one, [pair]) for one in best)
                 if most < ALIVE:
                     most = self.worth(self.refined(self.by[pair]), [pair])
@@ -306,7 +307,7 @@ class Search:
             else:
                 values = slice(0, 2 if shape.family == "binary" else k)
                 v[values] = middle + share * (v[values] - middle)
-            out.append(type(shape)(shape.family, shape.pieces, v))
+            out.append(replace(shape, v=v))
         return tuple(out)
 
     def improved(self, best: Tried, n: int, pairs: Sequence[Pair] | None = None) -> Tried:
@@ -340,25 +341,20 @@ def violations(task: Task, runs: Sequence[Runs]) -> tuple[Array, list[str]]:
     B = len(runs[0].y)
     worst, where = np.zeros(B), [""] * B
     limits, sigmas = task.bounds, task.bounds.sigmas
-    if not (limits.states or limits.outputs):
-        return worst, where
     for candidate, run in zip(task.candidates, runs, strict=True):
         names = [*candidate.model.nonlinear, *candidate.model.linear]
         P = np.asarray(spread(run.J, run.Q, run.P1)) if sigmas else np.zeros((1, 1, *run.P1.shape))
         outputs = list(candidate.model.outputs)
-        signals = [
-            (f"bounds.states.{name}", limit, run.x[..., i], P[..., i, i])
-            for name, limit in limits.states.items()
-            for i in (names.index(name),)
-        ]
+        signals = []
+        for name, limit in limits.states.items():
+            i = names.index(name)
+            signals.append((f"bounds.states.{name}", limit, run.x[..., i], P[..., i, i]))
         for name, limit in limits.outputs.items():
-            h = run.H[:, :, outputs.index(name), :]
-            variance = np.einsum(
-                "btx,btxy,bty->bt", h, np.broadcast_to(P, (*h.shape, h.shape[-1])), h
-            )
-            signals.append(
-                (f"bounds.outputs.{name}", limit, run.y[..., outputs.index(name)], variance)
-            )
+            i = outputs.index(name)
+            h = run.H[:, :, i]
+            every = np.broadcast_to(P, (*h.shape, h.shape[-1]))
+            variance = np.einsum("btx,btxy,bty->bt", h, every, h)
+            signals.append((f"bounds.outputs.{name}", limit, run.y[..., i], variance))
         for field_, (low, high), values, variance in signals:
             sd = sigmas * np.sqrt(np.maximum(variance, 0.0))
             over = np.maximum(low - (values - sd), (values + sd) - high).max(axis=1)

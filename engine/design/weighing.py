@@ -11,7 +11,7 @@ from engine.arrays import Array
 from engine.design.alarm import Alarm
 from engine.design.candidates import Question
 from engine.design.contest import Contest, contest, demand_of
-from engine.design.design import Experiment, Undecided
+from engine.design.design import Experiment, Undecided, hardest, hopeless_pairs
 from engine.design.inputs import Plan
 from engine.design.runs import simulated
 from engine.design.search import Pair, Search, Task, Tried, search
@@ -55,7 +55,7 @@ class Weighing:
 
     def best(self, state: Search, undecided: Sequence[Undecided]) -> Weighed:
         """The best of the leading inputs once rivals adapt: by the least probability, then the least D."""
-        hopeless = _hopeless(undecided)
+        hopeless = hopeless_pairs(undecided)
         weighed = [self.weighed(one, hopeless) for one in state.leaders[:LEADERS]]
         return max(
             weighed, key=lambda one: (round(one.experiment.least, 3), self._least(one, hopeless))
@@ -97,7 +97,7 @@ class Weighing:
         out = []
         for i, one in enumerate(contests):
             demand = demand_of(i, self.question.candidates, n, self.task.anew)
-            alike = [frozenset((one.name, rival)) in hopeless for rival in one.rivals[:-1]]
+            alike = [frozenset((one.name, rival.name)) in hopeless for rival in one.rivals[:-1]]
             if all(alike):
                 out.append(0.0)
                 continue
@@ -107,14 +107,7 @@ class Weighing:
 
     def _least(self, one: Weighed, hopeless: set[frozenset[str]]) -> float:
         names = [c.name for c in self.question.candidates]
-        D = one.experiment.D
-        pairs = [
-            D[i, j]
-            for i in range(len(names))
-            for j in range(len(names))
-            if i != j and frozenset((names[i], names[j])) not in hopeless
-        ]
-        return float(min(pairs, default=0.0))
+        return hardest(names, one.experiment.D, hopeless)[1]
 
     def undecided(self, state: Search, inputs: int, progress: Progress) -> list[Undecided]:
         """Pairs that no input has told apart so far, each searched for on its own."""
@@ -134,7 +127,7 @@ class Weighing:
     def settled(self, undecided: Sequence[Undecided], best: Weighed) -> list[Undecided]:
         """Those that no input tells apart, and those that need a longer record."""
         out, names = list(undecided), [c.name for c in self.question.candidates]
-        known, D, T = _hopeless(undecided), best.experiment.D, len(best.experiment)
+        known, D, T = hopeless_pairs(undecided), best.experiment.D, len(best.experiment)
         for i, one in enumerate(names):
             for j, other in enumerate(names[:i]):
                 least = float(min(D[i, j], D[j, i]))
@@ -155,14 +148,10 @@ class Weighing:
         return min(max(LEAST, ROWS_EACH * most), self.task.length)
 
     def shortest(
-        self,
-        best: Weighed,
-        inputs: int,
-        undecided: Sequence[Undecided],
-        progress: Progress,
+        self, best: Weighed, inputs: int, undecided: Sequence[Undecided], progress: Progress
     ) -> Experiment | None:
         """The shortest experiment that reaches the level: searches of its own for shorter and shorter ones."""
-        hopeless = _hopeless(undecided)
+        hopeless = hopeless_pairs(undecided)
         reached = self._prefix(best, hopeless)
         if reached is None:
             return None
@@ -183,13 +172,7 @@ class Weighing:
                 factor = SHORTER * LONGER
 
     def _within(
-        self,
-        n: int,
-        plan: Plan,
-        other: Plan,
-        inputs: int,
-        k: int,
-        hopeless: set[frozenset[str]],
+        self, n: int, plan: Plan, other: Plan, inputs: int, k: int, hopeless: set[frozenset[str]]
     ) -> Weighed | None:
         """The best input of n samples; None where none keeps the limits."""
         task = replace(self.task, length=n)
@@ -213,7 +196,7 @@ class Weighing:
     def growth(self, one: Weighed, undecided: Sequence[Undecided]) -> Array:
         """Samples, and the probability of each cause in a record of so many (k, 1 + m)."""
         grid = np.geomspace(self.shortest_length, len(one.experiment), LENGTHS)
-        lengths, hopeless = sorted({round(float(n)) for n in grid}), _hopeless(undecided)
+        lengths, hopeless = sorted({round(float(n)) for n in grid}), hopeless_pairs(undecided)
         return np.array([[n, *self._named(one.contests, n, hopeless)] for n in lengths])
 
     def reach(self, one: Weighed, hopeless: set[frozenset[str]]) -> int | None:
@@ -252,13 +235,5 @@ class Weighing:
     def predictions(self, u: Array) -> Array:
         """The outputs (m, T, ny) that each cause predicts."""
         experiment = self.task.experiments(u[None])
-        return np.array(
-            [
-                simulated(c.model, c.theta, experiment)[0][0, experiment.rows]
-                for c in self.question.candidates
-            ]
-        )
-
-
-def _hopeless(undecided: Sequence[Undecided]) -> set[frozenset[str]]:
-    return {frozenset(one.causes) for one in undecided if one.hopeless}
+        runs = [simulated(c.model, c.theta, experiment)[0] for c in self.question.candidates]
+        return np.array([y[0, experiment.rows] for y in runs])

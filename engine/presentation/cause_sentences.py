@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import Cause, LookAlike
@@ -10,6 +11,26 @@ from engine.words import enumerated, estimate, number, probability
 
 # As the search has it of another name for the same thing.
 SAME = "says the same in other words here"
+
+SMALLEST = (
+    "The smallest size of each effect that would have been found with 80 % probability, and the share of its "
+    "trace in the data that the fitted parameters leave"
+)
+
+
+def looked_for(p_value: float | None, testable: Sequence[bool]) -> str:
+    """What is said where no cause was found, of effects that the data could have shown or not."""
+    p = probability(math.nan if p_value is None else p_value)
+    return (
+        f"{len(testable)} effects were looked for, {p} for all of them together. "
+        f"{sum(testable)} of them would have been seen at the sizes listed below."
+    )
+
+
+def took(seconds: Mapping[str, float]) -> str:
+    """How long a diagnosis took, in all and by its stages."""
+    stages = ", ".join(f"{name} {number(s, 2)}" for name, s in seconds.items())
+    return f"{number(sum(seconds.values()))} s in all: {stages}."
 
 
 def headline(cause: Cause) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -98,14 +99,7 @@ def as_dict(d: Design) -> dict[str, Any]:
         "experiment": _experiment(d.experiment, d),
         "shortest": None if d.shortest is None else _experiment(d.shortest, d),
         "undecided": [
-            {
-                "causes": list(one.causes),
-                "D": one.D,
-                "samples": one.samples,
-                "sensors": [vars(sensor) for sensor in one.sensors],
-                "sentence": undecided_sentence(one, d),
-            }
-            for one in d.undecided
+            {**asdict(one), "sentence": undecided_sentence(one, d)} for one in d.undecided
         ],
         "predictions": {
             "t": t,

@@ -35,13 +35,15 @@ SCREENED_EFFECTS = 12  # screened effects of a round
 
 def as_dict(d: Diagnosis) -> dict[str, Any]:
     """All of it as JSON values: numbers that are not finite become None."""
-    causes = []
-    for cause in d.causes:
-        entry = asdict(cause)
-        entry["latex"] = to_latex(cause.equation)
-        entry["experiment"] = experiment(cause)
-        entry["when"] = when(cause)
-        causes.append(entry)
+    causes = [
+        {
+            **asdict(cause),
+            "latex": to_latex(cause.equation),
+            "experiment": experiment(cause),
+            "when": when(cause),
+        }
+        for cause in d.causes
+    ]
     force = unnamed(d)
     data: dict[str, Any] = {
         "model": d.model.name,

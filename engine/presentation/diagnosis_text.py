@@ -14,17 +14,17 @@ from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
 from engine.diagnose.search.rounds import UNNAMED_MARGIN
 from engine.errors import EngineError
 from engine.presentation import over_horizon
-from engine.presentation.cause_sentences import experiment, headline, phrased, standing
-from engine.presentation.report.priority import asked_first
-from engine.words import (
-    enumerated,
-    fit_quality,
-    number,
-    percent,
-    probability,
-    tidy,
-    with_unit,
+from engine.presentation.cause_sentences import (
+    SMALLEST,
+    experiment,
+    headline,
+    looked_for,
+    phrased,
+    standing,
+    took,
 )
+from engine.presentation.report.priority import asked_first
+from engine.words import enumerated, fit_quality, number, percent, probability, tidy, with_unit
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis
@@ -70,7 +70,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
             others = enumerated(list(cause.equivalent[1:]), "or")
             yield from _wrapped(f"not told apart from {others}", "      ")
     if not d.causes:
-        yield from _wrapped(_no_cause(d), "  ")
+        said = looked_for(d.p_value, [x.testable for x in d.detectable])
+        yield from _wrapped(said, "  ")
     if d.p_bootstrap is not None:
         yield from _wrapped(
             f"By parametric bootstrap (simulated, refitted, screened again): {probability(d.p_bootstrap)}.",
@@ -90,15 +91,6 @@ def _known(d: Diagnosis) -> str:
     if force is not None:
         return force.sentence
     return d.symptoms.sentences[0] if d.symptoms.sentences else ""
-
-
-def _no_cause(d: Diagnosis) -> str:
-    tested = len(d.detectable)
-    sizes = sum(x.testable for x in d.detectable)
-    return (
-        f"{tested} effects were looked for, {probability(d.p_value)} for all of them together. "
-        f"{sizes} of them would have been seen at the sizes listed below."
-    )
 
 
 def gain_line(gain: Gain) -> str:
@@ -267,11 +259,7 @@ def _share_gone(share: float) -> str:
 
 
 def _testable(d: Diagnosis, every: bool) -> Iterator[str]:
-    yield from _wrapped(
-        "The smallest size of each effect that would have been found with 80 % probability, and the share "
-        "of its trace that the fitted parameters leave:",
-        "  ",
-    )
+    yield from _wrapped(f"{SMALLEST}:", "  ")
     yes = {x.effect: x for x in d.detectable if x.testable}
     shown = list(yes) if every else asked_first(list(yes))
     for item in (yes[name] for name in shown):
@@ -290,9 +278,7 @@ def _testable(d: Diagnosis, every: bool) -> Iterator[str]:
 def _notes(d: Diagnosis) -> Iterator[str]:
     for note in d.notes:
         yield from _wrapped(note, "  - ")
-    total = sum(d.seconds.values())
-    stages = ", ".join(f"{name} {number(s, 2)}" for name, s in d.seconds.items())
-    yield from _wrapped(f"{number(total)} s in all: {stages}.", "  - ")
+    yield from _wrapped(took(d.seconds), "  - ")
 
 
 def _signed(value: float) -> str:

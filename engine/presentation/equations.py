@@ -4,32 +4,10 @@ from __future__ import annotations
 
 import re
 
-GREEK = [
-    "alpha",
-    "beta",
-    "gamma",
-    "delta",
-    "epsilon",
-    "theta",
-    "lambda",
-    "mu",
-    "nu",
-    "pi",
-    "rho",
-    "sigma",
-    "tau",
-    "phi",
-    "psi",
-    "omega",
-    "Gamma",
-    "Delta",
-    "Theta",
-    "Lambda",
-    "Sigma",
-    "Phi",
-    "Psi",
-    "Omega",
-]
+GREEK = (
+    "alpha", "beta", "gamma", "delta", "epsilon", "theta", "lambda", "mu", "nu", "pi", "rho", "sigma", "tau",
+    "phi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda", "Sigma", "Phi", "Psi", "Omega",
+)  # fmt: skip
 FUNCTIONS = ["sin", "cos", "tan", "exp", "log", "max", "min"]
 OTHERS = ["sign", "clip", "arctan", "diag", "sqrt"]
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)*")
@@ -60,17 +38,17 @@ def _name(word: str) -> str:
     if word in OTHERS:
         return f"\\operatorname{{{word}}}"
     head, _, index = word.partition("_")
+    letter, number = head[0], head[1:]
+    if number.isdigit() and not index:
+        return f"{letter}_{{{number}}}"
+    if head not in GREEK and number:
+        return _upright(word)
     symbol = f"\\{head}" if head in GREEK else head
-    if head not in GREEK and len(head) > 1 and not (head[:1].isalpha() and head[1:].isdigit()):
-        return r"\mathrm{" + word.replace("_", r"\_") + "}"
-    if len(head) > 1 and head[1:].isdigit():
-        symbol = f"{head[0]}_{{{head[1:]}}}"
-        return symbol if not index else r"\mathrm{" + word.replace("_", r"\_") + "}"
     if not index:
         return symbol
-    inner = (
-        index
-        if len(index) == 1 or index.isdigit()
-        else r"\mathrm{" + index.replace("_", r"\_") + "}"
-    )
+    inner = index if len(index) == 1 or index.isdigit() else _upright(index)
     return f"{symbol}_{{{inner}}}"
+
+
+def _upright(word: str) -> str:
+    return r"\mathrm{" + word.replace("_", r"\_") + "}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -16,27 +16,28 @@ from engine.arrays import Array
 from engine.errors import OptionError
 from engine.estimation.em import EmResult
 from engine.presentation.examination import estimate_document, trace_document
-from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
+from engine.presentation.report.chart import Picture, Ranking, Trace, column
 from engine.presentation.report.comparison import (
-    TIME,
-    auxiliary_figures,
+    WHAT,
+    around,
+    auxiliary_charts,
+    by_bands,
     compared,
     errors_over_time,
+    over_time,
     relabelled,
-    residual_figures,
-    where_it_is,
+    residual_charts,
 )
-from engine.presentation.report.comparison import against_data as against_data_figures
-from engine.presentation.report.design import input_figures, length_figures, prediction_figures
-from engine.presentation.report.diagnosis_cause import force_figures, rankings
-from engine.presentation.report.diagnosis_gain import held_out_figures
+from engine.presentation.report.comparison import against_data as against_data_charts
+from engine.presentation.report.design import growth_chart, input_charts, prediction_charts
+from engine.presentation.report.diagnosis_cause import force_charts, rankings
+from engine.presentation.report.diagnosis_gain import held_out_charts
 from engine.presentation.report.estimate import (
-    convergence_figures,
-    simulated_figures,
-    smoothed_figures,
+    convergence_charts,
+    simulated_charts,
+    smoothed_charts,
 )
-from engine.presentation.report.html import Html
-from engine.presentation.report.parts import Document, label
+from engine.presentation.report.parts import Document
 from engine.presentation.report.style import LIGHT
 from engine.presentation.report.svg import y_axis
 from engine.units import SECOND
@@ -85,15 +86,7 @@ def axes(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, list[
     return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
 
 
-class _Collected(list[Chart | Ranking]):
-    """Keeps the charts of a report instead of drawing them."""
-
-    def __call__(self, chart: Chart | Ranking) -> Html:
-        self.append(chart)
-        return Html("")
-
-
-Group = tuple[str, Sequence[Chart | Ranking], int]  # name, charts and columns of a figure
+Group = tuple[str, Sequence[Picture], int]  # name, charts and columns of a figure
 
 
 def of_document(document: Document) -> Figures:
@@ -103,83 +96,69 @@ def of_document(document: Document) -> Figures:
     such. Estimation: ``convergence``, and ``states`` and ``free-run`` of each series. Simulation:
     ``outputs`` and ``states``. Design: ``input``, ``predictions`` and ``probability``.
     """
-    groups: Iterator[Group] = iter(())
+    groups: Iterable[Group] = ()
     if diagnosis := document.get("diagnosis"):
         groups = _of_diagnosis(diagnosis)
     elif design := document.get("design"):
-        groups = _of_design(design)
+        groups = (
+            ("input", input_charts(design), 1),
+            ("predictions", prediction_charts(design), 1),
+            ("probability", [growth_chart(design)], 1),
+        )
     elif document.get("examination"):
         groups = _of_estimate(document)
     elif simulation := document.get("simulation"):
         groups = (
             one
             for name, key in (("outputs", "y"), ("states", "states"))
-            for one in _of_each(name, simulation, simulated_figures, simulation["units"], key)
+            for one in _of_each(name, simulation, simulated_charts, simulation["units"], key)
         )
     clock = (document.get("diagnosis") or document).get("time_unit")
     return Figures(
-        {
-            name: figure([relabelled(one, clock) for one in charts], columns)
-            for name, charts, columns in groups
-            if charts
-        }
+        {name: figure(charts, columns, clock) for name, charts, columns in groups if charts}
     )
 
 
 def _of_diagnosis(d: Document) -> Iterator[Group]:
     units, symptoms = d["channels"]["outputs"], d["symptoms"]
-    run = _collected(against_data_figures, symptoms["free_run"], "free_run", units)
-    yield "wrong", [*run, *_collected(errors_over_time, symptoms, units)], 1
-    yield "where", _collected(where_it_is, symptoms, units), 3
-    innovations = _collected(residual_figures, symptoms)
-    yield "residuals", [*innovations, *_collected(auxiliary_figures, symptoms)], 2
-    yield "candidates", _collected(rankings, d["rounds"]), 1
-    yield "force", _collected(force_figures, d["unnamed"] or {}), 1
-    yield "gain", _collected(held_out_figures, d["gain"] or {}, units), 1
-
-
-def _of_design(d: Document) -> Iterator[Group]:
-    yield "input", _collected(input_figures, d), 1
-    yield "predictions", _collected(prediction_figures, d), 1
-    yield "probability", _collected(length_figures, d), 1
+    run = against_data_charts(symptoms["free_run"], "free_run", units)
+    yield "wrong", [*run, *errors_over_time(symptoms, units)], 1
+    yield "where", [one for what in WHAT for one in by_bands(symptoms[what], what, units)], 3
+    yield "residuals", [*residual_charts(symptoms), *auxiliary_charts(symptoms)], 2
+    yield "candidates", rankings(d["rounds"]), 1
+    yield "force", force_charts(d["unnamed"] or {}), 1
+    yield "gain", held_out_charts(d["gain"] or {}, units), 1
 
 
 def _of_estimate(document: Document) -> Iterator[Group]:
-    yield "convergence", _collected(convergence_figures, document), 2
+    yield "convergence", convergence_charts(document), 2
     states, units = document["states"], document["model"]["outputs"]
-    yield from _of_each("states", states, smoothed_figures, states["units"])
+    yield from _of_each("states", states, smoothed_charts, states["units"])
     runs = {"series": [one.get("free_run") for one in document["examination"]["series"]]}
-    yield from _of_each("free-run", runs, against_data_figures, "free_run", units)
+    yield from _of_each("free-run", runs, against_data_charts, "free_run", units)
 
 
 def _of_each(name: str, group: Document, make: Any, *given: Any) -> Iterator[Group]:
     """A figure for each series, numbered where there are several."""
     several = len(group["series"]) > 1
     for i, one in enumerate(group["series"]):
-        yield f"{name}-{i + 1}" if several else name, _collected(make, one, *given), 1
+        yield f"{name}-{i + 1}" if several else name, make(one, *given), 1
 
 
-def _collected(make: Any, *given: Any) -> Sequence[Chart | Ranking]:
-    """The charts that a part of a report draws."""
-    kept = _Collected()
-    list(make(*given, kept))  # some are made one by one
-    return kept
-
-
-def figure(charts: Sequence[Chart | Ranking], columns: int = 1) -> Any:
-    """One figure with a panel for each chart, side by side in ``columns``."""
+def figure(charts: Sequence[Picture], columns: int = 1, clock: str | None = None) -> Any:
+    """One figure with a panel for each chart, side by side in ``columns``; times are in ``clock``."""
     columns = min(columns, len(charts))
     rows = -(-len(charts) // columns)
     each = max(2.4, *(0.28 * len(c.rows) + 0.8 for c in charts if isinstance(c, Ranking)), 0.0)
     made, panels = axes(rows, columns, (9.0 if columns < 3 else 3.6 * columns, each * rows))
     for panel, chart in zip(panels, charts, strict=False):
-        _draw(panel, chart)
+        _draw(panel, relabelled(chart, clock))
     for panel in panels[len(charts) :]:
         panel.set_visible(False)
     return made
 
 
-def _draw(panel: Any, chart: Chart | Ranking) -> None:
+def _draw(panel: Any, chart: Picture) -> None:
     panel.set_title(chart.title, fontsize=9)
     panel.set_xlabel(chart.x_label, fontsize=8)
     if isinstance(chart, Ranking):
@@ -192,20 +171,20 @@ def _draw(panel: Any, chart: Chart | Ranking) -> None:
         return
     panel.set_ylabel(chart.y_label, fontsize=8)
     panel.set(**{f"{axis}scale": "log" for axis in chart.log})
-    x, heavy = _numbers(chart.x), len(chart.x) > MANY_POINTS
+    x, heavy = column(chart.x), len(chart.x) > MANY_POINTS
     for level in chart.level:
         panel.axhline(level, color=QUIET_COLOUR, linewidth=0.6)
     for t in chart.traces:
-        y, style = _numbers(t.y), {"color": COLOURS[t.role], "label": t.label}
+        y, style = column(t.y), {"color": COLOURS[t.role], "label": t.label}
         if t.band is not None:
-            low, high = map(_numbers, t.band)
+            low, high = column(t.band)
             panel.fill_between(
                 x, low, high, color=style["color"], alpha=0.18, linewidth=0.0, rasterized=heavy
             )
         if t.kind == "bars":
-            panel.bar(x, y, 2.0 * _numbers(t.width or ()), **style)
+            panel.bar(x, y, 2.0 * column(() if t.width is None else t.width), **style)
         elif t.reach is not None:
-            panel.errorbar(x, y, _numbers(t.reach), t.width, ".", **style)
+            panel.errorbar(x, y, column(t.reach), t.width, ".", **style)
         elif t.kind == "points":
             panel.plot(x, y, ".", markersize=2.5, rasterized=heavy, **style)
         else:
@@ -216,12 +195,8 @@ def _draw(panel: Any, chart: Chart | Ranking) -> None:
     panel.tick_params(labelsize=7)
     seen = y_axis(chart, 0.0, 1.0)
     panel.set_ylim(seen.low, seen.high)
-    if len(chart.traces) > 1 or any(t.band for t in chart.traces):
+    if chart.has_legend:
         panel.legend(loc="best", fontsize=7)
-
-
-def _numbers(values: Numbers) -> Array:
-    return np.array(values, dtype=float)
 
 
 def convergence(found: EmResult, intervals: Array | None = None) -> Any:
@@ -233,35 +208,20 @@ def convergence(found: EmResult, intervals: Array | None = None) -> Any:
     if intervals is not None:
         for one, ends in zip(estimate.values(), intervals, strict=True):
             one["interval"] = ends.tolist() if np.isfinite(ends).all() else None
-    document = {
-        "estimate": estimate,
-        "trace": trace_document(found.model.parameter_names, vars(found)),
-    }
-    return figure(_collected(convergence_figures, document), 2)
+    trace = trace_document(found.model.parameter_names, vars(found))
+    return figure(convergence_charts({"estimate": estimate, "trace": trace}), 2)
 
 
 def states(
     t: Array, units: Mapping[str, str], mean: Array, sd: Array | None = None, clock: str = SECOND
 ) -> Any:
     """Curves (T, n), named with their units, and 95 % bands from ``sd`` (T, n); t in ``clock``."""
-    half = None if sd is None else TWO_SIDED * sd
-    return figure(
-        [
-            relabelled(
-                compared(
-                    name,
-                    label(name, unit),
-                    t,
-                    ("mean, 95 % band", mean[:, i]),
-                    band=None
-                    if half is None
-                    else (mean[:, i] - half[:, i], mean[:, i] + half[:, i]),
-                ),
-                clock,
-            )
-            for i, (name, unit) in enumerate(units.items())
-        ]
-    )
+    charts = []
+    for i, (name, unit) in enumerate(units.items()):
+        band = None if sd is None else around(mean[:, i], sd[:, i], TWO_SIDED)
+        drawn = "mean, 95 % band", mean[:, i]
+        charts.append(compared(name, unit, t, drawn, band=band))
+    return figure(charts, clock=clock)
 
 
 def against_data(
@@ -279,11 +239,11 @@ def against_data(
     for i, (name, unit) in enumerate(units.items()):
         band = None if lower is None or upper is None else (lower[:, i], upper[:, i])
         both = (computed_as, computed[:, i]), measured[:, i]
-        charts.append(compared(name, label(name, unit), t, *both, band=band))
+        charts.append(compared(name, unit, t, *both, band))
         wrong = Trace("error", measured[:, i] - computed[:, i], "points", "data")
         said = f"measured - {computed_as}"
-        charts.append(Chart(f"Error of {name}", TIME, said, t, (wrong,), level=(0.0,)))
-    return figure([relabelled(one, clock) for one in charts])
+        charts.append(over_time(f"Error of {name}", said, t, wrong, level=(0.0,)))
+    return figure(charts, clock=clock)
 
 
 def _png(figure: Any) -> str:

@@ -25,27 +25,27 @@ def compare_results(one: Document, other: Document) -> dict[str, Any]:
     and what each result says. Raises OptionError for a document that holds no result.
     """
     both = [_numbers(document) for document in (one, other)]
-    curves = [each["curves"] for each in both]
-    numbers = ("outputs", "samples", "log_density")
     clocks = {each["time_unit"] for each in both}
     if len(clocks) > 1:
         raise OptionError(
             f"times of one result are in {', of the other in '.join(sorted(clocks))}", "result"
         )
+
+    def beside(key: str) -> list[Any]:
+        return [each[key] for each in both]
+
+    curves, numbers = beside("curves"), ("outputs", "samples", "log_density")
     return {
         "time_unit": clocks.pop(),
-        "models": [each["model"] for each in both],
-        "outcome": [each["outcome"] for each in both],
-        "methods": [each["method"] for each in both],
-        "parameters": list(_parameters([each["parameters"] for each in both])),
-        "free_parameters": [each["free"] for each in both],
+        "models": beside("model"),
+        "outcome": beside("outcome"),
+        "methods": beside("method"),
+        "parameters": list(_parameters(beside("parameters"))),
+        "free_parameters": beside("free"),
         "same_data": _same_readings(curves, "simulation"),
-        "log_likelihood": [each["log_likelihood"] for each in both],
+        "log_likelihood": beside("log_likelihood"),
         "same_held_out": _same_readings(curves, "held-out"),
-        "held_out": [
-            held and {key: held[key] for key in numbers}
-            for held in (each["held_out"] for each in both)
-        ],
+        "held_out": [one and {key: one[key] for key in numbers} for one in beside("held_out")],
         "curves": list(_beside(curves)),
     }
 

@@ -155,9 +155,7 @@ def free_run(
         x1 = _fit_first_state(model, vector, series, x1, spread, initial_rows)
     y, a, z = propagate(model, record, series, x1[None, : model.na], x1[None, model.na :])
     check_finite(model, series, y, a, z)
-    lower = upper = None
-    if bands is not None:
-        lower, upper = _bands(model, vector, series, x1, bands)
+    lower, upper = (None, None) if bands is None else _bands(model, vector, series, x1, bands)
     return FreeRun(model, vector, series, y[:, 0], a[:, 0], z[:, 0], lower, upper)
 
 

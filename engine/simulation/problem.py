@@ -20,7 +20,7 @@ from engine.data.series import Series
 from engine.errors import ModelError
 from engine.simulation.covariance import Determined, run_covariance
 from engine.simulation.free_run import first_state, free_run, output_scale, run_rows
-from engine.simulation.sensitivities import sensitivities
+from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import states_of
 from engine.simulation.steps import observations, tested
 from engine.simulation.whole_record import SHORTEST
@@ -296,9 +296,8 @@ class FreeRunProblem:
 
     def _slopes(self, theta: Theta, x: Array, one: Series) -> Array:
         """Derivatives (T, ny, k + m) of a series' outputs along its run x (T, nx)."""
-        at, steps = np.asarray(theta), self.steps()
-        dy, _ = sensitivities(self.model, at, one, x, self.active, self.uncertain, steps)
-        return dy
+        along = Along(self.model, np.asarray(theta), one, x)
+        return along.by(self.active, self.uncertain, self.steps())[0]
 
     def _by_differences(self, theta: Theta, x1: Array, one: Series) -> tuple[Array, Array]:
         """The same by central differences of runs; one-sided at a bound, NaN where one is not finite."""

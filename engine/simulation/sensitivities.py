@@ -32,48 +32,8 @@ from engine.simulation.steps import (
 from engine.statespace.model import Array, MixedModel
 
 
-def sensitivities(
-    model: MixedModel,
-    theta: Array,
-    series: Series,
-    x: Array,
-    parameters: NDArray[np.intp],
-    states: NDArray[np.intp],
-    steps: Array,
-) -> tuple[Array, Array]:
-    """Derivatives of a noise-free run's outputs and states.
-
-    Parameters
-    ----------
-    model, theta : MixedModel, (n_theta,)
-        The model and its parameters.
-    series : Series
-        Inputs and times.
-    x : (T, nx)
-        The run itself, x = (a, z), finite.
-    parameters, states : (k,), (m,)
-        Indices into theta and into x_1.
-    steps : (k,)
-        Half the distance over which a parameter's differences are taken, in its unit; shorter at a bound.
-
-    Returns
-    -------
-    dy : (T, ny, k + m)
-        In an output's unit per unit of the parameter or the state.
-    dx : (T, nx, k + m)
-        Likewise for the states.
-
-    Raises
-    ------
-    ModelError
-        Where a function of the model fails beside the run.
-
-    """
-    return Along(model, theta, series, x).by(parameters, states, steps)
-
-
 class Along:
-    """A run x (T, nx) with J = dF/dx (T-1, nx, nx) and H = dG/dx (T, ny, nx), which all columns share.
+    """A run x (T, nx), finite, with J = dF/dx (T-1, nx, nx) and H = dG/dx (T, ny, nx), which all columns share.
 
     ``slopes`` are J and H where they are known, as of the same model with an effect of size 0 in it.
     """
@@ -103,7 +63,22 @@ class Along:
     def by(
         self, parameters: NDArray[np.intp], states: NDArray[np.intp], steps: Array
     ) -> tuple[Array, Array]:
-        """dy and dx, arguments as of :func:`sensitivities`."""
+        """Derivatives of the run's outputs and states.
+
+        Parameters
+        ----------
+        parameters, states : (k,), (m,)
+            Indices into theta and into x_1.
+        steps : (k,)
+            Half the distance over which a parameter's differences are taken, in its unit; shorter at a bound.
+
+        Returns
+        -------
+        dy : (T, ny, k + m)
+            In an output's unit per unit of the parameter or the state.
+        dx : (T, nx, k + m)
+            Likewise for the states.
+        """
         k = len(parameters)
         ends = [_ends(self.model, self.theta, i, h) for i, h in zip(parameters, steps, strict=True)]
         first = np.zeros((self.model.nx, k + len(states)))

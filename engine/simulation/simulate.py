@@ -148,23 +148,14 @@ def propagate(
     or arrays (K,), see ``model.records``. What overflows is left as inf or NaN. A single long run without
     process noise is found as a whole where that is faster, see :mod:`engine.simulation.whole_record`.
     """
-    T, K = len(series), a.shape[0]
     noisy = rng is not None and process
-    a_all, z_all = np.empty((T, K, model.na)), np.empty((T, K, model.nz))
-    na = model.na
-    single = K == 1 and all(value.__class__ is float for value in record)
+    single = len(a) == 1 and all(value.__class__ is float for value in record)
     if not single or rng is not None:  # of others some rows are calculated alone
         model.transitions.look_again(series.u_step)
         model.observations.look_again(series.u)
     with np.errstate(all="ignore"):
-        begin = 0
-        if single and not noisy:
-            known = whole_record(model, record, series, np.concatenate((a[0], z[0])))
-            begin = len(known) - 1
-            a_all[:begin, 0], z_all[:begin, 0] = known[:begin, :na], known[:begin, na:]
-            a, z = known[begin:, :na], known[begin:, na:]
-        a_all[begin], z_all[begin] = a, z
-        _step_by_step(model, record, series, a_all, z_all, begin, rng if noisy else None)
+        x1, alone = np.concatenate((a, z), axis=1), single and not noisy
+        a_all, z_all = _states(model, record, series, x1, alone, rng if noisy else None)
         noisy_y = rng if measurement else None
         y = _outputs(model, record, series, a_all, z_all, noisy_y)
         if single and noisy_y is None:
@@ -184,31 +175,32 @@ def states_of(
     ``guess`` (T, nx) is a run nearby, such as that of the model without an effect: it spares the loop over
     time where Newton's method would not find the run from x1 alone.
     """
-    na = model.na
     with np.errstate(all="ignore"):
-        known = whole_record(model, record, series, x1, guess)
-        begin = len(known) - 1
-        a, z = (np.empty((len(series), 1, n)) for n in (na, model.nz))
-        a[: begin + 1, 0], z[: begin + 1, 0] = known[:, :na], known[:, na:]
-        _step_by_step(model, record, series, a, z, begin)
+        a, z = _states(model, record, series, x1[None], True, guess=guess)
     return np.concatenate((a[:, 0], z[:, 0]), axis=1)
 
 
-def _step_by_step(
+def _states(
     model: MixedModel,
     record: Any,
     series: Series,
-    a_all: Array,
-    z_all: Array,
-    begin: int,
+    x1: Array,
+    alone: bool,
     rng: np.random.Generator | None = None,
-) -> None:
-    """The loop over time: states behind row ``begin``, which is there, with noise where ``rng`` is given."""
-    if begin == len(series) - 1:
-        return
+    guess: Array | None = None,
+) -> tuple[Array, Array]:
+    """States a (T, K, na), z (T, K, nz) from x1 (K, nx), with noise where ``rng`` is given.
+
+    A run ``alone`` without noise is found as a whole as far as that goes, the rest by a loop over time.
+    """
     na, inputs = model.na, series.u_step
+    known = whole_record(model, record, series, x1[0], guess)[:, None] if alone else x1[None]
+    a_all, z_all = (np.empty((len(series), len(x1), n)) for n in (na, model.nz))
+    a_all[: len(known)], z_all[: len(known)] = known[..., :na], known[..., na:]
+    if len(known) == len(series):
+        return a_all, z_all
     steps, times = step_lengths(series).tolist(), series.t.tolist()
-    for t in range(begin, len(series) - 1):
+    for t in range(len(known) - 1, len(series) - 1):
         f, A, Q = model.transition(a_all[t], inputs[t], times[t], steps[t], record)
         x = f + through(A, z_all[t])
         if rng is not None:
@@ -216,7 +208,8 @@ def _step_by_step(
         a_all[t + 1], z_all[t + 1] = x[:, :na], x[:, na:]
         if rng is None and len(x) == 1 and not np.isfinite(x).all():
             a_all[t + 2 :], z_all[t + 2 :] = np.nan, np.nan  # lost: what comes is no run any more
-            return
+            break
+    return a_all, z_all
 
 
 def _outputs(

@@ -18,14 +18,7 @@ from engine.presentation.report.diagnosis import diagnosis_report
 from engine.presentation.report.early import early_report
 from engine.presentation.report.estimate import estimate_report, simulation_report, states_report
 from engine.presentation.report.html import Html, join, tag
-from engine.presentation.report.parts import (
-    Document,
-    Drawer,
-    OnPage,
-    Report,
-    Section,
-    facts,
-)
+from engine.presentation.report.parts import Document, Drawer, OnPage, Report, Section, facts
 from engine.presentation.report.style import RULES, stylesheet
 from engine.presentation.report.svg import svg_element
 from engine.presentation.report.two_results import comparison_notes, comparison_report
@@ -95,10 +88,7 @@ def comparison_html(
 
 
 def _file(report: Report, about: Mapping[str, object]) -> str:
-    end = [
-        facts(about.items()),
-        "Made by rbps. The figures are those of the JSON document.",
-    ]
+    end = [facts(about.items()), "Made by rbps. The figures are those of the JSON document."]
     head = tag(
         "head",
         Html('<meta charset="utf-8">'),

@@ -1,19 +1,27 @@
-"""A chart as data: what is drawn as SVG in a report, and by the page's own script in a browser."""
+"""A chart as data: drawn as SVG in a report, by matplotlib, and by the page's own script in a browser."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.arrays import Array
+from engine.json_values import plain
 from engine.presentation.report.downsample import keep
 
-Numbers = Sequence[float | None] | Array
+Numbers: TypeAlias = Sequence[float | None] | Array  # a gap is None or NaN
+Band: TypeAlias = tuple[Numbers, Numbers] | Array  # low and high
 CHART_POINTS = 4000  # of a chart, at most about
 TIME_AXIS = "t"  # ``sync`` of charts over time
+
+
+def column(values: Numbers | Band) -> Array:
+    """Numbers as an array (n,), a band as one (2, n); gaps are NaN."""
+    return np.asarray(values, dtype=float)
 
 
 @dataclass(frozen=True)
@@ -29,7 +37,7 @@ class Trace:
     y: Numbers
     kind: str = "line"
     role: str = "model"
-    band: tuple[Numbers, Numbers] | None = None
+    band: Band | None = None
     reach: Numbers | None = None
     width: Numbers | None = None
     dash: bool = False
@@ -66,54 +74,57 @@ class Chart:
     live: bool = True
     sync: str = TIME_AXIS
 
+    @property
+    def has_legend(self) -> bool:
+        """Whether there is more than one curve to name, or a band."""
+        return len(self.traces) > 1 or any(t.band is not None for t in self.traces)
+
     def thinned(self, points: int = CHART_POINTS) -> Chart:
         """The same with about so many points at most, extremes kept."""
         if len(self.x) <= points:
             return self
-        columns = [c for trace in self.traces for c in (trace.y, *(trace.band or ()))]
-        return self._rows(keep(np.array(columns, dtype=float).T, points).tolist())
+        bands = [t.band for t in self.traces if t.band is not None]
+        curves = np.vstack([column(values) for values in (*(t.y for t in self.traces), *bands)])
+        return self._rows(keep(curves.T, points))
 
     def within(self, low: float, high: float) -> Chart:
         """The same between two values of x, which increases, with one point more on either side."""
-        x = np.array(self.x, dtype=float)
+        x = column(self.x)
         first = max(int(np.searchsorted(x, low, "left")) - 1, 0)
-        last = min(int(np.searchsorted(x, high, "right")) + 1, len(x))
-        return self._rows(range(first, last))
+        return self._rows(slice(first, int(np.searchsorted(x, high, "right")) + 1))
 
-    def _rows(self, rows: Sequence[int]) -> Chart:
-        def few(values: Numbers | None) -> Numbers | None:
-            return None if values is None else [values[i] for i in rows]
+    def _rows(self, rows: slice | NDArray[np.intp]) -> Chart:
+        def few(trace: Trace) -> Trace:
+            own = {name: getattr(trace, name) for name in ("y", "band", "reach", "width")}
+            there: Any = {name: column(v)[..., rows] for name, v in own.items() if v is not None}
+            return replace(trace, **there)
 
-        traces = tuple(
-            replace(
-                t,
-                y=few(t.y) or (),
-                band=None if t.band is None else (few(t.band[0]) or (), few(t.band[1]) or ()),
-                reach=few(t.reach),
-                width=few(t.width),
-            )
-            for t in self.traces
-        )
-        return replace(self, x=few(self.x) or (), traces=traces)
+        return replace(self, x=column(self.x)[rows], traces=tuple(map(few, self.traces)))
 
     def spec(self) -> dict[str, Any]:
         """What the page's script ``charts.js`` draws."""
-        return {
-            "title": self.title,
-            "xLabel": self.x_label,
-            "yLabel": self.y_label,
-            "x": list(self.x),
-            "sync": self.sync,
-            "log": dict.fromkeys(self.log, True),
-            "series": [
-                {
-                    "label": t.label,
-                    "y": list(t.y),
-                    "kind": t.kind,
-                    "colour": t.role,
-                    "dash": t.dash,
-                    "band": None if t.band is None else [list(t.band[0]), list(t.band[1])],
-                }
-                for t in self.traces
-            ],
-        }
+        made: dict[str, Any] = plain(
+            {
+                "title": self.title,
+                "xLabel": self.x_label,
+                "yLabel": self.y_label,
+                "x": self.x,
+                "sync": self.sync,
+                "log": dict.fromkeys(self.log, True),
+                "series": [
+                    {
+                        "label": t.label,
+                        "y": t.y,
+                        "kind": t.kind,
+                        "colour": t.role,
+                        "dash": t.dash,
+                        "band": t.band,
+                    }
+                    for t in self.traces
+                ],
+            }
+        )
+        return made
+
+
+Picture: TypeAlias = Chart | Ranking

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from engine.presentation.report.chart import Chart, Trace
-from engine.presentation.report.comparison import TIME
-from engine.presentation.report.html import Html, join, table, tag
+from collections.abc import Mapping
+
+from engine.presentation.report.chart import Chart, Numbers, Trace
+from engine.presentation.report.comparison import over_time
+from engine.presentation.report.html import join, table, tag
 from engine.presentation.report.parts import (
     Document,
     Drawer,
@@ -42,54 +44,47 @@ def design_report(d: Document, draw: Drawer) -> Report:
         summary,
         (
             *section("causes", "What it tells apart", told, about),
-            *section("input", "The input", grid(input_figures(d, draw))),
-            *section("predictions", "What each cause predicts", grid(prediction_figures(d, draw))),
-            *section("length", "By length", grid(length_figures(d, draw))),
+            *section("input", "The input", grid(input_charts(d), draw)),
+            *section("predictions", "What each cause predicts", grid(prediction_charts(d), draw)),
+            *section("length", "By length", grid([growth_chart(d)], draw)),
         ),
     )
 
 
-def input_figures(d: Document, draw: Drawer) -> list[Html]:
+def input_charts(d: Document) -> list[Chart]:
     """Each input of the length asked, and of the shortest experiment."""
-    out = []
-    units = d["channels"]["inputs"]
-    for kind, said in (("experiment", ""), ("shortest", ", shortest")):
-        one = d[kind]
-        if one is None or (kind == "shortest" and one["samples"] == d["experiment"]["samples"]):
-            continue
-        for name, unit in units.items():
-            trace = (Trace(name, one["u"][name], "steps", "model"),)
-            title = f"Input {name}{said}"
-            out.append(draw(Chart(title, TIME, label(name, unit), one["t"], trace, wide=True)))
-    return out
+    asked, shortest = d["experiment"], d["shortest"]
+    kinds = [("", asked)]
+    if shortest is not None and shortest["samples"] != asked["samples"]:
+        kinds.append((", shortest", shortest))
+    charts = []
+    for said, one in kinds:
+        for name, unit in d["channels"]["inputs"].items():
+            trace, title = Trace(name, one["u"][name], "steps"), f"Input {name}{said}"
+            charts.append(over_time(title, label(name, unit), one["t"], trace, wide=True))
+    return charts
 
 
-def prediction_figures(d: Document, draw: Drawer) -> list[Html]:
+def prediction_charts(d: Document) -> list[Chart]:
     """Outputs as each cause predicts them, at the parameters as estimated."""
-    out, t = [], d["predictions"]["t"]
+    charts, predicted = [], d["predictions"]
     for name, unit in d["channels"]["outputs"].items():
-        traces = tuple(
-            Trace(cause, values, "line", f"c{1 + k % COLOURS}")
-            for k, (cause, values) in enumerate(d["predictions"][name].items())
-        )
-        out.append(draw(Chart(f"Predicted {name}", TIME, label(name, unit), t, traces, wide=True)))
-    return out
+        title, traces = f"Predicted {name}", _by_cause(predicted[name])
+        charts.append(over_time(title, label(name, unit), predicted["t"], *traces, wide=True))
+    return charts
 
 
-def length_figures(d: Document, draw: Drawer) -> list[Html]:
+def growth_chart(d: Document) -> Chart:
     """The probability of the right name over the length of the record."""
-    samples = d["growth"]["samples"]
-    traces = tuple(
-        Trace(f"{c['effect']} is true", d["growth"][c["effect"]], "line", f"c{1 + k % COLOURS}")
-        for k, c in enumerate(d["causes"])
+    growth = {f"{c['effect']} is true": d["growth"][c["effect"]] for c in d["causes"]}
+    title, axes = "Probability of the right name", ("samples of this input", "probability")
+    traces, level = _by_cause(growth), (d["level"],)
+    return Chart(title, *axes, d["growth"]["samples"], traces, level=level, sync="samples")
+
+
+def _by_cause(curves: Mapping[str, Numbers]) -> tuple[Trace, ...]:
+    """A curve for each cause, each in a colour of its own."""
+    return tuple(
+        Trace(said, values, "line", f"c{1 + k % COLOURS}")
+        for k, (said, values) in enumerate(curves.items())
     )
-    chart = Chart(
-        "Probability of the right name",
-        "samples of this input",
-        "probability",
-        samples,
-        traces,
-        level=(d["level"],),
-        sync="samples",
-    )
-    return [draw(chart)]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from engine.presentation.cause_sentences import SMALLEST, took
+from engine.presentation.report.chart import Chart
 from engine.presentation.report.comparison import (
     against_data,
-    auxiliary_figures,
+    auxiliary_charts,
     errors_over_time,
     fits,
-    residual_figures,
+    residual_charts,
     sentences,
     where_it_is,
 )
@@ -38,75 +40,73 @@ from engine.words import number, percent
 
 def diagnosis_report(d: Document, draw: Drawer) -> Report:
     """The whole report."""
-    units = d["channels"]["outputs"]
-    symptoms = d["symptoms"]
+    units, seconds = d["channels"]["outputs"], tag("p", took(d["seconds"]), class_="hint")
     return Report(
         f"Diagnosis of the model {d['model']}",
-        join([verdict(d), answers(d), grid(_hero(d, units, draw))]),
+        join([verdict(d), answers(d), grid(_hero(d, units), draw)]),
         (
-            *section(
-                "wrong",
-                "1. What is wrong",
-                sentences(symptoms) or tag("p", "Nothing stands out."),
-                fits(symptoms),
-                grid(_simulation(d, units, draw)),
-                grid(errors_over_time(symptoms, units, draw)),
-                tag("h3", "Where the error is"),
-                where_it_is(symptoms, units, draw),
-                tag("h3", "One-step predictions and their residuals"),
-                tag(
-                    "p",
-                    "No verdict rests on these, because fitted process noise hides much of an error.",
-                    class_="hint",
-                ),
-                grid(against_data(symptoms["one_step"], "one_step", units, draw)),
-                residual_figures(symptoms, draw),
-                folded("Auxiliary residuals", auxiliary_figures(symptoms, draw)),
-            ),
+            *section("wrong", "1. What is wrong", *_wrong(d, units, draw)),
             *section("cause", "2. The cause", *cause_section(d, draw)),
             *section("extension", "3. The extension", *_extension(d)),
             *section("gain", "4. The gain", *gain_section(d, units, draw)),
             *section("testable", "What these data could have shown", *_testable(d)),
-            *section("notes", "Notes", bullets(map(prose, d["notes"])), _seconds(d)),
+            *section("notes", "Notes", bullets(map(prose, d["notes"])), seconds),
         ),
     )
 
 
-def _simulation(d: Document, units: Document, draw: Drawer) -> list[Html]:
+def _wrong(d: Document, units: Document, draw: Drawer) -> list[object]:
+    symptoms = d["symptoms"]
+    no_verdict = "No verdict rests on these, because fitted process noise hides much of an error."
+    return [
+        sentences(symptoms) or tag("p", "Nothing stands out."),
+        fits(symptoms),
+        grid(_simulation(d, units), draw),
+        grid(errors_over_time(symptoms, units), draw),
+        tag("h3", "Where the error is"),
+        where_it_is(symptoms, units, draw),
+        tag("h3", "One-step predictions and their residuals"),
+        tag("p", no_verdict, class_="hint"),
+        grid(against_data(symptoms["one_step"], "one_step", units), draw),
+        grid(residual_charts(symptoms), draw),
+        folded("Auxiliary residuals", grid(auxiliary_charts(symptoms), draw)),
+    ]
+
+
+def _simulation(d: Document, units: Document) -> list[Chart]:
     """The simulation and all the data, where the top shows something else."""
     if not has_before_and_after(d["gain"]):
         return []
-    return against_data(d["symptoms"]["free_run"], "free_run", units, draw, wide=True)
+    return against_data(d["symptoms"]["free_run"], "free_run", units, wide=True)
 
 
-def _hero(d: Document, units: Document, draw: Drawer) -> list[Html]:
+def _hero(d: Document, units: Document) -> list[Chart]:
     """Measured, before and after on held-out data; where nothing was found, the simulation and the data."""
-    if found := before_and_after(d["gain"], units, draw):
-        return found
     symptoms = d["symptoms"]
-    figures = against_data(symptoms["free_run"], "free_run", units, draw, wide=True)
-    return figures or against_data(symptoms["one_step"], "one_step", units, draw, wide=True)
+    return (
+        before_and_after(d["gain"], units)
+        or against_data(symptoms["free_run"], "free_run", units, wide=True)
+        or against_data(symptoms["one_step"], "one_step", units, wide=True)
+    )
 
 
 def _extension(d: Document) -> list[object]:
     extension = d["extension"]
     before = extension["equations_before"]
-    added = extension["equations"][len(before) :]
-    parts: list[object] = []
     if not d["causes"]:
-        parts.append(tag("p", "None: the model stays as it is."))
-        parts.append(equations(before))
-    else:
-        if d["gain"] is not None and not d["gain"]["adopt"]:
-            parts.append(
-                tag("p", "Not adopted: the model stays as it is. With what was found it would be:")
-            )
-        parts += [tag("h3", "Before"), equations(before)] if before else []
-        parts += [tag("h3", "After: the same, and" if before else "Added"), equations([], added)]
-    parts.append(_parameters(d))
-    if d["causes"]:
-        parts.append(tag("p", extension.get("in_the_library", ""), class_="hint"))
-    return parts
+        return [tag("p", "None: the model stays as it is."), equations(before), _parameters(d)]
+    parts: list[object] = []
+    if d["gain"] is not None and not d["gain"]["adopt"]:
+        said = "Not adopted: the model stays as it is. With what was found it would be:"
+        parts.append(tag("p", said))
+    parts += [tag("h3", "Before"), equations(before)] if before else []
+    return [
+        *parts,
+        tag("h3", "After: the same, and" if before else "Added"),
+        equations([], extension["equations"][len(before) :]),
+        _parameters(d),
+        tag("p", extension.get("in_the_library", ""), class_="hint"),
+    ]
 
 
 def _parameters(d: Document) -> Html:
@@ -123,12 +123,8 @@ def _parameters(d: Document) -> Html:
             error = extension["standard_errors"].get(name)
             row.append(_estimate(value, error, name in bounds["after"]))
         rows.append([*row, pretty(extension["units"][name])])
-    head = (
-        ["parameter", "before", "after", "unit"]
-        if d["causes"]
-        else ["parameter", "estimate", "unit"]
-    )
-    return table(head, rows, "numbers")
+    titles = ["before", "after"] if d["causes"] else ["estimate"]
+    return table(["parameter", *titles, "unit"], rows, "numbers")
 
 
 def _estimate(value: float, error: float | None, at_bound: bool) -> str:
@@ -136,33 +132,18 @@ def _estimate(value: float, error: float | None, at_bound: bool) -> str:
 
 
 def _testable(d: Document) -> list[object]:
-    rows = {
-        x["effect"]: (
-            tag("code", x["effect"]),
-            x["title"],
-            measured(x["smallest"], x["unit"]),
-            percent(x["rho"]),
-        )
-        for x in d["detectable"]
-        if x["testable"]
-    }
+    rows = {}
+    for x in d["detectable"]:
+        if x["testable"]:
+            size = measured(x["smallest"], x["unit"])
+            rows[x["effect"]] = tag("code", x["effect"]), x["title"], size, percent(x["rho"])
     if not rows:
         return []
     head = ("effect", "", "smallest size found with 80 %", "share left by the parameters")
     first = asked_first(list(rows))
     rest = [row for name, row in rows.items() if name not in first]
-    said = (
-        "The smallest size of each effect that would have been found with 80 % probability, and the share of "
-        "its trace in the data that the fitted parameters leave."
-    )
     return [
-        tag("p", said, class_="hint"),
+        tag("p", f"{SMALLEST}.", class_="hint"),
         table(head, [rows[name] for name in first]),
         folded(f"{len(rest)} more effects", table(head, rest) if rest else Html("")),
     ]
-
-
-def _seconds(d: Document) -> Html:
-    total = sum(d["seconds"].values())
-    stages = ", ".join(f"{name} {number(s, 2)}" for name, s in d["seconds"].items())
-    return tag("p", f"{number(total)} s in all: {stages}.", class_="hint")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from engine.diagnose.search.findings import LookAlike
 from engine.presentation import over_horizon
 from engine.presentation.cause_sentences import standing
-from engine.presentation.report.chart import Chart, Ranking, Trace
-from engine.presentation.report.comparison import TIME
-from engine.presentation.report.html import Html, table, tag
+from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
+from engine.presentation.report.comparison import TIME, around
+from engine.presentation.report.html import Html, table, table_of, tag
 from engine.presentation.report.parts import (
     Document,
     Drawer,
@@ -28,67 +29,64 @@ from engine.presentation.report.priority import asked_first
 from engine.words import number
 
 RANKED_CANDIDATES = 12  # candidates in a picture
+HOW_RANKED = (
+    "Refitted effects: green could not be told apart; orange is the unnamed force, which a cause has to beat. "
+    "Screened effects: the line is what a single one needs to be an alarm among all."
+)
 
 
 def cause_section(d: Document, draw: Drawer) -> list[object]:
     """Everything about it."""
     parts: list[object] = []
-    for k, cause in enumerate(d["causes"]):
+    for k, cause in enumerate(d["causes"], 1):
         title = capital(cause["title"])
-        parts.append(tag("h3", f"{k + 1}. {title}" if len(d["causes"]) > 1 else title))
-        parts.append(
-            facts(
-                [
-                    ("effect", tag("code", cause["effect"])),
-                    ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
-                    ("p-value, all effects together", p_value(cause["p_value"])),
-                    ("2 × log-likelihood gained", _gained(cause)),
-                    ("enters through", cause["where"]),
-                ]
-            )
-        )
-        parts.append(equations([], [cause["equation"]]))
-        if cause["experiment"]:
-            parts.append(tag("p", cause["experiment"], class_="advice"))
-        if cause["look_alikes"]:
-            parts += [tag("h4", "Look-alikes"), _look_alikes(cause)]
+        parts.append(tag("h3", f"{k}. {title}" if len(d["causes"]) > 1 else title))
+        parts += _cause(cause)
     if not d["causes"]:
         parts.append(tag("p", "None named."))
     if d["unnamed"]:
         parts += [tag("h3", "An unnamed force"), tag("p", prose(d["unnamed"]["sentence"]))]
-        parts.append(grid(force_figures(d["unnamed"], draw)))
+        parts.append(grid(force_charts(d["unnamed"]), draw))
     parts += two_criteria(d.get("free_run"), draw)
-    beside = d.get("over_horizon")
-    if beside:
+    if beside := d.get("over_horizon"):
         parts += [
             tag("h3", "Over the horizon"),
             tag("p", over_horizon.SAID, class_="hint"),
             table(over_horizon.head(beside), over_horizon.rows(beside), "numbers"),
             tag("p", beside["sentence"]),
         ]
-    ranked = rankings(d["rounds"], draw)
-    if ranked:
-        parts += [
-            tag("h3", "Candidates and their evidence"),
-            tag(
-                "p",
-                "Refitted effects: green could not be told apart; orange is the unnamed force, which a "
-                "cause has to beat. Screened effects: the line is what a single one needs to be an alarm "
-                "among all.",
-                class_="hint",
-            ),
-            grid(ranked),
-        ]
-    untestable = [x["effect"] for x in d["detectable"] if not x["testable"]]
-    if untestable:
-        some = ", ".join(asked_first(untestable))
-        rest = len(untestable) - len(asked_first(untestable))
+    if ranked := rankings(d["rounds"]):
+        said = tag("p", HOW_RANKED, class_="hint")
+        parts += [tag("h3", "Candidates and their evidence"), said, grid(ranked, draw)]
+    if untestable := [x["effect"] for x in d["detectable"] if not x["testable"]]:
+        first = asked_first(untestable)
+        rest = len(untestable) - len(first)
+        more = f" and {rest} more" if rest else ""
+        why = "the data do not excite them, or the fitted parameters take up all they would show."
+        every = tag("p", ", ".join(untestable)) if rest else Html("")
         parts += [
             tag("h3", "Not testable with this experiment"),
-            tag("p", f"{some}{f' and {rest} more' if rest else ''}: the data do not excite them, or the "
-                "fitted parameters take up all they would show."),
-            folded("All that were not testable", tag("p", ", ".join(untestable)) if rest else Html("")),
-        ]  # fmt: skip
+            tag("p", f"{', '.join(first)}{more}: {why}"),
+            folded("All that were not testable", every),
+        ]
+    return parts
+
+
+def _cause(cause: Document) -> list[object]:
+    about = facts(
+        [
+            ("effect", tag("code", cause["effect"])),
+            ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
+            ("p-value, all effects together", p_value(cause["p_value"])),
+            ("2 × log-likelihood gained", _gained(cause)),
+            ("enters through", cause["where"]),
+        ]
+    )
+    parts: list[object] = [about, equations([], [cause["equation"]])]
+    if cause["experiment"]:
+        parts.append(tag("p", cause["experiment"], class_="advice"))
+    if cause["look_alikes"]:
+        parts += [tag("h4", "Look-alikes"), _look_alikes(cause)]
     return parts
 
 
@@ -108,7 +106,7 @@ def two_criteria(asked: Document | None, draw: Drawer) -> list[object]:
         (name, said["verdict"], ", ".join(said["effects"]), "decides" if decides else "")
         for name, said, decides in rows
     ]
-    pictures = [
+    charts = [
         Ranking(
             f"Round {k}: what is left of the free run's error on rows left out",
             "per cent of the error without",
@@ -125,7 +123,7 @@ def two_criteria(asked: Document | None, draw: Drawer) -> list[object]:
         tag("h3", "Two criteria"),
         table(("criterion", "verdict", "effects", ""), body, "words"),
         tag("p", asked["reason"], class_="hint"),
-        grid([draw(picture) for picture in pictures]),
+        grid(charts, draw),
         *_missing(asked["missing"], draw),
     ]
 
@@ -134,48 +132,48 @@ def _missing(one: Document | None, draw: Drawer) -> list[object]:
     """The curve of a force that has no name."""
     if not one:
         return []
-    curve = one["curve"]
-    mean = curve["mean"]
-    pairs = list(zip(mean, curve["standard_deviation"], strict=True))
-    band = [m - 2.0 * s for m, s in pairs], [m + 2.0 * s for m, s in pairs]
-    chart = Chart(
-        f"A function of {one['source']} that acts on {one['target']}",
-        label(one["source"], one["source_unit"]),
-        label("force", one["unit"]),
-        curve["x"],
-        (Trace("force ± 2 standard deviations", mean, band=band, role="before"),),
-        level=(0.0,),
-    )
+    title = f"A function of {one['source']} that acts on {one['target']}"
+    x_label, curve = label(one["source"], one["source_unit"]), one["curve"]
+    chart = _force(title, x_label, one["unit"], curve["x"], curve)
     told = "What the model's own parameters can do as well, such as its straight part, is not in the curve."
-    return [tag("p", f"{one['sentence']} {told}"), grid([draw(chart)])]
+    return [tag("p", f"{one['sentence']} {told}"), grid([chart], draw)]
+
+
+def _force(title: str, x_label: str, unit: str, x: Numbers, curve: Document) -> Chart:
+    """A force with its band."""
+    mean = curve["mean"]
+    band = around(mean, curve["standard_deviation"], 2.0)
+    one = Trace("force ± 2 standard deviations", mean, band=band, role="before")
+    return Chart(title, x_label, label("force", unit), x, (one,), level=(0.0,))
 
 
 def _look_alikes(cause: Document) -> Html:
-    others = [LookAlike(**one) for one in cause["look_alikes"]]
-    rows = [
-        (
-            tag("code", o.effect),
-            tag("span", standing(o, cause["equivalent"]), class_="good" if o.ruled_out else "warn"),
-            number(round(o.likeness, 2)),
-            "" if o.gain is None else number(o.gain) if o.gain > 0.0 else "none",
-            o.difference,
-        )
-        for o in others
-    ]  # fmt: skip
-    head = (
-        "effect",
-        "by these data",
-        "likeness",
-        "2 × log-likelihood gained",
-        "what tells it apart",
+    def told(o: LookAlike) -> Html:
+        class_ = "good" if o.ruled_out else "warn"
+        return tag("span", standing(o, cause["equivalent"]), class_=class_)
+
+    def gained(o: LookAlike) -> str:
+        if o.gain is None:
+            return ""
+        return number(o.gain) if o.gain > 0.0 else "none"
+
+    return table_of(
+        [LookAlike(**one) for one in cause["look_alikes"]],
+        {
+            "effect": lambda o: tag("code", o.effect),
+            "by these data": told,
+            "likeness": lambda o: number(round(o.likeness, 2)),
+            "2 × log-likelihood gained": gained,
+            "what tells it apart": lambda o: o.difference,
+        },
+        "words",
     )
-    return table(head, rows, "words")
 
 
-def rankings(rounds: list[dict[str, Any]], draw: Drawer) -> list[Html]:
+def rankings(rounds: list[dict[str, Any]]) -> list[Ranking]:
     """The candidates of each round by their evidence."""
     ranked = (_ranked(found, f"Round {k}: ") for k, found in enumerate(rounds, 1))
-    return [draw(one) for one in ranked if one.rows]
+    return [one for one in ranked if one.rows]
 
 
 def _ranked(found: dict[str, Any], name: str) -> Ranking:
@@ -187,14 +185,11 @@ def _ranked(found: dict[str, Any], name: str) -> Ranking:
         if found["unnamed"]:
             bars.append(("unnamed force", found["unnamed"]["score"], "before"))
         bars = sorted(_finite(bars), key=lambda bar: -bar[1])
-        label = "2 × log-likelihood gained, less costs"
-        return Ranking(f"{name}refitted effects", label, bars)
+        return Ranking(f"{name}refitted effects", "2 × log-likelihood gained, less costs", bars)
     bars = [(x["title"], _evidence(x["p_value"]), "data") for x in found["screened"]]
     needed = math.erfc(math.sqrt(0.5 * found["threshold"]))  # chi2 with one degree of freedom
-    label = "-log10 of each one's p-value"
-    return Ranking(
-        f"{name}screened effects", label, _finite(bars[:RANKED_CANDIDATES]), _evidence(needed)
-    )
+    shown, said = _finite(bars[:RANKED_CANDIDATES]), "-log10 of each one's p-value"
+    return Ranking(f"{name}screened effects", said, shown, _evidence(needed))
 
 
 def _evidence(p: float) -> float:
@@ -205,15 +200,10 @@ def _finite(bars: list[tuple[str, float, str]]) -> list[tuple[str, float, str]]:
     return [bar for bar in bars if math.isfinite(bar[1])]
 
 
-def force_figures(force: Document, draw: Drawer) -> list[Html]:
+def force_charts(force: Document) -> list[Chart]:
     """The unnamed force over time with its band."""
     curves = force.get("curves")
     if not curves:
         return []
-    mean, sd = curves["mean"], curves["standard_deviation"]
-    pairs = list(zip(mean, sd, strict=True))
-    low = [None if m is None or s is None else m - 2.0 * s for m, s in pairs]
-    high = [None if m is None or s is None else m + 2.0 * s for m, s in pairs]
-    one = Trace("force ± 2 standard deviations", mean, band=(low, high), role="before")
-    title, y_label = f"The unnamed force on {force['target']}", label("force", force["unit"])
-    return [draw(Chart(title, TIME, y_label, curves["t"], (one,), level=(0.0,), wide=True))]
+    title = f"The unnamed force on {force['target']}"
+    return [replace(_force(title, TIME, force["unit"], curves["t"], curves), wide=True)]

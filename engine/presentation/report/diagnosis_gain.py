@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from engine.presentation.report.chart import Chart, Trace
-from engine.presentation.report.comparison import TIME
-from engine.presentation.report.html import Html, bullets, join, table, tag
+from engine.presentation.report.comparison import over_time
+from engine.presentation.report.html import Html, bullets, join, table, table_of, tag
 from engine.presentation.report.parts import (
     Document,
     Drawer,
@@ -18,7 +18,10 @@ from engine.presentation.report.parts import (
     prose,
     signed,
 )
+from engine.presentation.report.svg import drawn
 from engine.words import fit_quality, number, percent
+
+BUDGET = {"gone": "after", "left": "before", "noise": "data"}  # and their colours
 
 
 def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
@@ -26,11 +29,10 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
     gain = d["gain"]
     if gain is None:
         return [tag("p", "Nothing was added, so nothing is gained or lost.")]
-    parts: list[object] = [
-        tag(
-            "p",
-            f"On {gain['samples']} samples ({gain['how']}) that {_unseen(gain)}.",
-        ),
+    # what was simulated before and after is at the top
+    charts = _gained(gain) if has_before_and_after(gain) else held_out_charts(gain, units)
+    return [
+        tag("p", f"On {gain['samples']} samples ({gain['how']}) that {_unseen(gain)}."),
         facts(
             [
                 ("log-density gained", signed(gain["log_density"])),
@@ -38,28 +40,26 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
                 ("test of no gain (Diebold-Mariano)", p_value(gain["p_value"])),
             ]
         ),
+        table_of(
+            gain["outputs"],
+            {
+                "": lambda o: f"free run of {o['output']}",
+                "rms before": lambda o: measured(o["rmse_before"], o["unit"]),
+                "rms after": lambda o: measured(o["rmse_after"], o["unit"]),
+                "difference (95 %)": _difference,
+                "fit": lambda o: f"{_fit(o['fit_before'])} → {_fit(o['fit_after'])}",
+            },
+        ),
+        _budget(gain),
+        adopted(gain, "in_full"),
+        bullets(map(prose, gain["notes"])),
+        grid(charts, draw),
     ]
-    rows = []
-    for o in gain["outputs"]:
-        low, high = (number(v) for v in o["interval_difference"])
-        rows.append(
-            (
-                f"free run of {o['output']}",
-                measured(o["rmse_before"], o["unit"]),
-                measured(o["rmse_after"], o["unit"]),
-                f"{number(o['difference'])} ({low} to {high})",
-                f"{_fit(o['fit_before'])} → {_fit(o['fit_after'])}",
-            )
-        )
-    if rows:
-        head = ("", "rms before", "rms after", "difference (95 %)", "fit")
-        parts.append(table(head, rows, "numbers"))
-    parts += [_budget(gain), adopted(gain, "in_full"), bullets(map(prose, gain["notes"]))]
-    figures = (
-        _gained if has_before_and_after(gain) else held_out_figures
-    )  # the others are at the top
-    parts.append(grid(figures(gain, units, draw)))
-    return parts
+
+
+def _difference(o: Document) -> str:
+    low, high = (number(v) for v in o["interval_difference"])
+    return f"{number(o['difference'])} ({low} to {high})"
 
 
 def _fit(fit: float | None) -> str:
@@ -78,43 +78,31 @@ def _budget(gain: Document) -> Html:
     budget = [b for b in gain.get("budget") or () if b["gone"] >= 0.0]
     if not budget:
         return Html("")
-    rows = []
-    for b in budget:
-        parts, at = [], 0.0
-        for key, role in (("gone", "after"), ("left", "before"), ("noise", "data")):
-            width = max(100.0 * b[key], 0.0)
-            parts.append(
-                tag(
-                    "rect",
-                    x=f"{at:.2f}",
-                    y=0,
-                    width=f"{width:.2f}",
-                    height=8,
-                    class_=f"bar r-{role}",
-                )
-            )
-            at += width
-        bar = tag(
-            "svg", *parts, viewBox="0 0 100 8", preserveAspectRatio="none", class_="budget",
-            role="img",
-            aria_label=f"{percent(b['gone'])} gone, {percent(b['left'])} left, {percent(b['noise'])} noise",
-        )  # fmt: skip
-        rows.append((b["output"], bar, *(percent(b[key]) for key in ("gone", "left", "noise"))))
-    head = (
-        "",
-        "squared error of the free run before = 100 %",
-        tag("span", tag("i", class_="swatch bars r-after"), "gone"),
-        tag("span", tag("i", class_="swatch bars r-before"), "left"),
-        tag("span", tag("i", class_="swatch bars r-data"), "noise"),
-    )
+    swatches = [tag("i", class_=f"swatch bars r-{role}") for role in BUDGET.values()]
+    titles = [tag("span", *both) for both in zip(swatches, BUDGET, strict=True)]
+    head = ("", "squared error of the free run before = 100 %", *titles)
+    rows = [(b["output"], _stacked(b), *(percent(b[key]) for key in BUDGET)) for b in budget]
     return join([tag("h3", "Error budget"), table(head, rows, "budget-table")])
 
 
-def before_and_after(gain: Document | None, units: Document, draw: Drawer) -> list[Html]:
-    """Measured and simulated before and after on held-out data, a figure per output; none without a gain."""
+def _stacked(shares: Document) -> Html:
+    """One bar of the shares beside each other."""
+    parts, at = [], 0.0
+    for key, role in BUDGET.items():
+        width = max(100.0 * shares[key], 0.0)
+        parts.append(
+            tag("rect", x=f"{at:.2f}", y=0, width=f"{width:.2f}", height=8, class_=f"bar r-{role}")
+        )
+        at += width
+    said = ", ".join(f"{percent(shares[key])} {key}" for key in BUDGET)
+    return drawn(parts, 100, 8, said, "budget", preserveAspectRatio="none")
+
+
+def before_and_after(gain: Document | None, units: Document) -> list[Chart]:
+    """Measured and simulated before and after on held-out data, a chart per output; none without a gain."""
     if gain is None or not has_before_and_after(gain):
         return []
-    return [draw(chart) for chart in _simulated(gain["curves"], units)]
+    return _simulated(gain["curves"], units)
 
 
 def has_before_and_after(gain: Document | None) -> bool:
@@ -123,20 +111,18 @@ def has_before_and_after(gain: Document | None) -> bool:
     return all(curves.get(when) is not None for when in ("before", "after"))
 
 
-def held_out_figures(gain: Document, units: Document, draw: Drawer) -> list[Html]:
+def held_out_charts(gain: Document, units: Document) -> list[Chart]:
     """Measured, simulated before and after; then the log-density gained so far."""
     curves = gain.get("curves")
-    if not curves:
-        return []
-    return [draw(chart) for chart in _simulated(curves, units)] + _gained(gain, units, draw)
+    return [*_simulated(curves, units), *_gained(gain)] if curves else []
 
 
-def _gained(gain: Document, units: Document, draw: Drawer) -> list[Html]:
+def _gained(gain: Document) -> list[Chart]:
     """The log-density gained so far."""
     curves = gain["curves"]
-    gained = (Trace("log-density gained", curves["log_density"], "line", "after"),)
+    gained = Trace("log-density gained", curves["log_density"], "line", "after")
     title, level = "Log-density gained so far", (0.0,)
-    return [draw(Chart(title, TIME, "log-density", curves["t"], gained, level=level, wide=True))]
+    return [over_time(title, "log-density", curves["t"], gained, level=level, wide=True)]
 
 
 def _simulated(curves: Document, units: Document) -> list[Chart]:
@@ -149,5 +135,5 @@ def _simulated(curves: Document, units: Document) -> list[Chart]:
         ]
         traces.append(Trace("measured, held out", curves["measured"][name], "points", "data"))
         title, y_label = f"Held-out data and simulation of {name}", label(name, unit)
-        charts.append(Chart(title, TIME, y_label, curves["t"], tuple(traces), wide=True))
+        charts.append(over_time(title, y_label, curves["t"], *traces, wide=True))
     return charts

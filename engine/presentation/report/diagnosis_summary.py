@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from engine.presentation.cause_sentences import looked_for
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.parts import (
     Document,
@@ -26,17 +27,13 @@ def verdict(d: Document) -> Html:
     names = [tag("p", _headline(cause), class_="cause") for cause in d["causes"]]
     if d["verdict"] == "unknown":
         said = tag("p", word, " ", _known(d), class_="said")
-        names = [tag("p", d["sentence"])] + [
-            tag("p", "" if k else "Nearest names: ", _headline(cause), class_="hint")
-            for k, cause in enumerate(d["causes"])
+        near = [
+            ("" if k else "Nearest names: ", _headline(one)) for k, one in enumerate(d["causes"])
         ]
+        names = [tag("p", d["sentence"]), *(tag("p", *one, class_="hint") for one in near)]
     if not names:
-        tested, seen = len(d["detectable"]), sum(x["testable"] for x in d["detectable"])
-        text = (
-            f"{tested} effects were looked for, {p_value(d['p_value'])} for all of them together; {seen} of "
-            "them would have been seen at the sizes listed below."
-        )
-        names = [tag("p", text)]
+        testable = [x["testable"] for x in d["detectable"]]
+        names = [tag("p", looked_for(d["p_value"], testable))]
     return join([said, *names])
 
 
@@ -58,12 +55,8 @@ def _known(d: Document) -> str:
 
 def _headline(cause: Document) -> Html:
     """``Coulomb friction 0.52 ± 0.03 N``, with the names it cannot be told from."""
-    parts: list[object] = [
-        tag("strong", capital(cause["title"])),
-        " ",
-        estimated(cause["size"], cause["standard_error"], cause["unit"]),
-    ]
-    parts.append(cause.get("when", ""))
+    size = estimated(cause["size"], cause["standard_error"], cause["unit"])
+    parts = [tag("strong", capital(cause["title"])), " ", size, cause.get("when", "")]
     if len(cause["equivalent"]) > 1:
         others = enumerated(list(cause["equivalent"][1:]), "or")
         parts.append(tag("span", f", not told apart from {others}", class_="hint"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from engine.presentation.report.comparison import against_data, fits, sentences
-from engine.presentation.report.html import join, table, tag
+from engine.presentation.report.html import join, table, table_of, tag
 from engine.presentation.report.parts import (
     Document,
     Drawer,
@@ -19,22 +19,18 @@ from engine.words import number, probability
 
 def early_report(d: Document, draw: Drawer) -> Report:
     """The whole report."""
-    symptoms, units = d["symptoms"], d["outputs"]
-    head = tag(
-        "p", "What is known so far, before the search for the cause has ended.", class_="hint"
+    symptoms, said = (
+        d["symptoms"],
+        "What is known so far, before the search for the cause has ended.",
     )
-    screen = d["screen"]
+    simulated = against_data(symptoms["free_run"], "free_run", d["outputs"], wide=True)
+    wrong = sentences(symptoms) or tag("p", "Nothing stands out.")
     return Report(
         f"Diagnosis of the model {d['model']}, so far",
-        join([head, grid(against_data(symptoms["free_run"], "free_run", units, draw, wide=True))]),
+        join([tag("p", said, class_="hint"), grid(simulated, draw)]),
         (
-            *section(
-                "wrong",
-                "What is wrong",
-                sentences(symptoms) or tag("p", "Nothing stands out."),
-                fits(symptoms),
-            ),
-            *section("screen", "First screen of effects", *_screen(screen)),
+            *section("wrong", "What is wrong", wrong, fits(symptoms)),
+            *section("screen", "First screen of effects", *_screen(d["screen"])),
             *section("estimate", "The model as it is", _parameters(d)),
         ),
     )
@@ -43,30 +39,25 @@ def early_report(d: Document, draw: Drawer) -> Report:
 def _screen(screen: Document | None) -> list[object]:
     if screen is None:
         return []
-    rows = [
-        (
-            tag("code", one["effect"]),
-            one["title"],
-            plus_minus(one["size"], one["standard_error"], one["unit"]),
-            number(one["statistic"]),
-            probability(one["p_value"]),
-        )
-        for one in screen["scores"]
-    ]
-    head = ("effect", "", "size in one step", "score", "p-value of it alone")
-    return [tag("p", prose(screen["sentence"])), table(head, rows, "numbers") if rows else ""]
+    shown = table_of(
+        screen["scores"],
+        {
+            "effect": lambda s: tag("code", s["effect"]),
+            "": lambda s: s["title"],
+            "size in one step": lambda s: plus_minus(s["size"], s["standard_error"], s["unit"]),
+            "score": lambda s: number(s["statistic"]),
+            "p-value of it alone": lambda s: probability(s["p_value"]),
+        },
+    )
+    return [tag("p", prose(screen["sentence"])), shown]
 
 
 def _parameters(d: Document) -> object:
-    rows = [
-        (
-            tag("code", name),
-            f"{number(one['value'], 4)}, held"
-            if one["fixed"]
-            else plus_minus(one["value"], one["standard_error"]),
-            pretty(one["unit"]),
-        )
-        for name, one in d["estimate"].items()
-    ]
+    rows = []
+    for name, one in d["estimate"].items():
+        estimate = plus_minus(one["value"], one["standard_error"])
+        if one["fixed"]:
+            estimate = f"{number(one['value'], 4)}, held"
+        rows.append((tag("code", name), estimate, pretty(one["unit"])))
     likelihood = tag("p", f"Log-likelihood {number(d['log_likelihood'], 6)}.", class_="hint")
     return join([table(("parameter", "estimate", "unit"), rows, "numbers"), likelihood])

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from engine.presentation.report.chart import Chart, Numbers, Trace
+from engine.arrays import Array
+from engine.presentation.report.chart import Chart, Numbers, Trace, column
 from engine.presentation.report.comparison import (
     against_data,
+    around,
     compared,
     fits,
-    residual_figures,
+    residual_charts,
     sentences,
     where_it_is,
 )
@@ -42,31 +43,19 @@ def estimate_report(document: Document, draw: Drawer) -> Report:
     model = document.get("model") or {}
     name = model.get("name", "")
     title = f"Estimate of the model {name}" if name else "Estimate"
-    numbers = estimates(document)
+    numbers = tag("h2", "Estimates"), _warned(document), estimates(document)
+    about = tag("p", model["description"]) if model.get("description") else ""
     return Report(
         title,
-        join(
-            [
-                _outcome(document),
-                _facts(document),
-                tag("h2", "Estimates"),
-                _warned(document),
-                numbers,
-            ]
-        ),
+        join([_outcome(document), _facts(document), *numbers]),
         (
-            *section("convergence", "Convergence", grid(convergence_figures(document, draw))),
+            *section("convergence", "Convergence", grid(convergence_charts(document), draw)),
             *_states(document, draw),
             *_simulated(document, draw),
             *_held_out(document, draw),
             *_examined(document, model, draw),
             *section("attempts", "Attempts", _starts(document), _bootstrap(document, draw)),
-            *section(
-                "model",
-                "The model",
-                tag("p", model["description"]) if model.get("description") else "",
-                equations(model.get("equations", ())),
-            ),
+            *section("model", "The model", about, equations(model.get("equations", ()))),
         ),
     )
 
@@ -86,27 +75,25 @@ def simulation_report(document: Document, draw: Drawer) -> Report:
 
 
 def _simulated(document: Document, draw: Drawer) -> list[Section]:
-    simulation = document.get("simulation")
-    if not simulation:
-        return []
+    simulation = document.get("simulation") or {"series": ()}
     parts: list[Section] = []
     for i, series in enumerate(simulation["series"]):
         rmse = series.get("rmse")
         said = "" if rmse is None else tag("p", f"Wrong by {number(rmse)} rms against the data.")
-        figures = [simulated_figures(series, simulation["units"], k, draw) for k in ("y", "states")]
-        shown = grid(chain(*figures))
-        parts += section(f"series-{i}", _nth("Simulation", i, simulation), said, shown)
+        charts = [simulated_charts(series, simulation["units"], k) for k in ("y", "states")]
+        shown = grid(chain(*charts), draw)
+        parts += _numbered("series", "Simulation", i, simulation, said, shown)
     return parts
 
 
-def simulated_figures(
-    series: Document, units: Document, group: str, draw: Drawer
-) -> Iterator[Html]:
+def simulated_charts(series: Document, units: Document, group: str) -> list[Chart]:
     """The outputs ("y") of a series beside what was measured, or its "states"."""
     measured = (series.get("measured") or {}) if group == "y" else {}
-    for name, values in series[group].items():
-        y_label, simulated = label(name, units.get(name, "")), ("simulated", values)
-        yield draw(compared(name, y_label, series["t"], simulated, measured.get(name)))
+    t = series["t"]
+    return [
+        compared(name, units.get(name, ""), t, ("simulated", values), measured.get(name))
+        for name, values in series[group].items()
+    ]
 
 
 # ---- summary ----------------------------------------------------------------------------------
@@ -156,16 +143,10 @@ def estimates(document: Document) -> Html:
     start = {k: v[0] for k, v in (document.get("trace") or {}).get("theta", {}).items() if v}
     for name, found in document["estimate"].items():
         low, high = found.get("interval") or (None, None)
-        rows.append(
-            (
-                tag("code", name),
-                number(found["value"], 5),
-                _error(found),
-                "" if low is None else f"{number(low, 4)} to {number(high, 4)}",
-                pretty(found["unit"]),
-                number(start.get(name), 4) if name in start else "",
-            )
-        )
+        interval = "" if low is None else f"{number(low, 4)} to {number(high, 4)}"
+        began = number(start[name], 4) if name in start else ""
+        said = number(found["value"], 5), _error(found), interval, pretty(found["unit"]), began
+        rows.append((tag("code", name), *said))
     head = ("parameter", "estimate", "standard error", "95 % interval", "unit", "start")
     return table(head, rows, "numbers")
 
@@ -183,12 +164,12 @@ def _error(found: Document) -> str:
 # ---- convergence ------------------------------------------------------------------------------
 
 
-def convergence_figures(document: Document, draw: Drawer) -> Iterator[Html]:
+def convergence_charts(document: Document) -> list[Chart]:
     """Each free parameter over the iterations, with its interval and the other starts."""
     trace = document.get("trace")
     if not trace:
-        return
-    ks = trace["iteration"]
+        return []
+    charts, ks = [], trace["iteration"]
     for name, values in trace["theta"].items():
         found = document["estimate"].get(name, {})
         if found.get("fixed"):
@@ -199,19 +180,19 @@ def convergence_figures(document: Document, draw: Drawer) -> Iterator[Html]:
         traces += _beside(axis, others)
         traces.append(Trace("iterate", _on(axis, ks, values), "line", "model"))
         y_label, level = label(name, found.get("unit", "")), (found["value"],) if found else ()
-        yield draw(
+        charts.append(
             Chart(name, "iteration", y_label, axis, tuple(traces), level=level, sync="iteration")
         )
     for key, title in (("log_likelihood", "Log-likelihood"), ("ess", "Effective sample size")):
         if any(v is not None for v in trace[key]):
             one = Trace(title.lower(), trace[key], "line", "c4")
-            yield draw(Chart(title, "iteration", title.lower(), ks, (one,), sync="iteration"))
+            charts.append(Chart(title, "iteration", title.lower(), ks, (one,), sync="iteration"))
+    return charts
 
 
 def _interval(found: Document, n: int) -> Trace:
-    (low, high), value = found["interval"], found["value"]
-    band = ([low] * n, [high] * n)
-    return Trace("estimate, 95 % interval", [value] * n, "line", "after", band=band)
+    ends = np.tile(found["interval"], (n, 1)).T
+    return Trace("estimate, 95 % interval", [found["value"]] * n, "line", "after", band=ends)
 
 
 def _other_starts(document: Document, name: str) -> list[tuple[int, Numbers, Numbers]]:
@@ -226,49 +207,44 @@ def _other_starts(document: Document, name: str) -> list[tuple[int, Numbers, Num
 
 def _beside(axis: list[int], others: list[tuple[int, Numbers, Numbers]]) -> list[Trace]:
     """A few starts each by itself, many by their middle and range."""
-    curves = [(i, _on(axis, ks, values)) for i, ks, values in others]
+    curves = [_on(axis, ks, values) for _, ks, values in others]
     if len(curves) <= FEW_STARTS:
         return [
             Trace(f"start {i}", curve, "line", f"c{2 + k % 5}", dash=True)
-            for k, (i, curve) in enumerate(curves)
+            for k, ((i, _, _), curve) in enumerate(zip(others, curves, strict=True))
         ]
-    rows = [
-        sorted(v for v in row if v is not None)
-        for row in zip(*(curve for _, curve in curves), strict=True)
-    ]
-    band = ([r[0] if r else None for r in rows], [r[-1] if r else None for r in rows])
-    middle = [r[len(r) // 2] if r else None for r in rows]
-    return [Trace("middle and range of the other starts", middle, "line", "data", band, dash=True)]
+    ordered = np.sort(curves, axis=0)  # gaps go to the end
+    n = np.isfinite(ordered).sum(axis=0)
+    middle, high = (ordered[k, np.arange(len(axis))] for k in (n // 2, n - 1))
+    said = "middle and range of the other starts"
+    return [Trace(said, middle, "line", "data", (ordered[0], high), dash=True)]
 
 
-def _on(axis: list[int], ks: Numbers, values: Numbers) -> list[float | None]:
+def _on(axis: list[int], ks: Numbers, values: Numbers) -> Array:
     """Values at iterations ks over an axis that may hold more of them and go on after them."""
-    x, y = np.array(ks, dtype=float), np.array(values, dtype=float)
-    inside = np.interp(axis, x, y, right=np.nan).tolist()
-    return [None if v != v else v for v in inside]
+    return np.interp(axis, column(ks), column(values), right=np.nan)
 
 
 # ---- states, simulation, residuals --------------------------------------------------------------
 
 
 def _states(document: Document, draw: Drawer) -> list[Section]:
-    states = document.get("states")
-    if not states:
-        return []
+    states = document.get("states") or {"series": ()}
     parts = []
     for i, series in enumerate(states["series"]):
-        figures = smoothed_figures(series, states["units"], draw)
-        parts += section(f"states-{i}", _nth("Smoothed states", i, states), grid(figures))
+        shown = grid(smoothed_charts(series, states["units"]), draw)
+        parts += _numbered("states", "Smoothed states", i, states, shown)
     return parts
 
 
-def smoothed_figures(series: Document, units: Document, draw: Drawer) -> Iterator[Html]:
+def smoothed_charts(series: Document, units: Document) -> list[Chart]:
     """Each state of a series with its band."""
+    charts = []
     for name, mean in series["mean"].items():
-        sd = series["standard_deviation"][name]
-        low, high = ([_shifted(m, s, k) for m, s in zip(mean, sd, strict=True)] for k in (-1, 1))
-        said, y_label = "smoothed mean, 95 % band", label(name, units.get(name, ""))
-        yield draw(compared(name, y_label, series["t"], (said, mean), band=(low, high)))
+        band = around(mean, series["standard_deviation"][name], NORMAL)
+        drawn = "smoothed mean, 95 % band", mean
+        charts.append(compared(name, units.get(name, ""), series["t"], drawn, band=band))
+    return charts
 
 
 def _held_out(document: Document, draw: Drawer) -> list[Section]:
@@ -284,49 +260,39 @@ def _held_out(document: Document, draw: Drawer) -> list[Section]:
         said.append(f"Simulation of {o['output']}: {error if finite else 'it diverges'}.")
     if held["log_density"] is not None:
         said.append(f"Log-density of the predictions {number(held['log_density'], 6)}.")
-    figures = (
-        draw(compared(f"Simulation of {name}, held out", label(name, units.get(name, "")),
-                      one["t"], ("simulated", y), one["measured"][name]))
+    charts = [
+        compared(name, units.get(name, ""), one["t"], ("simulated", y), one["measured"][name],
+                 title=f"Simulation of {name}, held out")
         for one in held["series"]
         for name, y in one["y"].items()
-    )  # fmt: skip
-    return section("held-out", "On held-out data", bullets(said, "sentences"), grid(figures))
+    ]  # fmt: skip
+    return section("held-out", "On held-out data", bullets(said, "sentences"), grid(charts, draw))
 
 
-def _shifted(mean: float | None, sd: float | None, sign: int) -> float | None:
-    return None if mean is None or sd is None else mean + sign * NORMAL * sd
-
-
-def _nth(title: str, i: int, group: Document) -> str:
-    return title if len(group["series"]) == 1 else f"{title}, series {i + 1}"
+def _numbered(kind: str, title: str, i: int, group: Document, *parts: object) -> list[Section]:
+    """A section of one of the series."""
+    of = f", series {i + 1}" if len(group["series"]) > 1 else ""
+    return section(f"{kind}-{i}", title + of, *parts)
 
 
 def _examined(document: Document, model: Document, draw: Drawer) -> list[Section]:
-    found = document.get("examination")
-    if not found:
-        return []
+    found = document.get("examination") or {"series": ()}
     units, parts = model.get("outputs", {}), []
     for i, one in enumerate(found["series"]):
+        title = "Simulation and prediction"
         if "problem" in one:
-            parts += section(
-                f"simulation-{i}", _nth("Simulation and prediction", i, found), one["problem"]
-            )
+            parts += _numbered("simulation", title, i, found, one["problem"])
             continue
         shown = [
-            *against_data(one["free_run"], "free_run", units, draw, wide=True),
-            *against_data(one["one_step"], "one_step", units, draw, wide=True),
+            *against_data(one["free_run"], "free_run", units, wide=True),
+            *against_data(one["one_step"], "one_step", units, wide=True),
         ]
-        parts += section(
-            f"simulation-{i}",
-            _nth("Simulation and prediction against the data", i, found),
-            sentences(one),
-            fits(one),
-            grid(shown),
-        )
-        parts += section(f"residuals-{i}", _nth("Residuals", i, found), residual_figures(one, draw))
-        parts += section(
-            f"where-{i}", _nth("Where the error is", i, found), where_it_is(one, units, draw)
-        )
+        seen = sentences(one), fits(one), grid(shown, draw)
+        parts += _numbered("simulation", f"{title} against the data", i, found, *seen)
+        left = grid(residual_charts(one), draw)
+        parts += _numbered("residuals", "Residuals", i, found, left)
+        where = where_it_is(one, units, draw)
+        parts += _numbered("where", "Where the error is", i, found, where)
     return parts
 
 
@@ -337,21 +303,14 @@ def _starts(document: Document) -> Html:
     starts = document.get("starts") or []
     if not starts:
         return Html("")
-    best = max(
-        (s["log_likelihood"]["value"] for s in starts if s.get("log_likelihood")), default=None
-    )
+    values = [(one.get("log_likelihood") or {}).get("value") for one in starts]
+    best = max((value for value in values if value is not None), default=None)
     rows = []
-    for i, one in enumerate(starts):
-        value = (one.get("log_likelihood") or {}).get("value")
-        rows.append(
-            (
-                f"start {i + 1}" + (" (taken)" if value is not None and value == best else ""),
-                _listed(one["start"]),
-                _listed(one.get("estimate") or {}),
-                number(value, 6) if value is not None else "",
-                one["outcome"].replace("-", " "),
-            )
-        )
+    for i, (one, value) in enumerate(zip(starts, values, strict=True), 1):
+        taken = " (taken)" if value is not None and value == best else ""
+        ends = _listed(one["start"]), _listed(one.get("estimate") or {})
+        likelihood = "" if value is None else number(value, 6)
+        rows.append((f"start {i}{taken}", *ends, likelihood, one["outcome"].replace("-", " ")))
     head = ("", "from", "to", "log-likelihood", "outcome")
     return join([tag("h3", "Starts"), table(head, rows, "words")])
 
@@ -371,18 +330,12 @@ def _bootstrap(document: Document, draw: Drawer) -> Html:
         (tag("code", name), *(number(q[level], 4) for level in ("0.025", "0.5", "0.975")))
         for name, q in found["quantiles"].items()
     ]
-    head = ("parameter", "2.5 %", "50 %", "97.5 %")
-    figures = [
-        draw(_density(name, values)) for name, values in found["estimates"].items() if values
-    ]
-    parts = [tag("h3", "Parametric bootstrap"), tag("p", said)]
-    return join([*parts, table(head, rows, "numbers") if rows else "", grid(figures)])
+    shown = table(("parameter", "2.5 %", "50 %", "97.5 %"), rows, "numbers") if rows else ""
+    charts = [_density(name, values) for name, values in found["estimates"].items() if values]
+    return join([tag("h3", "Parametric bootstrap"), tag("p", said), shown, grid(charts, draw)])
 
 
 def _density(name: str, values: list[float]) -> Chart:
-    ordered = sorted(values)
-    share = [(i + 0.5) / len(ordered) for i in range(len(ordered))]
-    one = Trace("share of runs below", share, "points", "data")
-    return Chart(
-        f"Bootstrap estimates of {name}", name, "share of runs below", ordered, (one,), live=False
-    )
+    share, said = (np.arange(len(values)) + 0.5) / len(values), "share of runs below"
+    one = Trace(said, share, "points", "data")
+    return Chart(f"Bootstrap estimates of {name}", name, said, sorted(values), (one,), live=False)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
+from typing import Any
 
 
 class Html(str):
@@ -49,6 +50,14 @@ def table(
     top = tag("tr", *(tag("th", cell, scope="col") for cell in head))
     made = tag("table", tag("thead", top), tag("tbody", *body), class_=class_)
     return tag("div", made, class_="scroll", tabindex="0", role="group", aria_label="table")
+
+
+def table_of(
+    items: Iterable[Any], columns: Mapping[str, Callable[[Any], object]], class_: str = "numbers"
+) -> Html:
+    """A table with a row for each item, nothing where there is none; ``columns`` are cells by their titles."""
+    rows = [[cell(item) for cell in columns.values()] for item in items]
+    return table(list(columns), rows, class_) if rows else Html("")
 
 
 def bullets(items: Iterable[object], class_: str | None = None) -> Html:

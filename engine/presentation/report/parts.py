@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from engine.presentation.report.chart import CHART_POINTS, TIME_AXIS, Chart, Ranking
+from engine.presentation.report.chart import CHART_POINTS, TIME_AXIS, Picture, Ranking
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.svg import svg_element
 from engine.words import estimate, number, probability, tidy
@@ -18,7 +18,7 @@ Document = Mapping[str, Any]
 class Drawer(Protocol):
     """Makes the element of a chart."""
 
-    def __call__(self, chart: Chart | Ranking) -> Html:
+    def __call__(self, chart: Picture) -> Html:
         """The element."""
 
 
@@ -34,7 +34,7 @@ class OnPage:
     charts: list[dict[str, Any]] = field(default_factory=list)
     finer: dict[int, dict[str, Any]] = field(default_factory=dict)
 
-    def __call__(self, chart: Chart | Ranking) -> Html:
+    def __call__(self, chart: Picture) -> Html:
         """A place with its number, or SVG where there is nothing to zoom into."""
         if isinstance(chart, Ranking) or not chart.live:
             return svg_element(chart)
@@ -69,11 +69,11 @@ def section(id_: str, title: str, *parts: object) -> list[Section]:
     return [Section(id_, title, body)] if body else []
 
 
-def grid(figures: Iterable[Html], small: bool = False) -> Html:
-    """Figures side by side where there is room; small ones three in a row."""
-    shown = [figure for figure in figures if figure]
+def grid(charts: Iterable[Picture], draw: Drawer, small: bool = False) -> Html:
+    """Charts side by side where there is room; small ones three in a row."""
+    drawn = [draw(chart) for chart in charts]
     class_ = "figures small" if small else "figures"
-    return tag("div", *shown, class_=class_) if shown else Html("")
+    return tag("div", *drawn, class_=class_) if drawn else Html("")
 
 
 SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")

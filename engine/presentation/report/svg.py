@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
-from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.arrays import Array
+from engine.presentation.report.chart import Band, Chart, Numbers, Picture, Ranking, Trace, column
 from engine.presentation.report.html import Html, tag, text
 from engine.words import number
 
@@ -30,11 +35,11 @@ class Axis:
     end: float
     log: bool = False
 
-    def __call__(self, value: float) -> float:
-        """The pixel of a value."""
+    def __call__(self, value: Any) -> Any:
+        """The pixel of a value, or of each of several."""
         low, high = self.low, self.high
         if self.log:
-            value, low, high = math.log10(value), math.log10(low), math.log10(high)
+            value, low, high = np.log10(value), math.log10(low), math.log10(high)
         return self.start + (value - low) / (high - low) * (self.end - self.start)
 
     def ticks(self, wanted: int) -> list[float]:
@@ -56,7 +61,7 @@ class Axis:
         return [k * step for k in range(begin, end + 1)]
 
 
-def svg_element(chart: Chart | Ranking) -> Html:
+def svg_element(chart: Picture) -> Html:
     """A figure: title, legend, and the chart; a wide one also drawn narrow, for small screens."""
     if isinstance(chart, Ranking):
         return _hbars(chart)
@@ -67,14 +72,14 @@ def svg_element(chart: Chart | Ranking) -> Html:
         sizes = [(*wide, "chart-svg for-wide"), (*narrow, "chart-svg for-narrow")]
     else:
         sizes = [(NARROW_WIDTH, USUAL_HEIGHT, "chart-svg")]
-    drawn = [svg(chart, width, height, class_) for width, height, class_ in sizes]
+    pictures = [svg(chart, width, height, class_) for width, height, class_ in sizes]
     head = tag("figcaption", text(chart.title))
-    return tag("figure", head, legend(chart), *drawn, class_=f"figure{' wide' * chart.wide}")
+    return tag("figure", head, legend(chart), *pictures, class_=f"figure{' wide' * chart.wide}")
 
 
 def legend(chart: Chart) -> Html:
     """What each colour is, where a chart has more than one curve or a band."""
-    if len(chart.traces) < 2 and not any(t.band for t in chart.traces):
+    if not chart.has_legend:
         return Html("")
     items = []
     for t in chart.traces:
@@ -90,24 +95,25 @@ def svg(chart: Chart, width: int, height: int, class_: str = "chart-svg") -> Htm
     longest = max(len(number(tick, 4)) for tick in y.ticks(_rows(height)))
     left = max(LEFT_MARGIN, LABEL_MARGIN + LETTER_WIDTH * longest)
     x = _axis(_xs(chart), left, width - RIGHT_MARGIN, "x" in chart.log, 0.0)
-    parts = [*_grid(chart, x, y, width, height)]
+    parts, xs = [*_grid(chart, x, y, width, height)], column(chart.x)
     for level in chart.level:
         if y.low <= level <= y.high:
             parts.append(_line(x.start, y(level), x.end, y(level), "level"))
     for t in chart.traces:
         if t.band is not None:
-            parts.append(_band(chart.x, t.band, x, y, t.role))
+            parts.append(_band(xs, t.band, x, y, t.role))
     for t in chart.traces:
-        parts += _trace(chart.x, t, x, y)
+        parts += _trace(xs, t, x, y)
     said = "; ".join(t.label for t in chart.traces)
-    return tag(
-        "svg",
-        *parts,
-        viewBox=f"0 0 {width} {height}",
-        class_=class_,
-        role="img",
-        aria_label=f"{chart.title}: {said} over {chart.x_label}",
-    )
+    return drawn(parts, width, height, f"{chart.title}: {said} over {chart.x_label}", class_)
+
+
+def drawn(
+    parts: Iterable[Html], width: int, height: int, said: str, class_: str, **more: str
+) -> Html:
+    """A picture of ``width`` by ``height`` units, and what is ``said`` where it cannot be seen."""
+    box = f"0 0 {width} {height}"
+    return tag("svg", *parts, viewBox=box, **more, class_=class_, role="img", aria_label=said)
 
 
 def y_axis(chart: Chart, start: float, end: float) -> Axis:
@@ -140,11 +146,8 @@ def _hbars(chart: Ranking) -> Html:
         parts.append(_line(x(line), 2, x(line), height - bottom, "level"))
     parts.append(_words(width / 2, height - 6, chart.x_label, "middle"))
     said = "; ".join(f"{name} {number(value)}" for name, value, _ in shown)
-    drawn = tag(
-        "svg", *parts, viewBox=f"0 0 {width} {height}", class_="chart-svg", role="img",
-        aria_label=f"{chart.title}: {said}",
-    )  # fmt: skip
-    return tag("figure", tag("figcaption", text(chart.title)), drawn, class_="figure")
+    picture = drawn(parts, width, height, f"{chart.title}: {said}", "chart-svg")
+    return tag("figure", tag("figcaption", text(chart.title)), picture, class_="figure")
 
 
 # ---- parts --------------------------------------------------------------------------------------
@@ -159,47 +162,41 @@ def _columns(chart: Chart) -> int:
     return sum(1 + 2 * (t.band is not None) for t in chart.traces)
 
 
-def _finite(values: Iterable[float | None]) -> list[float]:
-    return [v for v in values if v is not None and math.isfinite(v)]
+def _finite(*several: Numbers | Band) -> Array:
+    """All values that are finite."""
+    values: Array = np.concatenate([np.zeros(0), *(column(one).ravel() for one in several)])
+    return values[np.isfinite(values)]
 
 
-def _xs(chart: Chart) -> list[float]:
-    values = _finite(chart.x)
-    for t in chart.traces:
-        if t.width is not None:
-            for at, half in zip(chart.x, t.width, strict=True):
-                if at is not None and half is not None:
-                    values += [at - half, at + half]
-    return values
+def _xs(chart: Chart) -> Array:
+    """Values of x, with the ends of bars about them."""
+    x = column(chart.x)
+    widths = [column(t.width) for t in chart.traces if t.width is not None]
+    return _finite(x, *(x - half for half in widths), *(x + half for half in widths))
 
 
-def _ys(chart: Chart) -> list[float]:
+def _ys(chart: Chart) -> Array:
     """Values that must be seen; a band may leave the picture where it is far wider than its curves."""
-    values, around = list(chart.level), []
+    seen: list[Numbers] = [chart.level, *(t.y for t in chart.traces)]
     for t in chart.traces:
-        ys = _finite(t.y)
-        values += ys
         if t.kind == "bars" and "y" not in chart.log:
-            values.append(0.0)
+            seen.append((0.0,))
         if t.reach is not None:
-            for at, half in zip(t.y, t.reach, strict=True):
-                if at is not None and half is not None:
-                    values += [at - half, at + half]
-        if t.band is not None:
-            around += _finite(t.band[0]) + _finite(t.band[1])
-    if not around:
-        return values
-    if not values:
-        return around
-    middle, span = 0.5 * (min(values) + max(values)), max(values) - min(values)
-    reach = 2.0 * span if span > 0.0 else math.inf
-    return values + [min(max(v, middle - reach), middle + reach) for v in around]
+            seen += [column(t.y) - column(t.reach), column(t.y) + column(t.reach)]
+    values = _finite(*seen)
+    around = _finite(*(t.band for t in chart.traces if t.band is not None))
+    if values.size and around.size:
+        low, high = float(values.min()), float(values.max())
+        middle, reach = 0.5 * (low + high), 2.0 * (high - low) or math.inf
+        around = np.clip(around, middle - reach, middle + reach)
+    return np.concatenate([values, around])
 
 
-def _axis(values: list[float], start: float, end: float, log: bool, room: float) -> Axis:
+def _axis(values: Array, start: float, end: float, log: bool, room: float) -> Axis:
     if log:
-        values = [v for v in values if v > 0.0]
-    low, high = (min(values), max(values)) if values else (1.0 if log else 0.0, 1.0)
+        values = values[values > 0.0]
+    empty = (1.0 if log else 0.0, 1.0)
+    low, high = (float(values.min()), float(values.max())) if values.size else empty
     if log:
         low = max(low, high * LOG_RANGE)
         if not high > low:
@@ -227,92 +224,78 @@ def _grid(chart: Chart, x: Axis, y: Axis, width: int, height: int) -> Iterable[H
     )  # fmt: skip
 
 
-def _trace(xs: Numbers, t: Trace, x: Axis, y: Axis) -> list[Html]:
-    inside = _clipped(y)
-    points = [
-        None
-        if a is None or b is None or not (_drawable(a, x) and _drawable(b, y))
-        else (x(a), inside(y(b)))
-        for a, b in zip(xs, t.y, strict=True)
-    ]
-    parts = []
-    if t.width is not None and t.kind == "bars":
-        base = y(y.low if y.log else max(min(0.0, y.high), y.low))
-        for at, half, p in zip(xs, t.width, points, strict=True):
-            if p is not None and at is not None and half is not None:
-                left, right = x(at - half), x(at + half)
-                top, bottom = sorted((p[1], base))
-                parts.append(
-                    tag("rect", x=_n(left + 0.5), y=_n(top), width=_n(max(right - left - 1.0, 0.5)),
-                        height=_n(max(bottom - top, 0.5)), class_=f"bar r-{t.role}")
-                )  # fmt: skip
-        return parts
-    if t.width is not None or t.reach is not None:
-        for i, p in enumerate(points):
-            if p is None:
-                continue
-            at, value = xs[i], t.y[i]
-            half = t.width[i] if t.width is not None else None
-            if half is not None and at is not None:
-                parts.append(_line(x(at - half), p[1], x(at + half), p[1], f"curve r-{t.role}"))
-            up = t.reach[i] if t.reach is not None else None
-            if up is not None and value is not None:
-                ends = inside(y(value - up)), inside(y(value + up))
-                parts.append(_line(p[0], ends[0], p[0], ends[1], f"error r-{t.role}"))
+def _trace(xs: Array, t: Trace, x: Axis, y: Axis) -> list[Html]:
+    """One curve, and the bars about its points."""
+    ys = column(t.y)
+    across, down = _pixels(x, xs), _pixels(y, ys)
+    parts: list[Html] = []
+    if t.width is not None:
+        sides = [_pixels(x, xs + sign * column(t.width)) for sign in (-1.0, 1.0)]
+        if t.kind == "bars":
+            base = y(y.low if y.log else max(min(0.0, y.high), y.low))
+            return [
+                tag("rect", x=_n(left + 0.5), y=_n(min(top, base)), width=_n(max(right - left - 1.0, 0.5)),
+                    height=_n(max(abs(base - top), 0.5)), class_=f"bar r-{t.role}")
+                for left, right, top in _known(*sides, down)
+            ]  # fmt: skip
+        for left, right, at in _known(*sides, down):
+            parts.append(_line(left, at, right, at, f"curve r-{t.role}"))
+    if t.reach is not None:
+        ends = [_pixels(y, ys + sign * column(t.reach)) for sign in (-1.0, 1.0)]
+        for low, high, at in _known(*ends, across):
+            parts.append(_line(at, low, at, high, f"error r-{t.role}"))
     if t.kind == "points":
-        d = "".join(f"M{_n(p[0])} {_n(p[1])}h0" for p in points if p is not None)
-        dots = f"dots r-{t.role}" if len(points) > 120 else f"dots large r-{t.role}"
+        d = "".join(f"M{_n(a)} {_n(b)}h0" for a, b in _known(across, down))
+        dots = f"dots r-{t.role}" if len(xs) > 120 else f"dots large r-{t.role}"
         return [*parts, tag("path", d=d, class_=dots)]
-    return [
-        *parts,
-        tag(
-            "path", d=_path(points, t.kind == "steps"), class_=f"curve{' dash' * t.dash} r-{t.role}"
-        ),
-    ]
+    d, class_ = _path(across, down, t.kind == "steps"), f"curve{' dash' * t.dash} r-{t.role}"
+    return [*parts, tag("path", d=d, class_=class_)]
 
 
-def _path(points: Iterable[tuple[float, float] | None], steps: bool) -> str:
-    out, down, last = [], False, 0.0
-    for p in points:
-        if p is None:
-            down = False
-            continue
-        if down and steps:
-            out.append(f"H{_n(p[0])}V{_n(p[1])}")
-        else:
-            out.append(f"{'L' if down else 'M'}{_n(p[0])} {_n(p[1])}")
-        down, last = True, p[1]
-    return "".join(out) or f"M0 {_n(last)}"
+def _path(across: Array, down: Array, steps: bool) -> str:
+    out = []
+    for part in _stretches(across + down):
+        first, *others = zip(across[part], down[part], strict=True)
+        out.append(f"M{_n(first[0])} {_n(first[1])}")
+        out += [f"H{_n(a)}V{_n(b)}" if steps else f"L{_n(a)} {_n(b)}" for a, b in others]
+    return "".join(out) or "M0 0"
 
 
-def _band(xs: Numbers, band: tuple[Numbers, Numbers], x: Axis, y: Axis, role: str) -> Html:
+def _band(xs: Array, band: Band, x: Axis, y: Axis, role: str) -> Html:
     """The area between two curves, in one piece for each stretch without gaps."""
-    inside, pieces = _clipped(y), []
-    run: list[tuple[float, float, float]] = []
-
-    def close() -> None:
-        if len(run) > 1:
-            upper = "L".join(f"{_n(a)} {_n(high)}" for a, _, high in run)
-            lower = "L".join(f"{_n(a)} {_n(low)}" for a, low, _ in reversed(run))
-            pieces.append(f"M{upper}L{lower}Z")
-        run.clear()
-
-    for at, low, high in zip(xs, *band, strict=True):
-        if at is None or low is None or high is None:
-            close()
-            continue
-        run.append((x(at), inside(y(max(low, y.low))), inside(y(min(high, y.high)))))
-    close()
+    across = _pixels(x, xs)
+    low, high = (_pixels(y, end) for end in np.clip(column(band), y.low, y.high))
+    pieces = []
+    for part in _stretches(across + low + high):
+        if len(part) > 1:
+            upper, lower = (
+                [f"{_n(a)} {_n(b)}" for a, b in zip(across[part], end[part], strict=True)]
+                for end in (high, low)
+            )
+            pieces.append(f"M{'L'.join([*upper, *reversed(lower)])}Z")
     return tag("path", d="".join(pieces) or "M0 0", class_=f"band r-{role}")
 
 
-def _drawable(value: float, axis: Axis) -> bool:
-    return math.isfinite(value) and (value > 0.0 or not axis.log)
+def _pixels(axis: Axis, values: Array) -> Array:
+    """Where values are drawn, at its ends what lies beyond them; NaN where nothing is."""
+    shown = np.isfinite(values) & ((values > 0.0) | (not axis.log))
+    out = np.full(len(values), np.nan)
+    out[shown] = axis(values[shown]).clip(*sorted((axis.start, axis.end)))
+    return out
 
 
-def _clipped(y: Axis) -> Callable[[float], float]:
-    low, high = sorted((y.start, y.end))
-    return lambda pixel: min(max(pixel, low), high)
+def _known(*columns: Array) -> list[list[float]]:
+    """Rows of columns (n,) in which there is no gap."""
+    rows = np.column_stack(columns)
+    kept: list[list[float]] = rows[~np.isnan(rows).any(axis=1)].tolist()
+    return kept
+
+
+def _stretches(values: Array) -> list[NDArray[np.intp]]:
+    """Rows (k,) of each stretch of values (n,) without a gap."""
+    rows = np.flatnonzero(np.isfinite(values))
+    every = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    return [part for part in every if part.size]
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, class_: str) -> Html:

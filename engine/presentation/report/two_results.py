@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from engine.presentation.report.chart import Chart, Trace
-from engine.presentation.report.comparison import TIME, clocked
+from engine.presentation.report.comparison import clocked, over_time
 from engine.presentation.report.html import Html, bullets, join, table, tag
 from engine.presentation.report.parts import (
     Document,
@@ -34,10 +34,8 @@ def comparison_report(c: Document, names: Sequence[str], draw: Drawer) -> Report
     ``names`` are what the two results are called.
     """
     draw = clocked(draw, c["time_unit"])
-    figures = [
-        draw(
-            _overlaid(one, names, c["same_held_out" if one["what"] == "held-out" else "same_data"])
-        )
+    charts = [
+        _overlaid(one, names, c["same_held_out" if one["what"] == "held-out" else "same_data"])
         for one in c["curves"]
     ]
     return Report(
@@ -45,7 +43,7 @@ def comparison_report(c: Document, names: Sequence[str], draw: Drawer) -> Report
         join([_numbers(c, names), bullets(comparison_notes(c, names), "hint")]),
         (
             *section("parameters", "Parameters", _parameters(c, names)),
-            *section("curves", "Curves", grid(figures)),
+            *section("curves", "Curves", grid(charts, draw)),
         ),
     )
 
@@ -68,13 +66,9 @@ def _numbers(c: Document, names: Sequence[str]) -> Html:
         rows.append((f"held-out error of {output}, rms", *sizes, said))
     densities = [(one or {}).get("log_density") for one in c["held_out"]]
     difference = _difference(densities, c["same_held_out"])
-    rows.append(
-        (
-            "held-out log-density",
-            *("" if one is None else number(one, 6) for one in densities),
-            "" if difference is None else number(difference, 4),
-        )
-    )
+    gained = "" if difference is None else number(difference, 4)
+    logs = ["" if one is None else number(one, 6) for one in densities]
+    rows.append(("held-out log-density", *logs, gained))
     shown = [row for row in rows if any(cell != "" for cell in row[1:])]
     return table(("", *names, "difference"), shown, "numbers")
 
@@ -159,4 +153,4 @@ def _overlaid(one: Document, names: Sequence[str], same: bool | None) -> Chart:
     title = SAID[one["what"]].format(one["name"])
     if one["series"]:
         title += f", series {one['series'] + 1}"
-    return Chart(title, TIME, label(one["name"], one["unit"]), one["t"], tuple(traces), wide=True)
+    return over_time(title, label(one["name"], one["unit"]), one["t"], *traces, wide=True)

@@ -18,10 +18,15 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from engine.data import nile
-from engine.data.files import read_series, read_series_bytes, write_series
+from engine.data.files import read_series, read_table, series_from, write_series
 from engine.data.series import Series
 from engine.data.tables import read_mat
 from engine.errors import SeriesError
+
+
+def read_series_bytes(data, filename, **columns):
+    """What an upload makes of a file."""
+    return series_from(read_table(data, filename), **columns)
 
 
 def npz(**arrays):

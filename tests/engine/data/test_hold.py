@@ -10,13 +10,18 @@ from scipy.integrate import solve_ivp
 
 import engine
 from engine import Gaussian, MixedModel, Parameter, Series
-from engine.data.files import csv_text, read_series, read_series_bytes, write_series
+from engine.data.files import csv_text, read_series, read_table, series_from, write_series
 from engine.errors import OptionError, SeriesError
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.registry import get_model
 from engine.statespace.general import as_nonlinear
 
 HOLDS = ("zoh", "foh", "past")
+
+
+def read_series_bytes(data, filename, **columns):
+    """What an upload makes of a file."""
+    return series_from(read_table(data, filename), **columns)
 
 
 def bent(a, u, t, dt, theta):

@@ -254,5 +254,5 @@ def test_the_probability_falls_as_the_alarm_needs_more():
     assert np.all(np.diff(p) <= 0.0)
     assert p[0] > p[-1]
     known = NoiseRoom(np.eye(40), np.zeros((0, 40)), np.zeros(0, dtype=bool))
-    sure = replace(own, noises=(known,) * len(own.noises))
+    sure = replace(own, rivals=tuple(replace(one, noise=known) for one in own.rivals))
     assert sure.probability(40, demand, Alarm(5.0), 0) > own.probability(40, demand, Alarm(5.0), 0)

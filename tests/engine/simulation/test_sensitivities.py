@@ -10,7 +10,7 @@ import pytest
 import engine
 from engine.simulation import whole_record
 from engine.simulation.free_run import first_state, run_rows
-from engine.simulation.sensitivities import sensitivities
+from engine.simulation.sensitivities import Along
 from engine.statespace.promotion import promote
 from tests.engine.simulation.free_run_models import pendulum, van_der_pol
 from tests.engine.simulation.test_whole_record import in_other_units, record_of
@@ -38,7 +38,7 @@ def both(model, series, theta=None, states=None):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(whole_record, "SHORTEST", np.inf)
         y_all, x_all = run_rows(model, thetas, series, x)
-    found = sensitivities(model, vector, series, x_all[:, 0], free, states, h)
+    found = Along(model, vector, series, x_all[:, 0]).by(free, states, h)
     slopes = [
         np.swapaxes((v[:, 1::2] - v[:, 2::2]) / np.array(reach)[:, None], 1, 2)
         for v in (y_all, x_all)
@@ -113,9 +113,7 @@ def test_in_other_units(k):
     for m, s in ((model, series), (scaled, there)):
         x1, _ = first_state(m, m.theta())
         x = whole_record.whole_record(m, m.record(m.theta()), s, x1)
-        found.append(
-            sensitivities(m, np.asarray(m.theta()), s, x, states, states, np.full(2, 1e-5))
-        )
+        found.append(Along(m, np.asarray(m.theta()), s, x).by(states, states, np.full(2, 1e-5)))
     per = np.array([1.0, 1.0, 1 / size, size])
     known, other = found[0][0], found[1][0] / size / per
     assert np.abs(other - known).max() <= 1e-6 * np.abs(known).max()
