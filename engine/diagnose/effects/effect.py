@@ -73,9 +73,9 @@ class Effect:
         jumps = self.traits.course in (Course.STEP, Course.PULSE)
         return (self.parameters[1].name,) if jumps else ()
 
-    def from_elsewhere(self, at: Sequence[float]) -> bool:
+    def from_elsewhere(self, at: Sequence[float] | Array) -> bool:
         """Whether ``at``, one of the probes, counts from elsewhere than where its zero is held."""
-        return self.zero in self.held and at[-1] != self.probes[0][-1]
+        return self.zero in self.held and bool(at[-1] != self.probes[0][-1])
 
     def with_free_zero(self) -> Effect:
         """The same effect with the zero it counts from estimated too."""
