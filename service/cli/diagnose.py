@@ -34,9 +34,7 @@ class Asked(Experiment):
     command: ClassVar[str] = "diagnose"
     result: ClassVar[str] = "diagnosis"
     same_version: ClassVar[bool] = True
-    data: list[str]
     extra: list[str] = field(default_factory=list)
-    test: list[str] = field(default_factory=list)
     alpha: float = 0.05
     consider: list[str] = field(default_factory=list)
     max_effects: int = 3

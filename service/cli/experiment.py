@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from engine.models.files import in_file
 from service.cli.files import Columns
 from service.cli.meter import Meter
+from service.cli.options import PATHS, full
 from service.cli.references import absolute
 from service.cli.state_file import Sealed, StateFile, keep_old
 from service.cli.values import names, numbers, pairs
@@ -48,7 +50,8 @@ class Run(Sealed):
 class Experiment(Run):
     """The same of an estimation or a diagnosis."""
 
-    data: list[str] = field(default_factory=list)
+    data: list[str]
+    test: list[str] = field(default_factory=list)
     effects: list[str] = field(default_factory=list)
     start: dict[str, float] = field(default_factory=dict)
     fixed: dict[str, float] = field(default_factory=dict)
@@ -73,28 +76,26 @@ class Experiment(Run):
         return {**labels, "created": datetime.now(UTC).isoformat(timespec="seconds"), **document}
 
 
-def parsed(
-    model: str,
-    effects: list[str],
-    values: Sequence[str],
-    fixed: Sequence[str],
-    free: Sequence[str],
-    columns: Sequence[str],
-    clock: Mapping[str, Any],
-    hold: str | None,
-    seed: int,
-    outputs: Mapping[str, str],
-) -> dict[str, Any]:
-    """Members of :class:`Experiment` from the texts of options; ``clock`` as it is. Errors name the option."""
-    return {
-        "model": absolute(model),
-        "effects": effects,
-        "start": numbers("--set", values),
-        "fixed": numbers("--fix", fixed),
-        "free": names(free),
-        "columns": pairs("--map", columns),
-        **clock,
-        "hold": hold,
-        "seed": seed,
-        **outputs,
-    }
+R = TypeVar("R", bound=Run)
+# How the values of options become members; all others stay as they are.
+_READ: dict[str, Callable[[Any], Any]] = {
+    "model": absolute,
+    "start": partial(numbers, "--set"),
+    "fixed": partial(numbers, "--fix"),
+    "columns": partial(pairs, "--map"),
+    **dict.fromkeys(("free", "tags", "extra", "consider"), names),
+    **dict.fromkeys(("data", "test"), lambda paths: [full(path) for path in paths]),
+    **dict.fromkeys(PATHS, full),
+}
+
+
+def asked_of(kind: type[R], options: Mapping[str, Any]) -> R:
+    """What a command was asked, from the values of those options that have a member's name.
+
+    Errors name the option.
+    """
+    members: dict[str, Any] = {}
+    for name in {one.name for one in fields(kind)}.intersection(options):
+        if (value := options[name]) is not None:
+            members[name] = _READ[name](value) if name in _READ else value
+    return kind(**members)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,8 +27,6 @@ class Asked(Experiment):
 
     command: ClassVar[str] = "fit"
     result: ClassVar[str] = "estimation"
-    data: list[str]
-    test: list[str] = field(default_factory=list)
     method: str = "quasi-newton"
     first: str = "none"
     particles: int = 50
