@@ -68,11 +68,7 @@ def router(store: Store, keys: Keys) -> APIRouter:
         if prefers_html(http.headers.get("Accept", "")):
             return _file(row, thin_results(document, FILE_POINTS))
         made, draw = _on_page(document)
-        sections = [ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections]
-        parts = ReportOut(
-            title=made.title, summary=made.summary, sections=sections, charts=draw.charts
-        )
-        return with_etag(http, parts.model_dump_json().encode())
+        return report_parts(http, made, draw)
 
     @api.get(
         "/jobs/{job_id}/charts",
@@ -122,14 +118,26 @@ def _tasks(row: Any, names: list[str], store: Store) -> list[TaskOut]:
 def _file(row: Any, document: dict[str, Any]) -> Response:
     """The report as a file to keep. Raises Problem where there is nothing to report."""
     about = {"job": row.id, "kind": row.kind, "model": row.model, "finished": _time(row.finished)}
-    headers = {
-        "Content-Security-Policy": FILE_POLICY,
-        "Content-Disposition": f'inline; filename="{row.kind}-{row.id[:8]}.html"',
-    }
     try:
-        return Response(report_html(document, about), headers=headers, media_type="text/html")
+        return report_file(report_html(document, about), f"{row.kind}-{row.id[:8]}.html")
     except OptionError as error:
         raise Problem(404, "no-report", str(error)) from None
+
+
+def report_parts(http: HttpRequest, made: Report, draw: OnPage) -> Response:
+    """A report in parts, for a page that draws its charts."""
+    sections = [ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections]
+    parts = ReportOut(title=made.title, summary=made.summary, sections=sections, charts=draw.charts)
+    return with_etag(http, parts.model_dump_json().encode())
+
+
+def report_file(text: str, name: str) -> Response:
+    """A report as one HTML file."""
+    headers = {
+        "Content-Security-Policy": FILE_POLICY,
+        "Content-Disposition": f'inline; filename="{name}"',
+    }
+    return Response(text, headers=headers, media_type="text/html")
 
 
 def _time(seconds: float | None) -> str:
