@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,10 +18,16 @@ from service import designs, strict_json, validation
 from service.cli import references
 from service.cli.ending import about_file, wrong
 from service.cli.experiment import Run
-from service.cli.meter import meter
-from service.cli.outputs import check_outputs, kept_if_not_written, output_path, say_written
+from service.cli.meter import Meter, meter
+from service.cli.outputs import (
+    check_outputs,
+    kept_if_not_written,
+    output_path,
+    say_written,
+    state_path,
+)
 from service.cli.parts import Kept
-from service.cli.state_file import StateFile, beside, can_be, read
+from service.cli.state_file import StateFile, read
 from service.cli.values import about, numbers
 from service.schemas import ModelReference
 
@@ -48,17 +54,11 @@ class Asked(Run):
 
 def design(wanted: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     """A new design; its state goes to ``state`` or beside the output."""
-    named = wanted.diagnosis or wanted.model.partition(":")[0] or "rbps"
-    path = state or beside(wanted.out, f"{Path(named).stem}-design")
-    wanted.keep = state is not None
     _check(wanted)
-    output_path("--state", can_be(state, path))
-    with meter(quiet or as_json) as shown:
-        asked = _asked(wanted)
-        files = [name for name in (wanted.diagnosis, wanted.bounds) if name]
-        kept = Kept(wanted.begin(path, files, shown), shown)
-        found = _run(asked, wanted, kept)
-    _tell(found, wanted, kept, as_json)
+    named = wanted.diagnosis or wanted.model.partition(":")[0] or "rbps"
+    path = state_path(wanted, state, f"{Path(named).stem}-design")
+    files = [name for name in (wanted.diagnosis, wanted.bounds) if name]
+    _work(wanted, lambda shown: Kept(wanted.begin(path, files, shown), shown), as_json, quiet)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
@@ -66,11 +66,17 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     wanted, rows, left = read(path, Asked)
     wanted.change(changes)
     _check(wanted)
+    _work(wanted, lambda shown: Kept(StateFile(path, wanted), shown, rows, left), as_json, quiet)
+
+
+def _work(wanted: Asked, begun: Callable[[Meter], Kept], as_json: bool, quiet: bool) -> None:
+    """Make the design from where its parts have ``begun``, and tell; interrupted, what is done is saved."""
     with meter(quiet or as_json) as shown:
         asked = _asked(wanted)
-        kept = Kept(StateFile(path, wanted), shown, dict(left), int(rows[0, 0]))
-        shown.note(f"going on at {kept.percent} %")
-        found = _run(asked, wanted, kept)
+        kept = begun(shown)
+        shown.begin(designs.PROGRESS_STEPS, kept.percent, timed=False)
+        with kept.going(kept.interrupted):
+            found = asked.designed(wanted.tries, wanted.seed, designs.telling(kept.step), kept)
     _tell(found, wanted, kept, as_json)
 
 
@@ -78,13 +84,6 @@ def _check(wanted: Asked) -> None:
     """Refuse files that cannot be written before any time is spent."""
     check_outputs(wanted, ".csv")
     output_path("--shortest", Path(wanted.shortest) if wanted.shortest else None, (".csv",))
-
-
-def _run(asked: engine.design.Asked, wanted: Asked, kept: Kept) -> Design:
-    """The design; when it is interrupted, what is done is saved."""
-    kept.shown.begin(designs.PROGRESS_STEPS, kept.percent, timed=False)
-    with kept.going(kept.interrupted):
-        return asked.designed(wanted.tries, wanted.seed, designs.telling(kept.step), kept)
 
 
 def _asked(wanted: Asked) -> engine.design.Asked:

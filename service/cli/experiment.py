@@ -9,13 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from engine.data.series import Series
 from engine.models.files import in_file
-from service.cli.files import Columns
+from engine.statespace.model import MixedModel, Theta
+from service.cli.files import Columns, series_of
 from service.cli.meter import Meter
 from service.cli.options import PATHS, full
-from service.cli.references import absolute
+from service.cli.references import absolute, model_of, with_effects
 from service.cli.state_file import Sealed, StateFile, keep_old
-from service.cli.values import names, numbers, pairs
+from service.cli.values import free_of, names, numbers, pairs, theta_of
 
 
 @dataclass(kw_only=True)
@@ -46,6 +48,18 @@ class Run(Sealed):
         self.check()
 
 
+@dataclass(frozen=True)
+class Job:
+    """What is computed with; ``name`` is that of the registered model, ``free`` None for all parameters."""
+
+    name: str
+    model: MixedModel
+    series: list[Series]
+    test: list[Series]
+    theta: Theta
+    free: list[str] | None
+
+
 @dataclass(kw_only=True)
 class Experiment(Run):
     """The same of an estimation or a diagnosis."""
@@ -62,9 +76,20 @@ class Experiment(Run):
     name: str = ""
     tags: list[str] = field(default_factory=list)
 
-    def of_columns(self, extra: Sequence[str] = ()) -> Columns:
-        """Which columns of the data are which."""
-        return Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
+    def job(self, shown: Meter, extra: Sequence[str] = ()) -> Job:
+        """The model and the data, read from their files; what was read as what is shown."""
+        base = model_of(self.model)
+        columns = Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
+        every = []
+        for name in (*self.data, *self.test):
+            series, said = series_of(Path(name), base, columns)
+            shown.note(said)
+            every.append(series)
+        model = with_effects(base, self.effects, every[0])
+        theta = theta_of(model, self.start, self.fixed)
+        free = free_of(model, self.free, list(self.fixed))
+        n = len(self.data)
+        return Job(base.name, model, every[:n], every[n:], theta, free)
 
     def labelled(self, document: dict[str, Any]) -> dict[str, Any]:
         """The document with what tells it apart from others."""

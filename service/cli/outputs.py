@@ -14,7 +14,7 @@ from engine.presentation.report import write_report
 from service import strict_json
 from service.cli.ending import about_file, wrong
 from service.cli.experiment import Experiment, Run
-from service.cli.state_file import StateFile
+from service.cli.state_file import StateFile, beside
 from service.cli.values import about
 
 
@@ -32,6 +32,16 @@ def check_outputs(wanted: Run, suffix: str = ".json") -> None:
     output_path("--out", Path(wanted.out) if wanted.out else None, (suffix,))
     output_path("--report", Path(wanted.report) if wanted.report else None, (".html", ".htm"))
     figure_folder("--plot", Path(wanted.plot) if wanted.plot else None)
+
+
+def state_path(wanted: Run, state: Path | None, name: str) -> Path:
+    """Where the state of a new run goes: ``state``, else a file of that name beside the output."""
+    wanted.keep = state is not None
+    path = state or beside(wanted.out, name)
+    output_path(
+        "--state", state or path.parent.parent / path.name
+    )  # its folder need not be there yet
+    return path
 
 
 def write_outputs(

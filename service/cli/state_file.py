@@ -94,7 +94,12 @@ class StateFile:
         self._save_at = now + max(SAVE_SECONDS, SAVE_TIMES * (now - began))
 
     def remove(self) -> None:
-        """Remove a state that no run can go on with, and the folder of states if it was the last."""
+        """Remove a state that no run can go on with, unless it was asked for by name.
+
+        The folder of states goes with the last of them.
+        """
+        if self.asked.keep:
+            return
         self.path.unlink(missing_ok=True)
         if self.path.parent.name == FOLDER:
             with suppress(OSError):  # others are in it
@@ -126,10 +131,8 @@ def read(path: Path, kind: type[Asked]) -> tuple[Asked, Array, list[Any]]:
     """What was asked of the command, its rows (k, n) or (0, 0), and what else it left."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            stored_request, rows = (
-                json.loads(str(stored["asked"])),
-                np.asarray(stored["rows"], dtype=float),
-            )
+            stored_request = json.loads(str(stored["asked"]))
+            rows = np.asarray(stored["rows"], dtype=float)
             left = json.loads(stored["left"].tobytes())
         other = stored_request.get("command", "fit")  # the first that had one, and did not say so
         if other != kind.command:
@@ -154,11 +157,6 @@ def beside(out: str | None, otherwise: str) -> Path:
     """The state file's name where none is given: in a folder of their own beside the output, or here."""
     named = Path(out).with_suffix(".state") if out else Path(f"{otherwise}.state")
     return named.parent / FOLDER / named.name
-
-
-def can_be(state: Path | None, path: Path) -> Path:
-    """The file to ask whether it can be written: that of a folder which there need not be yet."""
-    return path if state is not None else path.parent.parent / path.name
 
 
 def keep_old(path: Path) -> Path | None:
