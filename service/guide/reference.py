@@ -18,11 +18,8 @@ from engine.statespace.model import Gaussian, MixedModel, Parameter
 from engine.words import tidy
 
 WIDTH, HEIGHT, POINTS = 150, 60, 121
-SHIPPED = (
-    "oscillator",
-    "servo",
-    "tanks",
-)  # models whose channels show kinds that a single state cannot
+# models whose channels show kinds that a single state cannot
+SHIPPED = ("oscillator", "servo", "tanks")
 
 
 def effects() -> str:
