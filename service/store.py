@@ -44,20 +44,13 @@ from sqlalchemy.exc import IntegrityError, OperationalError
 from engine.statespace.model import Array
 from service.attempts import Attempts
 from service.db_schema import documents, in_lines, iterations, jobs, pulse, tasks
+from service.problems import Problem
 from service.strict_json import dumps
 from service.transitions import KEPT, add, add_tasks, end, forget, locked, put, resume
 
 ENDED = ("successful", "failed", "dismissed")
 # how many jobs of an owner, or of all (None), may wait or run
 Most = Sequence[tuple[str | None, int]]
-
-
-class KeyReused(Exception):  # noqa: N818 - it is the client that erred
-    """An idempotency key came with another request; the argument is the first job's id."""
-
-
-class QueueFull(Exception):  # noqa: N818 - as above
-    """So many jobs wait or run already; the argument is their number."""
 
 
 # By what a list of jobs can be sorted.
@@ -129,7 +122,7 @@ class Store(Attempts):
     ) -> str:
         """Put a job at the end of the queue; its id, or that of the job with the same key.
 
-        Raises KeyReused if that job's request was another, QueueFull beyond the limits ``most``.
+        Raises Problem 422 if that job's request was another, 429 beyond the limits ``most``.
         """
         now, job_id, text = time.time(), uuid.uuid4().hex, dumps(request)
         digest = hashlib.sha256(text.encode()).hexdigest()
@@ -331,7 +324,7 @@ class Store(Attempts):
     def resume(self, job_id: str, most: Most = ()) -> Row[Any] | None:
         """Put a failed or dismissed job back into the queue, if its data are still there; the job.
 
-        Raises QueueFull beyond the limits ``most``.
+        Raises Problem 429 beyond the limits ``most``.
         """
         with self._engine.begin() as sql:
             job = self._locked(sql, job_id)
@@ -394,7 +387,8 @@ def _by_key(sql: Connection, owner: str, key: str | None) -> Row[Any] | None:
 def _repeated(first: Row[Any], digest: str) -> str:
     """The id of the job that a repeated request asks for."""
     if first.digest != digest:
-        raise KeyReused(first.id)
+        detail = f"this Idempotency-Key came with another request, job {first.id}"
+        raise Problem(422, "idempotency-key-reused", detail)
     return str(first.id)
 
 
@@ -404,4 +398,5 @@ def _check_room(sql: Connection, most: Most) -> None:
         if owner is not None:
             query = query.where(jobs.c.owner == owner)
         if (sql.scalar(query) or 0) >= number:
-            raise QueueFull(number)
+            detail = f"{number} jobs wait or run already; try again later"
+            raise Problem(429, "queue-full", detail, retry_after=30)
