@@ -66,8 +66,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(BodyLimit, max_body=settings.max_body, seconds=settings.body_seconds)
     app.add_middleware(pages.PageHeaders)
     app.router.routes.extend(pages.routes(keys.needed))  # before the JSON calls
-    app.router.routes.extend(job_pages.page_routes(keys.needed))
-    app.router.routes.extend(comparison.page_routes(keys.needed))
     app.router.routes.extend(guide.routes(keys.needed))
     app.include_router(router(store, supervisor, settings, keys))
     app.include_router(job_pages.router(store, keys))

@@ -7,8 +7,6 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Depends, Query, Response
 from fastapi import Request as HttpRequest
-from starlette.requests import Request
-from starlette.routing import BaseRoute
 
 from engine.errors import OptionError
 from engine.presentation.report import OnPage, comparison_html, comparison_report
@@ -19,7 +17,7 @@ from service.etags import with_etag
 from service.job_pages import FILE_POINTS, report_file, report_parts
 from service.lookup import find_job, find_result
 from service.openapi import problem_answers
-from service.pages import Page, prefers_html, render
+from service.pages import prefers_html
 from service.problems import Problem
 from service.responses import ComparisonOut, ReportOut
 from service.serializers import job_status
@@ -28,15 +26,6 @@ from service.strict_json import dumps
 
 JobA = Annotated[str, Query(max_length=64, description="`jobID` of one job")]
 JobB = Annotated[str, Query(max_length=64, description="of the other")]
-
-
-def page_routes(keys_needed: bool) -> list[BaseRoute]:
-    """The page. Goes before the JSON calls."""
-
-    def compare(request: Request) -> Response:
-        return render("compare.html", keys_needed)
-
-    return [Page("/compare", compare)]
 
 
 def router(store: Store, keys: Keys) -> APIRouter:

@@ -1,4 +1,4 @@
-"""A job for people: its page, its report, and how far each of its computations is."""
+"""What the page of a job shows: its report, and how far each of its computations is."""
 
 import json
 from datetime import UTC, datetime
@@ -7,17 +7,15 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Response
 from fastapi import Request as HttpRequest
-from starlette.requests import Request
-from starlette.routing import BaseRoute, Route
 
 from engine.errors import OptionError
-from engine.presentation.report import RULES, OnPage, Report, make_report, report_html
+from engine.presentation.report import OnPage, Report, make_report, report_html
 from service.auth import Keys
 from service.downsample import thin_results
 from service.etags import with_etag
 from service.lookup import find_job, find_result, parameter_names
 from service.openapi import JobId, problem_answers
-from service.pages import Page, prefers_html, render
+from service.pages import prefers_html
 from service.problems import Problem, invalid
 from service.responses import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
 from service.stages import roles
@@ -29,18 +27,6 @@ From = Annotated[float, Query(alias="from", allow_inf_nan=False, description="ti
 To = Annotated[float, Query(alias="to", allow_inf_nan=False, description="a later time in seconds")]
 # A report has no script, loads nothing, and brings its own style.
 FILE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
-
-
-def page_routes(keys_needed: bool) -> list[BaseRoute]:
-    """The page of a job and the rules its results are drawn by. Goes before the JSON calls."""
-
-    def job(request: Request) -> Response:
-        return render("job.html", keys_needed)
-
-    def style(request: Request) -> Response:
-        return Response(RULES, media_type="text/css", headers={"Cache-Control": "no-cache"})
-
-    return [Page("/jobs/{job_id}", job), Route("/report.css", style)]
 
 
 def router(store: Store, keys: Keys) -> APIRouter:
