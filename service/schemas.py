@@ -371,56 +371,58 @@ Tests = Annotated[
 ]
 
 
-class EstimateRequest(_Labelled):
+class _Job(_Labelled):
+    """What every job is asked with."""
+
+    model: ModelChoice
+    run_seconds: RunSeconds = None
+
+
+class _OnData(_Job):
+    """What a job with measured data is asked with."""
+
+    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
+
+
+class EstimateRequest(_OnData):
     """Maximum-likelihood estimation of the free parameters."""
 
     kind: Literal["estimate"]
-    model: ModelChoice
-    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
     test: Tests = Field(
         default=[],
         description="held-out data, one series or several, on which the error of the estimate is measured",
     )
     parameters: EstimateParameters = EstimateParameters()
     options: EstimateOptions = EstimateOptions()
-    run_seconds: RunSeconds = None
 
 
-class SmoothRequest(_Labelled):
+class SmoothRequest(_OnData):
     """Means and standard deviations of all states at given parameters."""
 
     kind: Literal["smooth"]
-    model: ModelChoice
-    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
     parameters: FixedParameters = FixedParameters()
     options: SmoothOptions = SmoothOptions()
-    run_seconds: RunSeconds = None
 
 
-class SimulateRequest(_Labelled):
+class SimulateRequest(_Job):
     """The model's response to inputs at given parameters."""
 
     kind: Literal["simulate"]
-    model: ModelChoice
     series: Annotated[list[InputIn], _FIRST] = Field(default_factory=list)
     parameters: FixedParameters = FixedParameters()
     options: SimulateOptions = SimulateOptions()
-    run_seconds: RunSeconds = None
 
 
-class DiagnoseRequest(_Labelled):
+class DiagnoseRequest(_OnData):
     """What the model gets wrong on one or several series, why, and what an extension gains."""
 
     kind: Literal["diagnose"]
-    model: ModelChoice
-    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
     test: Tests = Field(
         default=[],
         description="held-out data, one series or several; none means the last fifth of the longest",
     )
     parameters: DiagnoseParameters = DiagnoseParameters()
     options: DiagnoseOptions = DiagnoseOptions()
-    run_seconds: RunSeconds = None
 
 
 class InformationIn(_Strict):
@@ -461,20 +463,16 @@ class DesignOptions(_Strict):
     seed: Seed = 0
 
 
-class DesignRequest(_Labelled):
+class DesignRequest(_Job):
     """The input within bounds that tells causes apart."""
 
     kind: Literal["design"]
-    model: ModelChoice
     series: Annotated[list[InputIn], _FIRST] = Field(
         default_factory=list, max_length=0, description="none is needed"
     )
     parameters: DiagnoseParameters = DiagnoseParameters()
     options: DesignOptions
-    run_seconds: RunSeconds = None
 
 
-JobRequest = Annotated[
-    EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest | DesignRequest,
-    Field(discriminator="kind"),
-]
+Request = EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest | DesignRequest
+JobRequest = Annotated[Request, Field(discriminator="kind")]

@@ -28,10 +28,11 @@ from service.schemas import (
     DesignRequest,
     DiagnoseRequest,
     EstimateRequest,
+    Request,
     SimulateRequest,
     SmoothRequest,
 )
-from service.validation import Prepared, Request
+from service.validation import Prepared
 
 # of a fit of the simulation: its starts, and the best one to its end
 SIMULATION_STEPS = REFINED + 2
