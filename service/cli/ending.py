@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import signal
 import sys
-import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -117,12 +115,10 @@ def _leave(end: Ending, as_json: bool) -> None:
 def _told(error: Exception) -> Ending:
     """What an exception means for the person at the terminal."""
     from engine.errors import EngineError, ModelError
-    from service.problems import Problem
+    from service.problems import Problem, unexpected
 
     if isinstance(error, Problem):
         return Ending(Code.FAILED, str(error), outcome=error.kind)
     if isinstance(error, EngineError):
         return Ending(Code.FAILED if isinstance(error, ModelError) else Code.WRONG, str(error))
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    where = f"{Path(frame.filename).name}, line {frame.lineno}, in {frame.name}"
-    return Ending(Code.FAILED, f"{type(error).__name__}: {error} ({where})")
+    return Ending(Code.FAILED, unexpected(error))
