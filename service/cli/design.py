@@ -16,8 +16,9 @@ from engine.presentation import plots
 from engine.presentation.report import write_report
 from service import designs, strict_json, validation
 from service.cli import references
-from service.cli.ending import about_file, wrong
+from service.cli.ending import wrong
 from service.cli.experiment import Run
+from service.cli.files import json_object
 from service.cli.meter import Meter, meter
 from service.cli.outputs import (
     check_outputs,
@@ -30,6 +31,8 @@ from service.cli.parts import Kept
 from service.cli.state_file import StateFile, read
 from service.cli.values import about, numbers
 from service.schemas import ModelReference
+
+NO_OBJECT = "this is no JSON object"
 
 
 @dataclass(kw_only=True)
@@ -110,7 +113,7 @@ def _of(wanted: Asked, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
             "theta": theta,
             "free": wanted.free or None,
         }
-    document = _read(Path(wanted.diagnosis))
+    document = json_object(Path(wanted.diagnosis), NO_OBJECT)
     if "rbps" in document:
         try:
             own = references.model_of(wanted.model) if wanted.model else None
@@ -142,21 +145,9 @@ def _of(wanted: Asked, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     }
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise wrong(about_file(error)) from None
-    except ValueError as error:
-        raise wrong(f"{path}: this is no JSON ({error})") from None
-    if not isinstance(document, dict):
-        raise wrong(f"{path}: an object is needed")
-    return document
-
-
 def _bounds(wanted: Asked) -> dict[str, Any]:
     """From the file and the options, which come on top of it."""
-    bounds = {} if wanted.bounds is None else _read(Path(wanted.bounds))
+    bounds = {} if wanted.bounds is None else json_object(Path(wanted.bounds), NO_OBJECT)
     for option, key, texts in (
         ("--input", "inputs", wanted.inputs),
         ("--limit", "states", wanted.states),

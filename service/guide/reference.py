@@ -90,22 +90,8 @@ def _added(one: Effect, model: MixedModel, axis: str) -> tuple[Array, Array] | N
             extended.upper,
         )
         x = np.linspace(0.0, 10.0, POINTS) if axis == "t" else np.linspace(-2.0, 2.0, POINTS)
-        a = np.zeros((POINTS, extended.na))
-        a[:, 0] = x if axis == "x" else 0.5
-        before: list[Array] = []
-        after: list[Array] = []
-        for k in range(POINTS):
-            u = np.full(model.nu, x[k] if axis == "u" else 0.0)
-            t = x[k] if axis == "t" else 0.0
-            for values_, which, record in (
-                (before, model, model.record(model.theta())),
-                (after, extended, extended.record(theta)),
-            ):
-                row = a[k : k + 1, : which.na]
-                f = which.transition(row, u, float(t), 0.1, record)[0][0, : model.nx]
-                h = which.observation(row, u, float(t), record)[0][0]
-                values_.append(np.concatenate([f, h]))
-        change = np.array(after) - np.array(before)
+        before = _run(model, model.theta(), axis, x, model)
+        change = _run(extended, theta, axis, x, model) - before
     except (EngineError, ValueError, IndexError, FloatingPointError):
         return None
     if change.shape[1] == 0 or not np.isfinite(change).all():
@@ -113,6 +99,20 @@ def _added(one: Effect, model: MixedModel, axis: str) -> tuple[Array, Array] | N
     column = int(np.argmax(np.ptp(change, axis=0)))
     y = change[:, column]
     return (x, y) if np.ptp(y) > 1e-9 else None
+
+
+def _run(one: MixedModel, theta: Array, axis: str, values: Array, base: MixedModel) -> Array:
+    """The base's next states and readings by a model, with ``values`` of the state, the input or time."""
+    rows, record = [], one.record(theta)
+    for value in values.tolist():
+        a = np.zeros((1, one.na))
+        a[0, 0] = value if axis == "x" else 0.5
+        u = np.full(base.nu, value if axis == "u" else 0.0)
+        t = value if axis == "t" else 0.0
+        f = one.transition(a, u, t, 0.1, record)[0][0, : base.nx]
+        h = one.observation(a, u, t, record)[0][0]
+        rows.append(np.concatenate([f, h]))
+    return np.array(rows)
 
 
 def _svg(x: Array, y: Array, axis: str) -> str:
