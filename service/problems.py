@@ -75,7 +75,7 @@ class Problem(Exception):  # noqa: N818 - the RFC's own word
         return JSONResponse(self.document(), self.status, self.headers, MEDIA_TYPE)
 
 
-def unexpected(error: Exception) -> str:
+def unexpected(error: BaseException) -> str:
     """What is said of an error that is none of the engine's, and where it was raised."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     where = f"{Path(frame.filename).name}, line {frame.lineno}, in {frame.name}"

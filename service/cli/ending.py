@@ -91,29 +91,26 @@ def guarded(as_json: bool) -> Iterator[None]:
     """Turn every exception into a message on stderr (and JSON on stdout) and an exit code."""
     try:
         yield
-    except Ending as end:
-        _leave(end, as_json)
-    except KeyboardInterrupt:
-        _leave(Ending(Code.INTERRUPTED, "interrupted"), as_json)
     except BrokenPipeError:
         raise  # typer's to handle: whoever read our output has left
-    except OSError as error:
-        _leave(wrong(about_file(error)), as_json)
-    except MemoryError:
-        _leave(Ending(Code.FAILED, "the computation needs more memory than there is"), as_json)
-    except Exception as error:  # noqa: BLE001 - a user's model may raise anything
-        _leave(_told(error), as_json)
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - a model may raise anything
+        end = _told(error)
+        if as_json:
+            print(json.dumps({"error": {"code": end.code, "message": str(end)} | end.more}))
+        print(f"rbps: {end}", file=sys.stderr)
+        raise typer.Exit(end.code) from None
 
 
-def _leave(end: Ending, as_json: bool) -> None:
-    if as_json:
-        print(json.dumps({"error": {"code": end.code, "message": str(end)} | end.more}))
-    print(f"rbps: {end}", file=sys.stderr)
-    raise typer.Exit(end.code)
-
-
-def _told(error: Exception) -> Ending:
+def _told(error: BaseException) -> Ending:
     """What an exception means for the person at the terminal."""
+    if isinstance(error, Ending):
+        return error
+    if isinstance(error, KeyboardInterrupt):
+        return Ending(Code.INTERRUPTED, "interrupted")
+    if isinstance(error, OSError):
+        return wrong(about_file(error))
+    if isinstance(error, MemoryError):
+        return Ending(Code.FAILED, "the computation needs more memory than there is")
     from engine.errors import EngineError, ModelError
     from service.problems import Problem, unexpected
 
