@@ -12,12 +12,9 @@ import engine
 from engine.design import INPUTS, Design, asked_of
 from engine.diagnose import Diagnosis
 from engine.errors import EngineError
-from engine.presentation import plots
-from engine.presentation.report import write_report
 from service import designs, strict_json, validation
 from service.cli import references
 from service.cli.ending import wrong
-from service.cli.experiment import Run
 from service.cli.files import json_object
 from service.cli.meter import Meter, meter
 from service.cli.outputs import (
@@ -26,9 +23,10 @@ from service.cli.outputs import (
     output_path,
     say_written,
     state_path,
+    write_shown,
 )
 from service.cli.parts import Kept
-from service.cli.state_file import StateFile, read
+from service.cli.state_file import Run, StateFile, read
 from service.cli.values import about, numbers
 from service.schemas import ModelReference
 
@@ -211,9 +209,4 @@ def _written(found: Design, wanted: Asked, document: dict[str, Any]) -> list[str
         written.append(str(found.to_csv(wanted.out)))
     if wanted.shortest and found.shortest is not None:
         written.append(str(found.to_csv(wanted.shortest, shortest=True)))
-    if wanted.report:
-        written.append(str(write_report(document, wanted.report, {"seed": wanted.seed})))
-    if wanted.plot:
-        plots.of_document(document).save(wanted.plot)
-        written.append(wanted.plot)
-    return written
+    return written + write_shown(wanted, document, {})

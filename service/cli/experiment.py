@@ -7,45 +7,16 @@ from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from engine.data.series import Series
-from engine.models.files import in_file
 from engine.statespace.model import MixedModel, Theta
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter
 from service.cli.options import PATHS, full
 from service.cli.references import absolute, model_of, with_effects
-from service.cli.state_file import Sealed, StateFile, keep_old
+from service.cli.state_file import Asked, Run
 from service.cli.values import free_of, names, numbers, pairs, theta_of
-
-
-@dataclass(kw_only=True)
-class Run(Sealed):
-    """What can be resumed, as it was asked for; paths are absolute."""
-
-    model: str
-    free: list[str] = field(default_factory=list)
-    dt: float | None = None
-    seed: int = 0
-    out: str | None = None
-    report: str | None = None
-    plot: str | None = None
-
-    def begin(self, path: Path, files: Sequence[str], shown: Meter) -> StateFile:
-        """The state file of a new run; an earlier one of that name is moved aside."""
-        model = in_file(self.model)
-        self.seal([*map(Path, files), *([model[0]] if model else [])])
-        aside = keep_old(path)
-        if aside is not None:
-            shown.note(f"an earlier {path.name} is kept as {aside.name}")
-        return StateFile(path, self)
-
-    def change(self, changes: Mapping[str, Any]) -> None:
-        """Take over what a resumed run may change, and refuse one whose files are not what they were."""
-        for name, value in changes.items():
-            setattr(self, name, value)
-        self.check()
 
 
 @dataclass(frozen=True)
@@ -101,7 +72,6 @@ class Experiment(Run):
         return {**labels, "created": datetime.now(UTC).isoformat(timespec="seconds"), **document}
 
 
-R = TypeVar("R", bound=Run)
 # How the values of options become members; all others stay as they are.
 _READ: dict[str, Callable[[Any], Any]] = {
     "model": absolute,
@@ -114,7 +84,7 @@ _READ: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def asked_of(kind: type[R], options: Mapping[str, Any]) -> R:
+def asked_of(kind: type[Asked], options: Mapping[str, Any]) -> Asked:
     """What a command was asked, from the values of those options that have a member's name.
 
     Errors name the option.

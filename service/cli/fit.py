@@ -84,20 +84,9 @@ def _prepare(asked: Asked, shown: Meter) -> Prepared:
         kind="estimate",
         model=ModelReference(name=job.name),
         parameters=EstimateParameters(),
-        options=options_of(asked),
+        options=EstimateOptions.model_validate(asked, from_attributes=True),
     )
     return Prepared(request, job.model, job.series, job.theta, job.free, job.test)
-
-
-def options_of(asked: Asked) -> EstimateOptions:
-    """The service's options."""
-    return EstimateOptions.model_validate(
-        {
-            name: getattr(asked, name)
-            for name in EstimateOptions.model_fields
-            if hasattr(asked, name)
-        }
-    )
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,8 +13,8 @@ from engine.presentation import plots
 from engine.presentation.report import write_report
 from service import strict_json
 from service.cli.ending import about_file, wrong
-from service.cli.experiment import Experiment, Run
-from service.cli.state_file import StateFile, beside
+from service.cli.experiment import Experiment
+from service.cli.state_file import Run, StateFile, beside
 from service.cli.values import about
 
 
@@ -71,12 +71,21 @@ def _write(wanted: Experiment, document: dict[str, Any], data: Sequence[str]) ->
         text = strict_json.dumps(wanted.labelled(document))
         Path(wanted.out).write_text(text + "\n", encoding="utf-8")
         written.append(wanted.out)
+    about_run = {"name": wanted.name, "tags": ", ".join(wanted.tags)}
+    about_run["data"] = ", ".join(Path(name).name for name in data)
+    return written + write_shown(wanted, plain, about_run)
+
+
+def write_shown(
+    wanted: Run, document: dict[str, Any], about_run: Mapping[str, object]
+) -> list[str]:
+    """Write the report and the figures that were asked for; the paths."""
+    written = []
     if wanted.report:
-        about_run: dict[str, object] = {"name": wanted.name, "tags": ", ".join(wanted.tags)}
-        about_run |= {"data": ", ".join(Path(name).name for name in data), "seed": wanted.seed}
-        written.append(str(write_report(plain, wanted.report, about_run)))
+        about_run = {**about_run, "seed": wanted.seed}
+        written.append(str(write_report(document, wanted.report, about_run)))
     if wanted.plot:
-        plots.of_document(plain).save(wanted.plot)
+        plots.of_document(document).save(wanted.plot)
         written.append(wanted.plot)
     return written
 
