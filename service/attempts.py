@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import accumulate
 from typing import Any
 
-from sqlalchemy import Connection, and_, delete, func, insert, or_, select, text
+from sqlalchemy import Connection, Select, and_, delete, func, insert, or_, select, text
 
 from engine.statespace.model import Array
 from service import transitions
@@ -40,6 +40,10 @@ class Attempts:
     def close(self) -> None:
         """Close the pooled connections."""
         self._engine.dispose()
+
+    def _rows(self, query: Select[Any]) -> Sequence[Any]:
+        with self._read.begin() as sql:
+            return sql.execute(query).all()
 
     @contextmanager
     def _own(self, attempt: Attempt, **values: Any) -> Iterator[Connection | None]:
@@ -75,9 +79,8 @@ class Attempts:
             )
             .limit(1)
         )
-        with self._read.begin() as sql:  # an idle service does not write
-            if sql.execute(first).first() is None:
-                return None
+        if not self._rows(first):  # an idle service does not write
+            return None
         with self._engine.begin() as sql:
             both = first.with_for_update(skip_locked=True, key_share=True, of=[jobs, tasks])
             task = sql.execute(both).first()
@@ -118,12 +121,6 @@ class Attempts:
                 locked(sql, seq)
                 transitions.take(sql, seq, token)
 
-    def running(self) -> int:
-        """How many tasks belong to an attempt, of whichever service."""
-        with self._read.begin() as sql:
-            query = select(func.count()).select_from(tasks).where(tasks.c.state == "running")
-            return int(sql.scalar(query) or 0)
-
     def renew(self, attempt: Attempt) -> bool:
         """One more heartbeat; False if the task is no longer this attempt's."""
         with self._engine.begin() as sql:
@@ -131,17 +128,12 @@ class Attempts:
 
     def beats(self) -> dict[str, int]:
         """The heartbeats of all attempts, of whichever service, by their tokens."""
-        with self._read.begin() as sql:
-            query = select(tasks.c.token, tasks.c.beat).where(tasks.c.state == "running")
-            return {row.token: row.beat for row in sql.execute(query)}
+        query = select(tasks.c.token, tasks.c.beat).where(tasks.c.state == "running")
+        return {row.token: row.beat for row in self._rows(query)}
 
     def holds(self, attempt: Attempt) -> bool:
         """Whether the task is still this attempt's; reads only."""
-        with self._read.begin() as sql:
-            found = sql.scalar(
-                select(func.count()).select_from(tasks).where(transitions.of(attempt))
-            )
-        return bool(found)
+        return bool(self._rows(select(tasks.c.token).where(transitions.of(attempt))))
 
     def record(
         self,

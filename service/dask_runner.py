@@ -77,7 +77,7 @@ class DaskRunner:
             self._running.clear()  # what still runs of these keeps its own heartbeat
         # Another service of this store, or one that was killed, may have attempts in the cluster too;
         # a task claimed beyond its places would be silent in Dask's queue.
-        return self._places - max(len(self._running), self._store.running())
+        return self._places - max(len(self._running), len(self._store.beats()))
 
     def running(self) -> int:
         """How many attempts there are."""

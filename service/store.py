@@ -30,7 +30,6 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Row,
-    Select,
     and_,
     delete,
     func,
@@ -159,10 +158,6 @@ class Store(Attempts):
             return _repeated(first, digest)
         return job_id
 
-    def _rows(self, query: Select[Any]) -> Sequence[Any]:
-        with self._read.begin() as sql:
-            return sql.execute(query).all()
-
     def job(self, job_id: str) -> Row[Any] | None:
         """One job, or None."""
         found: Sequence[Row[Any]] = self._rows(select(jobs).where(jobs.c.id == job_id))
@@ -203,24 +198,19 @@ class Store(Attempts):
 
     def statistics(self) -> dict[str, Any]:
         """Totals over all jobs there ever were, for the metrics."""
-        with self._read.begin() as sql:
-            oldest = sql.scalar(select(func.min(jobs.c.created)).where(jobs.c.status == "accepted"))
-            group = (jobs.c.kind, jobs.c.status)
-            seconds = func.sum(jobs.c.finished - jobs.c.started)
-            return {
-                "waiting": time.time() - oldest if oldest else 0.0,
-                "iterations": sql.scalar(select(func.coalesce(func.sum(jobs.c.iteration), 0))),
-                "durations": sql.execute(
-                    select(*group, func.count(), seconds)
-                    .where(jobs.c.finished.is_not(None), jobs.c.started.is_not(None))
-                    .group_by(*group)
-                ).all(),
-                "causes": sql.execute(
-                    select(jobs.c.cause, func.count())
-                    .where(jobs.c.cause.is_not(None))
-                    .group_by(jobs.c.cause)
-                ).all(),
-            }
+        waiting = select(func.min(jobs.c.created)).where(jobs.c.status == "accepted")
+        ((oldest,),) = self._rows(waiting)
+        ((done,),) = self._rows(select(func.coalesce(func.sum(jobs.c.iteration), 0)))
+        group = (jobs.c.kind, jobs.c.status)
+        seconds = jobs.c.finished - jobs.c.started  # null of what has not begun, or not ended
+        durations = select(*group, func.count(), func.sum(seconds)).where(seconds.is_not(None))
+        causes = select(jobs.c.cause, func.count()).where(jobs.c.cause.is_not(None))
+        return {
+            "waiting": time.time() - oldest if oldest else 0.0,
+            "iterations": done,
+            "durations": self._rows(durations.group_by(*group)),
+            "causes": self._rows(causes.group_by(jobs.c.cause)),
+        }
 
     def check(self) -> None:
         """Raise if the store cannot be written to."""
@@ -298,14 +288,12 @@ class Store(Attempts):
         """
         try:
             row = self._dismiss(job_id)
-            if row is not None and row.removed:
-                self._give_back()
-            return row
         except OperationalError:
             if not self._reserve.give_up():
                 raise
-        row = self._dismiss(job_id)
-        self._give_back()
+            row = self._dismiss(job_id)
+        if row is not None and row.removed:
+            self._give_back()
         self._reserve.fill()
         return row
 
