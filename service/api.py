@@ -40,14 +40,13 @@ from service.store import ENDED, Store, Which
 from service.strict_json import dumps
 from service.supervisor import Supervisor
 from service.uploads import with_files
-from service.validation import check_limits, dump, find_model, prepare
+from service.validation import check_limits, find_model, prepare
 
 
 def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys) -> APIRouter:
     """All calls, on a store."""
     api = APIRouter(
-        responses=problem_answers(*keys.refusals, 422),
-        route_class=json_route(settings.max_values),
+        responses=problem_answers(*keys.refusals, 422), route_class=json_route(settings.max_values)
     )
     Caller = Annotated[str, Depends(keys.dependency)]
     find = partial(find_job, store, keys)
@@ -64,7 +63,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         job_id = store.create(
             request.kind,
             job.model.name[:200],
-            dump(request),
+            request.model_dump(),
             stages.steps(job),
             stages.plan(request),
             request.run_seconds,
@@ -157,9 +156,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         return JobList(jobs=listed, links=links)
 
     @api.patch(
-        "/jobs/{job_id}",
-        summary="Give a job another name, other tags",
-        responses=unknown | unread,
+        "/jobs/{job_id}", summary="Give a job another name, other tags", responses=unknown | unread
     )
     def label(caller: Caller, job_id: JobId, labels: LabelsIn) -> JobStatus:
         row = find(job_id, caller)
@@ -174,10 +171,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         return with_etag(http, status.model_dump_json().encode(), headers)
 
     @api.get(
-        "/jobs/{job_id}/trace",
-        summary="Every iteration",
-        response_model=Trace,
-        responses=unknown,
+        "/jobs/{job_id}/trace", summary="Every iteration", response_model=Trace, responses=unknown
     )
     def job_trace(
         caller: Caller,

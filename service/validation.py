@@ -104,11 +104,6 @@ def load(document: Any) -> Prepared:
     return prepare(ADAPTER.validate_python(document))
 
 
-def dump(request: Request) -> Any:
-    """The request as JSON values, for the store."""
-    return ADAPTER.dump_python(request)
-
-
 def check_limits(request: Request, settings: Settings) -> None:
     """Raise Problem 422 where a request is larger than the settings allow."""
     samples = 0

@@ -147,11 +147,7 @@ def _holding(model: MixedModel, fixed: dict[str, float]) -> MixedModel:
 
 
 def _tell(
-    asked: Asked,
-    found: engine.Diagnosis,
-    document: dict[str, Any],
-    kept: Early,
-    as_json: bool,
+    asked: Asked, found: engine.Diagnosis, document: dict[str, Any], kept: Early, as_json: bool
 ) -> None:
     """Write the files and print the page; then the state is removed, unless --state named it."""
     written = write_outputs(asked, document, asked.data, kept)

@@ -19,12 +19,7 @@ from service.cli.outputs import check_outputs, say_written, state_path, write_ou
 from service.cli.state import Asked, Recorder
 from service.cli.state_file import StateFile, read
 from service.problems import Problem
-from service.schemas import (
-    EstimateOptions,
-    EstimateParameters,
-    EstimateRequest,
-    ModelReference,
-)
+from service.schemas import EstimateOptions, EstimateParameters, EstimateRequest, ModelReference
 from service.validation import Prepared
 
 
