@@ -141,13 +141,14 @@ def _entry(name: str, thing: Any) -> str:
     except (TypeError, ValueError):
         signature = ""
     text = inspect.getdoc(thing) or ""
+    is_class = inspect.isclass(thing)
     members = [
-        f"<h4>.{escape(key)}</h4><p>{escape((inspect.getdoc(value) or '').partition(chr(10))[0])}</p>"
-        for key, value in vars(thing).items()
-        if inspect.isclass(thing) and not key.startswith("_") and inspect.getdoc(value)
+        f"<h4>.{escape(key)}</h4><p>{escape(about.partition(chr(10))[0])}</p>"
+        for key, value in (vars(thing).items() if is_class else ())
+        if not key.startswith("_") and (about := inspect.getdoc(value))
         and (callable(value) or isinstance(value, property) or hasattr(value, "func"))
-    ] if inspect.isclass(thing) else []  # fmt: skip
-    kind = "class " if inspect.isclass(thing) else ""
+    ]  # fmt: skip
+    kind = "class " if is_class else ""
     return (
         f'<section id="{escape(name)}"><h3><code>{kind}engine.{escape(name)}</code></h3>'
         f'<pre class="small">{escape(name + signature)}</pre><pre>{escape(text)}</pre>'
