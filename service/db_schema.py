@@ -197,14 +197,11 @@ def _make_private(file: Path) -> None:
 
 
 def _missing(sql: Connection) -> list[Column[Any]]:
-    there = inspect(sql)
-    return [
-        column
-        for table in metadata.sorted_tables
-        for names in [{one["name"] for one in there.get_columns(table.name)}]
-        for column in table.columns
-        if column.name not in names
-    ]
+    there, missing = inspect(sql), []
+    for table in metadata.sorted_tables:
+        names = {one["name"] for one in there.get_columns(table.name)}
+        missing += [column for column in table.columns if column.name not in names]
+    return missing
 
 
 def _add_columns(engine: Engine) -> None:

@@ -149,7 +149,8 @@ def watch(store: Store, attempt: Attempt, settings: Settings, stopping: threadin
 def _started(store: Store, attempt: Attempt, settings: Settings) -> BaseProcess:
     """Spawn; the heartbeat goes on meanwhile, for a new forkserver has to load the engine first."""
     with ThreadPoolExecutor(1) as pool:
-        process = pool.submit(spawn, store.url, attempt, settings)
+        work = (store.url, attempt, settings.worker_memory, settings.own_models)
+        process = pool.submit(_start, main, work)
         while wait([process], settings.lease_seconds / 4).not_done:
             store.renew(attempt)
         return process.result()
@@ -171,11 +172,6 @@ def warm_up() -> None:
         process.join()
     if process.exitcode:
         log.error("no job will be computed: %s", _cause_of_end(process))
-
-
-def spawn(url: str, attempt: Attempt, settings: Settings) -> BaseProcess:
-    """A fresh process that works on an attempt."""
-    return _start(main, (url, attempt, settings.worker_memory, settings.own_models))
 
 
 def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
