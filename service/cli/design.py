@@ -192,7 +192,12 @@ def _tell(found: Design, wanted: Asked, kept: Kept, as_json: bool) -> None:
     """Write the files and print the table; then the state is removed, unless --state named it."""
     document = json.loads(strict_json.dumps(designs.document(found)))
     with kept_if_not_written(kept):
-        written = _written(found, wanted, document)
+        written = []
+        if wanted.out:
+            written.append(str(found.to_csv(wanted.out)))
+        if wanted.shortest and found.shortest is not None:
+            written.append(str(found.to_csv(wanted.shortest, shortest=True)))
+        written += write_shown(wanted, document, {})
     kept.settle()
     if as_json:
         print(strict_json.dumps(document))
@@ -201,12 +206,3 @@ def _tell(found: Design, wanted: Asked, kept: Kept, as_json: bool) -> None:
     say_written(written)
     if wanted.shortest and found.shortest is None:
         print("No shortest record was written: none reaches the probability that is wanted.")
-
-
-def _written(found: Design, wanted: Asked, document: dict[str, Any]) -> list[str]:
-    written = []
-    if wanted.out:
-        written.append(str(found.to_csv(wanted.out)))
-    if wanted.shortest and found.shortest is not None:
-        written.append(str(found.to_csv(wanted.shortest, shortest=True)))
-    return written + write_shown(wanted, document, {})

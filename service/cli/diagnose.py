@@ -122,7 +122,7 @@ def _interrupted(asked: Asked, kept: Early) -> Ending:
     """What is said at Ctrl-C; what is known so far goes where the result would have gone."""
     text, known = "", {} if kept.early is None else diagnoses.so_far(kept.early)
     if known:
-        written = write_outputs(replace(asked, plot=None), known, asked.data, kept)
+        written = write_outputs(replace(asked, plot=None), known, kept)
         text = "".join(f"\nWhat is known so far: {os.path.relpath(name)}" for name in written)
     return kept.interrupted(text, **({"early": kept.early} if known else {}))
 
@@ -150,7 +150,7 @@ def _tell(
     asked: Asked, found: engine.Diagnosis, document: dict[str, Any], kept: Early, as_json: bool
 ) -> None:
     """Write the files and print the page; then the state is removed, unless --state named it."""
-    written = write_outputs(asked, document, asked.data, kept)
+    written = write_outputs(asked, document, kept)
     kept.settle()
     if as_json:
         print(strict_json.dumps(document))

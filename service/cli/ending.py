@@ -30,10 +30,14 @@ CODES = (
 
 
 class Interrupt:
-    """Ctrl-C held back until :meth:`check`, as compiled code may swallow it; a second one is not held."""
+    """Ctrl-C held back until :meth:`check`, as compiled code may swallow it.
 
-    def __init__(self) -> None:
+    A second one is held only by one that is ``patient``.
+    """
+
+    def __init__(self, patient: bool = False) -> None:
         self.came = self.holding = False
+        self.patient = patient
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -64,7 +68,7 @@ class Interrupt:
 
     def _take(self, *_: Any) -> None:
         again, self.came = self.came, True
-        if again or not self.holding:
+        if not self.holding or (again and not self.patient):
             raise KeyboardInterrupt
 
 

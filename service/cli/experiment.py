@@ -33,7 +33,7 @@ class Job:
 
 @dataclass(kw_only=True)
 class Experiment(Run):
-    """The same of an estimation or a diagnosis."""
+    """What an estimation and a diagnosis have in common."""
 
     data: list[str]
     test: list[str] = field(default_factory=list)
@@ -64,12 +64,13 @@ class Experiment(Run):
 
     def labelled(self, document: dict[str, Any]) -> dict[str, Any]:
         """The document with what tells it apart from others."""
-        labels = {
+        return {
             "name": self.name,
             "tags": self.tags,
             "data": [Path(one).name for one in self.data],
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            **document,
         }
-        return {**labels, "created": datetime.now(UTC).isoformat(timespec="seconds"), **document}
 
 
 # How the values of options become members; all others stay as they are.
@@ -90,7 +91,7 @@ def asked_of(kind: type[Asked], options: Mapping[str, Any]) -> Asked:
     Errors name the option.
     """
     members: dict[str, Any] = {}
-    for name in {one.name for one in fields(kind)}.intersection(options):
-        if (value := options[name]) is not None:
+    for name in (one.name for one in fields(kind)):
+        if (value := options.get(name)) is not None:
             members[name] = _READ[name](value) if name in _READ else value
     return kind(**members)

@@ -143,7 +143,7 @@ def _tell(
     """Write the files and print the estimate; then remove a state that nothing can be resumed from."""
     one_run = asked.starts == 1 and not asked.bootstrap
     more = one_run and document["outcome"] == "iterations-used-up" and "trace" in document
-    written = write_outputs(asked, document, asked.data, recorder)
+    written = write_outputs(asked, document, recorder)
     if not more:
         recorder.file.remove()
     if as_json:

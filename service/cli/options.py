@@ -57,8 +57,7 @@ Columns = Annotated[
     ),
 ]  # fmt: skip
 TimeColumn = Annotated[
-    str | None,
-    typer.Option("--time", metavar="COLUMN", help="Column of times.  [t or time]"),
+    str | None, typer.Option("--time", metavar="COLUMN", help="Column of times.  [t or time]")
 ]
 Step = Annotated[
     float | None,
@@ -87,8 +86,7 @@ Seed = Annotated[
     ),
 ]
 Out = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", metavar="FILE.json", help="Write the result as JSON."),
+    Path | None, typer.Option("--out", "-o", metavar="FILE.json", help="Write the result as JSON.")
 ]
 Report = Annotated[
     Path | None,

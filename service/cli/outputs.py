@@ -38,18 +38,24 @@ def state_path(wanted: Run, state: Path | None, name: str) -> Path:
     """Where the state of a new run goes: ``state``, else a file of that name beside the output."""
     wanted.keep = state is not None
     path = state or beside(wanted.out, name)
-    output_path(
-        "--state", state or path.parent.parent / path.name
-    )  # its folder need not be there yet
+    # its own folder need not be there yet
+    output_path("--state", state or path.parent.parent / path.name)
     return path
 
 
-def write_outputs(
-    wanted: Experiment, document: dict[str, Any], data: Sequence[str], state: Kept
-) -> list[str]:
+def write_outputs(wanted: Experiment, document: dict[str, Any], state: Kept) -> list[str]:
     """Write what was asked for; the paths. Where that fails, ``state`` writes it without computing anew."""
+    about_run = {"name": wanted.name, "tags": ", ".join(wanted.tags)}
+    about_run["data"] = ", ".join(Path(name).name for name in wanted.data)
+    written = []
     with kept_if_not_written(state):
-        return _write(wanted, document, data)
+        if wanted.out:
+            text = strict_json.dumps(wanted.labelled(document))
+            Path(wanted.out).write_text(text + "\n", encoding="utf-8")
+            written.append(wanted.out)
+        plain = json.loads(strict_json.dumps(document))
+        written += write_shown(wanted, plain, about_run)
+    return written
 
 
 @contextmanager
@@ -62,18 +68,6 @@ def kept_if_not_written(state: Kept) -> Iterator[None]:
         raise wrong(
             f"{about_file(error)}. What was found is kept; once that is corrected:\n  {state.file.again}"
         ) from None
-
-
-def _write(wanted: Experiment, document: dict[str, Any], data: Sequence[str]) -> list[str]:
-    written = []
-    plain = json.loads(strict_json.dumps(document))
-    if wanted.out:
-        text = strict_json.dumps(wanted.labelled(document))
-        Path(wanted.out).write_text(text + "\n", encoding="utf-8")
-        written.append(wanted.out)
-    about_run = {"name": wanted.name, "tags": ", ".join(wanted.tags)}
-    about_run["data"] = ", ".join(Path(name).name for name in data)
-    return written + write_shown(wanted, plain, about_run)
 
 
 def write_shown(

@@ -11,11 +11,10 @@ import io
 import json
 import os
 import shlex
-import signal
 import time
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +24,7 @@ import numpy as np
 
 from engine.models.files import in_file
 from engine.statespace.model import Array
-from service.cli.ending import wrong
+from service.cli.ending import Interrupt, wrong
 from service.cli.meter import Meter
 
 FORMAT = 2
@@ -112,7 +111,7 @@ class StateFile:
     def save(self, rows: Array, left: Sequence[Any]) -> None:
         """Write the state; Ctrl-C waits meanwhile."""
         began = time.monotonic()
-        with _undisturbed():
+        with Interrupt(patient=True).held():
             write(self.path, self.asked, rows, left)
         now = time.monotonic()
         self._save_at = now + max(SAVE_SECONDS, SAVE_TIMES * (now - began))
@@ -181,16 +180,3 @@ def beside(out: str | None, otherwise: str) -> Path:
     """The state file's name where none is given: in a folder of their own beside the output, or here."""
     named = Path(out).with_suffix(".state") if out else Path(f"{otherwise}.state")
     return named.parent / FOLDER / named.name
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Hold Ctrl-C back until the file is written."""
-    came: list[Any] = []
-    before = signal.signal(signal.SIGINT, lambda *signal_: came.append(signal_))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
-        raise KeyboardInterrupt
