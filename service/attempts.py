@@ -65,18 +65,14 @@ class Attempts:
             .group_by(jobs.c.owner)
             .subquery()
         )
+        fewest = func.coalesce(busy.c.n, 0), func.coalesce(turns.c.turn, 0)
         first = (
             select(tasks, jobs.c.id, jobs.c.owner, jobs.c.status, jobs.c.run_seconds)
             .join(jobs, jobs.c.seq == tasks.c.job)
             .join(busy, busy.c.owner == jobs.c.owner, isouter=True)
             .join(turns, turns.c.owner == jobs.c.owner, isouter=True)
             .where(tasks.c.state == "queued")
-            .order_by(
-                func.coalesce(busy.c.n, 0),
-                func.coalesce(turns.c.turn, 0),
-                tasks.c.job,
-                tasks.c.task,
-            )
+            .order_by(*fewest, tasks.c.job, tasks.c.task)
             .limit(1)
         )
         if not self._rows(first):  # an idle service does not write
@@ -215,9 +211,8 @@ class Attempts:
             states = list(sql.scalars(select(tasks.c.state).where(tasks.c.job == attempt.job)))
             ends = list(accumulate(json.loads(job.stages)))
             last = attempt.task + 1 == ends[-1]
-            transitions.put(
-                sql, attempt.job, "result" if last else f"task-{attempt.task}", dumps(result)
-            )
+            left = "result" if last else f"task-{attempt.task}"
+            transitions.put(sql, attempt.job, left, dumps(result))
             if last:
                 name = documents.c.name
                 left_over = or_(name.startswith(KEPT), name == PRELIMINARY)

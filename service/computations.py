@@ -109,14 +109,13 @@ def fit_simulation(
 def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) -> dict[str, Any]:
     """The result document of a fit of the free run."""
     found, model = fit_simulation(job, options, progress), job.model
-    errors = found.standard_errors
     estimate = estimate_document(model, found.theta, found.estimated, None)
-    for name, error in errors.items():
+    for name, error in found.standard_errors.items():
         if name in found.tied:
             continue
         value = estimate[name]["value"]
-        estimate[name]["standard_error"] = error
-        estimate[name]["interval"] = [value - NORMAL * error, value + NORMAL * error]
+        interval = [value - NORMAL * error, value + NORMAL * error]
+        estimate[name] |= {"standard_error": error, "interval": interval}
     for name in found.silent:
         estimate[name]["silent"] = True
     return {

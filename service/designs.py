@@ -84,10 +84,8 @@ def next_of(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
         raise OptionError("the diagnosis was made by an earlier version; run it again", "causes")
     asked: dict[str, Any] | None = diagnosis["next"]
     if asked is None:
-        raise OptionError(
-            f"the diagnosis says '{diagnosis['verdict']}' and weighed fewer than two causes",
-            "causes",
-        )
+        said = f"the diagnosis says '{diagnosis['verdict']}'"
+        raise OptionError(f"{said} and weighed fewer than two causes", "causes")
     return asked
 
 

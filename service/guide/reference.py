@@ -83,12 +83,8 @@ def _added(one: Effect, model: MixedModel, axis: str) -> tuple[Array, Array] | N
     """The axis and what is added to a state, else to a reading; None where nothing changes along it."""
     try:
         extended = one.apply(model)
-        values = {p.name: float(p.default) for p in one.parameters} | {one.size.name: 1.0}
-        theta = np.clip(
-            extended.theta([*model.theta(), *(values[p.name] for p in one.parameters)]),
-            extended.lower,
-            extended.upper,
-        )
+        own = [1.0 if p.name == one.size.name else float(p.default) for p in one.parameters]
+        theta = np.clip(extended.theta([*model.theta(), *own]), extended.lower, extended.upper)
         x = np.linspace(0.0, 10.0, POINTS) if axis == "t" else np.linspace(-2.0, 2.0, POINTS)
         before = _run(model, model.theta(), axis, x, model)
         change = _run(extended, theta, axis, x, model) - before

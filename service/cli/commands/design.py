@@ -75,8 +75,7 @@ def design(
     tries: Annotated[int, typer.Option(metavar="N", min=1, help="Inputs that are tried.")] = 400,
     seed: options.Seed = 0,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE.csv", help="Write the input."),
+        Path | None, typer.Option("--out", "-o", metavar="FILE.csv", help="Write the input.")
     ] = None,
     shortest: Annotated[
         Path | None,
