@@ -34,9 +34,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             f"{GUARD}"
         )
     settings = settings or Settings.from_env()
-    settings = replace(
-        settings, models=",".join(settings.own_models)
-    )  # for other machines' folders
+    # a worker on another machine has another working folder
+    settings = replace(settings, models=",".join(settings.own_models))
     register_files(settings.own_models)
     keys = Keys(settings.keys_file)
     check_exposure(settings, keys)
