@@ -20,13 +20,7 @@ from service.downsample import keep, thin_results
 from service.etags import with_etag
 from service.examples import EXAMPLES
 from service.listing import ListQuery
-from service.lookup import (
-    find_job,
-    find_result,
-    has_estimates,
-    parameter_names,
-    stopped_estimate,
-)
+from service.lookup import find_job, find_result, has_estimates, parameter_names, stopped_estimate
 from service.openapi import LINKS, IdempotencyKey, JobId, Points, problem_answers
 from service.preview import preview
 from service.problems import Problem, invalid
@@ -40,24 +34,23 @@ from service.responses import (
     Results,
     Trace,
 )
-from service.schemas import JobRequest, LabelsIn, ModelReference
+from service.schemas import JobRequest, LabelsIn, ModelReference, Request
 from service.settings import Settings
-from service.store import ENDED, KeyReused, QueueFull, Store, Which
+from service.store import ENDED, Store, Which
 from service.strict_json import dumps
 from service.supervisor import Supervisor
 from service.uploads import with_files
-from service.validation import Request, check_limits, dump, find_model, prepare
+from service.validation import check_limits, find_model, prepare
 
 
 def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys) -> APIRouter:
     """All calls, on a store."""
     api = APIRouter(
-        responses=problem_answers(*keys.refusals, 422),
-        route_class=json_route(settings.max_values),
+        responses=problem_answers(*keys.refusals, 422), route_class=json_route(settings.max_values)
     )
     Caller = Annotated[str, Depends(keys.dependency)]
-
     find = partial(find_job, store, keys)
+    unknown, unread = problem_answers(404), problem_answers(400, 408, 413, 415)
 
     def limits(caller: str) -> list[tuple[str | None, int]]:
         own = [(caller, settings.queue_per_key)] if keys.needed else []
@@ -67,23 +60,17 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         check_limits(request, settings)
         job = prepare(request)
         request.model.source = source_of(request.model.name)
-        try:
-            job_id = store.create(
-                request.kind,
-                job.model.name[:200],
-                dump(request),
-                stages.steps(job),
-                stages.plan(request),
-                request.run_seconds,
-                caller,
-                key,
-                limits(caller),
-            )
-        except QueueFull as error:
-            raise queue_full(error) from None
-        except KeyReused as error:
-            detail = f"this Idempotency-Key came with another request, job {error}"
-            raise Problem(422, "idempotency-key-reused", detail) from None
+        job_id = store.create(
+            request.kind,
+            job.model.name[:200],
+            request.model_dump(),
+            stages.steps(job),
+            stages.plan(request),
+            request.run_seconds,
+            caller,
+            key,
+            limits(caller),
+        )
         supervisor.wake()
         body = serializers.job_status(find(job_id, caller)).model_dump()
         return JSONResponse(body, 201, {"Location": f"/jobs/{job_id}"})
@@ -103,25 +90,21 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         links = [Link(href="/models", rel="self")]
         return ModelList(models=found, broken_plugins=engine.plugin_errors(), links=links)
 
-    @api.get("/models/{name}", summary="One model", responses=problem_answers(404))
+    @api.get("/models/{name}", summary="One model", responses=unknown)
     def model(caller: Caller, name: Annotated[str, Path(max_length=200)]) -> ModelOut:
         try:
             return serializers.model(engine.get_model(name))
         except OptionError as error:
             raise Problem(404, "no-such-model", str(error)) from None
 
-    @api.post(
-        "/models/extend",
-        summary="A model with effects added to it",
-        responses=problem_answers(400, 408, 413, 415),
-    )
+    @api.post("/models/extend", summary="A model with effects added to it", responses=unread)
     def extended(caller: Caller, reference: ModelReference) -> ModelOut:
         return serializers.model(find_model(reference, Setting), reference)
 
     posted: dict[str, Any] = {
         "status_code": 201,
         "response_model": JobStatus,
-        "responses": problem_answers(400, 408, 413, 415, 429) | {201: {"links": LINKS}},
+        "responses": unread | problem_answers(429) | {201: {"links": LINKS}},
     }
 
     @api.post("/jobs", summary="Submit a job", **posted)
@@ -147,11 +130,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             files[name] = one.file.read()
         return put(with_files(request, files, settings.max_values), caller, idempotency_key)
 
-    @api.post(
-        "/preview",
-        summary="What a data file holds",
-        responses=problem_answers(400, 408, 413, 415),
-    )
+    @api.post("/preview", summary="What a data file holds", responses=unread)
     def look(
         caller: Caller,
         file: Annotated[UploadFile, File(description="CSV, .mat or .npz")],
@@ -177,21 +156,14 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         return JobList(jobs=listed, links=links)
 
     @api.patch(
-        "/jobs/{job_id}",
-        summary="Give a job another name, other tags",
-        responses=problem_answers(400, 404, 408, 413, 415),
+        "/jobs/{job_id}", summary="Give a job another name, other tags", responses=unknown | unread
     )
     def label(caller: Caller, job_id: JobId, labels: LabelsIn) -> JobStatus:
         row = find(job_id, caller)
         store.label(job_id, labels.name, labels.tags)
         return serializers.job_status(find(job_id, caller), has_estimates(store, row))
 
-    @api.get(
-        "/jobs/{job_id}",
-        summary="Status",
-        response_model=JobStatus,
-        responses=problem_answers(404),
-    )
+    @api.get("/jobs/{job_id}", summary="Status", response_model=JobStatus, responses=unknown)
     def job(caller: Caller, http: HttpRequest, job_id: JobId) -> Response:
         row = find(job_id, caller)
         headers = {} if row.status in ENDED else {"Retry-After": "1"}
@@ -199,10 +171,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         return with_etag(http, status.model_dump_json().encode(), headers)
 
     @api.get(
-        "/jobs/{job_id}/trace",
-        summary="Every iteration",
-        response_model=Trace,
-        responses=problem_answers(404),
+        "/jobs/{job_id}/trace", summary="Every iteration", response_model=Trace, responses=unknown
     )
     def job_trace(
         caller: Caller,
@@ -224,7 +193,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         "/jobs/{job_id}/request",
         summary="What was asked, with its data; it can be posted again",
         response_model=dict[str, Any],
-        responses=problem_answers(404),
+        responses=unknown,
     )
     def asked(caller: Caller, http: HttpRequest, job_id: JobId) -> Response:
         body = store.document(find(job_id, caller).seq, "request")
@@ -251,7 +220,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     @api.delete(
         "/jobs/{job_id}",
         summary="Stop a job and keep what it has; remove the data of one that has ended",
-        responses=problem_answers(404),
+        responses=unknown,
     )
     def dismiss(caller: Caller, job_id: JobId) -> JobStatus:
         find(job_id, caller)
@@ -268,10 +237,7 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         if row.status == "successful" or row.removed:
             why = "its data are gone" if row.removed else "it is successful"
             raise Problem(409, "nothing-to-resume", f"job '{job_id}' cannot go on: {why}")
-        try:
-            row = store.resume(job_id, limits(caller))
-        except QueueFull as error:
-            raise queue_full(error) from None
+        row = store.resume(job_id, limits(caller))
         supervisor.wake()
         return serializers.job_status(row)
 
@@ -291,9 +257,3 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
 
     return api
-
-
-def queue_full(error: QueueFull) -> Problem:
-    """429 for a job that finds no place."""
-    detail = f"{error} jobs wait or run already; try again later"
-    return Problem(429, "queue-full", detail, retry_after=30)

@@ -6,6 +6,7 @@ import multiprocessing
 import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from importlib.metadata import version
 
 from fastapi import FastAPI
@@ -16,7 +17,7 @@ from service.api import router
 from service.auth import KeyFirst, Keys, check_exposure
 from service.limits import BodyLimit
 from service.origins import Origins
-from service.runner import GUARD, LocalRunner, Runner, Terms
+from service.runner import GUARD, LocalRunner, Runner
 from service.settings import Settings
 from service.store import Store
 from service.supervisor import Supervisor
@@ -33,6 +34,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             f"{GUARD}"
         )
     settings = settings or Settings.from_env()
+    # a worker on another machine has another working folder
+    settings = replace(settings, models=",".join(settings.own_models))
     register_files(settings.own_models)
     keys = Keys(settings.keys_file)
     check_exposure(settings, keys)
@@ -62,8 +65,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(BodyLimit, max_body=settings.max_body, seconds=settings.body_seconds)
     app.add_middleware(pages.PageHeaders)
     app.router.routes.extend(pages.routes(keys.needed))  # before the JSON calls
-    app.router.routes.extend(job_pages.page_routes(keys.needed))
-    app.router.routes.extend(comparison.page_routes(keys.needed))
     app.router.routes.extend(guide.routes(keys.needed))
     app.include_router(router(store, supervisor, settings, keys))
     app.include_router(job_pages.router(store, keys))
@@ -76,7 +77,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 def make_runner(store: Store, settings: Settings, on_free: Callable[[], None]) -> Runner:
     """On this machine, or on a Dask cluster."""
     if not settings.dask_scheduler:
-        return LocalRunner(store, settings.workers, Terms.of(settings), on_free)
+        return LocalRunner(store, settings, on_free)
     from service.dask_runner import DaskRunner  # an optional extra
 
-    return DaskRunner(store, settings.dask_scheduler, Terms.of(settings), on_free)
+    return DaskRunner(store, settings, on_free)

@@ -15,7 +15,6 @@ import resource
 import signal
 import threading
 import time
-import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
 from multiprocessing import connection, parent_process
@@ -33,7 +32,7 @@ from service import stages
 from service.db_schema import ITERATIONS
 from service.logs import configure
 from service.orphans import die_with_parent
-from service.problems import Problem
+from service.problems import Problem, unexpected
 from service.store import Store
 from service.transitions import Attempt
 from service.validation import load
@@ -217,10 +216,7 @@ def _problem(error: Exception, job: str) -> Problem:
     if isinstance(error, MemoryError):
         return Problem(422, "out-of-memory", "the computation needs more memory than it may use")
     log.error("the computation failed", exc_info=error, extra={"job": job})
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    where = f"{Path(frame.filename).name}, line {frame.lineno}, in {frame.name}"
-    detail = f"{type(error).__name__}: {error} ({where})"
-    return Problem(422, "computation-failed", detail)
+    return Problem(422, "computation-failed", unexpected(error))
 
 
 def _die_with_parent() -> None:

@@ -5,34 +5,20 @@ from __future__ import annotations
 import json
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import accumulate
 from typing import Any
 
-from sqlalchemy import and_, delete, func, insert, or_, select, text
+from sqlalchemy import Connection, Select, and_, delete, func, insert, or_, select, text
 
 from engine.statespace.model import Array
+from service import transitions
 from service.db_schema import ITERATIONS, connect, documents, iterations, jobs, tasks, turns
 from service.key_values import found_by
 from service.reserve import Reserve
 from service.strict_json import dumps, finite
-from service.transitions import (
-    KEPT,
-    PRELIMINARY,
-    Attempt,
-    add_tasks,
-    change_job,
-    change_tasks,
-    end,
-    fail,
-    leave,
-    locked,
-    lose,
-    mine,
-    of,
-    put,
-    take,
-)
+from service.transitions import KEPT, PRELIMINARY, Attempt, change_job, change_tasks, locked, mine
 from service.turns import Running
 
 _SERVED = text(
@@ -55,6 +41,17 @@ class Attempts:
         """Close the pooled connections."""
         self._engine.dispose()
 
+    def _rows(self, query: Select[Any]) -> Sequence[Any]:
+        with self._read.begin() as sql:
+            return sql.execute(query).all()
+
+    @contextmanager
+    def _own(self, attempt: Attempt, **values: Any) -> Iterator[Connection | None]:
+        """Change the attempt's task, within a transaction that locks the job; None if it is not its own."""
+        with self._engine.begin() as sql:
+            locked(sql, attempt.job)
+            yield sql if mine(sql, attempt, **values) else None
+
     def claim(self, holder: str) -> Attempt | None:
         """The oldest task of the key with fewest attempts, or None; its heartbeat begins.
 
@@ -68,23 +65,18 @@ class Attempts:
             .group_by(jobs.c.owner)
             .subquery()
         )
+        fewest = func.coalesce(busy.c.n, 0), func.coalesce(turns.c.turn, 0)
         first = (
             select(tasks, jobs.c.id, jobs.c.owner, jobs.c.status, jobs.c.run_seconds)
             .join(jobs, jobs.c.seq == tasks.c.job)
             .join(busy, busy.c.owner == jobs.c.owner, isouter=True)
             .join(turns, turns.c.owner == jobs.c.owner, isouter=True)
             .where(tasks.c.state == "queued")
-            .order_by(
-                func.coalesce(busy.c.n, 0),
-                func.coalesce(turns.c.turn, 0),
-                tasks.c.job,
-                tasks.c.task,
-            )
+            .order_by(*fewest, tasks.c.job, tasks.c.task)
             .limit(1)
         )
-        with self._read.begin() as sql:  # an idle service does not write
-            if sql.execute(first).first() is None:
-                return None
+        if not self._rows(first):  # an idle service does not write
+            return None
         with self._engine.begin() as sql:
             both = first.with_for_update(skip_locked=True, key_share=True, of=[jobs, tasks])
             task = sql.execute(both).first()
@@ -123,13 +115,7 @@ class Attempts:
         with self._engine.begin() as sql:
             if (seq := sql.scalar(query)) is not None:
                 locked(sql, seq)
-                take(sql, seq, token)
-
-    def running(self) -> int:
-        """How many tasks belong to an attempt, of whichever service."""
-        with self._read.begin() as sql:
-            query = select(func.count()).select_from(tasks).where(tasks.c.state == "running")
-            return int(sql.scalar(query) or 0)
+                transitions.take(sql, seq, token)
 
     def renew(self, attempt: Attempt) -> bool:
         """One more heartbeat; False if the task is no longer this attempt's."""
@@ -138,15 +124,12 @@ class Attempts:
 
     def beats(self) -> dict[str, int]:
         """The heartbeats of all attempts, of whichever service, by their tokens."""
-        with self._read.begin() as sql:
-            query = select(tasks.c.token, tasks.c.beat).where(tasks.c.state == "running")
-            return {row.token: row.beat for row in sql.execute(query)}
+        query = select(tasks.c.token, tasks.c.beat).where(tasks.c.state == "running")
+        return {row.token: row.beat for row in self._rows(query)}
 
     def holds(self, attempt: Attempt) -> bool:
         """Whether the task is still this attempt's; reads only."""
-        with self._read.begin() as sql:
-            found = sql.scalar(select(func.count()).select_from(tasks).where(of(attempt)))
-        return bool(found)
+        return bool(self._rows(select(tasks.c.token).where(transitions.of(attempt))))
 
     def record(
         self,
@@ -190,37 +173,32 @@ class Attempts:
                     progress["message"] = ""
             if message:
                 progress["message"] = message
-            progress["iteration"] = (
-                select(func.sum(tasks.c.iteration))
-                .where(tasks.c.job == attempt.job)
-                .scalar_subquery()
-            )
+            done = select(func.sum(tasks.c.iteration)).where(tasks.c.job == attempt.job)
+            progress["iteration"] = done.scalar_subquery()
             if estimate is not None:
                 progress |= {"estimate": dumps(estimate), "log_likelihood": finite(log_likelihood)}
             change_job(sql, attempt.job, **progress)
-            return ran is None or not leave(sql, attempt, ran)
+            return ran is None or not transitions.leave(sql, attempt, ran)
 
     def keep(self, attempt: Attempt, n: int, text: str, ran: float | None = None) -> bool:
         """Write the n-th text for a later attempt at the job's only task; they go when it is done.
 
         ``ran`` as in ``record``.
         """
-        with self._engine.begin() as sql:
-            locked(sql, attempt.job)
-            if not mine(sql, attempt, state="running"):
+        with self._own(attempt, state="running") as sql:
+            if sql is None:
                 return False
-            put(sql, attempt.job, f"{KEPT}{n:08d}", text)
-            return ran is None or not leave(sql, attempt, ran)
+            transitions.put(sql, attempt.job, f"{KEPT}{n:08d}", text)
+            return ran is None or not transitions.leave(sql, attempt, ran)
 
     def show(self, attempt: Attempt, result: Any) -> bool:
         """Write what is known of the result, in place of what was known before."""
-        with self._engine.begin() as sql:
-            locked(sql, attempt.job)
-            if not mine(sql, attempt, state="running"):
+        with self._own(attempt, state="running") as sql:
+            if sql is None:
                 return False
             known = and_(documents.c.job == attempt.job, documents.c.name == PRELIMINARY)
             sql.execute(delete(documents).where(known))
-            put(sql, attempt.job, PRELIMINARY, dumps(result))
+            transitions.put(sql, attempt.job, PRELIMINARY, dumps(result))
             change_job(sql, attempt.job, found=found_by(result)["found"])
         return True
 
@@ -233,34 +211,31 @@ class Attempts:
             states = list(sql.scalars(select(tasks.c.state).where(tasks.c.job == attempt.job)))
             ends = list(accumulate(json.loads(job.stages)))
             last = attempt.task + 1 == ends[-1]
-            put(sql, attempt.job, "result" if last else f"task-{attempt.task}", dumps(result))
+            left = "result" if last else f"task-{attempt.task}"
+            transitions.put(sql, attempt.job, left, dumps(result))
             if last:
                 name = documents.c.name
                 left_over = or_(name.startswith(KEPT), name == PRELIMINARY)
                 sql.execute(delete(documents).where(documents.c.job == job.seq, left_over))
-                end(sql, job.seq, "successful", message=message, **found_by(result))
+                transitions.end(sql, job.seq, "successful", message=message, **found_by(result))
             elif set(states) == {"done"}:
                 stage = ends.index(len(states))
-                add_tasks(sql, attempt.job, ends[stage], ends[stage + 1])
+                transitions.add_tasks(sql, attempt.job, ends[stage], ends[stage + 1])
         return True
 
     def fail(self, attempt: Attempt, problem: Mapping[str, Any]) -> bool:
         """The job failed, for a reason another attempt would meet again."""
-        with self._engine.begin() as sql:
-            locked(sql, attempt.job)
-            if not mine(sql, attempt, state="stopped"):
-                return False
-            fail(sql, attempt.job, problem)
-        return True
+        with self._own(attempt, state="stopped") as sql:
+            if sql is not None:
+                transitions.fail(sql, attempt.job, problem)
+        return sql is not None
 
     def lost(self, attempt: Attempt, cause: str, losses_allowed: int) -> bool:
         """The worker died: queue the task again, or fail the job after too many losses."""
-        with self._engine.begin() as sql:
-            locked(sql, attempt.job)
-            if not mine(sql, attempt, state="running"):
-                return False
-            lose(sql, attempt.job, attempt.task, cause, losses_allowed)
-        return True
+        with self._own(attempt, state="running") as sql:
+            if sql is not None:
+                transitions.lose(sql, attempt.job, attempt.task, cause, losses_allowed)
+        return sql is not None
 
     def release(self, attempt: Attempt) -> bool:
         """Give a task back unharmed: the service stops and will go on with it later."""
@@ -281,6 +256,6 @@ class Attempts:
                 if (task := sql.execute(query).one_or_none()) is None:  # while waiting for the lock
                     continue
                 cause = "the process that watched the worker disappeared"
-                lose(sql, task.job, task.task, cause, losses_allowed)
+                transitions.lose(sql, task.job, task.task, cause, losses_allowed)
                 lost += 1
         return lost

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Coroutine
+from contextlib import nullcontext
 from typing import Any
 
 from anyio import CapacityLimiter, to_thread
@@ -54,10 +55,7 @@ def json_route(max_values: int) -> type[APIRoute]:
                 body = await _counted(request, max_values)
                 if not body:
                     return await answer(_Read(request, None, b""))  # says that one is needed
-                if len(body) < LARGE_BYTES:
-                    value = await to_thread.run_sync(parse, body)
-                    return await answer(_Read(request, value))
-                async with turns:
+                async with turns if len(body) >= LARGE_BYTES else nullcontext():
                     value = await to_thread.run_sync(parse, body)
                     return await answer(_Read(request, value))
 

@@ -57,7 +57,7 @@ def match(
                 take(channel, column)
     open_ = [channel for channels in roles.values() for channel in channels if channel not in found]
     if len(open_) == 1 and open_[0] in roles["y"]:
-        numbers = [column for column in left if _measured(table, column)]
+        numbers = [column for column in left if column_counts(table, column) is False]
         if len(numbers) == 1:
             take(open_[0], numbers[0])
     return found
@@ -73,12 +73,12 @@ _BY_NAME: Sequence[Test] = (
 )
 
 
-def _measured(table: Table, name: str) -> bool:
-    """Whether a column holds numbers that do not just count, as years and sample numbers do."""
+def column_counts(table: Table, name: str) -> bool | None:
+    """Whether a column of numbers just counts, as years and sample numbers do; None of words."""
     try:
-        return not counts(table.column(name))
+        return counts(table.column(name))
     except SeriesError:
-        return False
+        return None
 
 
 def counts(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:

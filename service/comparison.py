@@ -7,8 +7,6 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Depends, Query, Response
 from fastapi import Request as HttpRequest
-from starlette.requests import Request
-from starlette.routing import BaseRoute
 
 from engine.errors import OptionError
 from engine.presentation.report import OnPage, comparison_html, comparison_report
@@ -16,27 +14,18 @@ from engine.presentation.two_results import compare_results
 from service.auth import Keys
 from service.downsample import keep
 from service.etags import with_etag
-from service.job_pages import FILE_POINTS, FILE_POLICY
+from service.job_pages import FILE_POINTS, report_file, report_parts
 from service.lookup import find_job, find_result
 from service.openapi import problem_answers
-from service.pages import Page, prefers_html, render
+from service.pages import prefers_html
 from service.problems import Problem
-from service.responses import ComparisonOut, ReportOut, ReportSection
+from service.responses import ComparisonOut, ReportOut
 from service.serializers import job_status
 from service.store import Store
 from service.strict_json import dumps
 
 JobA = Annotated[str, Query(max_length=64, description="`jobID` of one job")]
 JobB = Annotated[str, Query(max_length=64, description="of the other")]
-
-
-def page_routes(keys_needed: bool) -> list[BaseRoute]:
-    """The page. Goes before the JSON calls."""
-
-    def compare(request: Request) -> Response:
-        return render("compare.html", keys_needed)
-
-    return [Page("/compare", compare)]
 
 
 def router(store: Store, keys: Keys) -> APIRouter:
@@ -71,20 +60,9 @@ def router(store: Store, keys: Keys) -> APIRouter:
         if prefers_html(http.headers.get("Accept", "")):
             about = {name: f"job {row.id}" for name, row in zip(names, rows, strict=True)}
             text = comparison_html(found, names, about)
-            headers = {
-                "Content-Security-Policy": FILE_POLICY,
-                "Content-Disposition": f'inline; filename="compare-{a[:8]}-{b[:8]}.html"',
-            }
-            return Response(text, headers=headers, media_type="text/html")
+            return report_file(text, f"compare-{a[:8]}-{b[:8]}.html")
         draw = OnPage()
-        made = comparison_report(found, names, draw)
-        parts = ReportOut(
-            title=made.title,
-            summary=made.summary,
-            sections=[ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections],
-            charts=draw.charts,
-        )
-        return with_etag(http, parts.model_dump_json().encode())
+        return report_parts(http, comparison_report(found, names, draw), draw)
 
     return api
 

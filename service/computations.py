@@ -109,14 +109,13 @@ def fit_simulation(
 def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) -> dict[str, Any]:
     """The result document of a fit of the free run."""
     found, model = fit_simulation(job, options, progress), job.model
-    errors = found.standard_errors
     estimate = estimate_document(model, found.theta, found.estimated, None)
-    for name, error in errors.items():
+    for name, error in found.standard_errors.items():
         if name in found.tied:
             continue
         value = estimate[name]["value"]
-        estimate[name]["standard_error"] = error
-        estimate[name]["interval"] = [value - NORMAL * error, value + NORMAL * error]
+        interval = [value - NORMAL * error, value + NORMAL * error]
+        estimate[name] |= {"standard_error": error, "interval": interval}
     for name in found.silent:
         estimate[name]["silent"] = True
     return {
@@ -188,7 +187,7 @@ def describe(
     model, done = job.model, len(found["log_likelihood"])
     theta = model.theta(found["theta"])
     n = options.particles
-    rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(0,)))
+    rng = stream(options.seed, 0)
     progress.step(done, "smoothing the states at the estimate")
     states = _states(job, theta, n, options.trajectories or n, rng, options.method)
     message = " ".join([found["message"], *clock_notes(model, job.series[0])])
@@ -318,8 +317,7 @@ def _states(
         if not np.isfinite(mean).all():
             row = int(np.argmin(np.isfinite(mean).all(axis=1)))
             when = f"row {row} (t = {series.t[row]:g} {series.time_unit})"
-            detail = f"the model's states are not finite at {when}"
-            raise Problem(422, "not-finite", detail)
+            raise Problem(422, "not-finite", f"the model's states are not finite at {when}")
         out.append((mean, std))
         if progress is not None:
             progress.step(i + 1)
@@ -334,7 +332,10 @@ def simulate(job: Prepared, request: SimulateRequest, progress: Progress) -> dic
     model, out = job.model, []
     rng = np.random.default_rng(request.options.seed)
     for i, series in enumerate(job.series):
-        run = _simulate(model, job.theta, series, request, rng)
+        if request.options.mode == "free-run":
+            run: Any = engine.free_run(model, job.theta, series)
+        else:
+            run = drawn(model, job.theta, series, rng)
         out.append(_run_document(model, series, run))
         progress.step(i + 1)
     return {
@@ -351,7 +352,7 @@ def _run_document(model: MixedModel, series: Series, run: Any) -> dict[str, Any]
     document: dict[str, Any] = {
         "t": series.t[at].tolist(),
         "y": _columns(run.y[at], tuple(model.outputs)),
-        "states": _columns(x[at], _state_names(model)),
+        "states": _columns(x[at], (*model.nonlinear, *model.linear)),
     }
     if series.observed.any():
         document["measured"] = _columns(series.y[at], tuple(model.outputs))
@@ -363,21 +364,17 @@ def _units(model: MixedModel) -> dict[str, str]:
     return {**model.outputs, **model.nonlinear, **model.linear}
 
 
-def _simulate(
-    model: MixedModel,
-    theta: Theta,
-    series: Series,
-    request: SimulateRequest,
-    rng: np.random.Generator,
-) -> Any:
-    if request.options.mode == "free-run":
-        return engine.free_run(model, theta, series)
+def drawn(
+    model: MixedModel, theta: Theta, series: Series, rng: np.random.Generator
+) -> engine.Simulation:
+    """A run with the model's noise over a series' times and inputs."""
     u = series.u if model.nu else None
     return engine.simulate(model, theta, len(series), rng, u=u, t=series.t, hold=series.hold)
 
 
-def _state_names(model: MixedModel) -> tuple[str, ...]:
-    return (*model.nonlinear, *model.linear)
+def stream(seed: int, key: int) -> np.random.Generator:
+    """Random numbers of a job that are independent of those with other keys."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
 
 
 def _columns(values: Array, names: tuple[str, ...]) -> dict[str, list[float]]:

@@ -26,7 +26,8 @@ import distributed
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.logs import configure
-from service.runner import Terms, warm_up, watch
+from service.runner import warm_up, watch
+from service.settings import Settings
 from service.store import Store
 from service.transitions import Attempt
 
@@ -36,21 +37,20 @@ log = logging.getLogger("service")
 class DaskRunner:
     """As many attempts at once as the cluster's workers have threads."""
 
-    def __init__(
-        self, store: Store, scheduler: str, terms: Terms, on_free: Callable[[], None]
-    ) -> None:
-        self._store, self._terms, self._on_free = store, terms, on_free
-        self._scheduler, self._places, self._away = scheduler, 0, False
+    def __init__(self, store: Store, settings: Settings, on_free: Callable[[], None]) -> None:
+        self._store, self._settings, self._on_free = store, settings, on_free
+        self._places, self._away = 0, False
         self._running: dict[str, tuple[Attempt, Any]] = {}
         self._ending, self._stopped = threading.Lock(), False
         self._client: Any = None  # until the scheduler is there; services need not start after it
 
     def _connect(self) -> Any:
-        where = urlsplit(self._scheduler)
+        scheduler = self._settings.dask_scheduler
+        where = urlsplit(scheduler)
         with socket.create_connection((where.hostname or "", where.port or 8786), 2.0):
             pass  # a Dask client that finds nobody leaves its threads behind
         made = cast(Any, distributed).Client
-        return made(self._scheduler, set_as_default=False, name="rbps", timeout=5)
+        return made(scheduler, set_as_default=False, name="rbps", timeout=5)
 
     def capacity(self) -> int:
         """How many attempts can run at once, at the last look."""
@@ -77,7 +77,7 @@ class DaskRunner:
             self._running.clear()  # what still runs of these keeps its own heartbeat
         # Another service of this store, or one that was killed, may have attempts in the cluster too;
         # a task claimed beyond its places would be silent in Dask's queue.
-        return self._places - max(len(self._running), self._store.running())
+        return self._places - max(len(self._running), len(self._store.beats()))
 
     def running(self) -> int:
         """How many attempts there are."""
@@ -86,7 +86,13 @@ class DaskRunner:
     def start(self, attempt: Attempt) -> None:
         """Submit the attempt; never run twice by Dask itself, whatever its settings."""
         future = self._client.submit(
-            remote, self._store.url, attempt, self._terms, key=attempt.token, pure=False, retries=0
+            remote,
+            self._store.url,
+            attempt,
+            self._settings,
+            key=attempt.token,
+            pure=False,
+            retries=0,
         )
         self._running[attempt.token] = attempt, future
         future.add_done_callback(lambda done: self._done(attempt, done))
@@ -109,15 +115,15 @@ class DaskRunner:
             with self._ending:
                 if future.status != "finished" and not self._stopped:
                     cause = "the machine or Dask worker that ran the computation disappeared"
-                    self._store.lost(attempt, cause, self._terms.losses_allowed)
+                    self._store.lost(attempt, cause, self._settings.losses_allowed)
         except SQLAlchemyError:  # nobody beats for it any more, and the task is queued again
             log.exception("the loss could not be written", extra={"job": attempt.job_id})
         self._on_free()
 
 
-def remote(url: str, attempt: Attempt, terms: Terms) -> None:
+def remote(url: str, attempt: Attempt, settings: Settings) -> None:
     """The task: watch an attempt on this machine."""
-    watch(_store(url), attempt, terms, threading.Event())
+    watch(_store(url), attempt, settings, threading.Event())
 
 
 @cache

@@ -25,7 +25,6 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
-    and_,
     create_engine,
     event,
     inspect,
@@ -150,11 +149,17 @@ def in_lines(words: Sequence[str]) -> str:
 
 def connect(url: str) -> Engine:
     """An engine for the URL with the tables in place; SQLite's folder is made."""
-    if not url.startswith("sqlite"):
+    if url.startswith("sqlite"):
+        engine = _sqlite(url)
+    else:
         engine = create_engine(url, pool_size=10, max_overflow=20, pool_pre_ping=True)
-        metadata.create_all(engine)
-        _add_columns(engine)
-        return engine
+    metadata.create_all(engine)
+    _add_columns(engine)
+    return engine
+
+
+def _sqlite(url: str) -> Engine:
+    """An engine that writes ahead, and in whose transactions writers queue."""
     engine = create_engine(url, connect_args={"timeout": 30.0, "check_same_thread": False})
     if engine.url.database:
         _make_private(Path(engine.url.database))
@@ -162,13 +167,10 @@ def connect(url: str) -> Engine:
     @event.listens_for(engine, "connect")
     def _connect(connection: sqlite3.Connection, record: Any) -> None:
         connection.isolation_level = None  # transactions begin below, not in the driver
-        for pragma in (
-            "auto_vacuum=INCREMENTAL",
-            "journal_mode=WAL",
-            "synchronous=NORMAL",
-            "foreign_keys=ON",
-        ):
-            connection.execute(f"PRAGMA {pragma}")
+        connection.executescript(
+            "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=NORMAL; "
+            "PRAGMA foreign_keys=ON"
+        )
 
     @event.listens_for(engine, "begin")
     def _begin(connection: Any) -> None:
@@ -177,8 +179,6 @@ def connect(url: str) -> Engine:
         write = connection.get_execution_options().get("write", True)
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 
-    metadata.create_all(engine)
-    _add_columns(engine)
     return engine
 
 
@@ -197,14 +197,11 @@ def _make_private(file: Path) -> None:
 
 
 def _missing(sql: Connection) -> list[Column[Any]]:
-    there = inspect(sql)
-    return [
-        column
-        for table in metadata.sorted_tables
-        for names in [{one["name"] for one in there.get_columns(table.name)}]
-        for column in table.columns
-        if column.name not in names
-    ]
+    there, missing = inspect(sql), []
+    for table in metadata.sorted_tables:
+        names = {one["name"] for one in there.get_columns(table.name)}
+        missing += [column for column in table.columns if column.name not in names]
+    return missing
 
 
 def _add_columns(engine: Engine) -> None:
@@ -226,12 +223,8 @@ def _add_columns(engine: Engine) -> None:
 
 def _find(sql: Connection) -> None:
     """Note what the jobs of an earlier version have found, from their results."""
-    here = and_(documents.c.job == jobs.c.seq, documents.c.name == "result")
-    for (seq,) in sql.execute(
-        select(jobs.c.seq).join(documents, here)
-    ).all():  # one in memory at once
-        result = sql.scalar(
-            select(documents.c.body).where(documents.c.job == seq, documents.c.name == "result")
-        )
-        found = found_by(json.loads(zlib.decompress(result or b"")))
+    is_result = documents.c.name == "result"
+    for seq in sql.scalars(select(documents.c.job).where(is_result)).all():  # one in memory at once
+        body = sql.scalar(select(documents.c.body).where(documents.c.job == seq, is_result))
+        found = found_by(json.loads(zlib.decompress(body or b"")))
         sql.execute(update(jobs).where(jobs.c.seq == seq).values(found))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import json
 import os
 import socket
@@ -12,7 +11,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.request import Request, urlopen
@@ -20,6 +18,7 @@ from urllib.request import Request, urlopen
 import numpy as np
 
 import engine
+import engine.data
 
 NILE_PUBLISHED = {"r": 15099.0, "q": 1469.1}  # Durbin and Koopman, variances of error and level
 
@@ -117,11 +116,10 @@ def diagnosis(url: str) -> None:
     print()
 
 
-def flows() -> dict[str, list[list[float]] | list[float]]:
+def flows() -> dict[str, Any]:
     """The Nile's yearly flows as a series; times are years."""
-    with files("engine.data").joinpath("nile.csv").open(encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
-    return {"y": [[float(row["flow"])] for row in rows], "t": [float(row["year"]) for row in rows]}
+    series = engine.data.nile()
+    return {"y": series.y.tolist(), "t": series.t.tolist()}
 
 
 def results(url: str, request: dict[str, Any]) -> dict[str, Any]:

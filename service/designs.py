@@ -13,12 +13,11 @@ from service.schemas import DesignRequest
 from service.validation import Prepared
 
 PROGRESS_STEPS = 100
-# per cent at which each stage begins, and its share
-STAGES = {"inputs": (0, 60), "pairs": (60, 10), "length": (70, 30)}
-STAGE_MESSAGES = {
-    "inputs": "trying inputs",
-    "pairs": "looking at pairs that none has told apart",
-    "length": "looking for a shorter record",
+# of each stage: per cent at which it begins, its share, what is said of it
+STAGES = {
+    "inputs": (0, 60, "trying inputs"),
+    "pairs": (60, 10, "looking at pairs that none has told apart"),
+    "length": (70, 30, "looking for a shorter record"),
 }
 
 
@@ -53,9 +52,9 @@ def telling(step: Callable[[int, str], Any]) -> Callable[[str, float], None]:
 
     def tell(stage: str, share: float) -> None:
         nonlocal done
-        first, width = STAGES[stage]
+        first, width, message = STAGES[stage]
         done = max(done, int(first + width * share))
-        step(done, STAGE_MESSAGES[stage])
+        step(done, message)
 
     return tell
 
@@ -85,22 +84,21 @@ def next_of(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
         raise OptionError("the diagnosis was made by an earlier version; run it again", "causes")
     asked: dict[str, Any] | None = diagnosis["next"]
     if asked is None:
-        raise OptionError(
-            f"the diagnosis says '{diagnosis['verdict']}' and weighed fewer than two causes",
-            "causes",
-        )
+        said = f"the diagnosis says '{diagnosis['verdict']}'"
+        raise OptionError(f"{said} and weighed fewer than two causes", "causes")
     return asked
 
 
 def between_samples(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     """Bounds that a diagnosis' document sets by default: sample time, steps in it, what inputs do meanwhile."""
     extension = diagnosis["extension"]
-    known = {**extension["model"]["setting"], "hold": extension.get("hold")}
-    known["time_unit"] = diagnosis.get("time_unit")
-    if extension.get(
-        "dt"
-    ):  # of the record; that of the setting may be of a part, and rounded otherwise
-        known["dt"] = extension["dt"]
+    known = {
+        **extension["model"]["setting"],
+        "hold": extension.get("hold"),
+        "time_unit": diagnosis.get("time_unit"),
+    }
+    # that of the record first: the setting's may be of a part, and rounded otherwise
+    known["dt"] = extension.get("dt") or known.get("dt")
     return {
         name: known[name] for name in ("dt", "substeps", "hold", "time_unit") if known.get(name)
     }

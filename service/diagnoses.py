@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import engine
 from engine import words
@@ -14,46 +14,34 @@ from service.schemas import DiagnoseRequest
 from service.validation import Prepared
 
 PROGRESS_STEPS = 100  # of progress
-# of what is left when a stage begins: whether others follow, and how often, nobody knows by then
-SHARES = {
-    "fit": 0.07,
-    "search": 0.0,
-    "screen": 0.08,
-    "calibration": 0.35,
-    "refit swallowed": 0.1,
-    "calibration of refits": 0.35,
-    "refit": 0.3,
-    "looking back": 0.5,
-    "contradictions": 0.05,
-    "free run": 0.5,
-    "bootstrap": 0.9,
-    "gain": 0.5,
-    "symptoms": 1.0,
-}
-LATEST = {"gain": 90.0, "symptoms": 95.0}  # per cent: nothing that takes long follows these
-COUNTED = {  # of steps whose number is known
-    "screen",
-    "calibration",
-    "refit swallowed",
-    "calibration of refits",
-    "refit",
-    "looking back",
-    "bootstrap",
-}
-STAGE_MESSAGES = {
-    "fit": "estimating the model without effects",
-    "search": "looking for effects",
-    "screen": "screening effects",
-    "calibration": "calibrating p-values on simulated series",
-    "refit swallowed": "estimating effects that noise may hide",
-    "calibration of refits": "calibrating these on simulated series",
-    "refit": "estimating the most likely effects",
-    "looking back": "weighing what was found once more together",
-    "contradictions": "looking for what contradicts it",
-    "free run": "searching with the free run",
-    "bootstrap": "parametric bootstrap of the first p-value",
-    "gain": "measuring the gain on held-out data",
-    "symptoms": "comparing simulation and prediction with the data",
+
+
+class Stage(NamedTuple):
+    """A part of a diagnosis, and how much of the per cent is its.
+
+    Its ``share`` is of what is left when it begins: whether others follow, and how often, nobody knows by then.
+    """
+
+    share: float
+    message: str
+    counted: bool = False  # the number of its steps is known
+    latest: float = 0.0  # per cent at which it begins at least: nothing that takes long follows
+
+
+STAGES = {
+    "fit": Stage(0.07, "estimating the model without effects"),
+    "search": Stage(0.0, "looking for effects"),
+    "screen": Stage(0.08, "screening effects", counted=True),
+    "calibration": Stage(0.35, "calibrating p-values on simulated series", counted=True),
+    "refit swallowed": Stage(0.1, "estimating effects that noise may hide", counted=True),
+    "calibration of refits": Stage(0.35, "calibrating these on simulated series", counted=True),
+    "refit": Stage(0.3, "estimating the most likely effects", counted=True),
+    "looking back": Stage(0.5, "weighing what was found once more together", counted=True),
+    "contradictions": Stage(0.05, "looking for what contradicts it"),
+    "free run": Stage(0.5, "searching with the free run"),
+    "bootstrap": Stage(0.9, "parametric bootstrap of the first p-value", counted=True),
+    "gain": Stage(0.5, "measuring the gain on held-out data", latest=90.0),
+    "symptoms": Stage(1.0, "comparing simulation and prediction with the data", latest=95.0),
 }
 
 
@@ -141,13 +129,14 @@ class Percent:
 
     def __call__(self, stage: str, fraction: float) -> None:
         """Tell the store where something has changed."""
+        now = STAGES[stage]
         if stage != self.stage:
             self.stage, self.fraction = stage, 0.0
-            self.begun = max(self.at, LATEST.get(stage, 0.0))
+            self.begun = max(self.at, now.latest)
         self.fraction = max(self.fraction, min(fraction, 1.0))
-        self.at = self.begun + (PROGRESS_STEPS - self.begun) * SHARES[stage] * self.fraction
-        message, share = STAGE_MESSAGES[stage], None
-        if stage in COUNTED:
+        self.at = self.begun + (PROGRESS_STEPS - self.begun) * now.share * self.fraction
+        message, share = now.message, None
+        if now.counted:
             message, share = f"{message}, {100.0 * self.fraction:.0f} % of them", self.fraction
         if (int(self.at), message) != self.told:
             self.told = int(self.at), message

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-_NILE = [1120, 1160, 963, 1210, 1160, 1160, 813, 1230, 1370, 1140, 995, 935, 1110, 994, None]
-_NILE += [960, 1180, 799, 958, 1140, 1100, 1210, 1150, 1250, 1260, 1220, 1030, 1100, 774, 840]
-_NILE += [874, 694, 940, 833, 701, 916, 692]
+_FLOWS = [1120, 1160, 963, 1210, 1160, 1160, 813, 1230, 1370, 1140, 995, 935, 1110, 994, None]
+_FLOWS += [960, 1180, 799, 958, 1140, 1100, 1210, 1150, 1250, 1260, 1220, 1030, 1100, 774, 840]
+_FLOWS += [874, 694, 940, 833, 701, 916, 692]
+
+_NILE = [{"y": [[flow] for flow in _FLOWS], "dt": 1.0}]
 
 EXAMPLES: dict[str, Any] = {
     "nile": {
@@ -14,12 +16,7 @@ EXAMPLES: dict[str, Any] = {
         "value": {
             "kind": "estimate",
             "model": "local-level",
-            "series": [
-                {
-                    "y": [[flow] for flow in _NILE],
-                    "dt": 1.0,
-                }
-            ],
+            "series": _NILE,
             "parameters": {"start": {"q": 1000.0, "r": 10000.0}, "free": ["q", "r"]},
             "options": {"method": "quasi-newton", "particles": 50, "iterations": 30, "seed": 1},
         },
@@ -44,7 +41,7 @@ EXAMPLES: dict[str, Any] = {
         "value": {
             "kind": "diagnose",
             "model": "local-level",
-            "series": [{"y": [[flow] for flow in _NILE], "dt": 1.0}],
+            "series": _NILE,
             "options": {"effects": ["step", "pulse", "ramp", "latent"], "seed": 1},
         },
     },

@@ -1,4 +1,4 @@
-"""A job for people: its page, its report, and how far each of its computations is."""
+"""What the page of a job shows: its report, and how far each of its computations is."""
 
 import json
 from datetime import UTC, datetime
@@ -7,17 +7,15 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Response
 from fastapi import Request as HttpRequest
-from starlette.requests import Request
-from starlette.routing import BaseRoute, Route
 
 from engine.errors import OptionError
-from engine.presentation.report import RULES, OnPage, Report, make_report, report_html
+from engine.presentation.report import OnPage, Report, make_report, report_html
 from service.auth import Keys
 from service.downsample import thin_results
 from service.etags import with_etag
 from service.lookup import find_job, find_result, parameter_names
 from service.openapi import JobId, problem_answers
-from service.pages import Page, prefers_html, render
+from service.pages import prefers_html
 from service.problems import Problem, invalid
 from service.responses import ChartsOut, ReportOut, ReportSection, TaskOut, Tasks
 from service.stages import roles
@@ -29,18 +27,6 @@ From = Annotated[float, Query(alias="from", allow_inf_nan=False, description="ti
 To = Annotated[float, Query(alias="to", allow_inf_nan=False, description="a later time in seconds")]
 # A report has no script, loads nothing, and brings its own style.
 FILE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
-
-
-def page_routes(keys_needed: bool) -> list[BaseRoute]:
-    """The page of a job and the rules its results are drawn by. Goes before the JSON calls."""
-
-    def job(request: Request) -> Response:
-        return render("job.html", keys_needed)
-
-    def style(request: Request) -> Response:
-        return Response(RULES, media_type="text/css", headers={"Cache-Control": "no-cache"})
-
-    return [Page("/jobs/{job_id}", job), Route("/report.css", style)]
 
 
 def router(store: Store, keys: Keys) -> APIRouter:
@@ -68,11 +54,7 @@ def router(store: Store, keys: Keys) -> APIRouter:
         if prefers_html(http.headers.get("Accept", "")):
             return _file(row, thin_results(document, FILE_POINTS))
         made, draw = _on_page(document)
-        sections = [ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections]
-        parts = ReportOut(
-            title=made.title, summary=made.summary, sections=sections, charts=draw.charts
-        )
-        return with_etag(http, parts.model_dump_json().encode())
+        return report_parts(http, made, draw)
 
     @api.get(
         "/jobs/{job_id}/charts",
@@ -122,14 +104,26 @@ def _tasks(row: Any, names: list[str], store: Store) -> list[TaskOut]:
 def _file(row: Any, document: dict[str, Any]) -> Response:
     """The report as a file to keep. Raises Problem where there is nothing to report."""
     about = {"job": row.id, "kind": row.kind, "model": row.model, "finished": _time(row.finished)}
-    headers = {
-        "Content-Security-Policy": FILE_POLICY,
-        "Content-Disposition": f'inline; filename="{row.kind}-{row.id[:8]}.html"',
-    }
     try:
-        return Response(report_html(document, about), headers=headers, media_type="text/html")
+        return report_file(report_html(document, about), f"{row.kind}-{row.id[:8]}.html")
     except OptionError as error:
         raise Problem(404, "no-report", str(error)) from None
+
+
+def report_parts(http: HttpRequest, made: Report, draw: OnPage) -> Response:
+    """A report in parts, for a page that draws its charts."""
+    sections = [ReportSection(id=s.id, title=s.title, html=s.body) for s in made.sections]
+    parts = ReportOut(title=made.title, summary=made.summary, sections=sections, charts=draw.charts)
+    return with_etag(http, parts.model_dump_json().encode())
+
+
+def report_file(text: str, name: str) -> Response:
+    """A report as one HTML file."""
+    headers = {
+        "Content-Security-Policy": FILE_POLICY,
+        "Content-Disposition": f'inline; filename="{name}"',
+    }
+    return Response(text, headers=headers, media_type="text/html")
 
 
 def _time(seconds: float | None) -> str:

@@ -33,10 +33,8 @@ def find_result(store: Store, row: Any) -> bytes:
     if row.status != "successful" and (body := store.document(row.seq, PRELIMINARY)) is not None:
         return body
     if row.status == "dismissed":
-        detail = (
-            f"job '{row.id}' was stopped before its results; POST /jobs/{row.id}/resume goes on"
-        )
-        raise Problem(404, "dismissed", detail)
+        stopped = f"job '{row.id}' was stopped before its results"
+        raise Problem(404, "dismissed", f"{stopped}; POST /jobs/{row.id}/resume goes on")
     body = store.document(row.seq, "result")
     if body is None:
         detail = f"job '{row.id}' is {row.status}; its results come when it is successful"

@@ -14,8 +14,7 @@ Points = Annotated[
     int | None, Query(ge=2, le=10**6, description="about this many rows; extremes are kept")
 ]
 IdempotencyKey = Annotated[
-    str | None,
-    Header(min_length=1, max_length=200, description="a repeat returns the first job"),
+    str | None, Header(min_length=1, max_length=200, description="a repeat returns the first job")
 ]
 
 

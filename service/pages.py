@@ -22,6 +22,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import engine.data
+from engine.presentation.report import RULES
 from service.responses import Kind, Status
 
 HERE = Path(__file__).parent
@@ -65,13 +66,10 @@ class Page(Route):
 
 
 def routes(keys_needed: bool) -> list[BaseRoute]:
-    """Start page, list of jobs, static files. Goes before the JSON calls."""
+    """The pages but for the Guide, and static files. Goes before the JSON calls."""
 
-    def start(request: Request) -> Response:
-        return render("start.html", keys_needed)
-
-    def jobs(request: Request) -> Response:
-        return render("jobs.html", keys_needed, **LIST)
+    def page(path: str, template: str, **values: Any) -> Page:
+        return Page(path, lambda request: render(template, keys_needed, **values))
 
     def nile(request: Request) -> Response:
         return FileResponse(NILE, media_type="text/csv")
@@ -79,9 +77,15 @@ def routes(keys_needed: bool) -> list[BaseRoute]:
     def icon(request: Request) -> Response:  # browsers ask for it beside a JSON answer
         return FileResponse(STATIC / "icon.svg")
 
+    def style(request: Request) -> Response:  # the rules that results are drawn by
+        return Response(RULES, media_type="text/css", headers={"Cache-Control": "no-cache"})
+
     return [
-        Page("/", start),
-        Page("/jobs", jobs),
+        page("/", "start.html"),
+        page("/jobs", "jobs.html", **LIST),
+        page("/jobs/{job_id}", "job.html"),
+        page("/compare", "compare.html"),
+        Route("/report.css", style),
         Route("/examples/nile.csv", nile),
         Route("/favicon.ico", icon),
         Mount("/static", StaticFiles(directory=STATIC)),

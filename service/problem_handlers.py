@@ -6,6 +6,7 @@ import logging
 import re
 from collections.abc import Sequence
 from http import HTTPStatus
+from typing import get_args
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -16,6 +17,7 @@ from starlette.routing import Match
 from starlette.types import Scope
 
 from service.problems import Problem
+from service.responses import Kind
 
 log = logging.getLogger("service")
 
@@ -58,9 +60,7 @@ def _methods(app: FastAPI, scope: Scope) -> set[str]:
 
 
 _BODIES = ("application/json", "multipart/form-data")
-_KINDS = frozenset(
-    {"estimate", "smooth", "simulate", "diagnose", "design"}
-)  # tags of the body's union
+_KINDS = get_args(Kind)  # tags of the body's union
 
 
 def install(app: FastAPI) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -71,6 +73,13 @@ class Problem(Exception):  # noqa: N818 - the RFC's own word
         from starlette.responses import JSONResponse  # workers and the command line send none
 
         return JSONResponse(self.document(), self.status, self.headers, MEDIA_TYPE)
+
+
+def unexpected(error: BaseException) -> str:
+    """What is said of an error that is none of the engine's, and where it was raised."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{Path(frame.filename).name}, line {frame.lineno}, in {frame.name}"
+    return f"{type(error).__name__}: {error} ({where})"
 
 
 def invalid(field: str, message: str, **more: Any) -> Problem:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 Kind = Literal["estimate", "smooth", "simulate", "diagnose", "design"]
 Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
 
 
-class Link(BaseModel):
+class _Out(BaseModel):
+    """A document; what stands below a member is its description."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+
+class Link(_Out):
     """A link of a document."""
 
     href: str
@@ -18,7 +24,7 @@ class Link(BaseModel):
     title: str = ""
 
 
-class KeyValue(BaseModel):
+class KeyValue(_Out):
     """One of the few numbers that sum up a result, for lists."""
 
     name: str
@@ -27,53 +33,51 @@ class KeyValue(BaseModel):
     unit: str
 
 
-class JobStatus(BaseModel):
+class JobStatus(_Out):
     """The state of one job."""
 
     jobID: str  # noqa: N815 - the name OGC API - Processes gives it
-    name: str = Field(description="the name that the request gave it")
+    name: str
+    """the name that the request gave it"""
     tags: list[str]
-    data: list[str] = Field(description="names of the files that its data are from")
+    data: list[str]
+    """names of the files that its data are from"""
     kind: Kind
     model: str
     status: Status
-    progress: int = Field(description="per cent of all stages", examples=[37])
+    progress: int = Field(examples=[37])
+    """per cent of all stages"""
     iteration: int
     iterations: int
     created: str = Field(examples=["2026-03-01T08:30:00.000Z"])
     started: str | None
     updated: str
     finished: str | None
-    stage: str = Field(
-        description="what a running job is doing, such as iterations, standard errors"
-    )
-    estimated_end: str | None = Field(
-        description="when its present stage will be done at the latest, by its rate; null where that is "
-        "not known"
-    )
+    stage: str
+    """what a running job is doing, such as iterations, standard errors"""
+    estimated_end: str | None
+    """when its present stage will be done at the latest, by its rate; null where that is not known"""
     message: str
-    estimate: dict[str, float] | None = Field(
-        description="value of each parameter in the latest iteration"
-    )
+    estimate: dict[str, float] | None
+    """value of each parameter in the latest iteration"""
     log_likelihood: float | None
-    outcome: str | None = Field(
-        description="of a successful job: the verdict of a diagnosis, how an estimation ended"
-    )
-    causes: list[str] = Field(description="the effects that a diagnosis found")
-    values: list[KeyValue] = Field(
-        description="the few numbers that sum up the result; before its end, those known so far"
-    )
+    outcome: str | None
+    """of a successful job: the verdict of a diagnosis, how an estimation ended"""
+    causes: list[str]
+    """the effects that a diagnosis found"""
+    values: list[KeyValue]
+    """the few numbers that sum up the result; before its end, those known so far"""
     links: list[Link]
 
 
-class JobList(BaseModel):
+class JobList(_Out):
     """Jobs, newest first or as they were sorted."""
 
     jobs: list[JobStatus]
     links: list[Link]
 
 
-class Trace(BaseModel):
+class Trace(_Out):
     """Every iteration; row 0 is the start."""
 
     iteration: list[int]
@@ -83,27 +87,29 @@ class Trace(BaseModel):
     seconds: list[float | None]
 
 
-class TaskOut(BaseModel):
+class TaskOut(_Out):
     """One computation of a job: a start, a run of the bootstrap, ... and how far it is."""
 
     task: int
-    role: str = Field(description="computation, start, choice, estimate, bootstrap or summary")
-    state: str = Field(description="waiting, queued, running, done or stopped")
+    role: str
+    """computation, start, choice, estimate, bootstrap or summary"""
+    state: str
+    """waiting, queued, running, done or stopped"""
     iteration: int = 0
-    restarts: int = Field(default=0, description="how often its worker was lost")
-    estimate: dict[str, float | None] | None = Field(
-        default=None, description="value of each parameter in its latest iteration"
-    )
+    restarts: int = 0
+    """how often its worker was lost"""
+    estimate: dict[str, float | None] | None = None
+    """value of each parameter in its latest iteration"""
     log_likelihood: float | None = None
 
 
-class Tasks(BaseModel):
+class Tasks(_Out):
     """All computations of a job, in the order in which they begin."""
 
     tasks: list[TaskOut]
 
 
-class ReportSection(BaseModel):
+class ReportSection(_Out):
     """A part of a report, as HTML."""
 
     id: str
@@ -111,7 +117,7 @@ class ReportSection(BaseModel):
     html: str
 
 
-class ReportOut(BaseModel):
+class ReportOut(_Out):
     """A job's report in parts, as its page shows them.
 
     Where the HTML has an element with `data-chart="k"`, `charts[k]` is drawn.
@@ -123,38 +129,35 @@ class ReportOut(BaseModel):
     charts: list[dict[str, Any]]
 
 
-class ComparisonOut(BaseModel):
+class ComparisonOut(_Out):
     """Two jobs side by side; where something has two values, the first is that of job `a`."""
 
     jobs: list[JobStatus]
     time_unit: str
     models: list[str]
     outcome: list[str | None]
-    methods: list[str | None] = Field(
-        description="`simulation` for least squares on the simulation, else null"
-    )
-    parameters: list[dict[str, Any]] = Field(
-        description="name, unit, values, standard_errors, held, difference, in_errors"
-    )
+    methods: list[str | None]
+    """`simulation` for least squares on the simulation, else null"""
+    parameters: list[dict[str, Any]]
+    """name, unit, values, standard_errors, held, difference, in_errors"""
     free_parameters: list[int | None]
-    same_data: bool | None = Field(description="null: not known from the results")
+    same_data: bool | None
+    """null: not known from the results"""
     log_likelihood: list[dict[str, Any] | None]
     same_held_out: bool | None
-    held_out: list[dict[str, Any] | None] = Field(
-        description="samples, log_density, outputs with rmse in their unit"
-    )
-    curves: list[dict[str, Any]] = Field(
-        description="simulation, held-out and state by name, with t, measured and values of both"
-    )
+    held_out: list[dict[str, Any] | None]
+    """samples, log_density, outputs with rmse in their unit"""
+    curves: list[dict[str, Any]]
+    """simulation, held-out and state by name, with t, measured and values of both"""
 
 
-class ChartsOut(BaseModel):
+class ChartsOut(_Out):
     """Curves of a report's charts by their numbers, as `charts` of the report has them."""
 
     charts: dict[int, dict[str, Any]]
 
 
-class ParameterOut(BaseModel):
+class ParameterOut(_Out):
     """A parameter of a model; a bound that is null is infinite."""
 
     name: str
@@ -164,7 +167,7 @@ class ParameterOut(BaseModel):
     description: str
 
 
-class ModelOut(BaseModel):
+class ModelOut(_Out):
     """A registered model: channels and states with units, parameters, equations."""
 
     name: str
@@ -175,13 +178,16 @@ class ModelOut(BaseModel):
     inputs: dict[str, str]
     outputs: dict[str, str]
     parameters: list[ParameterOut]
-    own: bool = Field(description="whether it comes from a file of the user's own")
-    check: list[str] = Field(description="what the check of its functions says")
-    example: dict[str, Any] = Field(description="a request for POST /jobs")
+    own: bool
+    """whether it comes from a file of the user's own"""
+    check: list[str]
+    """what the check of its functions says"""
+    example: dict[str, Any]
+    """a request for POST /jobs"""
     links: list[Link]
 
 
-class ModelList(BaseModel):
+class ModelList(_Out):
     """Registered models, and plug-ins that could not be loaded."""
 
     models: list[ModelOut]
@@ -189,18 +195,19 @@ class ModelList(BaseModel):
     links: list[Link]
 
 
-class TimeOut(BaseModel):
+class TimeOut(_Out):
     """The column of time stamps of a file; ``step`` is the median."""
 
     column: str
-    problem: str | None = Field(description="why it cannot be used")
+    problem: str | None
+    """why it cannot be used"""
     first: float | None
     last: float | None
     step: float | None
     regular: bool
 
 
-class ColumnOut(BaseModel):
+class ColumnOut(_Out):
     """A column of a file: ``value`` at some of its rows, extremes kept; rows count from 0."""
 
     name: str
@@ -208,54 +215,58 @@ class ColumnOut(BaseModel):
     missing: int
     minimum: float | None
     maximum: float | None
-    problem: str | None = Field(description="why it cannot be used")
-    counts: bool = Field(description="goes up by the same step, as years and sample numbers do")
+    problem: str | None
+    """why it cannot be used"""
+    counts: bool
+    """goes up by the same step, as years and sample numbers do"""
     row: list[int]
     value: list[float | None]
-    gaps: list[tuple[int, int]] = Field(description="first and last row of missing values")
+    gaps: list[tuple[int, int]]
+    """first and last row of missing values"""
 
 
-class PreviewOut(BaseModel):
+class PreviewOut(_Out):
     """What a data file holds."""
 
     file: str
     rows: int
-    dt: float | None = Field(description="time step stored in the file")
-    time_unit: str = Field(description="what times count, as stated by the file, else s")
+    dt: float | None
+    """time step stored in the file"""
+    time_unit: str
+    """what times count, as stated by the file, else s"""
     time: TimeOut | None
     columns: list[ColumnOut]
     ignored: list[str]
 
 
-class ProblemOut(BaseModel):
+class ProblemOut(_Out):
     """A problem document (RFC 9457); `errors` name the fields of the request that are wrong."""
 
     type: str
     title: str
     status: int
     detail: str
-    advice: str | None = Field(default=None, description="what can be done about a failed job")
+    advice: str | None = None
+    """what can be done about a failed job"""
     errors: list[dict[str, Any]] | None = None
 
 
-class Estimated(BaseModel):
+class Estimated(_Out):
     """An estimate; the standard error is null where it was not computed."""
 
     value: float
     standard_error: float | None
-    interval: tuple[float, float] | None = Field(
-        default=None,
-        description="95 %: by the likelihood ratio, or symmetric, or from the bootstrap where there was one; "
-        "null where it has no end or was not computed",
-    )
+    interval: tuple[float, float] | None = None
+    """95 %: by the likelihood ratio, or symmetric, or from the bootstrap where there was one; null
+    where it has no end or was not computed"""
     unit: str
-    fixed: bool = Field(default=False, description="true for a parameter that was not free")
-    silent: bool = Field(
-        default=False, description="true for one that was free and has no influence on a simulation"
-    )
+    fixed: bool = False
+    """true for a parameter that was not free"""
+    silent: bool = False
+    """true for one that was free and has no influence on a simulation"""
 
 
-class Uncertain(BaseModel):
+class Uncertain(_Out):
     """A value with its Monte Carlo standard error, and the ``spread`` of the single runs behind it."""
 
     value: float | None
@@ -263,7 +274,7 @@ class Uncertain(BaseModel):
     spread: float | None = None
 
 
-class States(BaseModel):
+class States(_Out):
     """Smoothed states of one series."""
 
     t: list[float]
@@ -271,35 +282,33 @@ class States(BaseModel):
     standard_deviation: dict[str, list[float | None]]
 
 
-class StatesOut(BaseModel):
+class StatesOut(_Out):
     """Smoothed states of every series, with the states' units."""
 
     units: dict[str, str]
     series: list[States]
 
 
-class Simulated(BaseModel):
+class Simulated(_Out):
     """Simulated outputs and states of one series."""
 
     t: list[float]
     y: dict[str, list[float]]
     states: dict[str, list[float]]
-    measured: dict[str, list[float | None]] | None = Field(
-        default=None, description="what y is compared with, where something was measured"
-    )
-    rmse: float | None = Field(
-        default=None, description="against the measured y, where there is one"
-    )
+    measured: dict[str, list[float | None]] | None = None
+    """what y is compared with, where something was measured"""
+    rmse: float | None = None
+    """against the measured y, where there is one"""
 
 
-class SimulationOut(BaseModel):
+class SimulationOut(_Out):
     """Simulated outputs and states of every series, with units."""
 
     units: dict[str, str]
     series: list[Simulated]
 
 
-class ExaminationOut(BaseModel):
+class ExaminationOut(_Out):
     """An estimate looked at, series by series.
 
     Each holds ``sentences``, ``free_run`` (null where it diverges) and ``one_step`` with ``fits``,
@@ -309,47 +318,36 @@ class ExaminationOut(BaseModel):
     series: list[dict[str, Any]]
 
 
-class Results(BaseModel):
+class Results(_Out):
     """What a job found; which members there are depends on its kind."""
 
-    model: dict[str, Any] | None = Field(
-        default=None, description="name, equations, states, inputs and outputs with units"
-    )
-    time_unit: str | None = Field(
-        default=None, description="what times of the data count, such as s or year"
-    )
+    model: dict[str, Any] | None = None
+    """name, equations, states, inputs and outputs with units"""
+    time_unit: str | None = None
+    """what times of the data count, such as s or year"""
     estimate: dict[str, Estimated] | None = None
     parameters: dict[str, float] | None = None
-    method: str | None = Field(
-        default=None,
-        description="`simulation` where least squares on the simulation was used, else null",
-    )
-    rmse: float | None = Field(
-        default=None, description="root mean square error of a fit of the simulation"
-    )
+    method: str | None = None
+    """`simulation` where least squares on the simulation was used, else null"""
+    rmse: float | None = None
+    """root mean square error of a fit of the simulation"""
     outcome: str | None = None
     message: str | None = None
-    warning: str | None = Field(
-        default=None,
-        description="why standard errors and intervals cannot be trusted, where the estimate is no maximum",
-    )
+    warning: str | None = None
+    """why standard errors and intervals cannot be trusted, where the estimate is no maximum"""
     log_likelihood: Uncertain | None = None
-    held_out: dict[str, Any] | None = Field(
-        default=None,
-        description="of an estimation with `test`: samples, log_density, outputs with rmse, curves by series",
-    )
+    held_out: dict[str, Any] | None = None
+    """of an estimation with `test`: samples, log_density, outputs with rmse, curves by series"""
     trace: Trace | None = None
     states: StatesOut | None = None
     simulation: SimulationOut | None = None
-    early: dict[str, Any] | None = Field(
-        default=None,
-        description="of a diagnosis that goes on or was stopped: estimate, symptoms, screen",
-    )
-    diagnosis: dict[str, Any] | None = Field(
-        default=None, description="verdict, causes, symptoms, extension, gain, detectable, page"
-    )
-    examination: ExaminationOut | None = Field(
-        default=None, description="free run and predictions against the data, residuals"
-    )
-    starts: list[dict[str, Any]] | None = Field(default=None, description="each start's outcome")
-    bootstrap: dict[str, Any] | None = Field(default=None, description="estimates, quantiles")
+    early: dict[str, Any] | None = None
+    """of a diagnosis that goes on or was stopped: estimate, symptoms, screen"""
+    diagnosis: dict[str, Any] | None = None
+    """verdict, causes, symptoms, extension, gain, detectable, page"""
+    examination: ExaminationOut | None = None
+    """free run and predictions against the data, residuals"""
+    starts: list[dict[str, Any]] | None = None
+    """each start's outcome"""
+    bootstrap: dict[str, Any] | None = None
+    """estimates, quantiles"""

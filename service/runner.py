@@ -13,7 +13,6 @@ import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass
 from multiprocessing import connection, resource_tracker
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
@@ -39,28 +38,6 @@ _starter = Lasting("starter")
 _starting = threading.Lock()  # multiprocessing polls all children when it starts one
 
 
-@dataclass(frozen=True)
-class Terms:
-    """Under which terms attempts run; times in seconds."""
-
-    lease: float
-    run_seconds: float
-    losses_allowed: int
-    memory: int
-    models: tuple[str, ...] = ()  # files of models, see engine.models.registry.register_files
-
-    @classmethod
-    def of(cls, settings: Settings) -> Terms:
-        """The settings' terms."""
-        return cls(
-            settings.lease_seconds,
-            settings.run_seconds,
-            settings.losses_allowed,
-            settings.worker_memory,
-            settings.own_models,
-        )
-
-
 class Runner(Protocol):
     """Runs attempts somewhere."""
 
@@ -84,10 +61,9 @@ class LocalRunner:
     """A bounded number of worker processes on this machine."""
 
     def __init__(
-        self, store: Store, workers: int, terms: Terms, on_free: Callable[[], None] = lambda: None
+        self, store: Store, settings: Settings, on_free: Callable[[], None] = lambda: None
     ) -> None:
-        self._store, self._workers, self._terms = store, workers, terms
-        self._on_free = on_free
+        self._store, self._settings, self._on_free = store, settings, on_free
         self._threads: dict[str, threading.Thread] = {}
         self._stopping = threading.Event()
         self._warm = threading.Event()  # claimed before, an attempt could be silent in waiting
@@ -96,11 +72,11 @@ class LocalRunner:
 
     def capacity(self) -> int:
         """How many attempts can run at once."""
-        return self._workers
+        return self._settings.workers
 
     def free(self) -> int:
         """How many more attempts can start now."""
-        return self._workers - len(self._threads) if self._warm.is_set() else 0
+        return self._settings.workers - len(self._threads) if self._warm.is_set() else 0
 
     def running(self) -> int:
         """How many attempts there are."""
@@ -135,13 +111,13 @@ class LocalRunner:
 
     def _run(self, attempt: Attempt) -> None:
         try:
-            watch(self._store, attempt, self._terms, self._stopping)
+            watch(self._store, attempt, self._settings, self._stopping)
         finally:
             self._threads.pop(attempt.token)
             self._on_free()
 
 
-def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Event) -> None:
+def watch(store: Store, attempt: Attempt, settings: Settings, stopping: threading.Event) -> None:
     """Run an attempt in a process of its own until it ends; nothing of it is left on return.
 
     Keeps the heartbeat, and kills the process when the task is no longer the attempt's (cancelled,
@@ -149,7 +125,7 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
     """
     job = {"job": attempt.job_id}
     try:
-        process = _started(store, attempt, terms)
+        process = _started(store, attempt, settings)
     except (OSError, EOFError):  # the forkserver was killed, or the machine has no process left
         log.exception("no worker process could be started; the task is queued again", extra=job)
         store.release(attempt)
@@ -157,24 +133,25 @@ def watch(store: Store, attempt: Attempt, terms: Terms, stopping: threading.Even
         return
     log.info("attempt started, process %s", process.pid, extra=job)
     try:
-        cause = _until_end(store, attempt, terms, stopping, process)
+        cause = _until_end(store, attempt, settings, stopping, process)
     finally:
         _kill(process)
     try:
         if cause is not None:
             cause()
         elif store.holds(attempt):  # ended without a word to the store
-            store.lost(attempt, _cause_of_end(process), terms.losses_allowed)
+            store.lost(attempt, _cause_of_end(process), settings.losses_allowed)
     except SQLAlchemyError:  # nobody beats for it any more, and the task is queued again
         log.exception("the end of the attempt could not be written", extra=job)
     log.info("attempt ended, exit code %s", process.exitcode, extra=job)
 
 
-def _started(store: Store, attempt: Attempt, terms: Terms) -> BaseProcess:
+def _started(store: Store, attempt: Attempt, settings: Settings) -> BaseProcess:
     """Spawn; the heartbeat goes on meanwhile, for a new forkserver has to load the engine first."""
     with ThreadPoolExecutor(1) as pool:
-        process = pool.submit(spawn, store.url, attempt, terms)
-        while wait([process], terms.lease / 4).not_done:
+        work = (store.url, attempt, settings.worker_memory, settings.own_models)
+        process = pool.submit(_start, main, work)
+        while wait([process], settings.lease_seconds / 4).not_done:
             store.renew(attempt)
         return process.result()
 
@@ -195,11 +172,6 @@ def warm_up() -> None:
         process.join()
     if process.exitcode:
         log.error("no job will be computed: %s", _cause_of_end(process))
-
-
-def spawn(url: str, attempt: Attempt, terms: Terms) -> BaseProcess:
-    """A fresh process that works on an attempt."""
-    return _start(main, (url, attempt, terms.memory, terms.models))
 
 
 def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
@@ -228,13 +200,13 @@ def _begin(target: Callable[..., object], args: tuple[object, ...]) -> BaseProce
 def _until_end(
     store: Store,
     attempt: Attempt,
-    terms: Terms,
+    settings: Settings,
     stopping: threading.Event,
     process: BaseProcess,
 ) -> Callable[[], object] | None:
     """Wait; returns what to write to the store once the process is dead, if anything."""
-    awake, renewed = Awake(max(terms.lease / 4, 2 * POLL_SECONDS)), 0.0
-    run_seconds = min(terms.run_seconds, attempt.run_seconds or terms.run_seconds)
+    awake, renewed = Awake(max(settings.lease_seconds / 4, 2 * POLL_SECONDS)), 0.0
+    run_seconds = min(settings.run_seconds, attempt.run_seconds or settings.run_seconds)
     left = run_seconds - attempt.spent
     while not connection.wait([process.sentinel], POLL_SECONDS):
         now = awake.look()
@@ -245,13 +217,13 @@ def _until_end(
             problem = Problem(422, "run-time-exceeded", detail).document()
             return lambda: store.fail(attempt, problem)
         try:
-            if now - renewed >= terms.lease / 4:
+            if now - renewed >= settings.lease_seconds / 4:
                 mine, renewed = store.renew(attempt), now
             else:
                 mine = store.holds(attempt)
         except SQLAlchemyError as error:
             log.warning("the store does not answer: %s", error, extra={"job": attempt.job_id})
-            mine = now - renewed < terms.lease
+            mine = now - renewed < settings.lease_seconds
         if not mine:
             return lambda: None
     return None

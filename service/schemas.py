@@ -83,7 +83,11 @@ _FIRST = Field(fail_fast=True)
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, arbitrary_types_allowed=True)
+    """No guesses; what stands below a member is its description."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, arbitrary_types_allowed=True, use_attribute_docstrings=True
+    )
 
 
 # ---- requests -------------------------------------------------------------------------------
@@ -120,18 +124,14 @@ class SettingIn(_Strict):
 class ModelReference(_Strict):
     """A registered model, by name; `with` lists effects added to it, for data as `setting` has them."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, serialize_by_alias=True)
+    model_config = ConfigDict(serialize_by_alias=True)
     name: str = Field(max_length=200)
     effects: Names = Field(default_factory=list, alias="with", max_length=20)
-    setting: SettingIn | None = Field(
-        default=None, description="null means the span and time step of the first series"
-    )
-    source: str | None = Field(
-        default=None,
-        max_length=64,
-        description="SHA-256 of the file of a model of one's own; the service puts it in, and refuses to "
-        "compute with another version of the file",
-    )
+    setting: SettingIn | None = None
+    """null means the span and time step of the first series"""
+    source: str | None = Field(default=None, max_length=64)
+    """SHA-256 of the file of a model of one's own; the service puts it in, and refuses to compute with
+    another version of the file"""
 
 
 def _model_reference(value: Any) -> Any:
@@ -152,16 +152,12 @@ ExtraName = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^+:>]
 
 
 class _Timed(_Strict):
-    dt: float | None = Field(
-        default=None, gt=0, allow_inf_nan=False, description="time step, in time_unit"
-    )
-    t: Annotated[list[float], _FIRST] | None = Field(
-        default=None, description="time stamps, increasing; instead of dt"
-    )
-    time_unit: TimeUnit = Field(
-        default="s",
-        description="unit of time, such as min or year: a label, which changes printed units and no number",
-    )
+    dt: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    """time step, in time_unit"""
+    t: Annotated[list[float], _FIRST] | None = None
+    """time stamps, increasing; instead of dt"""
+    time_unit: TimeUnit = "s"
+    """unit of time, such as min or year: a label, which changes printed units and no number"""
 
     @model_validator(mode="after")
     def _one_clock(self) -> _Timed:
@@ -174,17 +170,14 @@ Hold = Literal["zoh", "foh", "past"]
 
 
 class _Recorded(_Timed):
-    hold: Hold = Field(
-        default="zoh",
-        description="what inputs do between samples: held until the next one (zoh), on a straight line to it "
-        "(foh), or held at a row's value since the row before (past)",
-    )
+    hold: Hold = "zoh"
+    """what inputs do between samples: held until the next one (zoh), on a straight line to it (foh), or
+    held at a row's value since the row before (past)"""
     extra: dict[ExtraName, Annotated[list[Number], _FIRST]] | None = Field(
-        default=None,
-        max_length=50,
-        description="channels by name that were recorded beside y and u, without gaps; a diagnosis asks "
-        "whether the model should use them. A model that has inputs of these names takes them from here",
+        default=None, max_length=50
     )
+    """channels by name that were recorded beside y and u, without gaps; a diagnosis asks whether the
+    model should use them. A model that has inputs of these names takes them from here"""
 
 
 class SeriesIn(_Recorded):
@@ -204,21 +197,19 @@ class InputIn(_Recorded):
 class DiagnoseParameters(_Strict):
     """Where the model's own estimation starts and what it may change."""
 
-    start: Values = Field(
-        default_factory=dict,
-        description="start values by name; parameters that are not named start at their defaults",
-    )
-    free: Names | None = Field(
-        default=None, min_length=1, description="parameters to estimate; null means all"
-    )
+    start: Values = Field(default_factory=dict)
+    """start values by name; parameters that are not named start at their defaults"""
+    free: Names | None = Field(default=None, min_length=1)
+    """parameters to estimate; null means all"""
 
 
 class EstimateParameters(DiagnoseParameters):
     """Where the estimation starts and what it may change."""
 
     ranges: dict[Annotated[str, Field(max_length=200)], Annotated[list[Number], _FIRST]] = Field(
-        default_factory=dict, description="where further starts are drawn, name: [low, high]"
+        default_factory=dict
     )
+    """where further starts are drawn, name: [low, high]"""
 
     @field_validator("ranges")
     @classmethod
@@ -232,10 +223,8 @@ class EstimateParameters(DiagnoseParameters):
 class FixedParameters(_Strict):
     """Values of the model's parameters, in their units."""
 
-    values: Values = Field(
-        default_factory=dict,
-        description="values by name; parameters that are not named have their defaults",
-    )
+    values: Values = Field(default_factory=dict)
+    """values by name; parameters that are not named have their defaults"""
 
 
 Seed = Annotated[
@@ -257,33 +246,26 @@ Trajectories = Annotated[Particles | None, Field(description="null means as many
 class EstimateOptions(_Strict):
     """Options of an estimation: method, particles, iterations, starts, standard errors."""
 
-    method: Literal["quasi-newton", "simulation", "rbps-em", "ps-em", "rts-em"] = Field(
-        default="quasi-newton",
-        description="maximum likelihood by steps on the log-likelihood, or by EM: with Rao-Blackwellized "
-        "particles, with particles alone, or exact, for linear models; simulation: least squares on the "
-        "simulation without noise",
-    )
-    first: Literal["none", "simulation"] = Field(
-        default="none",
-        description="simulation: iterations leave from the least-squares fit of the simulation",
-    )
+    method: Literal["quasi-newton", "simulation", "rbps-em", "ps-em", "rts-em"] = "quasi-newton"
+    """maximum likelihood by steps on the log-likelihood, or by EM: with Rao-Blackwellized particles,
+    with particles alone, or exact, for linear models; simulation: least squares on the simulation
+    without noise"""
+    first: Literal["none", "simulation"] = "none"
+    """simulation: iterations leave from the least-squares fit of the simulation"""
     particles: Particles = 50
     trajectories: Trajectories = None
     iterations: int = Field(default=100, ge=1)
     seed: Seed = 0
-    standard_errors: bool = Field(
-        default=True, description="whether to compute them, which takes about as long as the rest"
-    )
-    intervals: Literal["likelihood-ratio", "symmetric"] = Field(
-        default="symmetric",
-        description="how the 95 % intervals are computed. Symmetric ones cost nothing more, but cover "
-        "too little where the log-likelihood is far from quadratic. By the likelihood ratio they take "
-        "several times as long as all the rest",
-    )
-    starts: int = Field(default=1, ge=1, description="the best of this many starts is taken")
-    bootstrap: int = Field(
-        default=0, ge=0, description="standard errors from this many estimations on simulated data"
-    )
+    standard_errors: bool = True
+    """whether to compute them, which takes about as long as the rest"""
+    intervals: Literal["likelihood-ratio", "symmetric"] = "symmetric"
+    """how the 95 % intervals are computed. Symmetric ones cost nothing more, but cover too little where
+    the log-likelihood is far from quadratic. By the likelihood ratio they take several times as long as
+    all the rest"""
+    starts: int = Field(default=1, ge=1)
+    """the best of this many starts is taken"""
+    bootstrap: int = Field(default=0, ge=0)
+    """standard errors from this many estimations on simulated data"""
 
 
 class SmoothOptions(_Strict):
@@ -298,30 +280,20 @@ class SimulateOptions(_Strict):
     """`free-run` has no noise; `stochastic` draws the model's noise."""
 
     mode: Literal["free-run", "stochastic"] = "stochastic"
-    samples: int | None = Field(
-        default=None, ge=2, description="number of samples, where no u gives it"
-    )
+    samples: int | None = Field(default=None, ge=2)
+    """number of samples, where no u gives it"""
     seed: Seed = 0
 
 
 class DiagnoseOptions(_Strict):
     """What to look for, and how sure to be."""
 
-    alpha: float = Field(
-        default=0.05, gt=0, lt=1, description="probability of an alarm where nothing is wrong"
-    )
-    effects: Names | None = Field(
-        default=None,
-        min_length=1,
-        max_length=500,
-        description="kinds or names of effects to look for; null means all",
-    )
-    max_effects: int = Field(
-        default=3,
-        ge=1,
-        le=10,
-        description="upper limit on effects found in turn; more than two mean an unknown cause",
-    )
+    alpha: float = Field(default=0.05, gt=0, lt=1)
+    """probability of an alarm where nothing is wrong"""
+    effects: Names | None = Field(default=None, min_length=1, max_length=500)
+    """kinds or names of effects to look for; null means all"""
+    max_effects: int = Field(default=3, ge=1, le=10)
+    """upper limit on effects found in turn; more than two mean an unknown cause"""
     seed: Seed = 0
 
 
@@ -334,15 +306,12 @@ JobName = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f]*$")]
 class _Labelled(_Strict):
     """Labels by which jobs are told apart in a list; no computation uses them."""
 
-    name: JobName = Field(default="", description="a name for the job, shown in lists and reports")
-    tags: Tags = Field(
-        default_factory=list, description="words by which the job is found in the list"
-    )
-    data: list[JobName] = Field(
-        default_factory=list,
-        max_length=100,
-        description="names of the files that the data are from; an upload puts them in",
-    )
+    name: JobName = ""
+    """a name for the job, shown in lists and reports"""
+    tags: Tags = Field(default_factory=list)
+    """words by which the job is found in the list"""
+    data: list[JobName] = Field(default_factory=list, max_length=100)
+    """names of the files that the data are from; an upload puts them in"""
 
 
 class LabelsIn(_Strict):
@@ -371,56 +340,54 @@ Tests = Annotated[
 ]
 
 
-class EstimateRequest(_Labelled):
+class _Job(_Labelled):
+    """What every job is asked with."""
+
+    model: ModelChoice
+    run_seconds: RunSeconds = None
+
+
+class _OnData(_Job):
+    """What a job with measured data is asked with."""
+
+    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
+
+
+class EstimateRequest(_OnData):
     """Maximum-likelihood estimation of the free parameters."""
 
     kind: Literal["estimate"]
-    model: ModelChoice
-    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
-    test: Tests = Field(
-        default=[],
-        description="held-out data, one series or several, on which the error of the estimate is measured",
-    )
+    test: Tests = []
+    """held-out data, one series or several, on which the error of the estimate is measured"""
     parameters: EstimateParameters = EstimateParameters()
     options: EstimateOptions = EstimateOptions()
-    run_seconds: RunSeconds = None
 
 
-class SmoothRequest(_Labelled):
+class SmoothRequest(_OnData):
     """Means and standard deviations of all states at given parameters."""
 
     kind: Literal["smooth"]
-    model: ModelChoice
-    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
     parameters: FixedParameters = FixedParameters()
     options: SmoothOptions = SmoothOptions()
-    run_seconds: RunSeconds = None
 
 
-class SimulateRequest(_Labelled):
+class SimulateRequest(_Job):
     """The model's response to inputs at given parameters."""
 
     kind: Literal["simulate"]
-    model: ModelChoice
     series: Annotated[list[InputIn], _FIRST] = Field(default_factory=list)
     parameters: FixedParameters = FixedParameters()
     options: SimulateOptions = SimulateOptions()
-    run_seconds: RunSeconds = None
 
 
-class DiagnoseRequest(_Labelled):
+class DiagnoseRequest(_OnData):
     """What the model gets wrong on one or several series, why, and what an extension gains."""
 
     kind: Literal["diagnose"]
-    model: ModelChoice
-    series: Annotated[list[SeriesIn], _FIRST] = Field(min_length=1)
-    test: Tests = Field(
-        default=[],
-        description="held-out data, one series or several; none means the last fifth of the longest",
-    )
+    test: Tests = []
+    """held-out data, one series or several; none means the last fifth of the longest"""
     parameters: DiagnoseParameters = DiagnoseParameters()
     options: DiagnoseOptions = DiagnoseOptions()
-    run_seconds: RunSeconds = None
 
 
 class InformationIn(_Strict):
@@ -437,44 +404,34 @@ class DesignOptions(_Strict):
     """Causes to tell apart, and the bounds of the experiment."""
 
     causes: dict[Annotated[str, Field(max_length=200)], Number | CauseIn] = Field(
-        min_length=1,
-        max_length=20,
-        description="effects with their sizes, or with values of their own and the model's parameters by name, "
-        "and the information that a record gave of them",
+        min_length=1, max_length=20
     )
-    bounds: dict[str, Any] = Field(
-        description="inputs: {name: {low, high, rate, forbidden, start}}, states and outputs: {name: [low, "
-        "high]}, dt in seconds, sigmas, hold, substeps"
-    )
-    length: int = Field(ge=30, le=20_000, description="number of samples of the experiment")
-    alarm: float | None = Field(
-        default=None,
-        gt=0,
-        allow_inf_nan=False,
-        description="statistic from which a diagnosis sees something, as the threshold of an earlier one's "
-        "first round; null where there is none",
-    )
-    measured: Names | None = Field(
-        default=None, min_length=1, description="outputs that are measured; null means all"
-    )
-    inputs: int = Field(default=400, ge=1, le=5000, description="how many inputs are tried")
+    """effects with their sizes, or with values of their own and the model's parameters by name, and the
+    information that a record gave of them"""
+    bounds: dict[str, Any]
+    """inputs: {name: {low, high, rate, forbidden, start}}, states and outputs: {name: [low, high]}, dt
+    in seconds, sigmas, hold, substeps"""
+    length: int = Field(ge=30, le=20_000)
+    """number of samples of the experiment"""
+    alarm: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    """statistic from which a diagnosis sees something, as the threshold of an earlier one's first
+    round; null where there is none"""
+    measured: Names | None = Field(default=None, min_length=1)
+    """outputs that are measured; null means all"""
+    inputs: int = Field(default=400, ge=1, le=5000)
+    """how many inputs are tried"""
     seed: Seed = 0
 
 
-class DesignRequest(_Labelled):
+class DesignRequest(_Job):
     """The input within bounds that tells causes apart."""
 
     kind: Literal["design"]
-    model: ModelChoice
-    series: Annotated[list[InputIn], _FIRST] = Field(
-        default_factory=list, max_length=0, description="none is needed"
-    )
+    series: Annotated[list[InputIn], _FIRST] = Field(default_factory=list, max_length=0)
+    """none is needed"""
     parameters: DiagnoseParameters = DiagnoseParameters()
     options: DesignOptions
-    run_seconds: RunSeconds = None
 
 
-JobRequest = Annotated[
-    EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest | DesignRequest,
-    Field(discriminator="kind"),
-]
+Request = EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest | DesignRequest
+JobRequest = Annotated[Request, Field(discriminator="kind")]

@@ -68,11 +68,7 @@ def room(settings: Settings) -> int:
 
 def guarded(settings: Settings) -> type[H11Protocol]:
     """The protocol with the settings' limits."""
-    most, header_seconds, read_seconds = (
-        room(settings),
-        settings.header_seconds,
-        settings.body_seconds,
-    )
+    most = room(settings)
 
     class Guarded(H11Protocol):
         """One connection."""
@@ -117,12 +113,14 @@ def guarded(settings: Settings) -> type[H11Protocol]:
                 _cancel(self._request_timer)
                 self._request_timer = None
             elif self._request_timer is None:
-                self._request_timer = self.loop.call_later(header_seconds, self.transport.abort)
+                self._request_timer = self.loop.call_later(
+                    settings.header_seconds, self.transport.abort
+                )
 
         def pause_writing(self) -> None:
             """The client does not read; it has some time to begin again."""
             super().pause_writing()
-            self._write_timer = self.loop.call_later(read_seconds, self.transport.abort)
+            self._write_timer = self.loop.call_later(settings.body_seconds, self.transport.abort)
 
         def resume_writing(self) -> None:
             """The client reads again."""

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-import engine
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
+from engine.presentation.examination import trace_document
 from engine.simulation.problem import REFINED
 from engine.statespace.model import Theta
 from service import computations, designs, diagnoses
@@ -28,14 +28,14 @@ from service.schemas import (
     DesignRequest,
     DiagnoseRequest,
     EstimateRequest,
+    Request,
     SimulateRequest,
     SmoothRequest,
 )
-from service.validation import Prepared, Request
+from service.validation import Prepared
 
-SIMULATION_STEPS = (
-    REFINED + 2
-)  # of a fit of the simulation: its starts, and the best one to its end
+# of a fit of the simulation: its starts, and the best one to its end
+SIMULATION_STEPS = REFINED + 2
 START_SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
 START_KEY, BOOTSTRAP_KEY = 1 << 40, 1 << 41  # spawn keys far from those of iterations
 
@@ -122,7 +122,7 @@ def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) ->
     except ModelError as error:
         return start | {"success": False, "outcome": "failed", "message": str(error)}
     if found["success"]:
-        rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(START_KEY,)))
+        rng = computations.stream(options.seed, START_KEY)
         theta = job.model.theta(found["theta"])
         found["reached"] = computations.log_likelihood(
             job, theta, options.particles, rng, options.method
@@ -134,9 +134,7 @@ def _start(job: Prepared, request: EstimateRequest, i: int) -> Theta:
     """The i-th start: the given one, then draws from the given ranges or around the given start."""
     if i == 0:
         return job.theta
-    rng = np.random.default_rng(
-        np.random.SeedSequence(request.options.seed, spawn_key=(START_KEY + i,))
-    )
+    rng = computations.stream(request.options.seed, START_KEY + i)
     theta = np.array(job.theta)
     for k in job.model.free_indices(job.free):
         size = abs(theta[k]) or parameter_scale(job.model, theta, int(k))
@@ -152,31 +150,25 @@ def _choose(job: Prepared, request: EstimateRequest, progress: Progress) -> dict
     reached = [one for one in found if one["success"]]
     if not reached:
         reasons = "; ".join(sorted({one["message"] for one in found}))
-        raise Problem(
-            422, "no-start-succeeded", f"none of {len(found)} starts succeeded: {reasons}"
-        )
+        detail = f"none of {len(found)} starts succeeded: {reasons}"
+        raise Problem(422, "no-start-succeeded", detail)
     best = max(reached, key=lambda one: one["reached"]["value"])
     result = computations.describe(job, request.options, best, progress)
-    names = job.model.parameter_names
-    result["starts"] = [
-        {"start": one["start"], "outcome": one["outcome"], "message": one["message"]}
-        | (
-            {
-                "estimate": dict(zip(names, one["theta"], strict=True)),
-                "log_likelihood": one["reached"],
-                "trace": {
-                    "iteration": list(range(len(one["trace"]))),
-                    "theta": dict(
-                        zip(names, map(list, zip(*one["trace"], strict=True)), strict=True)
-                    ),
-                },
-            }
-            if one["success"]
-            else {}
-        )
-        for one in found
-    ]
+    result["starts"] = [_of_start(job.model.parameter_names, one) for one in found]
     return result
+
+
+def _of_start(names: Sequence[str], found: dict[str, Any]) -> dict[str, Any]:
+    """What the result says of one start."""
+    said = {key: found[key] for key in ("start", "outcome", "message")}
+    if not found["success"]:
+        return said
+    trace = trace_document(names, found)
+    return said | {
+        "estimate": dict(zip(names, found["theta"], strict=True)),
+        "log_likelihood": found["reached"],
+        "trace": {key: trace[key] for key in ("iteration", "theta")},
+    }
 
 
 def _resample(
@@ -184,15 +176,12 @@ def _resample(
 ) -> dict[str, Any]:
     """One run of the parametric bootstrap: simulate at the estimate, estimate again."""
     options, model = request.options, job.model
-    values = {k: v["value"] for k, v in progress.left(estimated)["estimate"].items()}
-    theta = model.theta(values)
-    rng = np.random.default_rng(
-        np.random.SeedSequence(options.seed, spawn_key=(BOOTSTRAP_KEY + i,))
-    )
+    estimate = progress.left(estimated)["estimate"]
+    theta = model.theta({name: one["value"] for name, one in estimate.items()})
+    rng = computations.stream(options.seed, BOOTSTRAP_KEY + i)
     drawn = []
     for series in job.series:
-        u = series.u if model.nu else None
-        y = engine.simulate(model, theta, len(series), rng, u=u, t=series.t, hold=series.hold).y
+        y = computations.drawn(model, theta, series, rng).y
         y[~series.observed] = np.nan
         drawn.append(series.replace(y=y))
     again = Prepared(request, model, drawn, theta, job.free)
@@ -222,7 +211,6 @@ def _summarize(
         result["bootstrap"]["estimates"][name] = values.tolist()
         quantiles = np.quantile(values, [0.025, 0.5, 0.975]).tolist()
         result["estimate"][name]["interval"] = [quantiles[0], quantiles[2]]
-        result["bootstrap"]["quantiles"][name] = dict(
-            zip(("0.025", "0.5", "0.975"), quantiles, strict=True)
-        )
+        by_share = zip(("0.025", "0.5", "0.975"), quantiles, strict=True)
+        result["bootstrap"]["quantiles"][name] = dict(by_share)
     return result

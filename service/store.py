@@ -30,7 +30,6 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Row,
-    Select,
     and_,
     delete,
     func,
@@ -44,20 +43,13 @@ from sqlalchemy.exc import IntegrityError, OperationalError
 from engine.statespace.model import Array
 from service.attempts import Attempts
 from service.db_schema import documents, in_lines, iterations, jobs, pulse, tasks
+from service.problems import Problem
 from service.strict_json import dumps
 from service.transitions import KEPT, add, add_tasks, end, forget, locked, put, resume
 
 ENDED = ("successful", "failed", "dismissed")
 # how many jobs of an owner, or of all (None), may wait or run
 Most = Sequence[tuple[str | None, int]]
-
-
-class KeyReused(Exception):  # noqa: N818 - it is the client that erred
-    """An idempotency key came with another request; the argument is the first job's id."""
-
-
-class QueueFull(Exception):  # noqa: N818 - as above
-    """So many jobs wait or run already; the argument is their number."""
 
 
 # By what a list of jobs can be sorted.
@@ -129,7 +121,7 @@ class Store(Attempts):
     ) -> str:
         """Put a job at the end of the queue; its id, or that of the job with the same key.
 
-        Raises KeyReused if that job's request was another, QueueFull beyond the limits ``most``.
+        Raises Problem 422 if that job's request was another, 429 beyond the limits ``most``.
         """
         now, job_id, text = time.time(), uuid.uuid4().hex, dumps(request)
         digest = hashlib.sha256(text.encode()).hexdigest()
@@ -165,10 +157,6 @@ class Store(Attempts):
                 raise
             return _repeated(first, digest)
         return job_id
-
-    def _rows(self, query: Select[Any]) -> Sequence[Any]:
-        with self._read.begin() as sql:
-            return sql.execute(query).all()
 
     def job(self, job_id: str) -> Row[Any] | None:
         """One job, or None."""
@@ -210,24 +198,19 @@ class Store(Attempts):
 
     def statistics(self) -> dict[str, Any]:
         """Totals over all jobs there ever were, for the metrics."""
-        with self._read.begin() as sql:
-            oldest = sql.scalar(select(func.min(jobs.c.created)).where(jobs.c.status == "accepted"))
-            group = (jobs.c.kind, jobs.c.status)
-            seconds = func.sum(jobs.c.finished - jobs.c.started)
-            return {
-                "waiting": time.time() - oldest if oldest else 0.0,
-                "iterations": sql.scalar(select(func.coalesce(func.sum(jobs.c.iteration), 0))),
-                "durations": sql.execute(
-                    select(*group, func.count(), seconds)
-                    .where(jobs.c.finished.is_not(None), jobs.c.started.is_not(None))
-                    .group_by(*group)
-                ).all(),
-                "causes": sql.execute(
-                    select(jobs.c.cause, func.count())
-                    .where(jobs.c.cause.is_not(None))
-                    .group_by(jobs.c.cause)
-                ).all(),
-            }
+        waiting = select(func.min(jobs.c.created)).where(jobs.c.status == "accepted")
+        ((oldest,),) = self._rows(waiting)
+        ((done,),) = self._rows(select(func.coalesce(func.sum(jobs.c.iteration), 0)))
+        group = (jobs.c.kind, jobs.c.status)
+        seconds = jobs.c.finished - jobs.c.started  # null of what has not begun, or not ended
+        durations = select(*group, func.count(), func.sum(seconds)).where(seconds.is_not(None))
+        causes = select(jobs.c.cause, func.count()).where(jobs.c.cause.is_not(None))
+        return {
+            "waiting": time.time() - oldest if oldest else 0.0,
+            "iterations": done,
+            "durations": self._rows(durations.group_by(*group)),
+            "causes": self._rows(causes.group_by(jobs.c.cause)),
+        }
 
     def check(self) -> None:
         """Raise if the store cannot be written to."""
@@ -305,14 +288,12 @@ class Store(Attempts):
         """
         try:
             row = self._dismiss(job_id)
-            if row is not None and row.removed:
-                self._give_back()
-            return row
         except OperationalError:
             if not self._reserve.give_up():
                 raise
-        row = self._dismiss(job_id)
-        self._give_back()
+            row = self._dismiss(job_id)
+        if row is not None and row.removed:
+            self._give_back()
         self._reserve.fill()
         return row
 
@@ -331,7 +312,7 @@ class Store(Attempts):
     def resume(self, job_id: str, most: Most = ()) -> Row[Any] | None:
         """Put a failed or dismissed job back into the queue, if its data are still there; the job.
 
-        Raises QueueFull beyond the limits ``most``.
+        Raises Problem 429 beyond the limits ``most``.
         """
         with self._engine.begin() as sql:
             job = self._locked(sql, job_id)
@@ -394,7 +375,8 @@ def _by_key(sql: Connection, owner: str, key: str | None) -> Row[Any] | None:
 def _repeated(first: Row[Any], digest: str) -> str:
     """The id of the job that a repeated request asks for."""
     if first.digest != digest:
-        raise KeyReused(first.id)
+        detail = f"this Idempotency-Key came with another request, job {first.id}"
+        raise Problem(422, "idempotency-key-reused", detail)
     return str(first.id)
 
 
@@ -404,4 +386,5 @@ def _check_room(sql: Connection, most: Most) -> None:
         if owner is not None:
             query = query.where(jobs.c.owner == owner)
         if (sql.scalar(query) or 0) >= number:
-            raise QueueFull(number)
+            detail = f"{number} jobs wait or run already; try again later"
+            raise Problem(429, "queue-full", detail, retry_after=30)

@@ -31,11 +31,7 @@ class Supervisor:
     """One thread; several supervisors may share a store."""
 
     def __init__(
-        self,
-        store: Store,
-        runner: Runner,
-        settings: Settings,
-        wake: threading.Event | None = None,
+        self, store: Store, runner: Runner, settings: Settings, wake: threading.Event | None = None
     ) -> None:
         """``wake`` is set by whoever has something for it to do, as the runner."""
         self._store, self._runner, self._settings = store, runner, settings

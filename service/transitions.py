@@ -11,6 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, and_, delete, func, insert, select, update
 
 from service.db_schema import documents, iterations, jobs, tasks
+from service.problems import Problem
 from service.strict_json import dumps
 
 PRELIMINARY = "preliminary"  # name of the result so far: before standard errors, before causes
@@ -125,11 +126,7 @@ def lose(sql: Connection, seq: int, task: int, cause: str, allowed: int) -> None
     futile = 1 if mark > row.mark else row.futile + 1
     if futile > allowed:
         detail = f"{cause}; given up after {futile} attempts"
-        problem = {
-            "type": "urn:rbps:problem:worker-lost", "title": "worker lost",
-            "status": 500, "detail": detail,
-        }  # fmt: skip
-        fail(sql, seq, problem)
+        fail(sql, seq, Problem(500, "worker-lost", detail).document())
         return
     again = {"losses": row.losses + 1, "futile": futile, "mark": mark}
     change_tasks(sql, this, state="queued", token=None, **again)
@@ -154,16 +151,9 @@ def resume(sql: Connection, seq: int) -> None:
     """Queue what was stopped of an ended job; its losses and its time are counted anew."""
     stopped = and_(tasks.c.job == seq, tasks.c.state == "stopped")
     change_tasks(sql, stopped, state="queued", token=None, futile=0, taken=0, spent=0.0)
-    values = {
-        "stage": "",
-        "stage_share": None,
-        "status": "accepted",
-        "finished": None,
-        "problem": None,
-        "cause": None,
-    }
     message = "resumed; continues where it was"
-    change_job(sql, seq, updated=time.time(), message=message, **values)
+    anew = {"stage": "", "stage_share": None, "finished": None, "problem": None, "cause": None}
+    change_job(sql, seq, status="accepted", updated=time.time(), message=message, **anew)
 
 
 def forget(sql: Connection, seq: int, **values: Any) -> None:

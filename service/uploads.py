@@ -21,8 +21,8 @@ from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
 from service.columns import match
 from service.problems import Problem, invalid
-from service.schemas import Hold, ModelReference, TimeUnit
-from service.validation import ADAPTER, Request, find_model
+from service.schemas import Hold, ModelReference, Request, TimeUnit
+from service.validation import ADAPTER, find_model
 
 SMALL_BYTES = 1 << 22  # bytes that any file may hold
 
@@ -59,30 +59,30 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
     if isinstance(test, dict):
         test = [test]
     if isinstance(test, list):
-        body["test"] = [
-            _read(one, files, f"test[{i}]" if len(test) > 1 else "test", body)
-            if isinstance(one, dict) and "file" in one
-            else one
-            for i, one in enumerate(test)
-        ]
+        body["test"] = _read_all(test, files, "test[{}]" if len(test) > 1 else "test", body)
         held_out = {one.get("file") for one in test if isinstance(one, dict)}
         files = {name: data for name, data in files.items() if name not in held_out}
     entries = body.get("series")
     if entries is None:
         entries = [{"file": name} for name in files]
     if isinstance(entries, list):
-        body["series"] = [
-            _read(entry, files, f"series[{i}]", body)
-            if isinstance(entry, dict) and "file" in entry
-            else entry
-            for i, entry in enumerate(entries)
-        ]
+        body["series"] = _read_all(entries, files, "series[{}]", body)
     try:
         return ADAPTER.validate_python(body)
     except ValidationError as error:
         raise RequestValidationError(
             [item | {"loc": ("body", *item["loc"])} for item in error.errors()]
         ) from None
+
+
+def _read_all(
+    entries: list[Any], files: Mapping[str, bytes], where: str, body: dict[str, Any]
+) -> list[Any]:
+    """The entries; those that name a file are read from it."""
+    return [
+        _read(one, files, where.format(i), body) if isinstance(one, dict) and "file" in one else one
+        for i, one in enumerate(entries)
+    ]
 
 
 def _read(

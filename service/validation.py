@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -25,16 +25,16 @@ from service.schemas import (
     DiagnoseRequest,
     EstimateOptions,
     EstimateRequest,
+    FixedParameters,
     InputIn,
     JobRequest,
     ModelReference,
+    Request,
     SeriesIn,
     SimulateRequest,
-    SmoothRequest,
 )
 from service.settings import Settings
 
-Request = EstimateRequest | SmoothRequest | SimulateRequest | DiagnoseRequest | DesignRequest
 ADAPTER: TypeAdapter[Request] = TypeAdapter(JobRequest)
 
 
@@ -58,40 +58,36 @@ class Prepared:
 def prepare(request: Request) -> Prepared:
     """Check a request against its model. Raises Problem 422."""
     model = find_model(request.model, lambda model: _times(request, model))
-    if isinstance(request, EstimateRequest | DiagnoseRequest | DesignRequest):
-        values, where = request.parameters.start, "parameters.start"
-    else:
-        values, where = request.parameters.values, "parameters.values"
-    with _at(where):
-        theta = model.theta(values)
+    parameters = request.parameters
     free: list[str] | None = None
-    test: Sequence[Series] = ()
-    if isinstance(request, EstimateRequest | DiagnoseRequest | DesignRequest):
-        free = request.parameters.free
+    if isinstance(parameters, FixedParameters):
+        with _at("parameters.values"):
+            theta = model.theta(parameters.values)
+    else:
+        free = parameters.free
+        with _at("parameters.start"):
+            theta = model.theta(parameters.start)
         with _at("parameters.free"):
             model.free_indices(free)
+    test: Sequence[Series] = ()
     if isinstance(request, EstimateRequest | DiagnoseRequest):
-        one = len(request.test) == 1
-        test = [
-            _series(other, model, "test" if one else f"test[{i}]")
-            for i, other in enumerate(request.test)
-        ]
+        test = _all_series(request.test, model, "test", numbered=len(request.test) > 1)
     if isinstance(request, DiagnoseRequest):
         check_effects(request.options.effects)
-    if isinstance(request, DesignRequest):
-        _check_design(request, model, theta)
     if isinstance(request, EstimateRequest):
         check_method(request.options)
         with _at("parameters.ranges"):
             for name, (low, high) in request.parameters.ranges.items():
                 model.theta({name: low})
                 model.theta({name: high})
-    if isinstance(request, DesignRequest):
-        series = []
-    elif isinstance(request, SimulateRequest):
-        series = _inputs(request, model)
-    else:
-        series = [_series(one, model, f"series[{i}]") for i, one in enumerate(request.series)]
+    match request:
+        case DesignRequest():
+            _check_design(request, model, theta)
+            series = []
+        case SimulateRequest():
+            series = _inputs(request, model)
+        case _:
+            series = _all_series(request.series, model, "series")
     if not isinstance(request, DiagnoseRequest):  # a diagnosis finds its own
         series = [one.refined(_substeps(request.model)) for one in series]
         test = [one.refined(_substeps(request.model)) for one in test]
@@ -106,11 +102,6 @@ def _substeps(reference: ModelReference) -> int:
 def load(document: Any) -> Prepared:
     """The same from a stored request."""
     return prepare(ADAPTER.validate_python(document))
-
-
-def dump(request: Request) -> Any:
-    """The request as JSON values, for the store."""
-    return ADAPTER.dump_python(request)
 
 
 def check_limits(request: Request, settings: Settings) -> None:
@@ -268,8 +259,10 @@ def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:
         inputs = ", ".join(model.inputs)
         raise invalid(f"{where}.u", f"is missing; model '{model.name}' has inputs ({inputs})")
     for name, table, channels in (("y", one.y, model.outputs), ("u", u, model.inputs)):
-        if table is not None:
-            _check_width(table, channels, f"{where}.{name}", model)
+        if table is not None and len(table) and table.shape[1] != len(channels):
+            there = f"{len(channels)} ({', '.join(channels) or 'none'})"
+            width = f"rows have {table.shape[1]} values; model '{model.name}' needs {there}"
+            raise invalid(f"{where}.{name}", width, row=0)
     with _at(where):
         return Series(
             one.y,
@@ -283,6 +276,14 @@ def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:
             hold=one.hold,
             time_unit=one.time_unit,
         ).check(model)
+
+
+def _all_series(
+    every: Sequence[SeriesIn], model: MixedModel, where: str, numbered: bool = True
+) -> list[Series]:
+    return [
+        _series(one, model, f"{where}[{i}]" if numbered else where) for i, one in enumerate(every)
+    ]
 
 
 def _with_inputs(
@@ -322,26 +323,11 @@ def _inputs(request: SimulateRequest, model: MixedModel) -> list[Series]:
         if request.options.samples not in (None, n):
             raise invalid("options.samples", f"{request.options.samples}; {where} has {n} rows")
         y = one.y if one.y is not None else np.zeros((n, model.ny))
-        out.append(
-            _series(
-                SeriesIn.model_construct(y=y, **{k: v for k, v in one if k != "y"}),
-                model,
-                where,
-            )
-        )
+        measured = SeriesIn.model_construct(y=y, **{k: v for k, v in one if k != "y"})
+        out.append(_series(measured, model, where))
         if one.y is None:
             out[-1] = out[-1].masked(np.arange(n))
     return out
-
-
-def _check_width(table: Array, channels: Mapping[str, str], field: str, model: MixedModel) -> None:
-    if len(table) and table.shape[1] != len(channels):
-        names = ", ".join(channels) or "none"
-        raise invalid(
-            field,
-            f"rows have {table.shape[1]} values; model '{model.name}' needs {len(channels)} ({names})",
-            row=0,
-        )
 
 
 @contextmanager

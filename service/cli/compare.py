@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from engine.presentation.report import comparison_html, comparison_notes
 from engine.presentation.two_results import compare_results
 from service import strict_json
 from service.cli.ending import wrong
+from service.cli.files import json_object
 from service.cli.outputs import output_path, say_written
 
 COLUMNS = 5  # what it is, both results, their difference, its unit
@@ -21,7 +21,8 @@ COLUMNS = 5  # what it is, both results, their difference, its unit
 def show(one: Path, other: Path, report: Path | None, as_json: bool) -> None:
     """Print the comparison; write the report where one is asked for."""
     output_path("--report", report, (".html", ".htm"))
-    documents = [_read(path) for path in (one, other)]
+    otherwise = "this is not a result written with --out"
+    documents = [json_object(path, otherwise) for path in (one, other)]
     names = [
         document.get("name") or path.stem
         for document, path in zip(documents, (one, other), strict=True)
@@ -40,16 +41,6 @@ def show(one: Path, other: Path, report: Path | None, as_json: bool) -> None:
         return
     print("\n".join(_lines(found, names)))
     say_written([str(report)] if report is not None else [])
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise wrong(f"{path}: this is not a result written with --out ({error})") from None
-    if not isinstance(document, dict):
-        raise wrong(f"{path}: this is not a result written with --out")
-    return document
 
 
 def _lines(c: dict[str, Any], names: Sequence[str]) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,18 +12,25 @@ import engine
 from engine.design import INPUTS, Design, asked_of
 from engine.diagnose import Diagnosis
 from engine.errors import EngineError
-from engine.presentation import plots
-from engine.presentation.report import write_report
 from service import designs, strict_json, validation
 from service.cli import references
-from service.cli.ending import about_file, wrong
-from service.cli.experiment import Run
-from service.cli.meter import meter
-from service.cli.outputs import check_outputs, kept_if_not_written, output_path, say_written
+from service.cli.ending import wrong
+from service.cli.files import json_object
+from service.cli.meter import Meter, meter
+from service.cli.outputs import (
+    check_outputs,
+    kept_if_not_written,
+    output_path,
+    say_written,
+    state_path,
+    write_shown,
+)
 from service.cli.parts import Kept
-from service.cli.state_file import StateFile, beside, can_be, read
+from service.cli.state_file import Run, StateFile, read
 from service.cli.values import about, numbers
 from service.schemas import ModelReference
+
+NO_OBJECT = "this is no JSON object"
 
 
 @dataclass(kw_only=True)
@@ -48,17 +55,11 @@ class Asked(Run):
 
 def design(wanted: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     """A new design; its state goes to ``state`` or beside the output."""
-    named = wanted.diagnosis or wanted.model.partition(":")[0] or "rbps"
-    path = state or beside(wanted.out, f"{Path(named).stem}-design")
-    wanted.keep = state is not None
     _check(wanted)
-    output_path("--state", can_be(state, path))
-    with meter(quiet or as_json) as shown:
-        asked = _asked(wanted)
-        files = [name for name in (wanted.diagnosis, wanted.bounds) if name]
-        kept = Kept(wanted.begin(path, files, shown), shown)
-        found = _run(asked, wanted, kept)
-    _tell(found, wanted, kept, as_json)
+    named = wanted.diagnosis or wanted.model.partition(":")[0] or "rbps"
+    path = state_path(wanted, state, f"{Path(named).stem}-design")
+    files = [name for name in (wanted.diagnosis, wanted.bounds) if name]
+    _work(wanted, lambda shown: Kept(wanted.begin(path, files, shown), shown), as_json, quiet)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
@@ -66,11 +67,17 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     wanted, rows, left = read(path, Asked)
     wanted.change(changes)
     _check(wanted)
+    _work(wanted, lambda shown: Kept(StateFile(path, wanted), shown, rows, left), as_json, quiet)
+
+
+def _work(wanted: Asked, begun: Callable[[Meter], Kept], as_json: bool, quiet: bool) -> None:
+    """Make the design from where its parts have ``begun``, and tell; interrupted, what is done is saved."""
     with meter(quiet or as_json) as shown:
         asked = _asked(wanted)
-        kept = Kept(StateFile(path, wanted), shown, dict(left), int(rows[0, 0]))
-        shown.note(f"going on at {kept.percent} %")
-        found = _run(asked, wanted, kept)
+        kept = begun(shown)
+        shown.begin(designs.PROGRESS_STEPS, kept.percent, timed=False)
+        with kept.going(kept.interrupted):
+            found = asked.designed(wanted.tries, wanted.seed, designs.telling(kept.step), kept)
     _tell(found, wanted, kept, as_json)
 
 
@@ -78,13 +85,6 @@ def _check(wanted: Asked) -> None:
     """Refuse files that cannot be written before any time is spent."""
     check_outputs(wanted, ".csv")
     output_path("--shortest", Path(wanted.shortest) if wanted.shortest else None, (".csv",))
-
-
-def _run(asked: engine.design.Asked, wanted: Asked, kept: Kept) -> Design:
-    """The design; when it is interrupted, what is done is saved."""
-    kept.shown.begin(designs.PROGRESS_STEPS, kept.percent, timed=False)
-    with kept.going(kept.interrupted):
-        return asked.designed(wanted.tries, wanted.seed, designs.telling(kept.step), kept)
 
 
 def _asked(wanted: Asked) -> engine.design.Asked:
@@ -111,7 +111,7 @@ def _of(wanted: Asked, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
             "theta": theta,
             "free": wanted.free or None,
         }
-    document = _read(Path(wanted.diagnosis))
+    document = json_object(Path(wanted.diagnosis), NO_OBJECT)
     if "rbps" in document:
         try:
             own = references.model_of(wanted.model) if wanted.model else None
@@ -143,21 +143,9 @@ def _of(wanted: Asked, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     }
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise wrong(about_file(error)) from None
-    except ValueError as error:
-        raise wrong(f"{path}: this is no JSON ({error})") from None
-    if not isinstance(document, dict):
-        raise wrong(f"{path}: an object is needed")
-    return document
-
-
 def _bounds(wanted: Asked) -> dict[str, Any]:
     """From the file and the options, which come on top of it."""
-    bounds = {} if wanted.bounds is None else _read(Path(wanted.bounds))
+    bounds = {} if wanted.bounds is None else json_object(Path(wanted.bounds), NO_OBJECT)
     for option, key, texts in (
         ("--input", "inputs", wanted.inputs),
         ("--limit", "states", wanted.states),
@@ -204,7 +192,12 @@ def _tell(found: Design, wanted: Asked, kept: Kept, as_json: bool) -> None:
     """Write the files and print the table; then the state is removed, unless --state named it."""
     document = json.loads(strict_json.dumps(designs.document(found)))
     with kept_if_not_written(kept):
-        written = _written(found, wanted, document)
+        written = []
+        if wanted.out:
+            written.append(str(found.to_csv(wanted.out)))
+        if wanted.shortest and found.shortest is not None:
+            written.append(str(found.to_csv(wanted.shortest, shortest=True)))
+        written += write_shown(wanted, document, {})
     kept.settle()
     if as_json:
         print(strict_json.dumps(document))
@@ -213,17 +206,3 @@ def _tell(found: Design, wanted: Asked, kept: Kept, as_json: bool) -> None:
     say_written(written)
     if wanted.shortest and found.shortest is None:
         print("No shortest record was written: none reaches the probability that is wanted.")
-
-
-def _written(found: Design, wanted: Asked, document: dict[str, Any]) -> list[str]:
-    written = []
-    if wanted.out:
-        written.append(str(found.to_csv(wanted.out)))
-    if wanted.shortest and found.shortest is not None:
-        written.append(str(found.to_csv(wanted.shortest, shortest=True)))
-    if wanted.report:
-        written.append(str(write_report(document, wanted.report, {"seed": wanted.seed})))
-    if wanted.plot:
-        plots.of_document(document).save(wanted.plot)
-        written.append(wanted.plot)
-    return written

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 import engine
-from engine.data.series import Series
 from engine.diagnose import Verdict, all_effects, effect_kinds
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.presentation.diagnosis_text import page
 from engine.statespace.model import MixedModel
 from service import diagnoses, strict_json
-from service.cli import references
 from service.cli.ending import Code, Ending, wrong
-from service.cli.experiment import Experiment
-from service.cli.files import series_of
+from service.cli.experiment import Experiment, Job
 from service.cli.meter import Meter, meter
-from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
+from service.cli.outputs import check_outputs, say_written, state_path, write_outputs
 from service.cli.parts import Kept
-from service.cli.state_file import StateFile, beside, can_be, read
-from service.cli.values import free_of, theta_of
+from service.cli.state_file import StateFile, read
 
 
 @dataclass(kw_only=True)
@@ -34,9 +31,7 @@ class Asked(Experiment):
     command: ClassVar[str] = "diagnose"
     result: ClassVar[str] = "diagnosis"
     same_version: ClassVar[bool] = True
-    data: list[str]
     extra: list[str] = field(default_factory=list)
-    test: list[str] = field(default_factory=list)
     alpha: float = 0.05
     consider: list[str] = field(default_factory=list)
     max_effects: int = 3
@@ -61,15 +56,13 @@ class Early(Kept):
 
 def diagnose(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     """A new diagnosis; its state goes to ``state`` or beside the output."""
-    path = state or beside(asked.out, f"{Path(asked.data[0]).stem}-diagnosis")
-    asked.keep = state is not None
     _check(asked)
-    output_path("--state", can_be(state, path))
-    with meter(quiet or as_json) as shown:
-        job = _prepare(asked, shown)
-        kept = Early(asked.begin(path, [*asked.data, *asked.test], shown), shown)
-        found, document = _run(job, asked, kept)
-    _tell(asked, found, document, kept, as_json)
+    path = state_path(asked, state, f"{Path(asked.data[0]).stem}-diagnosis")
+
+    def begun(shown: Meter) -> Early:
+        return Early(asked.begin(path, [*asked.data, *asked.test], shown), shown)
+
+    _work(asked, begun, as_json, quiet)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
@@ -77,12 +70,16 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
     asked, rows, left = read(path, Asked)
     asked.change(changes)
     _check(asked)
+    _work(asked, lambda shown: Early(StateFile(path, asked), shown, rows, left), as_json, quiet)
+
+
+def _work(asked: Asked, begun: Callable[[Meter], Early], as_json: bool, quiet: bool) -> None:
+    """Make the diagnosis from where its parts have ``begun``, and tell."""
     with meter(quiet or as_json) as shown:
         job = _prepare(asked, shown)
-        kept = Early(StateFile(path, asked), shown, dict(left), int(rows[0, 0]))
-        shown.note(f"going on at {kept.percent} %")
-        found, document = _run(job, asked, kept)
-    _tell(asked, found, document, kept, as_json)
+        kept = begun(shown)
+        found = _run(job, asked, kept)
+    _tell(asked, found, diagnoses.document(found, job.name, asked.effects), kept, as_json)
 
 
 def _check(asked: Asked) -> None:
@@ -92,44 +89,22 @@ def _check(asked: Asked) -> None:
         raise wrong(f"--alpha {asked.alpha:g}: a probability between 0 and 1 is needed")
 
 
-@dataclass(frozen=True)
-class Job:
-    """What ``engine.diagnose`` is given; ``name`` is that of the registered model."""
-
-    name: str
-    model: MixedModel
-    series: list[Series]
-    test: list[Series]
-    theta: engine.Theta | None
-    free: list[str] | None
-
-
 def _prepare(asked: Asked, shown: Meter) -> Job:
     """All that can be wrong is found here."""
-    base = references.model_of(asked.model)
-    columns = asked.of_columns(asked.extra)
-    read_in = [series_of(Path(name), base, columns) for name in (*asked.data, *asked.test)]
-    for _, said in read_in:
-        shown.note(said)
-    every = [series for series, _ in read_in]
-    series, test = every[: len(asked.data)], every[len(asked.data) :]
-    model = references.with_effects(base, asked.effects, series[0])
-    theta = theta_of(model, asked.start, asked.fixed)
-    free = free_of(model, asked.free, list(asked.fixed))
-    model = _holding(model, asked.fixed)
+    job = asked.job(shown, asked.extra)
+    model = _holding(job.model, asked.fixed)
     _check_effects(model, asked)
-    # without a start, one is searched for
-    return Job(base.name, model, series, test, theta if asked.start else None, free)
+    return replace(job, model=model)
 
 
-def _run(job: Job, asked: Asked, kept: Early) -> tuple[engine.Diagnosis, dict[str, Any]]:
-    """The diagnosis and its document; when it is interrupted, what is done is saved."""
+def _run(job: Job, asked: Asked, kept: Early) -> engine.Diagnosis:
+    """The diagnosis; when it is interrupted, what is done is saved."""
     kept.shown.begin(diagnoses.PROGRESS_STEPS, kept.percent, timed=False)
     with kept.going(partial(_interrupted, asked, kept)):
-        found = engine.diagnose(
+        return engine.diagnose(
             job.model,
             job.series,
-            job.theta,
+            job.theta if asked.start else None,  # without a start, one is searched for
             job.test,
             seed=asked.seed,
             alpha=asked.alpha,
@@ -141,14 +116,13 @@ def _run(job: Job, asked: Asked, kept: Early) -> tuple[engine.Diagnosis, dict[st
             kept=kept,
             early=kept.tell,
         )
-    return found, diagnoses.document(found, job.name, asked.effects)
 
 
 def _interrupted(asked: Asked, kept: Early) -> Ending:
     """What is said at Ctrl-C; what is known so far goes where the result would have gone."""
     text, known = "", {} if kept.early is None else diagnoses.so_far(kept.early)
     if known:
-        written = write_outputs(replace(asked, plot=None), known, asked.data, kept)
+        written = write_outputs(replace(asked, plot=None), known, kept)
         text = "".join(f"\nWhat is known so far: {os.path.relpath(name)}" for name in written)
     return kept.interrupted(text, **({"early": kept.early} if known else {}))
 
@@ -173,14 +147,10 @@ def _holding(model: MixedModel, fixed: dict[str, float]) -> MixedModel:
 
 
 def _tell(
-    asked: Asked,
-    found: engine.Diagnosis,
-    document: dict[str, Any],
-    kept: Early,
-    as_json: bool,
+    asked: Asked, found: engine.Diagnosis, document: dict[str, Any], kept: Early, as_json: bool
 ) -> None:
     """Write the files and print the page; then the state is removed, unless --state named it."""
-    written = write_outputs(asked, document, asked.data, kept)
+    written = write_outputs(asked, document, kept)
     kept.settle()
     if as_json:
         print(strict_json.dumps(document))

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import signal
 import sys
-import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -32,10 +30,14 @@ CODES = (
 
 
 class Interrupt:
-    """Ctrl-C held back until :meth:`check`, as compiled code may swallow it; a second one is not held."""
+    """Ctrl-C held back until :meth:`check`, as compiled code may swallow it.
 
-    def __init__(self) -> None:
+    A second one is held only by one that is ``patient``.
+    """
+
+    def __init__(self, patient: bool = False) -> None:
         self.came = self.holding = False
+        self.patient = patient
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -66,7 +68,7 @@ class Interrupt:
 
     def _take(self, *_: Any) -> None:
         again, self.came = self.came, True
-        if again or not self.holding:
+        if not self.holding or (again and not self.patient):
             raise KeyboardInterrupt
 
 
@@ -93,36 +95,31 @@ def guarded(as_json: bool) -> Iterator[None]:
     """Turn every exception into a message on stderr (and JSON on stdout) and an exit code."""
     try:
         yield
-    except Ending as end:
-        _leave(end, as_json)
-    except KeyboardInterrupt:
-        _leave(Ending(Code.INTERRUPTED, "interrupted"), as_json)
     except BrokenPipeError:
         raise  # typer's to handle: whoever read our output has left
-    except OSError as error:
-        _leave(wrong(about_file(error)), as_json)
-    except MemoryError:
-        _leave(Ending(Code.FAILED, "the computation needs more memory than there is"), as_json)
-    except Exception as error:  # noqa: BLE001 - a user's model may raise anything
-        _leave(_told(error), as_json)
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - a model may raise anything
+        end = _told(error)
+        if as_json:
+            print(json.dumps({"error": {"code": end.code, "message": str(end)} | end.more}))
+        print(f"rbps: {end}", file=sys.stderr)
+        raise typer.Exit(end.code) from None
 
 
-def _leave(end: Ending, as_json: bool) -> None:
-    if as_json:
-        print(json.dumps({"error": {"code": end.code, "message": str(end)} | end.more}))
-    print(f"rbps: {end}", file=sys.stderr)
-    raise typer.Exit(end.code)
-
-
-def _told(error: Exception) -> Ending:
+def _told(error: BaseException) -> Ending:
     """What an exception means for the person at the terminal."""
+    if isinstance(error, Ending):
+        return error
+    if isinstance(error, KeyboardInterrupt):
+        return Ending(Code.INTERRUPTED, "interrupted")
+    if isinstance(error, OSError):
+        return wrong(about_file(error))
+    if isinstance(error, MemoryError):
+        return Ending(Code.FAILED, "the computation needs more memory than there is")
     from engine.errors import EngineError, ModelError
-    from service.problems import Problem
+    from service.problems import Problem, unexpected
 
     if isinstance(error, Problem):
         return Ending(Code.FAILED, str(error), outcome=error.kind)
     if isinstance(error, EngineError):
         return Ending(Code.FAILED if isinstance(error, ModelError) else Code.WRONG, str(error))
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    where = f"{Path(frame.filename).name}, line {frame.lineno}, in {frame.name}"
-    return Ending(Code.FAILED, f"{type(error).__name__}: {error} ({where})")
+    return Ending(Code.FAILED, unexpected(error))

@@ -2,53 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from engine.models.files import in_file
-from service.cli.files import Columns
+from engine.data.series import Series
+from engine.statespace.model import MixedModel, Theta
+from service.cli.files import Columns, series_of
 from service.cli.meter import Meter
-from service.cli.references import absolute
-from service.cli.state_file import Sealed, StateFile, keep_old
-from service.cli.values import names, numbers, pairs
+from service.cli.options import PATHS, full
+from service.cli.references import absolute, model_of, with_effects
+from service.cli.state_file import Asked, Run
+from service.cli.values import free_of, names, numbers, pairs, theta_of
 
 
-@dataclass(kw_only=True)
-class Run(Sealed):
-    """What can be resumed, as it was asked for; paths are absolute."""
+@dataclass(frozen=True)
+class Job:
+    """What is computed with; ``name`` is that of the registered model, ``free`` None for all parameters."""
 
-    model: str
-    free: list[str] = field(default_factory=list)
-    dt: float | None = None
-    seed: int = 0
-    out: str | None = None
-    report: str | None = None
-    plot: str | None = None
-
-    def begin(self, path: Path, files: Sequence[str], shown: Meter) -> StateFile:
-        """The state file of a new run; an earlier one of that name is moved aside."""
-        model = in_file(self.model)
-        self.seal([*map(Path, files), *([model[0]] if model else [])])
-        aside = keep_old(path)
-        if aside is not None:
-            shown.note(f"an earlier {path.name} is kept as {aside.name}")
-        return StateFile(path, self)
-
-    def change(self, changes: Mapping[str, Any]) -> None:
-        """Take over what a resumed run may change, and refuse one whose files are not what they were."""
-        for name, value in changes.items():
-            setattr(self, name, value)
-        self.check()
+    name: str
+    model: MixedModel
+    series: list[Series]
+    test: list[Series]
+    theta: Theta
+    free: list[str] | None
 
 
 @dataclass(kw_only=True)
 class Experiment(Run):
-    """The same of an estimation or a diagnosis."""
+    """What an estimation and a diagnosis have in common."""
 
-    data: list[str] = field(default_factory=list)
+    data: list[str]
+    test: list[str] = field(default_factory=list)
     effects: list[str] = field(default_factory=list)
     start: dict[str, float] = field(default_factory=dict)
     fixed: dict[str, float] = field(default_factory=dict)
@@ -59,42 +47,51 @@ class Experiment(Run):
     name: str = ""
     tags: list[str] = field(default_factory=list)
 
-    def of_columns(self, extra: Sequence[str] = ()) -> Columns:
-        """Which columns of the data are which."""
-        return Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
+    def job(self, shown: Meter, extra: Sequence[str] = ()) -> Job:
+        """The model and the data, read from their files; what was read as what is shown."""
+        base = model_of(self.model)
+        columns = Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
+        every = []
+        for name in (*self.data, *self.test):
+            series, said = series_of(Path(name), base, columns)
+            shown.note(said)
+            every.append(series)
+        model = with_effects(base, self.effects, every[0])
+        theta = theta_of(model, self.start, self.fixed)
+        free = free_of(model, self.free, list(self.fixed))
+        n = len(self.data)
+        return Job(base.name, model, every[:n], every[n:], theta, free)
 
     def labelled(self, document: dict[str, Any]) -> dict[str, Any]:
         """The document with what tells it apart from others."""
-        labels = {
+        return {
             "name": self.name,
             "tags": self.tags,
             "data": [Path(one).name for one in self.data],
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            **document,
         }
-        return {**labels, "created": datetime.now(UTC).isoformat(timespec="seconds"), **document}
 
 
-def parsed(
-    model: str,
-    effects: list[str],
-    values: Sequence[str],
-    fixed: Sequence[str],
-    free: Sequence[str],
-    columns: Sequence[str],
-    clock: Mapping[str, Any],
-    hold: str | None,
-    seed: int,
-    outputs: Mapping[str, str],
-) -> dict[str, Any]:
-    """Members of :class:`Experiment` from the texts of options; ``clock`` as it is. Errors name the option."""
-    return {
-        "model": absolute(model),
-        "effects": effects,
-        "start": numbers("--set", values),
-        "fixed": numbers("--fix", fixed),
-        "free": names(free),
-        "columns": pairs("--map", columns),
-        **clock,
-        "hold": hold,
-        "seed": seed,
-        **outputs,
-    }
+# How the values of options become members; all others stay as they are.
+_READ: dict[str, Callable[[Any], Any]] = {
+    "model": absolute,
+    "start": partial(numbers, "--set"),
+    "fixed": partial(numbers, "--fix"),
+    "columns": partial(pairs, "--map"),
+    **dict.fromkeys(("free", "tags", "extra", "consider"), names),
+    **dict.fromkeys(("data", "test"), lambda paths: [full(path) for path in paths]),
+    **dict.fromkeys(PATHS, full),
+}
+
+
+def asked_of(kind: type[Asked], options: Mapping[str, Any]) -> Asked:
+    """What a command was asked, from the values of those options that have a member's name.
+
+    Errors name the option.
+    """
+    members: dict[str, Any] = {}
+    for name in (one.name for one in fields(kind)):
+        if (value := options.get(name)) is not None:
+            members[name] = _READ[name](value) if name in _READ else value
+    return kind(**members)

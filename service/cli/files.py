@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
 from engine.units import TIMES
 from service.cli.ending import wrong
-from service.columns import counts, match
+from service.columns import column_counts, match
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,17 @@ class Columns:
     def clock(self) -> tuple[str | None, float | None, str | None, str | None]:
         """As ``engine.data.files.series_from`` takes them."""
         return self.time, self.dt, self.hold, self.time_unit
+
+
+def json_object(path: Path, otherwise: str) -> dict[str, Any]:
+    """The object in a JSON file; ``otherwise`` is said of a file that holds none."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise wrong(f"{path}: {otherwise} ({error})") from None
+    if not isinstance(document, dict):
+        raise wrong(f"{path}: {otherwise}")
+    return document
 
 
 def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, str]:
@@ -122,14 +135,6 @@ def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns
         return text
     text += f" (no column of times: a step of 1 {series.time_unit} is assumed; else --dt STEP"
     maybe = next(
-        (name for name in table.columns if name not in read and _counts(table, name)), None
+        (name for name in table.columns if name not in read and column_counts(table, name)), None
     )
     return text + (f", or, as '{maybe}' counts up evenly, --time '{maybe}')" if maybe else ")")
-
-
-def _counts(table: Table, name: str) -> bool:
-    """Whether a column may be one of times."""
-    try:
-        return counts(table.column(name))
-    except SeriesError:  # words, say
-        return False

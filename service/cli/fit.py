@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,40 +13,26 @@ from engine.data.series import Series
 from engine.filters.linearity import why_not_linear
 from engine.statespace.model import MixedModel
 from service import stages, strict_json
-from service.cli import references
 from service.cli.ending import Code, Ending, wrong
-from service.cli.files import series_of
 from service.cli.meter import Meter, meter
-from service.cli.outputs import check_outputs, output_path, say_written, write_outputs
+from service.cli.outputs import check_outputs, say_written, state_path, write_outputs
 from service.cli.state import Asked, Recorder
-from service.cli.state_file import StateFile, beside, can_be, read
-from service.cli.values import free_of, theta_of
+from service.cli.state_file import StateFile, read
 from service.problems import Problem
-from service.schemas import (
-    EstimateOptions,
-    EstimateParameters,
-    EstimateRequest,
-    ModelReference,
-)
+from service.schemas import EstimateOptions, EstimateParameters, EstimateRequest, ModelReference
 from service.validation import Prepared
 
 
 def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
     """A new estimation; its state goes to ``state`` or beside the output."""
-    path = state or beside(asked.out, Path(asked.data[0]).stem)
-    asked.keep = state is not None
     check_outputs(asked)
-    output_path("--state", can_be(state, path))
-    with _resumable(asked) as begun:
-        with meter(quiet or as_json) as shown:
-            job = _prepare(asked, shown)
-            begun.append(
-                Recorder(asked.begin(path, [*asked.data, *asked.test], shown), asked, shown)
-            )
-            _name_tasks(job, begun[0])
-            begun[0].parameters = job.model.parameter_names
-            document = _run(job, asked, begun[0], shown)
-        _tell(job, asked, document, begun[0], as_json)
+    path = state_path(asked, state, Path(asked.data[0]).stem)
+
+    def begun(job: Prepared, shown: Meter) -> Recorder:
+        file = asked.begin(path, [*asked.data, *asked.test], shown)
+        return Recorder(job, file, asked, shown)
+
+    _work(asked, begun, as_json, quiet)
 
 
 def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> None:
@@ -56,72 +42,54 @@ def resume(path: Path, changes: dict[str, Any], as_json: bool, quiet: bool) -> N
         raise wrong("--iterations cannot be changed where there are several starts or a bootstrap")
     asked.change(changes)
     check_outputs(asked)
-    with _resumable(asked) as begun:
-        with meter(quiet or as_json) as shown:
-            job = _prepare(asked, shown)
-            n = len(job.model.parameters) + 4
-            own, memory = rows[:, :n], rows[1:, n:]
-            recorder = Recorder(StateFile(path, asked), asked, shown, own, finished, memory)
-            free = len(job.model.free_indices(job.free))
-            if len(rows) and rows.shape[1] not in (n, n + engine.Checkpoint.width(free)):
-                raise wrong(
-                    f"--resume {path}: its parameters are not those of model '{asked.model}'"
-                )
-            if asked.iterations < recorder.k:
-                raise wrong(f"--iterations {asked.iterations}: {recorder.k} are done already")
-            _name_tasks(job, recorder)
-            recorder.parameters = job.model.parameter_names
-            within = f" of {recorder.name}" if recorder.name else ""
-            shown.note(f"going on after iteration {recorder.k}{within}")
-            begun.append(recorder)
-            document = _run(job, asked, recorder, shown)
+
+    def begun(job: Prepared, shown: Meter) -> Recorder:
+        n, free = len(job.model.parameters) + 4, len(job.model.free_indices(job.free))
+        if len(rows) and rows.shape[1] not in (n, n + engine.Checkpoint.width(free)):
+            raise wrong(f"--resume {path}: its parameters are not those of model '{asked.model}'")
+        recorder = Recorder(job, StateFile(path, asked), asked, shown, rows, finished)
+        if asked.iterations < recorder.k:
+            raise wrong(f"--iterations {asked.iterations}: {recorder.k} are done already")
+        within = f" of {recorder.name}" if recorder.name else ""
+        shown.note(f"going on after iteration {recorder.k}{within}")
+        return recorder
+
+    _work(asked, begun, as_json, quiet)
+
+
+def _work(
+    asked: Asked, begun: Callable[[Prepared, Meter], Recorder], as_json: bool, quiet: bool
+) -> None:
+    """Estimate from where the iterations have ``begun``, and tell."""
+    with meter(quiet or as_json) as shown:
+        job = _prepare(asked, shown)
+        recorder = begun(job, shown)
+        with _resumable(recorder):
+            document = _run(job, recorder)
+    with _resumable(recorder):
         _tell(job, asked, document, recorder, as_json)
 
 
 def _prepare(asked: Asked, shown: Meter) -> Prepared:
     """All that can be wrong is found here."""
-    base = references.model_of(asked.model)
-    columns = asked.of_columns()
-    both = [series_of(Path(name), base, columns) for name in (*asked.data, *asked.test)]
-    every = [one for one, _ in both]
-    series, test = every[: len(asked.data)], every[len(asked.data) :]
-    model = references.with_effects(base, asked.effects, series[0])
-    theta = theta_of(model, asked.start, asked.fixed)
-    free = free_of(model, asked.free, list(asked.fixed))
-    if asked.method == "rts-em" and (why := why_not_linear(model, theta, series[0])):
+    job = asked.job(shown)
+    if asked.method == "rts-em" and (why := why_not_linear(job.model, job.theta, job.series[0])):
         raise wrong(f"--method rts-em: {why}; use quasi-newton")
-    for _, line in both:
-        shown.note(line)
     request = EstimateRequest.model_construct(
         kind="estimate",
-        model=ModelReference(name=base.name),
+        model=ModelReference(name=job.name),
         parameters=EstimateParameters(),
-        options=options_of(asked),
+        options=EstimateOptions.model_validate(asked, from_attributes=True),
     )
-    return Prepared(request, model, series, theta, free, test)
-
-
-def options_of(asked: Asked) -> EstimateOptions:
-    """The service's options."""
-    return EstimateOptions.model_validate(
-        {
-            name: getattr(asked, name)
-            for name in EstimateOptions.model_fields
-            if hasattr(asked, name)
-        }
-    )
+    return Prepared(request, job.model, job.series, job.theta, job.free, job.test)
 
 
 @contextmanager
-def _resumable(asked: Asked) -> Iterator[list[Recorder]]:
-    """Save what is done when it is interrupted, and say how to go on; the recorder is put in the list."""
-    begun: list[Recorder] = []
+def _resumable(recorder: Recorder) -> Iterator[None]:
+    """Save what is done when it is interrupted, and say how to go on."""
     try:
-        yield begun
+        yield
     except KeyboardInterrupt:
-        if not begun:
-            raise
-        recorder = begun[0]
         recorder.save()
         where = f"in {recorder.name}, " if recorder.name else ""
         raise Ending(
@@ -134,10 +102,10 @@ def _resumable(asked: Asked) -> Iterator[list[Recorder]]:
 
 
 def _how_far(recorder: Recorder) -> str:
-    if recorder.asked.method == "simulation" or not recorder.done:
-        return (
-            "before the first iteration" if recorder.asked.method != "simulation" else "in its fit"
-        )
+    if recorder.asked.method == "simulation":
+        return "in its fit"
+    if not recorder.done:
+        return "before the first iteration"
     return f"after {recorder.k} of {recorder.asked.iterations} iterations"
 
 
@@ -150,21 +118,10 @@ def _so_far(recorder: Recorder) -> str:
     return f"\nSo far: {said}"
 
 
-def _name_tasks(job: Prepared, recorder: Recorder) -> None:
-    """Names of the tasks, as the page of a job has them."""
-    sizes = stages.plan(job.request)
-    if len(sizes) > 1:
-        recorder.names = [
-            f"{role} {i + 1} of {n}" if n > 1 else role
-            for role, n in zip(stages.ROLES[len(sizes)], sizes, strict=True)
-            for i in range(n)
-        ]
-
-
-def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[str, Any]:
+def _run(job: Prepared, recorder: Recorder) -> dict[str, Any]:
     """All tasks that are left, one after the other; what the last one leaves is the result."""
-    last = sum(stages.plan(job.request)) - 1
-    shown.begin(stages.steps(job), recorder.steps)
+    last = sum(recorder.plan) - 1
+    recorder.meter.begin(stages.steps(job), recorder.steps)
     try:
         while True:
             with recorder.interrupt.held():
@@ -173,7 +130,7 @@ def _run(job: Prepared, asked: Asked, recorder: Recorder, shown: Meter) -> dict[
                 return document
             recorder.finish(document)
     except Problem:  # diverged or lost: from here nothing leads on
-        _tidy(asked, recorder.file)
+        recorder.file.remove()
         raise
 
 
@@ -186,9 +143,9 @@ def _tell(
     """Write the files and print the estimate; then remove a state that nothing can be resumed from."""
     one_run = asked.starts == 1 and not asked.bootstrap
     more = one_run and document["outcome"] == "iterations-used-up" and "trace" in document
-    written = write_outputs(asked, document, asked.data, recorder)
+    written = write_outputs(asked, document, recorder)
     if not more:
-        _tidy(asked, recorder.file)
+        recorder.file.remove()
     if as_json:
         print(strict_json.dumps(document))
         return
@@ -196,12 +153,6 @@ def _tell(
     if more:
         print(f"More iterations: {recorder.file.again} --iterations {2 * asked.iterations}")
     say_written(written)
-
-
-def _tidy(asked: Asked, state: StateFile) -> None:
-    """Remove a state that no run can go on with, unless it was asked for by name."""
-    if not asked.keep:
-        state.remove()
 
 
 def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any]) -> list[str]:

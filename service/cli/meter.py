@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from functools import partial
 from typing import Self
 
 PROGRESS_LINES = 10  # lines of a whole run, about ...
@@ -87,30 +88,24 @@ class Bar(Meter):
     def begin(self, total: int, done: int = 0, timed: bool = True) -> None:
         """Show the bar."""
         self.total, self.clocked = max(total, 1), timed
-        self.progress.update(
-            self.task, total=self.total, completed=done, visible=True, timed=timed, count=""
-        )
+        self.update(total=self.total, completed=done, visible=True, timed=timed, count="")
 
     def at(self, done: int, text: str = "") -> None:
         """Move the bar."""
         count = f"{done}/{self.total}"
-        self.progress.update(
-            self.task, total=self.total, completed=done, timed=self.clocked, count=count
-        )
+        self.update(total=self.total, completed=done, timed=self.clocked, count=count)
         if text:
             self.say(text)
 
     def say(self, text: str) -> None:
         """Words beside the bar."""
-        self.progress.update(self.task, words=text)
+        self.update(words=text)
 
     def stage(self, text: str, share: float | None = None) -> None:
         """A bar of its own, which only moves to and fro where it is not known how long it takes."""
         total = None if share is None else 1.0
         done = 0.0 if share is None else share
-        self.progress.update(
-            self.task, total=total, completed=done, timed=False, count="", words=text
-        )
+        self.update(total=total, completed=done, timed=False, count="", words=text)
 
     def note(self, text: str) -> None:
         """A line above the bar."""
@@ -138,9 +133,8 @@ class Bar(Meter):
             console=Console(stderr=True),
             transient=True,
         )
-        self.task = self.progress.add_task(
-            "", total=None, words="", visible=False, timed=True, count=""
-        )
+        task = self.progress.add_task("", total=None, words="", visible=False, timed=True, count="")
+        self.update = partial(self.progress.update, task)
         self.progress.start()
         return self
 

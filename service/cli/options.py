@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from service.cli.ending import wrong
 
-KINDS = ".csv with a line of column names, .mat or .npz."
-DATA = f"Data files: {KINDS} Several are several experiments."
-MAY_CHANGE = frozenset({"out", "report", "plot", "resume", "as_json", "quiet"})
+# of files that are written or read, so that a resumed run finds them from any folder
+PATHS = ("out", "report", "plot", "shortest", "diagnosis", "bounds")
 
 
 def model_names(incomplete: str) -> list[str]:
@@ -22,6 +21,13 @@ def model_names(incomplete: str) -> list[str]:
     return [name for name in registered() if name.startswith(incomplete)]
 
 
+Data = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="DATA", exists=True, dir_okay=False,
+        help="Data files: .csv with a line of column names, .mat or .npz. Several are several experiments.",
+    ),
+]  # fmt: skip
 Model = Annotated[
     str,
     typer.Option(
@@ -51,8 +57,7 @@ Columns = Annotated[
     ),
 ]  # fmt: skip
 TimeColumn = Annotated[
-    str | None,
-    typer.Option("--time", metavar="COLUMN", help="Column of times.  [t or time]"),
+    str | None, typer.Option("--time", metavar="COLUMN", help="Column of times.  [t or time]")
 ]
 Step = Annotated[
     float | None,
@@ -81,8 +86,7 @@ Seed = Annotated[
     ),
 ]
 Out = Annotated[
-    Path | None,
-    typer.Option("--out", "-o", metavar="FILE.json", help="Write the result as JSON."),
+    Path | None, typer.Option("--out", "-o", metavar="FILE.json", help="Write the result as JSON.")
 ]
 Report = Annotated[
     Path | None,
@@ -106,8 +110,30 @@ Test = Annotated[
         help="Held-out data to measure the error on; repeatable.",
     ),
 ]  # fmt: skip
+State = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.state",
+        help="Keep what is finished here.  [in .rbps/ beside --out, until all is done]",
+    ),
+]
+Resume = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.state",
+        help="Go on with an interrupted run, as if it had never stopped. Only the options of output may be "
+        "given with it.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+
+
+def check_given(data: Sequence[Path] | None, model: str) -> None:
+    """Refuse a command without data, or without a model."""
+    if not data:
+        raise wrong("DATA is missing: name one or more data files")
+    model_named(model)
 
 
 def model_named(reference: str) -> str:
@@ -123,15 +149,23 @@ def given(ctx: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def absolute_paths(**paths: Path | None) -> dict[str, str]:
-    """Those that are given, as they are understood from any folder."""
-    return {key: str(path.absolute()) for key, path in paths.items() if path is not None}
+def full(path: str | Path) -> str:
+    """A path as it is understood from any folder."""
+    return str(Path(path).absolute())
 
 
-def only_output(ctx: typer.Context, also: Iterable[str]) -> None:
-    """Refuse what would make a resumed run another one; options of output and ``also`` would not."""
+def changes(ctx: typer.Context, also: Iterable[str]) -> dict[str, Any]:
+    """What is given with ``--resume``; refuses all but options of output, and ``also``.
+
+    Others would make the resumed run another one.
+    """
+    found = {}
     for parameter in ctx.command.params:
         name = parameter.name or ""
-        if name not in MAY_CHANGE.union(also) and given(ctx, name):
+        if name in ("resume", "as_json", "quiet") or not given(ctx, name):
+            continue
+        if name not in {"out", "report", "plot", *also}:
             called = name.upper() if parameter.param_type_name == "argument" else parameter.opts[0]
             raise wrong(f"--resume continues what was asked; {called} cannot be given with it")
+        found[name] = full(ctx.params[name]) if name in PATHS else ctx.params[name]
+    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,8 +13,8 @@ from engine.presentation import plots
 from engine.presentation.report import write_report
 from service import strict_json
 from service.cli.ending import about_file, wrong
-from service.cli.experiment import Experiment, Run
-from service.cli.state_file import StateFile
+from service.cli.experiment import Experiment
+from service.cli.state_file import Run, StateFile, beside
 from service.cli.values import about
 
 
@@ -34,12 +34,28 @@ def check_outputs(wanted: Run, suffix: str = ".json") -> None:
     figure_folder("--plot", Path(wanted.plot) if wanted.plot else None)
 
 
-def write_outputs(
-    wanted: Experiment, document: dict[str, Any], data: Sequence[str], state: Kept
-) -> list[str]:
+def state_path(wanted: Run, state: Path | None, name: str) -> Path:
+    """Where the state of a new run goes: ``state``, else a file of that name beside the output."""
+    wanted.keep = state is not None
+    path = state or beside(wanted.out, name)
+    # its own folder need not be there yet
+    output_path("--state", state or path.parent.parent / path.name)
+    return path
+
+
+def write_outputs(wanted: Experiment, document: dict[str, Any], state: Kept) -> list[str]:
     """Write what was asked for; the paths. Where that fails, ``state`` writes it without computing anew."""
+    about_run = {"name": wanted.name, "tags": ", ".join(wanted.tags)}
+    about_run["data"] = ", ".join(Path(name).name for name in wanted.data)
+    written = []
     with kept_if_not_written(state):
-        return _write(wanted, document, data)
+        if wanted.out:
+            text = strict_json.dumps(wanted.labelled(document))
+            Path(wanted.out).write_text(text + "\n", encoding="utf-8")
+            written.append(wanted.out)
+        plain = json.loads(strict_json.dumps(document))
+        written += write_shown(wanted, plain, about_run)
+    return written
 
 
 @contextmanager
@@ -54,19 +70,16 @@ def kept_if_not_written(state: Kept) -> Iterator[None]:
         ) from None
 
 
-def _write(wanted: Experiment, document: dict[str, Any], data: Sequence[str]) -> list[str]:
+def write_shown(
+    wanted: Run, document: dict[str, Any], about_run: Mapping[str, object]
+) -> list[str]:
+    """Write the report and the figures that were asked for; the paths."""
     written = []
-    plain = json.loads(strict_json.dumps(document))
-    if wanted.out:
-        text = strict_json.dumps(wanted.labelled(document))
-        Path(wanted.out).write_text(text + "\n", encoding="utf-8")
-        written.append(wanted.out)
     if wanted.report:
-        about_run: dict[str, object] = {"name": wanted.name, "tags": ", ".join(wanted.tags)}
-        about_run |= {"data": ", ".join(Path(name).name for name in data), "seed": wanted.seed}
-        written.append(str(write_report(plain, wanted.report, about_run)))
+        about_run = {**about_run, "seed": wanted.seed}
+        written.append(str(write_report(document, wanted.report, about_run)))
     if wanted.plot:
-        plots.of_document(plain).save(wanted.plot)
+        plots.of_document(document).save(wanted.plot)
         written.append(wanted.plot)
     return written
 

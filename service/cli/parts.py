@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from engine.errors import EngineError, OptionError
+from engine.statespace.model import Array
 from service.cli.ending import Code, Ending, Interrupt, wrong
 from service.cli.meter import Meter, duration
 from service.cli.state_file import StateFile
@@ -24,10 +25,13 @@ class Kept(dict[str, Any]):
     """
 
     def __init__(
-        self, file: StateFile, shown: Meter, parts: dict[str, Any] | None = None, percent: int = 0
+        self, file: StateFile, shown: Meter, rows: Array | None = None, left: Sequence[Any] = ()
     ) -> None:
-        super().__init__(parts or {})
-        self.file, self.shown, self.percent = file, shown, percent
+        super().__init__(left)
+        self.file, self.shown, self.percent = file, shown, 0
+        if rows is not None:
+            self.percent = int(rows[0, 0])
+            shown.note(f"going on at {self.percent} %")
         self.interrupt = Interrupt()
         self.stage, self.since, self.first = "", 0.0, 0.0
 
@@ -62,8 +66,7 @@ class Kept(dict[str, Any]):
         """At the end the state is removed, unless it was asked for by name."""
         if self.file.asked.keep:
             self.save()
-        else:
-            self.file.remove()
+        self.file.remove()
 
     @contextmanager
     def going(self, interrupted: Callable[[], Ending]) -> Iterator[None]:
@@ -77,8 +80,7 @@ class Kept(dict[str, Any]):
         except EngineError as error:
             if isinstance(error, OptionError) and error.field == "kept":
                 raise wrong(f"--resume: {error}") from None
-            if not self.file.asked.keep:  # from here nothing leads on
-                self.file.remove()
+            self.file.remove()  # from here nothing leads on
             raise
 
     def interrupted(self, text: str = "", **more: Any) -> Ending:

@@ -39,9 +39,11 @@ def absolute(reference: str) -> str:
 
 def with_effects(model: MixedModel, effects: Sequence[str], series: Series | None) -> MixedModel:
     """The model with effects of the catalogue put in, made for the series' times."""
-    setting = None
-    if series is not None:
-        span = (float(series.t[0]), float(series.t[-1]))
-        setting = Setting(model, {}, span, float(series.steps[0]), time_unit=series.time_unit)
     with about("--with"):
-        return extend(model, effects, setting)
+        return extend(model, effects, None if series is None else setting_of(model, series))
+
+
+def setting_of(model: MixedModel, series: Series) -> Setting:
+    """What effects need to know of the data that they are made for."""
+    span = (float(series.t[0]), float(series.t[-1]))
+    return Setting(model, {}, span, float(series.steps[0]), time_unit=series.time_unit)

@@ -11,11 +11,8 @@ from service.cli.ending import wrong
 
 def run(host: str | None, port: int | None, models: Sequence[str] = ()) -> None:
     """Serve until a signal comes; options go before the environment's settings."""
-    env = dict(os.environ)
-    if host is not None:
-        env["RBPS_HOST"] = host
-    if port is not None:
-        env["RBPS_PORT"] = str(port)
+    given = {"RBPS_HOST": host, "RBPS_PORT": port}
+    env = os.environ | {name: str(value) for name, value in given.items() if value is not None}
     if models:
         also = [env["RBPS_MODELS"]] if env.get("RBPS_MODELS") else []
         env["RBPS_MODELS"] = ",".join([*also, *models])

@@ -11,7 +11,6 @@ import numpy as np
 from engine.data.files import csv_text, write_series
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import make_effect
-from engine.diagnose.effects.setting import Setting
 from engine.presentation import plots
 from engine.statespace.model import Array, MixedModel
 from engine.units import SECOND
@@ -149,10 +148,9 @@ def shape(name: str, text: str, t: Array, rng: np.random.Generator) -> Array:
 
 def _sizes(model: MixedModel, effects: Mapping[str, float], frame: Series) -> dict[str, float]:
     """{parameter: value} of the effects' sizes."""
-    out, span = {}, (float(frame.t[0]), float(frame.t[-1]))
+    out = {}
     for name, size in effects.items():
-        setting = Setting(model, {}, span, float(frame.steps[0]), time_unit=frame.time_unit)
-        effect = make_effect(name, setting)
+        effect = make_effect(name, references.setting_of(model, frame))
         out[effect.size.name] = size
         model = effect.apply(model)
     return out

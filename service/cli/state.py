@@ -8,17 +8,18 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from engine.statespace.model import Array, Theta
-from service import strict_json
+from service import stages, strict_json
 from service.cli.ending import Interrupt
 from service.cli.experiment import Experiment
 from service.cli.meter import Meter
 from service.cli.state_file import StateFile
+from service.validation import Prepared
 
 
 @dataclass(kw_only=True)
@@ -27,8 +28,6 @@ class Asked(Experiment):
 
     command: ClassVar[str] = "fit"
     result: ClassVar[str] = "estimation"
-    data: list[str]
-    test: list[str] = field(default_factory=list)
     method: str = "quasi-newton"
     first: str = "none"
     particles: int = 50
@@ -45,19 +44,20 @@ class Recorder:
 
     def __init__(
         self,
+        job: Prepared,
         file: StateFile,
         asked: Asked,
         meter: Meter,
         rows: Array | None = None,
         finished: Sequence[Any] = (),
-        memory: Array | None = None,
     ) -> None:
         self.file, self.asked, self.meter = file, asked, meter
-        self.done: list[Array] = [] if rows is None else list(rows)
-        self.left_over: list[Array] = [] if memory is None else list(memory)
+        self.parameters = job.model.parameter_names  # what the first numbers of a row are
+        n = len(self.parameters) + 4
+        self.done: list[Array] = [] if rows is None else list(rows[:, :n])
+        self.left_over: list[Array] = [] if rows is None else list(rows[1:, n:])
         self.finished = list(finished)  # what the tasks before this one left
-        self.names: list[str] = []  # of the tasks, where there are several
-        self.parameters: Sequence[str] = ()  # what the first numbers of a row are
+        self.plan = stages.plan(job.request)
         self.interrupt = Interrupt()
 
     @property
@@ -73,7 +73,12 @@ class Recorder:
     @property
     def name(self) -> str:
         """What is computed, such as ``start 2 of 8``; empty where there is nothing else."""
-        return self.names[self.task] if self.names else ""
+        if len(self.plan) == 1:
+            return ""
+        roles = stages.roles(self.plan)
+        role = roles[self.task]
+        n = roles.count(role)
+        return f"{role} {self.task - roles.index(role) + 1} of {n}" if n > 1 else role
 
     @property
     def steps(self) -> int:
@@ -106,7 +111,7 @@ class Recorder:
         if self.file.due:
             self.save()
         said = f"log-likelihood {it.log_likelihood:.2f}"
-        self.meter.at(self.steps, f"{self.name}, {said}" if self.names else said)
+        self.meter.at(self.steps, f"{self.name}, {said}" if self.name else said)
         self.interrupt.check()
 
     def step(self, k: int, message: str = "", share: float | None = None) -> None:

@@ -11,11 +11,10 @@ import io
 import json
 import os
 import shlex
-import signal
 import time
 import zipfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -23,8 +22,10 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from engine.models.files import in_file
 from engine.statespace.model import Array
-from service.cli.ending import wrong
+from service.cli.ending import Interrupt, wrong
+from service.cli.meter import Meter
 
 FORMAT = 2
 FOLDER = ".rbps"  # of state files that were given no name
@@ -34,23 +35,45 @@ SAVE_SECONDS, SAVE_TIMES = 1.0, 20.0
 
 
 @dataclass(kw_only=True)
-class Sealed:
-    """A request with the digests of the files it names: {absolute path: SHA-256}."""
+class Run:
+    """What can be resumed, as it was asked for; paths are absolute.
+
+    ``sha256`` has the digests of the files that it names, by their paths.
+    """
 
     command: ClassVar[str]
     result: ClassVar[str]  # what the command makes, for messages
     same_version: ClassVar[bool] = False  # must go on with it, as parts are kept and not iterations
+    model: str
+    free: list[str] = field(default_factory=list)
+    dt: float | None = None
+    seed: int = 0
+    out: str | None = None
+    report: str | None = None
+    plot: str | None = None
     sha256: dict[str, str] = field(default_factory=dict)
     version: str = ""
     keep: bool = False  # the state file, when there is nothing to go on with any more
 
-    def seal(self, files: Sequence[Path]) -> None:
-        """Note what the files hold now, and who computes."""
-        self.sha256 = {str(file.absolute()): digest(file) for file in files}
+    def begin(self, path: Path, files: Sequence[str], shown: Meter) -> StateFile:
+        """The state file of a new run; an earlier one of that name is moved aside."""
+        model = in_file(self.model)
+        named = [*map(Path, files), *([model[0]] if model else [])]
+        self.sha256 = {str(file.absolute()): digest(file) for file in named}
         self.version = version("rbps")
+        if path.exists():
+            aside = path.with_name(path.name + "~")
+            os.replace(path, aside)
+            shown.note(f"an earlier {path.name} is kept as {aside.name}")
+        return StateFile(path, self)
 
-    def check(self) -> None:
-        """Refuse to go on where a file is not what it was, or what was kept is of another version."""
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Take over what a resumed run may change.
+
+        Refuses one whose files are not what they were, or whose parts are of another version.
+        """
+        for name, value in changes.items():
+            setattr(self, name, value)
         for name, known in self.sha256.items():
             if not Path(name).is_file():
                 raise wrong(f"--resume: {name} is gone; the {self.result} needs it")
@@ -65,7 +88,7 @@ class Sealed:
             )
 
 
-Asked = TypeVar("Asked", bound=Sealed)
+Asked = TypeVar("Asked", bound=Run)
 
 
 def digest(file: Path) -> str:
@@ -76,7 +99,7 @@ def digest(file: Path) -> str:
 class StateFile:
     """Where a running command saves its state, now and then."""
 
-    def __init__(self, path: Path, asked: Sealed) -> None:
+    def __init__(self, path: Path, asked: Run) -> None:
         self.path, self.asked = path, asked
         self._save_at = time.monotonic() + SAVE_SECONDS
 
@@ -88,13 +111,18 @@ class StateFile:
     def save(self, rows: Array, left: Sequence[Any]) -> None:
         """Write the state; Ctrl-C waits meanwhile."""
         began = time.monotonic()
-        with _undisturbed():
+        with Interrupt(patient=True).held():
             write(self.path, self.asked, rows, left)
         now = time.monotonic()
         self._save_at = now + max(SAVE_SECONDS, SAVE_TIMES * (now - began))
 
     def remove(self) -> None:
-        """Remove a state that no run can go on with, and the folder of states if it was the last."""
+        """Remove a state that no run can go on with, unless it was asked for by name.
+
+        The folder of states goes with the last of them.
+        """
+        if self.asked.keep:
+            return
         self.path.unlink(missing_ok=True)
         if self.path.parent.name == FOLDER:
             with suppress(OSError):  # others are in it
@@ -106,7 +134,7 @@ class StateFile:
         return f"rbps {self.asked.command} --resume {shlex.quote(os.path.relpath(self.path))}"
 
 
-def write(path: Path, asked: Sealed, rows: Array, left: Sequence[Any] = ()) -> None:
+def write(path: Path, asked: Run, rows: Array, left: Sequence[Any] = ()) -> None:
     """Write a state file in one move."""
     text = json.dumps({"rbps_state": FORMAT, "command": asked.command} | asdict(asked))
     packed_left = np.frombuffer(json.dumps(list(left)).encode(), dtype=np.uint8)
@@ -126,10 +154,8 @@ def read(path: Path, kind: type[Asked]) -> tuple[Asked, Array, list[Any]]:
     """What was asked of the command, its rows (k, n) or (0, 0), and what else it left."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            stored_request, rows = (
-                json.loads(str(stored["asked"])),
-                np.asarray(stored["rows"], dtype=float),
-            )
+            stored_request = json.loads(str(stored["asked"]))
+            rows = np.asarray(stored["rows"], dtype=float)
             left = json.loads(stored["left"].tobytes())
         other = stored_request.get("command", "fit")  # the first that had one, and did not say so
         if other != kind.command:
@@ -154,30 +180,3 @@ def beside(out: str | None, otherwise: str) -> Path:
     """The state file's name where none is given: in a folder of their own beside the output, or here."""
     named = Path(out).with_suffix(".state") if out else Path(f"{otherwise}.state")
     return named.parent / FOLDER / named.name
-
-
-def can_be(state: Path | None, path: Path) -> Path:
-    """The file to ask whether it can be written: that of a folder which there need not be yet."""
-    return path if state is not None else path.parent.parent / path.name
-
-
-def keep_old(path: Path) -> Path | None:
-    """Move a state file that is in the way aside; where it went."""
-    if not path.exists():
-        return None
-    aside = path.with_name(path.name + "~")
-    os.replace(path, aside)
-    return aside
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Hold Ctrl-C back until the file is written."""
-    came: list[Any] = []
-    before = signal.signal(signal.SIGINT, lambda *signal_: came.append(signal_))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
-        raise KeyboardInterrupt

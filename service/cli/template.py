@@ -26,14 +26,10 @@ def drift(a, u, t, theta):
     np.where(condition, x, y), never if. States that enter linearly are in z and only have columns in A.
     """
     angle = a[:, 0]
-    f = [
-        0.0,
-        -theta.w2 * np.sin(angle) + u[0],
-    ]  # a line for each state: what does not hold the rate
-    A = [
-        [1.0],
-        [-theta.d],
-    ]  # what multiplies the rate: a line for each state, a column for each of z
+    # for each state, what does not hold the rate
+    f = [0.0, -theta.w2 * np.sin(angle) + u[0]]
+    # what multiplies the rate: a row for each state, a column for each of z
+    A = [[1.0], [-theta.d]]
     return f, A
 
 

@@ -33,12 +33,9 @@ def routes(keys_needed: bool) -> list[BaseRoute]:
     def page(request: Request) -> Response:
         name = request.path_params["name"]
         if name not in ORDER:
-            there = ", ".join(ORDER)
-            return Problem(
-                404, "no-such-page", f"the Guide has no page '{name}'; it has {there}"
-            ).response()
-        values = {"pages": contents(), "name": name, "text": content(name)}
-        return render("guide.html", keys_needed, **values)
+            detail = f"the Guide has no page '{name}'; it has {', '.join(ORDER)}"
+            return Problem(404, "no-such-page", detail).response()
+        return render("guide.html", keys_needed, pages=contents(), name=name, text=content(name))
 
     return [Route("/guide", first), Route("/guide/{name}", page)]
 

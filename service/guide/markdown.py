@@ -8,17 +8,35 @@ installed, are only named.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable
 from html import escape
 
 _INLINE = re.compile(r"(`[^`]+`|!?\[[^\]]*\]\([^)\s]+\)|\*\*[^*]+\*\*)")
-_ROW = re.compile(r"^\|.*\|$")
-_HEADING = re.compile(r"^(#{1,4}) +(.*)$")
+_BLOCK = re.compile(
+    r"""
+    ^```.*\n (?P<fence> (?:(?!```).*\n)* ) (?:```.*\n)?
+    | ^(?P<indented> \ {4}.*\n (?:(?:\ {4}.*|[ ]*)\n)* )
+    | ^(?P<heading> \#{1,4}\ +.*\n )
+    | ^(?P<table> (?:\|.*\|\n)+ )
+    | ^(?P<list> -\ .*\n (?:(?:-\ |\ \ ).*\n)* )
+    | ^(?P<paragraph> .*\S.*\n (?:(?!\#|```|\|).*\S.*\n)* )
+    """,
+    re.MULTILINE | re.VERBOSE,
+)
 
 
 def html(text: str) -> str:
     """The HTML of a page."""
-    return "\n".join(_blocks(text.splitlines()))
+    made: dict[str, Callable[[str], str]] = {
+        "fence": _code,
+        "indented": lambda block: _code(re.sub(r"^ {1,4}", "", block, flags=re.MULTILINE)),
+        "heading": _heading,
+        "table": _table,
+        "list": _list,
+        "paragraph": lambda block: f"<p>{_words(block)}</p>",
+    }
+    found = _BLOCK.finditer(f"{text}\n")
+    return "\n".join(made[kind](one[kind]) for one in found if (kind := one.lastgroup))
 
 
 def title(text: str) -> str:
@@ -32,63 +50,29 @@ def anchor(heading: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-")
 
 
-def _blocks(lines: list[str]) -> Iterator[str]:
-    i = 0
-    while i < len(lines):
-        line = lines[i]
-        if line.startswith("```"):
-            end = next(
-                (k for k in range(i + 1, len(lines)) if lines[k].startswith("```")), len(lines)
-            )
-            yield _code(lines[i + 1 : end])
-            i = end + 1
-        elif line.startswith("    "):
-            end = _while(lines, i, lambda one: one.startswith("    ") or not one.strip())
-            yield _code([one[4:] for one in lines[i:end]])
-            i = end
-        elif found := _HEADING.match(line):
-            level, words = len(found[1]), found[2]
-            yield f'<h{level} id="{anchor(words)}">{_inline(words)}</h{level}>'
-            i += 1
-        elif _ROW.match(line):
-            end = _while(lines, i, lambda one: bool(_ROW.match(one)))
-            yield _table(lines[i:end])
-            i = end
-        elif line.startswith("- "):
-            end = _while(lines, i, lambda one: one.startswith(("- ", "  ")))
-            items = re.split(r"^- ", "\n".join(lines[i:end]), flags=re.MULTILINE)[1:]
-            yield f"<ul>{''.join(f'<li>{_inline(_joined(one))}</li>' for one in items)}</ul>"
-            i = end
-        elif line.strip():
-            end = _while(
-                lines, i, lambda one: bool(one.strip()) and not one.startswith(("#", "```", "|"))
-            )
-            yield f"<p>{_inline(_joined(' '.join(lines[i:end])))}</p>"
-            i = end
-        else:
-            i += 1
+def _words(text: str) -> str:
+    return _inline(" ".join(text.split()))
 
 
-def _while(lines: list[str], i: int, holds: object) -> int:
-    """The first line from i + 1 on for which it does not hold."""
-    assert callable(holds)
-    return next((k for k in range(i + 1, len(lines)) if not holds(lines[k])), len(lines))
+def _code(block: str) -> str:
+    return f"<pre><code>{escape(block.rstrip())}</code></pre>"
 
 
-def _joined(text: str) -> str:
-    return " ".join(text.split())
+def _heading(block: str) -> str:
+    marks, _, words = block.strip().partition(" ")
+    level = f"h{len(marks)}"
+    return f'<{level} id="{anchor(words)}">{_words(words)}</{level}>'
 
 
-def _code(lines: list[str]) -> str:
-    return f"<pre><code>{escape(chr(10).join(lines).rstrip())}</code></pre>"
+def _list(block: str) -> str:
+    items = re.split(r"^- ", block, flags=re.MULTILINE)[1:]
+    return f"<ul>{''.join(f'<li>{_words(one)}</li>' for one in items)}</ul>"
 
 
-def _table(lines: list[str]) -> str:
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    head, body = (
-        rows[0],
-        [row for row in rows[1:] if not all(re.fullmatch(r":?-+:?", c) for c in row)],
-    )
+def _table(block: str) -> str:
+    lines = block.splitlines()
+    head, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    body = [row for row in rows if not all(re.fullmatch(r":?-+:?", cell) for cell in row)]
     top = "".join(f'<th scope="col">{_inline(cell)}</th>' for cell in head)
     made = "".join(f"<tr>{''.join(f'<td>{_inline(c)}</td>' for c in row)}</tr>" for row in body)
     table = f"<table><thead><tr>{top}</tr></thead><tbody>{made}</tbody></table>"

@@ -18,11 +18,8 @@ from engine.statespace.model import Gaussian, MixedModel, Parameter
 from engine.words import tidy
 
 WIDTH, HEIGHT, POINTS = 150, 60, 121
-SHIPPED = (
-    "oscillator",
-    "servo",
-    "tanks",
-)  # models whose channels show kinds that a single state cannot
+# models whose channels show kinds that a single state cannot
+SHIPPED = ("oscillator", "servo", "tanks")
 
 
 def effects() -> str:
@@ -86,29 +83,11 @@ def _added(one: Effect, model: MixedModel, axis: str) -> tuple[Array, Array] | N
     """The axis and what is added to a state, else to a reading; None where nothing changes along it."""
     try:
         extended = one.apply(model)
-        values = {p.name: float(p.default) for p in one.parameters} | {one.size.name: 1.0}
-        theta = np.clip(
-            extended.theta([*model.theta(), *(values[p.name] for p in one.parameters)]),
-            extended.lower,
-            extended.upper,
-        )
+        own = [1.0 if p.name == one.size.name else float(p.default) for p in one.parameters]
+        theta = np.clip(extended.theta([*model.theta(), *own]), extended.lower, extended.upper)
         x = np.linspace(0.0, 10.0, POINTS) if axis == "t" else np.linspace(-2.0, 2.0, POINTS)
-        a = np.zeros((POINTS, extended.na))
-        a[:, 0] = x if axis == "x" else 0.5
-        before: list[Array] = []
-        after: list[Array] = []
-        for k in range(POINTS):
-            u = np.full(model.nu, x[k] if axis == "u" else 0.0)
-            t = x[k] if axis == "t" else 0.0
-            for values_, which, record in (
-                (before, model, model.record(model.theta())),
-                (after, extended, extended.record(theta)),
-            ):
-                row = a[k : k + 1, : which.na]
-                f = which.transition(row, u, float(t), 0.1, record)[0][0, : model.nx]
-                h = which.observation(row, u, float(t), record)[0][0]
-                values_.append(np.concatenate([f, h]))
-        change = np.array(after) - np.array(before)
+        before = _run(model, model.theta(), axis, x, model)
+        change = _run(extended, theta, axis, x, model) - before
     except (EngineError, ValueError, IndexError, FloatingPointError):
         return None
     if change.shape[1] == 0 or not np.isfinite(change).all():
@@ -116,6 +95,20 @@ def _added(one: Effect, model: MixedModel, axis: str) -> tuple[Array, Array] | N
     column = int(np.argmax(np.ptp(change, axis=0)))
     y = change[:, column]
     return (x, y) if np.ptp(y) > 1e-9 else None
+
+
+def _run(one: MixedModel, theta: Array, axis: str, values: Array, base: MixedModel) -> Array:
+    """The base's next states and readings by a model, with ``values`` of the state, the input or time."""
+    rows, record = [], one.record(theta)
+    for value in values.tolist():
+        a = np.zeros((1, one.na))
+        a[0, 0] = value if axis == "x" else 0.5
+        u = np.full(base.nu, value if axis == "u" else 0.0)
+        t = value if axis == "t" else 0.0
+        f = one.transition(a, u, t, 0.1, record)[0][0, : base.nx]
+        h = one.observation(a, u, t, record)[0][0]
+        rows.append(np.concatenate([f, h]))
+    return np.array(rows)
 
 
 def _svg(x: Array, y: Array, axis: str) -> str:
@@ -144,13 +137,14 @@ def _entry(name: str, thing: Any) -> str:
     except (TypeError, ValueError):
         signature = ""
     text = inspect.getdoc(thing) or ""
+    is_class = inspect.isclass(thing)
     members = [
-        f"<h4>.{escape(key)}</h4><p>{escape((inspect.getdoc(value) or '').partition(chr(10))[0])}</p>"
-        for key, value in vars(thing).items()
-        if inspect.isclass(thing) and not key.startswith("_") and inspect.getdoc(value)
+        f"<h4>.{escape(key)}</h4><p>{escape(about.partition(chr(10))[0])}</p>"
+        for key, value in (vars(thing).items() if is_class else ())
+        if not key.startswith("_") and (about := inspect.getdoc(value))
         and (callable(value) or isinstance(value, property) or hasattr(value, "func"))
-    ] if inspect.isclass(thing) else []  # fmt: skip
-    kind = "class " if inspect.isclass(thing) else ""
+    ]  # fmt: skip
+    kind = "class " if is_class else ""
     return (
         f'<section id="{escape(name)}"><h3><code>{kind}engine.{escape(name)}</code></h3>'
         f'<pre class="small">{escape(name + signature)}</pre><pre>{escape(text)}</pre>'

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from service.runner import Terms
+from service.settings import Settings
 
 pytestmark = pytest.mark.skipif(not find_spec("distributed"), reason="Dask is not installed")
 
@@ -214,7 +214,7 @@ def test_members_of_a_cluster_show_certificates(
 def test_what_ends_after_the_service_has_stopped_is_let_alone(store):
     from service.dask_runner import DaskRunner  # which takes a second to load
 
-    runner = DaskRunner(store, "tcp://nowhere", Terms(10.0, 10.0, 2, 0), lambda: None)
+    runner = DaskRunner(store, Settings(dask_scheduler="tcp://nowhere"), lambda: None)
     store.create("estimate", "linear-2", {}, 10)
     attempt = store.claim("a")
     runner.stop(drain=True)

@@ -73,7 +73,7 @@ def test_a_forkserver_that_is_killed_while_it_loads(store, monkeypatch, times):
     with monkeypatch.context() as patched:
         patched.setattr(runner, "_begin", killed)
         patched.setattr("time.sleep", sleep)
-        runner.watch(store, attempt, runner.Terms(60.0, 60.0, 0, 0), threading.Event())
+        runner.watch(store, attempt, Settings(losses_allowed=0), threading.Event())
     ((task, _),) = store.tasks(attempt.job)
     assert (failed, task.losses) == ([], 0)
     found = store.job(attempt.job_id).status, task.state
@@ -84,6 +84,7 @@ def test_a_forkserver_that_is_killed_while_it_loads(store, monkeypatch, times):
 ENDS_WHILE_IT_STARTS = """
 import concurrent.futures.thread, threading, time
 from service import runner
+from service.settings import Settings
 
 begun = threading.Event()
 
@@ -94,7 +95,7 @@ def begin(*_):
     raise EOFError("the forkserver was killed")
 
 runner._begin = begin
-runner.LocalRunner(None, 1, runner.Terms(1.0, 1.0, 0, 0))
+runner.LocalRunner(None, Settings(workers=1))
 assert begun.wait(60)
 """
 

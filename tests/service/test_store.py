@@ -11,7 +11,8 @@ import pytest
 from service import stages
 from service.attempt import StoredParts
 from service.clocks import Silence
-from service.store import KeyReused, QueueFull, Store
+from service.problems import Problem
+from service.store import Store
 from service.validation import load
 
 
@@ -191,18 +192,18 @@ def test_limits_of_the_queue_and_who_is_not_counted_by_them(store):
     most = [(None, 3), ("a", 2)]
     first = store.create("simulate", "m", {}, 1, owner="a", idempotency_key="k", most=most)
     store.create("simulate", "m", {}, 1, owner="a", most=most)
-    with pytest.raises(QueueFull, match="2"):
+    with pytest.raises(Problem, match="2 jobs wait"):
         store.create("simulate", "m", {}, 1, owner="a", most=most)
     again = store.create("simulate", "m", {}, 1, owner="a", idempotency_key="k", most=most)
     assert again == first  # its job is there, however full the queue is
-    with pytest.raises(KeyReused):
+    with pytest.raises(Problem, match="came with another request"):
         store.create("simulate", "m", {"n": 2}, 1, owner="a", idempotency_key="k", most=most)
     store.create("simulate", "m", {}, 1, owner="b", most=[(None, 3), ("b", 2)])
-    with pytest.raises(QueueFull, match="3"):
+    with pytest.raises(Problem, match="3 jobs wait"):
         store.create("simulate", "m", {}, 1, owner="c", most=[(None, 3), ("c", 2)])
     store.dismiss(first)
     store.create("simulate", "m", {}, 1, owner="a", most=most)
-    with pytest.raises(QueueFull):
+    with pytest.raises(Problem, match="jobs wait"):
         store.resume(first, most)
     assert store.job(first).status == "dismissed"
 
@@ -213,7 +214,7 @@ def test_no_more_jobs_than_allowed_however_many_come_at_once(tmp_path):
     def create():
         try:
             results.append(store.create("simulate", "m", {}, 1, most=[(None, 5)]))
-        except QueueFull:
+        except Problem:
             results.append(None)
 
     threads = [threading.Thread(target=create) for _ in range(20)]
@@ -290,7 +291,7 @@ def test_a_key_names_one_job_however_many_ask(store):
     assert len(made) == 8
     assert len(set(made)) == 1
     assert store.create("simulate", "m", {"n": 2}, 1, idempotency_key="k", owner="p") != made[0]
-    with pytest.raises(KeyReused, match=made[0]):
+    with pytest.raises(Problem, match=made[0]):
         store.create("simulate", "m", {"n": 2}, 1, idempotency_key="k", owner="o")
 
 

@@ -7,23 +7,12 @@ from typing import Annotated
 
 import typer
 
+from service.cli import options
 from service.cli.ending import guarded
-from service.cli.options import (
-    Columns,
-    Hold,
-    Json,
-    Model,
-    Plot,
-    Seed,
-    Step,
-    TimeColumn,
-    TimeUnit,
-    model_named,
-)
 
 
 def simulate(
-    model: Model = "",
+    model: options.Model = "",
     effects: Annotated[
         list[str],
         typer.Option(
@@ -37,17 +26,17 @@ def simulate(
         int | None,
         typer.Option("--samples", "-n", metavar="N", min=2, help="Length.  [the inputs' length]"),
     ] = None,
-    dt: Step = None,
-    time_unit: TimeUnit = None,
-    hold: Hold = None,
+    dt: options.Step = None,
+    time_unit: options.TimeUnit = None,
+    hold: options.Hold = None,
     inputs: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE", exists=True, dir_okay=False, help="Data file with the inputs."
         ),
     ] = None,
-    columns: Columns = [],  # noqa: B006
-    time: TimeColumn = None,
+    columns: options.Columns = [],  # noqa: B006
+    time: options.TimeColumn = None,
     excite: Annotated[
         list[str],
         typer.Option(
@@ -59,7 +48,7 @@ def simulate(
     noise: Annotated[
         bool, typer.Option("--noise/--no-noise", help="Draw the model's noise, or none.")
     ] = True,
-    seed: Seed = 0,
+    seed: options.Seed = 0,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -69,8 +58,8 @@ def simulate(
             help="Write t, outputs and inputs to a .csv, .mat or .npz.  [CSV on stdout]",
         ),
     ] = None,
-    plot: Plot = None,
-    as_json: Json = False,
+    plot: options.Plot = None,
+    as_json: options.Json = False,
 ) -> None:
     """Simulate a model, with an effect hidden in it if you like."""
     with guarded(as_json):
@@ -80,7 +69,7 @@ def simulate(
 
         run(
             Wanted(
-                model=model_named(model),
+                model=options.model_named(model),
                 effects=numbers("--with", effects),
                 values=numbers("--set", values),
                 samples=samples,
