@@ -11,9 +11,9 @@ import numpy as np
 from engine.data.series import Series
 from engine.filters.kalman import kalman_smoother
 from engine.filters.rbpf import rbpf
-from engine.models import growth, scalar_linear
 from engine.models.registry import get_model
 from engine.statespace.model import MixedModel, ThetaLike
+from tests.studies import growth, scalar_linear
 from tests.studies.realisation import LIKELIHOOD, START, stream
 
 PARTICLES = 2000  # of a log-likelihood that judges an estimate ...

@@ -10,8 +10,8 @@ import pytest
 import engine
 from engine import Outcome, get_model, rbps_em, rts_em, simulate
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, bounded, width, window
-from engine.models.scalar_linear import MODEL as SCALAR
 from tests.engine.models_for_tests import random_walk
+from tests.studies.scalar_linear import MODEL as SCALAR
 
 LINEAR = get_model("linear-2")
 MIXED = get_model("mixed-4")

@@ -16,12 +16,12 @@ from engine.estimation.general_em import TrajectoryQ
 from engine.estimation.ps_em import ps_em
 from engine.filters.kalman import kalman_smoother
 from engine.filters.particle import particle_filter
-from engine.models import growth, scalar_linear
 from engine.smoothers.ffbsi import ParticleSmoothed
 from engine.smoothers.general import filter_general, smooth_general
 from engine.statespace.densities import GaussianMixture, StudentT
 from engine.statespace.general import as_general
 from engine.statespace.points import Points
+from tests.studies import growth, scalar_linear
 
 
 @pytest.fixture(scope="module")
