@@ -14,10 +14,11 @@ from engine.diagnose.gain.adoption import falls_short
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise
 from engine.diagnose.records import Records
+from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Verdict
 from engine.diagnose.search.pipeline import NAMES, Causes, has_tails
-from engine.diagnose.search.search import Progress, Search
+from engine.diagnose.search.search import Search
 from engine.diagnose.search.verdict import named_by, names_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit

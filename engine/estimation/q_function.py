@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.kernels.gaussian import psd_cholesky_many, whiten_points
-from engine.statespace.model import Array
+from engine.statespace.model import Array, LinearGaussian
 
 # record of theta -> m (T, N, n), A (T', N', n, nz), S (T', N', n, n)
-Evaluate: TypeAlias = Callable[[Any], tuple[Array, Array, Array]]
+Evaluate: TypeAlias = Callable[[Any], LinearGaussian]
 
 DIFFERS = 1e-13  # of the largest value: less than this between two theta is rounding
 LOG_2PI = float(np.log(2.0 * np.pi))
@@ -86,7 +86,7 @@ class GaussianTerm:
         return out
 
     def _at(
-        self, model: tuple[Array, Array, Array], rank: int | None
+        self, model: LinearGaussian, rank: int | None
     ) -> tuple[float, Array, Array, Array, Array]:
         """Value; whitened residual r~ (T, N, n); whitening W; E~ = W l W' - r~ r~' ; factor L."""
         m, A, S = model
@@ -148,8 +148,8 @@ class GaussianTerm:
         self,
         L: Array,
         W: Array,
-        low: tuple[Array, Array, Array],
-        high: tuple[Array, Array, Array],
+        low: LinearGaussian,
+        high: LinearGaussian,
         distance: float,
     ) -> _Change:
         """The whitened derivatives along one parameter, None where there is none."""

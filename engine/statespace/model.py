@@ -70,6 +70,10 @@ class Density(Protocol):
         """Evaluate at a (M, na) -> (M,)."""
 
 
+# f, A, Q of N(f + A z, Q) at M points, a step; likewise h, C, R, a reading
+LinearGaussian: TypeAlias = tuple[Array, Array, Array]
+
+
 @dataclass(frozen=True)
 class Gaussian:
     """The density N(mean, cov).
@@ -235,14 +239,12 @@ class MixedModel(BaseModel):
     # arrays (M,) in theta. Whatever the user's function takes of these, the result is right; see
     # :mod:`engine.statespace.evaluation`.
 
-    def transition(
-        self, a: Array, u: Any, t: Any, dt: Any, theta: Any
-    ) -> tuple[Array, Array, Array]:
+    def transition(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
         """The step: f (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
         f, A, Q = self.transitions(a, u, t, dt, theta)
         return f, A, Q
 
-    def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
+    def observation(self, a: Array, u: Any, t: Any, theta: Any) -> LinearGaussian:
         """The reading: h (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
         h, C, R = self.observations(a, u, t, 0.0, theta)
         return h, C, R
@@ -251,7 +253,7 @@ class MixedModel(BaseModel):
     def transitions(self) -> ModelFunction:
         """``transition``, with what is known of the calls that ``dynamics`` takes."""
 
-        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
             f, A, Q = self.dynamics(a, u, t, dt, theta)
             M, nx, nz = a.shape[0], self.nx, self.nz
             return (
@@ -268,7 +270,7 @@ class MixedModel(BaseModel):
     def observations(self) -> ModelFunction:
         """``observation``, likewise; its dt has no meaning."""
 
-        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
             h, C, R = self.measurement(a, u, t, theta)
             M, ny, nz = a.shape[0], self.ny, self.nz
             return (

@@ -12,7 +12,7 @@ from engine.diagnose.effects.augmentation import Begin, add_linear_states, besid
 from engine.diagnose.effects.effect import Effect, Split, identifier
 from engine.diagnose.effects.setting import Kind, Setting, each_output
 from engine.diagnose.effects.traits import Traits
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.units import frequency_in, product
 
 LATENT = "latent"  # the kind of the unnamed force
@@ -159,15 +159,13 @@ def _stationary(nz: int, k: int) -> Begin:
     return lambda a, record, own: (np.zeros((len(a), k)), np.zeros((k, nz)), own[0])
 
 
-def _ou(step: tuple[Array, Array, Array], M: int, dt: Any, own: Any) -> tuple[Array, Array, Array]:
+def _ou(step: LinearGaussian, M: int, dt: Any, own: Any) -> LinearGaussian:
     """One more linear state d' = exp(-dt/tau) d + w of stationary variance own[0]."""
     keep = np.exp(-dt / own[1])
     return beside(step, M, [[keep]], own[0] * (1.0 - keep * keep))
 
 
-def _swing(
-    step: tuple[Array, Array, Array], M: int, dt: Any, own: Any
-) -> tuple[Array, Array, Array]:
+def _swing(step: LinearGaussian, M: int, dt: Any, own: Any) -> LinearGaussian:
     """Two more linear states that rotate at own[2] Hz and fade with own[1], of variance own[0] each."""
     keep = np.exp(-dt / own[1])
     angle = 2.0 * np.pi * own[2] * dt

@@ -11,7 +11,7 @@ from engine.diagnose.effects.augmentation import Begin, add_linear_states, besid
 from engine.diagnose.effects.effect import Effect, Split
 from engine.diagnose.effects.setting import Kind, Setting, at_pairs, each_moved, each_state
 from engine.diagnose.effects.traits import Traits
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.units import frequency_in
 
 
@@ -39,8 +39,8 @@ class _Following:
         return begin
 
     def __call__(
-        self, step: tuple[Array, Array, Array], a: Array, force: Any, drives: Sequence[Any]
-    ) -> tuple[Array, Array, Array]:
+        self, step: LinearGaussian, a: Array, force: Any, drives: Sequence[Any]
+    ) -> LinearGaussian:
         """The step with ``force`` (l - x) on the target and ``drives`` x on each of the new states."""
         f, A, Q = step
         if self.continuous:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from engine.diagnose.effects.effect import Effect, Split, identifier, on_base
 from engine.diagnose.effects.setting import Kind, Setting
 from engine.diagnose.effects.traits import Traits
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.model import MixedModel, Parameter
 
 
 def _held(setting: Setting, channel: str) -> Effect | None:
@@ -27,20 +26,11 @@ def _held(setting: Setting, channel: str) -> Effect | None:
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
 
-        def other(theta: Any) -> Any:
+        def other(theta: Any) -> tuple[Any, Any]:
             base, own = split(theta)
-            return base._replace(**{channel: base[index] + own[0]})
+            return base._replace(**{channel: base[index] + own[0]}), own
 
-        def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-            return model.transition(a, u, t, dt, other(theta))
-
-        def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
-            return model.observation(a, u, t, other(theta))
-
-        def initial(theta: Any) -> tuple[Any, Any, Any]:
-            return model.initial(other(theta))
-
-        return on_base(model, split, dynamics=dynamics, measurement=measurement, initial=initial)
+        return on_base(model, other)
 
     return Effect(
         "held",
@@ -63,8 +53,4 @@ def _held(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _each_held(setting: Setting) -> Iterator[str]:
-    yield from setting.held
-
-
-KINDS: list[Kind] = [("held", _held, _each_held)]
+KINDS: list[Kind] = [("held", _held, lambda setting: setting.held)]

@@ -22,8 +22,7 @@ from engine.diagnose.effects.setting import (
     Setting,
     at_outputs,
     at_signals,
-    each_output,
-    each_state,
+    each_signal,
 )
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -112,10 +111,6 @@ def _rounded(y: Array, variance: float) -> Array:
     return step * np.round(y / step) if step > 0.0 else y
 
 
-def _each_lattice(setting: Setting) -> Iterator[str]:
-    yield from setting.resolution
-
-
 def _variance(setting: Setting, channel: str) -> Effect | None:
     """``noise->signal``: the noise grows with |signal| (a nonlinear state or input) or with time."""
     target, _, signal = channel.partition("->")
@@ -171,7 +166,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
 
 def _each_variance(setting: Setting) -> Iterator[str]:
     model = setting.model
-    for target in [*model.outputs, *setting.targets]:
+    for target in each_signal(setting):
         for signal in [*model.nonlinear, *model.inputs, "time"]:
             yield f"{target}->{signal}"
 
@@ -217,8 +212,8 @@ def _each_correlation(setting: Setting) -> Iterator[str]:
 
 
 KINDS: list[Kind] = [
-    at_signals("level", _level, lambda s: iter([*each_output(s), *each_state(s)])),
-    at_outputs("quantisation", _quantisation, _each_lattice),
+    at_signals("level", _level),
+    at_outputs("quantisation", _quantisation, lambda setting: setting.resolution),
     ("variance", _variance, _each_variance),
     ("correlation", _correlation, _each_correlation),
 ]

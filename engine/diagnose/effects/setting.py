@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -250,36 +250,41 @@ Maker: TypeAlias = Callable[[Setting, str], Effect | None]
 
 
 # Which channels a maker is tried on when all effects of a model are listed.
-Channels: TypeAlias = Callable[[Setting], Iterator[str]]
+Channels: TypeAlias = Callable[[Setting], Iterable[str]]
 
 
 # A kind as the shipped modules list it.
 Kind: TypeAlias = tuple[str, Maker, Channels]
 
 
-def each_state(setting: Setting) -> Iterator[str]:
+def each_state(setting: Setting) -> list[str]:
     """Every state whose equation may be wrong."""
-    yield from setting.targets
+    return setting.targets
 
 
-def each_output(setting: Setting) -> Iterator[str]:
+def each_output(setting: Setting) -> list[str]:
     """Every output."""
-    yield from setting.model.outputs
+    return list(setting.model.outputs)
 
 
-def each_input(setting: Setting) -> Iterator[str]:
+def each_input(setting: Setting) -> list[str]:
     """Every input that the model uses."""
-    yield from (name for name in setting.model.inputs if name not in setting.extra)
+    return [name for name in setting.model.inputs if name not in setting.extra]
 
 
-def each_parameter(setting: Setting) -> Iterator[str]:
-    """Every parameter of the model."""
-    yield from setting.model.parameter_names
+def each_signal(setting: Setting) -> list[str]:
+    """Every output, and every state whose equation may be wrong."""
+    return [*each_output(setting), *each_state(setting)]
 
 
-def each_moved(setting: Setting) -> Iterator[str]:
+def each_terminal(setting: Setting) -> list[str]:
+    """Every input that the model uses, and every output."""
+    return [*each_input(setting), *each_output(setting)]
+
+
+def each_moved(setting: Setting) -> list[str]:
     """Every state that is no disturbance of its own and whose equation may be wrong."""
-    yield from (name for name in setting.moved if name in setting.targets)
+    return [name for name in setting.moved if name in setting.targets]
 
 
 def each_pair(setting: Setting) -> Iterator[str]:
@@ -304,28 +309,33 @@ def each_path(setting: Setting) -> Iterator[str]:
                 yield f"{source}->{target}"
 
 
-def at_outputs(
-    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_output
-) -> Kind:
-    """A kind that enters at outputs; ``make(setting, channel, name of the size)``."""
-    return _kind(kind, make, channels, lambda setting: setting.model.outputs)
+# A maker of a kind that enters at single channels: (setting, channel, name of the size) -> the effect.
+ByName: TypeAlias = Callable[[Setting, str, str], Effect | None]
 
 
-def at_inputs(kind: str, make: Callable[[Setting, str, str], Effect | None]) -> Kind:
+def at_outputs(kind: str, make: ByName, channels: Channels = each_output) -> Kind:
+    """A kind that enters at outputs."""
+    return at_any(kind, make, channels, lambda setting: setting.model.outputs)
+
+
+def at_inputs(kind: str, make: ByName) -> Kind:
     """The same for inputs."""
-    return _kind(kind, make, each_input, lambda setting: setting.model.inputs)
+    return at_any(kind, make, each_input, lambda setting: setting.model.inputs)
 
 
-def at_states(kind: str, make: Callable[[Setting, str, str], Effect | None]) -> Kind:
+def at_states(kind: str, make: ByName) -> Kind:
     """The same for states."""
-    return _kind(kind, make, each_state, lambda setting: setting.states)
+    return at_any(kind, make, each_state, lambda setting: setting.states)
 
 
-def at_signals(
-    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels
-) -> Kind:
+def at_signals(kind: str, make: ByName, channels: Channels = each_signal) -> Kind:
     """The same for outputs and states."""
-    return _kind(kind, make, channels, lambda s: {**s.model.outputs, **s.states})
+    return at_any(kind, make, channels, lambda s: {**s.model.outputs, **s.states})
+
+
+def at_terminals(kind: str, make: ByName) -> Kind:
+    """The same for inputs and outputs."""
+    return at_any(kind, make, each_terminal, lambda s: {**s.model.inputs, **s.model.outputs})
 
 
 def at_pairs(
@@ -346,12 +356,11 @@ def at_pairs(
     return kind, maker, channels
 
 
-def _kind(
-    kind: str,
-    make: Callable[[Setting, str, str], Effect | None],
-    channels: Channels,
-    there: Callable[[Setting], Mapping[str, str]],
+def at_any(
+    kind: str, make: ByName, channels: Channels, there: Callable[[Setting], Container[str]]
 ) -> Kind:
+    """The same for those channels that are ``there``; ``channels`` are those it is tried on."""
+
     def maker(setting: Setting, channel: str) -> Effect | None:
         if channel not in there(setting):
             return None

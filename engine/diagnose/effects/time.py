@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,18 +22,12 @@ from engine.diagnose.effects.setting import (
     Kind,
     Setting,
     at_signals,
-    each_output,
-    each_parameter,
+    each_signal,
     each_state,
 )
 from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import frequency_in, product
-
-
-def _each_place(setting: Setting) -> Iterator[str]:
-    yield from each_output(setting)
-    yield from each_state(setting)
 
 
 def _signal(
@@ -45,7 +39,7 @@ def _signal(
     look_alikes: dict[str, str],
     held: tuple[str, ...] = (),
     traits: Traits = USUAL,
-    channels: Channels = _each_place,
+    channels: Channels = each_signal,
     power: float = 0.0,
 ) -> Kind:
     """A kind ``size * signal(t)``, the signal of unit time^power, added to a state's equation or an output."""
@@ -201,7 +195,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
             ),
         )
 
-    return kind, make, each_parameter
+    return kind, make, lambda setting: setting.model.parameter_names
 
 
 def _pulse(t: Any, own: Sequence[Any]) -> Any:
@@ -257,7 +251,7 @@ KINDS: list[Kind] = [
         channels=each_state,
         power=1.0,
     ),
-    at_signals("harmonic", _harmonic, _each_place),
+    at_signals("harmonic", _harmonic),
     _parameter_change("parameter-step", "step"),
     _parameter_change("parameter-drift", "drift"),
 ]

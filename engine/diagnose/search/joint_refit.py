@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import TOLERANCE, Refit, cost, free_parameters
 from engine.diagnose.search.rounds import Round, settle
@@ -27,8 +27,6 @@ RIVALS = 3  # of each round that are refitted again
 ITERATIONS = (
     25  # of each of these refits: where noise is small, thousands of nats are climbed slowly
 )
-
-Progress = Callable[[str, float], Any]
 
 
 def look_back(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.screen import Score, Screen
-from engine.diagnose.screening.screening import TAILS_ALARM
+from engine.diagnose.screening.screening import TAILS_ALARM, Progress
 from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import Refit, cost, refit, taken_up
@@ -40,8 +39,6 @@ REFITTED_ONCE, FOLLOWED = 0.7, 0.9
 SWALLOWED_REFITS = 6
 ALARM = 0.1  # family-wise p-value from which no alarm is to be feared at any usual level
 REFITTED = 0.1  # of alpha, for these refits: maxima between a grid's points are larger than on it
-
-Progress = Callable[[str, float], Any]
 
 
 def refit_swallowed(
