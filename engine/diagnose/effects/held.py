@@ -6,22 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import Effect, Split, identifier, on_base
-from engine.diagnose.effects.setting import Kind, Setting
+from engine.diagnose.effects.effect import Effect, Split, on_base
+from engine.diagnose.effects.setting import Kind, Setting, at_parameters
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import MixedModel, Parameter
 
 
-def _held(setting: Setting, channel: str) -> Effect | None:
+def _held(setting: Setting, channel: str, name: str) -> Effect:
     """``parameter -> parameter + size``, within the parameter's own bounds."""
     model = setting.model
-    if channel not in model.parameter_names:
-        return None
     index = model.index(channel)
     parameter = model.parameters[index]
     value = parameter.default if setting.record is None else float(setting.record.theta[index])
-    name = identifier("held", channel)
     low, high = parameter.bounds
+    further = setting.limits(low - value, high - value, -np.inf)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -38,19 +36,11 @@ def _held(setting: Setting, channel: str) -> Effect | None:
         "parameter",
         f"the parameter {channel}, held at {value:g} {parameter.unit}".rstrip(),
         f"{channel} -> {channel} + {name}",
-        (
-            Parameter(
-                name,
-                0.0,
-                parameter.unit,
-                setting.limits(low - value, high - value, -np.inf),
-                parameter.description,
-            ),
-        ),
+        (Parameter(name, 0.0, parameter.unit, further, parameter.description),),
         extend,
         one_sided=setting.record is not None and value <= low,
         traits=Traits(plainness=0),
     )
 
 
-KINDS: list[Kind] = [("held", _held, lambda setting: setting.held)]
+KINDS: list[Kind] = [at_parameters("held", _held, lambda setting: setting.held)]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -142,9 +143,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
     ]
     if origin is None:
         what = f"(t - {name}_middle)"
-        further.append(
-            Parameter(f"{name}_middle", middle, setting.time_unit, description="where it is zero")
-        )
+        further.append(setting.time(f"{name}_middle", middle, what="where it is zero"))
     else:
         what = f"|{origin.text(signal)}|"
         further.extend(origin.parameters)
@@ -164,11 +163,10 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _each_variance(setting: Setting) -> Iterator[str]:
+def _each_variance(setting: Setting) -> list[str]:
     model = setting.model
-    for target in each_signal(setting):
-        for signal in [*model.nonlinear, *model.inputs, "time"]:
-            yield f"{target}->{signal}"
+    signals = [*model.nonlinear, *model.inputs, "time"]
+    return [f"{noise}->{signal}" for noise in each_signal(setting) for signal in signals]
 
 
 def _correlation(setting: Setting, channel: str) -> Effect | None:
@@ -204,11 +202,8 @@ def _correlation(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _each_correlation(setting: Setting) -> Iterator[str]:
-    states = setting.targets
-    for i, one in enumerate(states):
-        for other in states[i + 1 :]:
-            yield f"{one},{other}"
+def _each_correlation(setting: Setting) -> list[str]:
+    return [f"{one},{other}" for one, other in combinations(setting.targets, 2)]
 
 
 KINDS: list[Kind] = [

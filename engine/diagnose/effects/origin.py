@@ -23,15 +23,10 @@ class Origin:
         self.parameters: tuple[Parameter, ...] = ()
         if channel not in setting.known_zeros:
             low, high = setting.inside(channel)
-            self.parameters = (
-                Parameter(
-                    f"{name}_zero",
-                    self.value,
-                    setting.unit(channel),
-                    (min(low, self.value), max(high, self.value)),
-                    f"zero of {channel} that it counts from",
-                ),
-            )
+            bounds = min(low, self.value), max(high, self.value)
+            what = f"zero of {channel} that it counts from"
+            zero = Parameter(f"{name}_zero", self.value, setting.unit(channel), bounds, what)
+            self.parameters = (zero,)
 
     @property
     def name(self) -> str | None:

@@ -66,15 +66,13 @@ def _begin(own: Any) -> tuple[float, float]:
 
 def _of_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     split, index = Split(model), list(model.inputs).index(channel)
-    held = (
-        setting.hold == "zoh"
-    )  # then nothing moves between samples, and no moments are taken again
+    held = setting.hold == "zoh"  # nothing moves between samples, and no moments are taken again
 
     def driven(last: Array, u: Any, t: Any, own: Any) -> Any:
         played = _played(last, u[index], own[0])
-        return with_input(
-            u, index, np.where(setting.at_sample(t), played, last) if held else played
-        )
+        if held:
+            played = np.where(setting.at_sample(t), played, last)
+        return with_input(u, index, played)
 
     def step(a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any) -> WithMemory:
         rows = driven(last, u, t, own)

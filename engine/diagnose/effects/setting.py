@@ -17,12 +17,14 @@ from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_n
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
 from engine.diagnose.effects.zeros import without_zero
 from engine.filters.sigma_point import moment_path
-from engine.statespace.model import Array, MixedModel
-from engine.units import SECOND, product
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.units import SECOND, frequency_in, product
 
 PROBED = 32  # rows of a record at which a model's structure is looked at
 NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
 POSITIVE = float(np.finfo(float).tiny)  # in any unit
+ANY_TIME, SOME_TIME = (-np.inf, np.inf), (POSITIVE, np.inf)  # bounds of a time, of a length of time
+FREQUENCIES = (0.02, 0.06, 0.12, 0.25)  # cycles a sample at which the screen looks
 ON_TIME = 1e-3  # of a sample: how far off its time a sample may be
 
 
@@ -190,6 +192,28 @@ class Setting:
         return product(self.unit(target), (self.time_unit, -1.0), (divided_by, -1.0))
 
     @property
+    def length(self) -> float:
+        """The time from the first sample to the last."""
+        return self.span[1] - self.span[0]
+
+    def time(
+        self, name: str, default: float, bounds: tuple[float, float] = ANY_TIME, what: str = ""
+    ) -> Parameter:
+        """A parameter that is a time."""
+        return Parameter(name, default, self.time_unit, bounds, what)
+
+    def time_constant(self, name: str, what: str = "") -> Parameter:
+        """Of a lag that can be told from none and from a constant."""
+        fast, slow = 2.0 * self.dt, 0.5 * self.length
+        return self.time(name, 10.0 * self.dt, self.limits(fast, max(slow, 2.0 * fast)), what)
+
+    def frequency(self, name: str) -> Parameter:
+        """Of an oscillation that takes part of the record, and several samples."""
+        slowest, fastest = 0.5 / max(self.length, 10.0 * self.dt), 0.48 / self.dt
+        unit = frequency_in(self.time_unit)
+        return Parameter(name, 0.1 / self.dt, unit, self.limits(slowest, fastest))
+
+    @property
     def per_time(self) -> str:
         """Unit of a rate of decay."""
         return product((self.time_unit, -1.0))
@@ -331,6 +355,11 @@ def at_states(kind: str, make: ByName) -> Kind:
 def at_signals(kind: str, make: ByName, channels: Channels = each_signal) -> Kind:
     """The same for outputs and states."""
     return at_any(kind, make, channels, lambda s: {**s.model.outputs, **s.states})
+
+
+def at_parameters(kind: str, make: ByName, channels: Channels) -> Kind:
+    """The same for parameters."""
+    return at_any(kind, make, channels, lambda setting: setting.model.parameter_names)
 
 
 def at_terminals(kind: str, make: ByName) -> Kind:

@@ -19,22 +19,18 @@ from engine.diagnose.effects.augmentation import WithMemory, add_linear_states, 
 from engine.diagnose.effects.effect import Effect, Split, per_point
 from engine.diagnose.effects.setting import Kind, Setting, at_outputs
 from engine.diagnose.effects.traits import Traits
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.model import Array, MixedModel
 
 
 def _slow_sensor(setting: Setting, channel: str, name: str) -> Effect:
-    slowest = max(0.5 * (setting.span[1] - setting.span[0]), 2.0 * setting.dt)
+    slowest = max(0.5 * setting.length, 2.0 * setting.dt)
     return Effect(
         "slow-sensor",
         channel,
         "measurement",
         f"slow sensor {channel}: a lag of first order",
         f"{name} r' = y - r,  {channel} = r",
-        (
-            Parameter(
-                name, 0.0, setting.time_unit, setting.limits(0.0, slowest, 0.0), "time constant"
-            ),
-        ),
+        (setting.time(name, 0.0, setting.limits(0.0, slowest, 0.0), "time constant"),),
         lambda model: _late(model, setting, channel),
         look_alikes={
             "lag": "is over after one sample",

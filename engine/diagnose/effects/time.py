@@ -12,15 +12,15 @@ from engine.diagnose.effects.effect import (
     Split,
     add_to_output,
     add_to_state,
-    identifier,
     on_base,
 )
 from engine.diagnose.effects.setting import (
     ON_TIME,
-    POSITIVE,
+    SOME_TIME,
     Channels,
     Kind,
     Setting,
+    at_parameters,
     at_signals,
     each_signal,
     each_state,
@@ -73,36 +73,15 @@ def _signal(
 
 def _when(name: str, setting: Setting) -> list[Parameter]:
     first, last = setting.span
-    return [
-        Parameter(
-            f"{name}_time",
-            0.5 * (first + last),
-            setting.time_unit,
-            setting.limits(first, last, -np.inf),
-            "when",
-        )
-    ]
-
-
-def _frequency(name: str, setting: Setting) -> list[Parameter]:
-    first, last = setting.span
-    lowest, highest = 0.5 / max(last - first, setting.dt), 0.5 / setting.dt
-    return [
-        Parameter(f"{name}_sine", 0.0, "", description="amplitude of the sine"),
-        Parameter(
-            f"{name}_frequency",
-            10.0 * lowest,
-            frequency_in(setting.time_unit),
-            setting.limits(lowest, highest),
-            "frequency",
-        ),
-    ]
+    within = setting.limits(first, last, -np.inf)
+    return [setting.time(f"{name}_time", 0.5 * (first + last), within, "when")]
 
 
 def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
     at_output = channel in setting.model.outputs
     unit = setting.unit(channel) if at_output else setting.rate(channel)
-    frequency = _frequency(name, setting)
+    lowest, highest = 0.5 / max(setting.length, setting.dt), 0.5 / setting.dt
+    bounds, per_time = setting.limits(lowest, highest), frequency_in(setting.time_unit)
 
     def term(v: Any, own: Sequence[Any]) -> Any:
         angle = 2.0 * np.pi * own[2] * v.t
@@ -119,11 +98,11 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
         f"{channel} = ... + {'' if at_output else 'dt * '}({name} cos(2 pi f t) + {name}_sine sin(2 pi f t))",
         (
             Parameter(name, 0.0, unit, description="amplitude of the cosine"),
-            Parameter(frequency[0].name, 0.0, unit, description=frequency[0].description),
-            frequency[1],
+            Parameter(f"{name}_sine", 0.0, unit, description="amplitude of the sine"),
+            Parameter(f"{name}_frequency", 10.0 * lowest, per_time, bounds, "frequency"),
         ),
         extend,
-        probes=((0.0, frequency[1].default),),
+        probes=((0.0, 10.0 * lowest),),
         look_alikes={"pole": "a lightly damped missing mode rings, a harmonic does not decay"},
         traits=Traits(Course.HARMONIC, swallowed=True),
     )
@@ -132,31 +111,17 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
 def _parameter_change(kind: str, title: str) -> Kind:
     """A parameter that steps at a time, or drifts linearly through the record."""
 
-    def make(setting: Setting, channel: str) -> Effect | None:
-        if channel not in setting.model.parameter_names:
-            return None
+    def make(setting: Setting, channel: str, name: str) -> Effect:
         index = setting.model.parameter_names.index(channel)
-        name = identifier(kind, channel)
         first, last = setting.span
         parameter = setting.model.parameters[index]
         steps = kind == "parameter-step"
         further = _when(name, setting)
         if not steps:
-            length = max(last - first, setting.dt)
+            middle, length = 0.5 * (first + last), max(setting.length, setting.dt)
             further = [
-                Parameter(
-                    f"{name}_middle",
-                    0.5 * (first + last),
-                    setting.time_unit,
-                    description="where it is zero",
-                ),
-                Parameter(
-                    f"{name}_per",
-                    length,
-                    setting.time_unit,
-                    (POSITIVE, np.inf),
-                    "to which the size refers",
-                ),
+                setting.time(f"{name}_middle", middle, what="where it is zero"),
+                setting.time(f"{name}_per", length, SOME_TIME, "to which the size refers"),
             ]
 
         def course(t: Any, own: Sequence[Any]) -> Any:
@@ -195,7 +160,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
             ),
         )
 
-    return kind, make, lambda setting: setting.model.parameter_names
+    return at_parameters(kind, make, lambda setting: setting.model.parameter_names)
 
 
 def _pulse(t: Any, own: Sequence[Any]) -> Any:
@@ -205,18 +170,12 @@ def _pulse(t: Any, own: Sequence[Any]) -> Any:
 
 
 def _width(name: str, setting: Setting) -> list[Parameter]:
-    width = Parameter(
-        f"{name}_width", setting.dt, setting.time_unit, (POSITIVE, np.inf), "how long"
-    )
+    width = setting.time(f"{name}_width", setting.dt, SOME_TIME, "how long")
     return [*_when(name, setting), width]
 
 
 def _start(name: str, setting: Setting) -> list[Parameter]:
-    return [
-        Parameter(
-            f"{name}_start", setting.span[0], setting.time_unit, description="when it is zero"
-        )
-    ]
+    return [setting.time(f"{name}_start", setting.span[0], what="when it is zero")]
 
 
 KINDS: list[Kind] = [
