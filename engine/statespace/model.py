@@ -190,17 +190,9 @@ class MixedModel(BaseModel):
     def __post_init__(self) -> None:
         for name in ("parameters", "equations", "kinematic"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        check_declared(
-            self.name,
-            {
-                "nonlinear states": self.nonlinear,
-                "linear states": self.linear,
-                "inputs": self.inputs,
-                "outputs": self.outputs,
-            },
-            ("nonlinear states", "linear states"),
-            self.parameters,
-        )
+        states = {"nonlinear states": self.nonlinear, "linear states": self.linear}
+        every = {**states, "inputs": self.inputs, "outputs": self.outputs}
+        check_declared(self.name, every, tuple(states), self.parameters)
         unknown = [name for name in self.kinematic if name not in {**self.nonlinear, **self.linear}]
         if unknown:
             raise ModelError(
@@ -262,9 +254,7 @@ class MixedModel(BaseModel):
                 as_matrix(Q, M, nx, nx, "dynamics: Q"),
             )
 
-        return ModelFunction(
-            regular, self.dynamics, self.name, "dynamics", (self.lower, self.upper)
-        )
+        return self.evaluated("dynamics", regular)
 
     @cached_property
     def observations(self) -> ModelFunction:
@@ -279,9 +269,7 @@ class MixedModel(BaseModel):
                 as_matrix(R, M, ny, ny, "measurement: R"),
             )
 
-        return ModelFunction(
-            regular, self.measurement, self.name, "measurement", (self.lower, self.upper)
-        )
+        return self.evaluated("measurement", regular)
 
     def with_parameters(self, parameters: Sequence[Parameter]) -> MixedModel:
         """The same functions with parameters described otherwise; what is known of their calls is kept."""
