@@ -52,7 +52,7 @@ from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError, SeriesError
-from engine.statespace.model import MixedModel, ThetaLike
+from engine.statespace.model import Array, MixedModel, ThetaLike
 
 __all__ = [
     "Cause",
@@ -183,16 +183,11 @@ def diagnose(  # noqa: PLR0913
     def first(share: float) -> None:
         clock.progress("fit", FIRST_FIT_SHARE * share)
 
-    fine = prepare(
-        model,
-        records,
-        lambda: np.asarray(
-            done.within("one step a sample")
-            .fit(model, partial(fit_base, model, part, theta, free, first))
-            .theta
-        ),
-        part,
-    )
+    def fitted() -> Array:
+        once = done.within("one step a sample")
+        return np.asarray(once.fit(model, partial(fit_base, model, part, theta, free, first)).theta)
+
+    fine = prepare(model, records, fitted, part)
     asked = Options(free, alpha, max_effects, effects, seed)
     both = ask_both(model, records, fine, theta, asked, clock, done)
     fine, causes, searched, found = both.fine, both.causes, both.searched, both.causes.search

@@ -90,16 +90,8 @@ class HeldOut:
             text, contradicts = self._particle_word(found.base, search)
             notes.append(text)
             verdict = Verdict.UNKNOWN if contradicts else verdict
-        return Judged(
-            verdict,
-            named_by(search),
-            search.base,
-            search.final,
-            gain,
-            search,
-            asked,
-            tuple(notes),
-        )
+        base, final, said = search.base, search.final, tuple(notes)
+        return Judged(verdict, named_by(search), base, final, gain, search, asked, said)
 
     def _gain(self, search: Search, beside: FreeRunSearch | None = None) -> Gain | None:
         """What an extension gains: the likelihood's, or one that the free run found ``beside`` it."""

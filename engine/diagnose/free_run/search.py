@@ -40,9 +40,8 @@ APART = 0.05  # of the residuals: two refits that differ less run alike
 GAINED = 0.05  # p-value of a gain over the model without
 NOT_WORSE = 0.10  # p-value of being no worse than the best, for all together
 NEAR = 0.05  # of the error before: parameters that the model has survive where they lose no more
-WORTH = (
-    0.1  # of the error on rows left out: less is not worth an extension, nor a further parameter
-)
+# of the error on rows left out: less is not worth an extension, nor a further parameter
+WORTH = 0.1
 EARNED = 0.25  # of the same: what a second effect must take beside the first
 
 

@@ -39,9 +39,8 @@ from engine.simulation.simulate import simulate
 from engine.statespace.model import Array
 
 BOLDEST = 2.0  # p-values with more than twice the logarithm they should have are rare
-SERIES = (
-    19  # at most; FEWEST where the p-value is then CLEARLY above or below alpha, by this factor
-)
+# at most; FEWEST where the p-value is then CLEARLY above or below alpha, by this factor
+SERIES = 19
 FEWEST, CLEARLY = 7, 4.0
 PRIOR = 10.0  # series that the overall mean stands for
 LEVEL = 0.05  # of a screen whose threshold nobody asks for
@@ -127,17 +126,11 @@ def simulated(question: Question, rng: np.random.Generator) -> tuple[QuasiFit, S
 
 def drawn_from(fit: QuasiFit, like: Series, rng: np.random.Generator) -> Series:
     """A series drawn from the fit, with the inputs, times and gaps of another one."""
-    y = simulate(
-        fit.model,
-        fit.theta,
-        len(like),
-        rng,
-        u=like.u,
-        t=like.t,
-        hold=like.hold,
-        time_unit=like.time_unit,
-    ).y
-    return like.replace(y=np.where(like.observed, y, np.nan))
+    clock = like.time_unit
+    run = simulate(
+        fit.model, fit.theta, len(like), rng, u=like.u, t=like.t, hold=like.hold, time_unit=clock
+    )
+    return like.replace(y=np.where(like.observed, run.y, np.nan))
 
 
 def screen_of_simulated(

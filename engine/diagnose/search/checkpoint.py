@@ -35,12 +35,8 @@ Parts = MutableMapping[str, Any]
 ASKED = "asked"  # the part that says which diagnosis the others belong to
 
 
-def _nobody(_seconds: float) -> None:
-    """Leaves the seconds uncounted."""
-
-
-def _untold(_name: str, _part: Any) -> None:
-    """Tells nobody of a part."""
+def _nobody(*_told: Any) -> None:
+    """Hears of seconds and parts, and does nothing."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class Kept:
     spent: Callable[[float], Any] = _nobody
     where: str = ""
     of: str = ""
-    told: Callable[[str, Any], Any] = _untold
+    told: Callable[[str, Any], Any] = _nobody
 
     def apart(self, what: str) -> Kept:
         """The same parts, for a search beside the first, whose names may be the same."""

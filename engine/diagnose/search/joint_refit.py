@@ -24,9 +24,8 @@ from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 
 STAGE = "looking back"
 RIVALS = 3  # of each round that are refitted again
-ITERATIONS = (
-    25  # of each of these refits: where noise is small, thousands of nats are climbed slowly
-)
+# of each of these refits: where noise is small, thousands of nats are climbed slowly
+ITERATIONS = 25
 
 
 def look_back(

@@ -27,9 +27,8 @@ REFITS = 12  # effects refitted in a round
 MORE_REFITS = 24
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
 AT_LEAST = 8  # ... unless it is among the first few: large effects bend the scores of others
-AGAIN = (
-    0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
-)
+# p-value of the tails that are left beside one bad reading: then there are more of them
+AGAIN = 0.01
 TIED = 1e-6  # share of a statistic: rounding, and so units, may not decide which of two is refitted
 REACH = 0.5  # of the best score: a refit left half-way that has this much is taken up again
 
