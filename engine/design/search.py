@@ -169,7 +169,7 @@ class Search:
     def _once(self, compute: Callable[[], Array]) -> Array:
         """The next of the arrays that take the time, or as it was kept."""
         self.asked += 1
-        return self.kept.array(f"{self.asked}", compute)
+        return self.kept.numbers(f"{self.asked}", compute)
 
     def _worths(self, u: Array) -> Array:
         """Of inputs (B, T, nu): D, row by row, by how much a limit is broken, and which (B, m m + 2)."""

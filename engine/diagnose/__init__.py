@@ -42,21 +42,17 @@ from engine.diagnose.held_out import HeldOut
 from engine.diagnose.over_horizon import over_horizon
 from engine.diagnose.records import records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
+from engine.diagnose.search.calibration import Question
 from engine.diagnose.search.checkpoint import Parts, kept_of
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
-from engine.diagnose.search.pipeline import (
-    FIRST_FIT_SHARE,
-    Callback,
-    Clock,
-    fit_base,
-)
+from engine.diagnose.search.pipeline import FIRST_FIT_SHARE, Callback, Clock, fit_base
 from engine.diagnose.search.substeps import is_enough, prepare
 from engine.diagnose.search.verdict import detectable_of
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError, SeriesError
-from engine.statespace.model import MixedModel, ThetaLike
+from engine.statespace.model import Array, MixedModel, ThetaLike
 
 __all__ = [
     "Cause",
@@ -187,42 +183,21 @@ def diagnose(  # noqa: PLR0913
     def first(share: float) -> None:
         clock.progress("fit", FIRST_FIT_SHARE * share)
 
-    fine = prepare(
-        model,
-        records,
-        lambda: np.asarray(
-            done.within("one step a sample")
-            .fit(model, partial(fit_base, model, part, theta, free, first))
-            .theta
-        ),
-        part,
-    )
-    both = ask_both(
-        model,
-        records,
-        fine,
-        theta,
-        Options(free, alpha, max_effects, effects, seed),
-        clock,
-        done,
-    )
+    def fitted() -> Array:
+        once = done.within("one step a sample")
+        return np.asarray(once.fit(model, partial(fit_base, model, part, theta, free, first)).theta)
+
+    fine = prepare(model, records, fitted, part)
+    asked = Options(free, alpha, max_effects, effects, seed)
+    both = ask_both(model, records, fine, theta, asked, clock, done)
     fine, causes, searched, found = both.fine, both.causes, both.searched, both.causes.search
     notes.extend(both.notes)
 
     p_bootstrap = None
     if bootstrap:
         clock.start(STAGE)
-        p_bootstrap = first_round_p(
-            causes.base,
-            searched,
-            causes.setting,
-            found,
-            bootstrap,
-            seed,
-            kinds=effects,
-            progress=clock.progress,
-            kept=done,
-        )
+        question = Question(causes.base, searched, causes.setting, effects)
+        p_bootstrap = first_round_p(question, found, bootstrap, seed, clock.progress, done)
 
     clock.start("gain")
     judged = HeldOut(fine.records, searched, fine.k, seed).judge(causes, both.asked, clock.progress)

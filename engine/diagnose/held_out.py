@@ -14,10 +14,11 @@ from engine.diagnose.gain.adoption import falls_short
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise
 from engine.diagnose.records import Records
+from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Verdict
 from engine.diagnose.search.pipeline import NAMES, Causes, has_tails
-from engine.diagnose.search.search import Progress, Search
+from engine.diagnose.search.search import Search
 from engine.diagnose.search.verdict import named_by, names_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
@@ -89,16 +90,8 @@ class HeldOut:
             text, contradicts = self._particle_word(found.base, search)
             notes.append(text)
             verdict = Verdict.UNKNOWN if contradicts else verdict
-        return Judged(
-            verdict,
-            named_by(search),
-            search.base,
-            search.final,
-            gain,
-            search,
-            asked,
-            tuple(notes),
-        )
+        base, final, said = search.base, search.final, tuple(notes)
+        return Judged(verdict, named_by(search), base, final, gain, search, asked, said)
 
     def _gain(self, search: Search, beside: FreeRunSearch | None = None) -> Gain | None:
         """What an extension gains: the likelihood's, or one that the free run found ``beside`` it."""

@@ -111,12 +111,9 @@ def rbps_step(
             draws = condition_on_trajectories(draws, points)
         return Moments(draws.a, draws.z, draws.cov, draws.cross), points
 
-    options: dict[str, Any] = {
-        "proposal": proposal,
-        "resampling": resampling,
-        "ess_threshold": ess_threshold,
-    }
-    run = partial(rbpf, model, **options)
+    run = partial(
+        rbpf, model, proposal=proposal, resampling=resampling, ess_threshold=ess_threshold
+    )
     return ParticleStep(all_series, run, smooth, partial(expectation, model), n_particles, recover)
 
 

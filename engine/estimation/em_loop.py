@@ -150,8 +150,10 @@ class _Steps:
         if k == 1 and self.better_starts is not None:
             by = FAR_NATS if self.ascent is None else 0.0
             for other in self.better_starts(theta):
-                at, origin = _more_likely(self.expect, other, at, origin, rng, by)
-                by = 0.0 if at is not theta else by
+                there = self.expect(other, rng)
+                gain = there.log_likelihood - origin.log_likelihood
+                if np.isfinite(there.log_likelihood) and not gain < by:  # nats
+                    at, origin, by = other, there, 0.0
         return _Expected(seen, at, origin)
 
     def _ascend(
@@ -217,23 +219,6 @@ class _Steps:
         )
 
 
-def _more_likely(
-    expect: Expect,
-    other: Theta | None,
-    theta: Theta,
-    step: EStep,
-    rng: np.random.Generator,
-    by: float,
-) -> tuple[Theta, EStep]:
-    """Theta with its E step, or the other if that is more likely ``by`` so many nats by the particle filter."""
-    if other is not None:
-        there = expect(other, rng)
-        gain = there.log_likelihood - step.log_likelihood
-        if np.isfinite(there.log_likelihood) and not gain < by:
-            return other, there
-    return theta, step
-
-
 def _stops(callback: Callback | None, iteration: Iteration) -> bool:
     if callback is None:
         return False
@@ -279,8 +264,8 @@ class _Log:
         step, n = done.seen, self.loop.n_iterations
         self.trace.append(done.theta)
         self.memory.append(done.memory)
-        self.rows.append((step.log_likelihood, step.ess, seconds, step.collapsed))
         health = (step.log_likelihood, step.ess, seconds, step.collapsed)
+        self.rows.append(health)
         return Iteration(k, n, done.theta, *health, self._packed(done.memory))
 
     def _packed(self, memory: Memory | None) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.estimation.q_function import GaussianTerm
+from engine.estimation.q_function import Evaluate, GaussianTerm, Neighbours
 from engine.smoothers.moments import Moments
 from engine.smoothers.rb_ffbsi import Smoothed
 from engine.statespace.base import BaseModel
@@ -174,16 +174,10 @@ def measurement_terms(
             y = np.broadcast_to(
                 points.series.y[rows][:, None, channels], (len(rows), points.N, len(channels))
             )
-            terms.append(
-                GaussianTerm(
-                    _some_channels(points, rows, channels),
-                    y,
-                    s.z[rows],
-                    s.cov[rows],
-                    np.zeros((len(rows), B, len(channels), model.nz)),
-                    np.zeros((len(rows), B, len(channels), len(channels))),
-                )
-            )
+            cross = np.zeros((len(rows), B, len(channels), model.nz))
+            var = np.zeros((len(rows), B, len(channels), len(channels)))
+            evaluate = _some_channels(points, rows, channels)
+            terms.append(GaussianTerm(evaluate, y, s.z[rows], s.cov[rows], cross, var))
     return terms
 
 
@@ -203,35 +197,23 @@ def _some_channels(points: Points, rows: Any, channels: Any) -> Any:
 def initial_terms(model: MixedModel, theta: Theta, s: Smoothed | Moments) -> list[Term]:
     """I1, paper, eqs. (18a), (19a): a_1, and z_1 given a_1."""
     terms: list[Term] = []
-    N, na, nz = s.a.shape[1], model.na, model.nz
+    N, na = s.a.shape[1], model.na
     a1 = s.a[:1]
     if na:
         if isinstance(model.start(model.record(theta)).density, Gaussian):
-            terms.append(
-                GaussianTerm(
-                    lambda record: _first_a(model, record, N),
-                    a1,
-                    np.zeros((1, N, 0)),
-                    np.zeros((1, 1, 0, 0)),
-                    np.zeros((1, 1, na, 0)),
-                    np.zeros((1, 1, na, na)),
-                )
-            )
+            certain = np.zeros((1, 1, na, na))
+            terms.append(_without_z(lambda record: _first_a(model, record, N), a1, certain))
         else:
             terms.append(DensityTerm(model, a1[0]))
-    if nz:
-        B = s.cov.shape[1]
-        terms.append(
-            GaussianTerm(
-                lambda record: _first_z(model, record, a1[0]),
-                s.z[:1],
-                np.zeros((1, N, 0)),
-                np.zeros((1, 1, 0, 0)),
-                np.zeros((1, B, nz, 0)),
-                s.cov[:1],
-            )
-        )
+    if model.nz:
+        terms.append(_without_z(lambda record: _first_z(model, record, a1[0]), s.z[:1], s.cov[:1]))
     return terms
+
+
+def _without_z(evaluate: Evaluate, x: Array, var: Array) -> GaussianTerm:
+    """The term of x (1, N, n), with Var(x) (1, B, n, n), given nothing else."""
+    z, P = np.zeros((1, x.shape[1], 0)), np.zeros((1, 1, 0, 0))
+    return GaussianTerm(evaluate, x, z, P, np.zeros((*var.shape[:3], 0)), var)
 
 
 def _first_a(model: MixedModel, record: Any, N: int) -> tuple[Array, Array, Array]:
@@ -264,15 +246,11 @@ class DensityTerm:
         """Always 0: nothing to keep."""
         return 0
 
-    def moves_noise_free(
-        self, record: Any, neighbours: list[tuple[Any, Any, float]]
-    ) -> NDArray[np.bool_]:
+    def moves_noise_free(self, record: Any, neighbours: Neighbours) -> NDArray[np.bool_]:
         """None: a density has no such directions."""
         return np.zeros(len(neighbours), dtype=bool)
 
-    def derivatives(
-        self, record: Any, neighbours: list[tuple[Any, Any, float]]
-    ) -> tuple[float, Array, Array]:
+    def derivatives(self, record: Any, neighbours: Neighbours) -> tuple[float, Array, Array]:
         """Value, gradient, and the outer product of the scores for the scoring matrix."""
         scores = np.array(
             [

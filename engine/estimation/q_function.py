@@ -26,10 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.kernels.gaussian import psd_cholesky_many, whiten_points
-from engine.statespace.model import Array
+from engine.statespace.model import Array, LinearGaussian
 
 # record of theta -> m (T, N, n), A (T', N', n, nz), S (T', N', n, n)
-Evaluate: TypeAlias = Callable[[Any], tuple[Array, Array, Array]]
+Evaluate: TypeAlias = Callable[[Any], LinearGaussian]
+# for each parameter the records of theta - step and theta + step, and the distance between the two
+Neighbours: TypeAlias = list[tuple[Any, Any, float]]
 
 DIFFERS = 1e-13  # of the largest value: less than this between two theta is rounding
 LOG_2PI = float(np.log(2.0 * np.pi))
@@ -60,9 +62,7 @@ class GaussianTerm:
         S = self.evaluate(record)[2]
         return int(np.count_nonzero(_pivots(_factor(S))))
 
-    def moves_noise_free(
-        self, record: Any, neighbours: list[tuple[Any, Any, float]]
-    ) -> NDArray[np.bool_]:
+    def moves_noise_free(self, record: Any, neighbours: Neighbours) -> NDArray[np.bool_]:
         """Which of k parameters change x, or the noise, in directions without noise: (k,).
 
         ``neighbours`` as in :meth:`derivatives`, which looks at the other directions only.
@@ -86,7 +86,7 @@ class GaussianTerm:
         return out
 
     def _at(
-        self, model: tuple[Array, Array, Array], rank: int | None
+        self, model: LinearGaussian, rank: int | None
     ) -> tuple[float, Array, Array, Array, Array]:
         """Value; whitened residual r~ (T, N, n); whitening W; E~ = W l W' - r~ r~' ; factor L."""
         m, A, S = model
@@ -110,9 +110,7 @@ class GaussianTerm:
         )
         return value if np.isfinite(value) else -np.inf, r, W, spread, L
 
-    def derivatives(
-        self, record: Any, neighbours: list[tuple[Any, Any, float]]
-    ) -> tuple[float, Array, Array]:
+    def derivatives(self, record: Any, neighbours: Neighbours) -> tuple[float, Array, Array]:
         """Value, gradient (k,) and scoring matrix (k, k) along k parameters.
 
         ``neighbours`` holds for each parameter the records of theta - step, theta + step, and the
@@ -145,12 +143,7 @@ class GaussianTerm:
         return value, gradient, H
 
     def _change(
-        self,
-        L: Array,
-        W: Array,
-        low: tuple[Array, Array, Array],
-        high: tuple[Array, Array, Array],
-        distance: float,
+        self, L: Array, W: Array, low: LinearGaussian, high: LinearGaussian, distance: float
     ) -> _Change:
         """The whitened derivatives along one parameter, None where there is none."""
         dm, dA, dS = ((b - a) / distance for a, b in zip(low, high, strict=True))

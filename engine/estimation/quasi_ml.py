@@ -30,19 +30,16 @@ from engine.statespace.refutation import repeated_if_refuted
 
 DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths
-BATCHES = (
-    slice(1, 3),
-    slice(3, None),
-)  # those tried together after the whole step, until one is good
+# those tried together after the whole step, until one is good
+BATCHES = (slice(1, 3), slice(3, None))
 GOOD = 0.25  # of the expected gain; expected is twice what a quadratic function gains
 ENOUGH = 1e-3  # an expected gain in log-likelihood below this ends the search
 TRIALS = 8  # sizes tried for a parameter of unknown scale
 PATIENCE = 3  # iterations before a search may be given up as hopeless
 DAMPING = 1e-8  # of the information scaled to a unit diagonal
 RIDGE = 1e-12
-LEFT_AFTER = (
-    0.8  # of what is left of a search, after each iteration: nobody knows how many it needs
-)
+# of what is left of a search, after each iteration: nobody knows how many it needs
+LEFT_AFTER = 0.8
 
 
 def share_done(k: int) -> float:

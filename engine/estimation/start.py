@@ -9,6 +9,7 @@ what it finds are only ever starts, and EM is shown every maximum that is nearly
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,10 @@ CANDIDATES_SHARE = 0.15  # of the whole search: the points
 
 
 class WarmStart:
-    """:func:`moment_maxima` for a theta; ``note`` says why where it found nothing."""
+    """The maxima for a theta, as far as these rows tell; ``note`` says why where it found nothing.
+
+    ``progress`` is told which share of a search is done.
+    """
 
     def __init__(
         self,
@@ -44,79 +48,60 @@ class WarmStart:
         rivals: float = RIVAL_NATS,
         progress: Callable[[float], object] = lambda share: None,
     ) -> None:
-        self.model, self.all_series, self.indices = model, all_series, indices
-        self.rivals, self.progress = rivals, progress
+        self.model, self.indices, self.rivals, self.progress = model, indices, rivals, progress
+        self.searched = [
+            one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
+        ]
         self.note = ""
 
     def __call__(self, theta: Theta) -> list[Theta]:
         """The maxima found, the highest first; none with a ``note``."""
         try:
-            return moment_maxima(
-                self.model, self.all_series, self.indices, theta, self.rivals, self.progress
-            )
+            return self.maxima(theta)
         except (ModelError, np.linalg.LinAlgError) as error:
             self.note = (
                 f"EM started from the start values; no better start could be searched for: {error}"
             )
             return []
 
+    def maxima(self, theta: Theta) -> list[Theta]:
+        """The maxima found that are at most ``rivals`` nats below the highest, that first.
 
-def moment_maxima(
-    model: MixedModel,
-    all_series: Sequence[Series],
-    indices: NDArray[np.intp],
-    theta: Theta,
-    rivals: float = RIVAL_NATS,
-    progress: Callable[[float], object] = lambda share: None,
-) -> list[Theta]:
-    """The maxima found that are at most ``rivals`` nats below the highest, that first.
+        Deterministic: the candidates are always the same for the same start. Raises ModelError where the
+        moment filter cannot follow the model.
+        """
+        model, indices = self.model, self.indices
+        names = [model.parameter_names[k] for k in indices]
+        candidates = free_thetas(theta, indices, _around(model, theta, indices))
+        candidates = np.concatenate([np.asarray(theta)[None], candidates])
+        values = log_likelihoods(model, self.searched, candidates)
+        values = np.where(np.isfinite(values), values, -np.inf)
+        order = np.argsort(-values, kind="stable")
+        starts = [0, *[k for k in order if k][:IMPROVED_CANDIDATES]]
+        self.progress(CANDIDATES_SHARE)
+        climb = partial(quasi_ml, model, self.searched, free=names, hope=HOPE)
+        found: list[QuasiFit] = []
+        lost: Exception | None = None
+        for i, start in enumerate(sorted(starts, key=lambda k: -values[k])):
+            highest = max((fit.log_likelihood for fit in found), default=-np.inf)
 
-    Deterministic: the candidates are always the same for the same start. ``progress`` is told which share of
-    the search is done. Raises ModelError where the moment filter cannot follow the model.
-    """
-    all_series = [
-        one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
-    ]
-    names = [model.parameter_names[k] for k in indices]
-    candidates = free_thetas(theta, indices, _around(model, theta, indices))
-    candidates = np.concatenate([np.asarray(theta)[None], candidates])
-    values = log_likelihoods(model, all_series, candidates)
-    values = np.where(np.isfinite(values), values, -np.inf)
-    order = np.argsort(-values, kind="stable")
-    starts = [0, *[k for k in order if k][:IMPROVED_CANDIDATES]]
-    progress(CANDIDATES_SHARE)
-    found: list[QuasiFit] = []
-    lost: Exception | None = None
-    for i, start in enumerate(sorted(starts, key=lambda k: -values[k])):
-        highest = max((fit.log_likelihood for fit in found), default=-np.inf)
+            def tell(k: int, i: int = i) -> None:
+                done = (i + share_done(k)) / len(starts)
+                self.progress(CANDIDATES_SHARE + (1.0 - CANDIDATES_SHARE) * done)
 
-        def tell(k: int, i: int = i) -> None:
-            done = (i + share_done(k)) / len(starts)
-            progress(CANDIDATES_SHARE + (1.0 - CANDIDATES_SHARE) * done)
-
-        try:
-            found.append(
-                quasi_ml(
-                    model,
-                    all_series,
-                    candidates[start],
-                    names,
-                    target=highest - rivals,
-                    hope=HOPE,
-                    callback=tell,
-                )
-            )
-        except (ModelError, np.linalg.LinAlgError) as error:
-            lost = lost or error
-    if not found and lost is not None:
-        raise lost
-    found.sort(key=lambda fit: -fit.log_likelihood)
-    apart: list[QuasiFit] = []
-    for fit in found:
-        near = fit.log_likelihood >= found[0].log_likelihood - rivals
-        if near and not any(_same(fit, other, indices) for other in apart):
-            apart.append(fit)
-    return [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
+            try:
+                found.append(climb(candidates[start], target=highest - self.rivals, callback=tell))
+            except (ModelError, np.linalg.LinAlgError) as error:
+                lost = lost or error
+        if not found and lost is not None:
+            raise lost
+        found.sort(key=lambda fit: -fit.log_likelihood)
+        apart: list[QuasiFit] = []
+        for fit in found:
+            near = fit.log_likelihood >= found[0].log_likelihood - self.rivals
+            if near and not any(_same(fit, other, indices) for other in apart):
+                apart.append(fit)
+        return [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
 
 
 def _told(fit: QuasiFit, theta: Theta, indices: NDArray[np.intp]) -> Theta:

@@ -36,7 +36,7 @@ def outlier_log_terms(
     m, P = run.start()  # rows K and more: the case of an outlier
     for t in range(T):
         u, time = series.u[t], float(series.t[t])
-        y_mean, S, cross = run.predict_y(t, m, P)
+        y_mean, S, cross = run.through(run.observation, t, m, P)
         if at_output:
             R = model.observation(m[K:, : model.na], u, time, record)[2]
             S[K:] += wider * R
@@ -44,7 +44,7 @@ def outlier_log_terms(
         m, P, terms[t] = _merged(m, P, log_p + prior)
         if t < T - 1:
             a = m[K:, : model.na]
-            m, P, _ = run.predict_x(t, m, P)
+            m, P, _ = run.through(run.transition, t, m, P)
             if not at_output:
                 Q = model.transition(a, series.u_step[t], time, float(series.steps[t]), record)[2]
                 P[K:] += wider * Q

@@ -44,6 +44,10 @@ class Mixing:
     scale: Callable[[Array, Any], Array]
     edges: Callable[[Any], Array]
 
+    def roots(self, g: Array, values: Any, mask: Array) -> Array:
+        """Factors (M, k) of the standard deviations, 1 where the ``mask`` (k,) is False."""
+        return np.where(mask, np.sqrt(self.scale(g, values))[:, None], 1.0)
+
 
 def with_student_t(
     model: MixedModel,
@@ -186,7 +190,7 @@ def _with_mixing(
 
     def factors(g: Array, theta: Any) -> Array:
         """The factor (M, k, k) of R or Q."""
-        root = np.where(mask, np.sqrt(mixing.scale(g, theta[n:]))[:, None], 1.0)
+        root = mixing.roots(g, theta[n:], mask)
         return np.asarray(root[:, :, None] * root[:, None, :])
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
@@ -243,8 +247,7 @@ class Scaled:
         inner = np.ascontiguousarray(a[:, :na])
         h, C, R = self.model.observation(inner, u, t, self.model.record(theta[:n]))
         if self.scales:
-            s = self.mixing.scale(a[:, na], theta[n:])
-            root = np.where(self.mask, np.sqrt(s)[:, None], 1.0)
+            root = self.mixing.roots(a[:, na], theta[n:], self.mask)
             R = R * root[:, :, None] * root[:, None, :]
         return h, C, R
 
@@ -257,7 +260,6 @@ class Scaled:
             self.model.record(step.theta[:n]),
             float(self.mixing.mean(values)),
             self.mixing.edges(values),
-            lambda g: self.mixing.scale(g, values),
-            self.mask,
+            lambda g: self.mixing.roots(g, values, self.mask),
             self.scales,
         )(step)

@@ -14,7 +14,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.statespace.checks import check_start
-from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike
+from engine.statespace.model import Array, Gaussian, LinearGaussian, MixedModel, Theta, ThetaLike
 from engine.views import Figures, Shown, figures, plots
 
 SAME = 1e-9  # share of its largest value by which what should not depend on a may do so
@@ -62,7 +62,7 @@ class KalmanSmoothed(Shown):
 
 def transition_matrices(
     model: MixedModel, record: Any, u: Array, t: Any, dt: Any, points: Array
-) -> tuple[Array, Array, Array]:
+) -> LinearGaussian:
     """f (nx,), F (nx, nx), Q (nx, nx) of x' = f + F x + w, w ~ N(0, Q), x = (a, z).
 
     ``points`` (n, na) of a from :func:`probes`. Raises ModelError where the model is not linear there.
@@ -76,7 +76,7 @@ def transition_matrices(
 
 def observation_matrices(
     model: MixedModel, record: Any, u: Array, t: Any, points: Array
-) -> tuple[Array, Array, Array]:
+) -> LinearGaussian:
     """h (ny,), H (ny, nx), R (ny, ny) of y = h + H x + e, e ~ N(0, R); as transition_matrices."""
     a, u, t, _ = _at_each(points, u, t, 0.0)
     at = model.observation(a, u, t, record)
@@ -93,7 +93,7 @@ def _at_each(points: Array, u: Any, t: Any, dt: Any) -> tuple[Array, Any, Any, A
     return np.tile(points, (numbers[0], 1)), u, t, dt
 
 
-def _by_time(at: tuple[Array, Array, Array], n: int) -> tuple[Array, Array, Array]:
+def _by_time(at: LinearGaussian, n: int) -> LinearGaussian:
     """What a model returned for n points at each of M times, as (M, n, ...); for one time as it is."""
     value, matrix, cov = at
     if len(value) == n:
@@ -122,9 +122,7 @@ def _draws(na: int) -> Array:
     return np.random.default_rng(20).standard_normal((2, 2, na))
 
 
-def _matrices(
-    model: MixedModel, names: str, at: tuple[Array, Array, Array], points: Array
-) -> tuple[Array, Array, Array]:
+def _matrices(model: MixedModel, names: str, at: LinearGaussian, points: Array) -> LinearGaussian:
     """Intercept, matrix on x = (a, z) and covariance from the model's values ``at`` the points."""
     value, matrix, cov = at
     common = []

@@ -28,15 +28,14 @@ SHARE_OF_PRIOR = 0.1  # of the draws of g, so that no weight is more than ten ti
 class MixingProposal:
     """For x = (a, g, z): ``model`` and its ``record`` without g; g ~ N(mean, 1) with ``edges`` (K + 1,)
 
-    of strata of Phi(g - mean); ``scale`` g -> s; ``mask`` the channels it scales, of R (``informed``) or Q.
+    of strata of Phi(g - mean); ``roots`` g -> factors of standard deviations, of R (``informed``) or Q.
     """
 
     model: MixedModel
     record: Any
     mean: float
     edges: Array
-    scale: Callable[[Array], Array]
-    mask: Array
+    roots: Callable[[Array], Array]
     informed: bool
 
     def __call__(self, step: Step) -> tuple[Array, Array]:
@@ -52,7 +51,7 @@ class MixingProposal:
         )
         if self.informed:
             g, log_q = self._draw_informed(inner)
-            inner.roots = np.where(self.mask, np.sqrt(self.scale(g))[:, None], 1.0)
+            inner.roots = self.roots(g)
         else:  # what s does shows in the next y only: cover its whole prior
             u = (step.rng.permutation(M) + step.rng.random(M)) / M
             g = self.mean + ndtri(u)
@@ -71,7 +70,7 @@ class MixingProposal:
         middle = self.mean + ndtri(0.5 * (self.edges[1:] + self.edges[:-1]))
         points = spread_points(inner.mu, inner.L, inner.ancestors, self.model.na)
         h, C, R = self.model.observation(points, inner.u, inner.t, self.record)
-        roots = np.where(self.mask, np.sqrt(self.scale(middle))[:, None], 1.0)
+        roots = self.roots(middle)
         log_p = log_innovations(
             inner.mu, inner.L, inner.ancestors, h, stacked(C), stacked(R), roots, inner.y
         )

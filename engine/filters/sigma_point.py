@@ -152,7 +152,7 @@ def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
     total = 0.0
     m, P = run.start()
     for t in range(T):
-        y_mean, S, cross = run.predict_y(t, m, P)
+        y_mean, S, cross = run.through(run.observation, t, m, P)
         kept["predicted"][t], kept["P_predicted"][t] = m[0], P[0]
         kept["innovations"][t], kept["S"][t] = series.y[t] - y_mean[0], S[0]
         kept["H"][t] = slopes(cross[0], P[0])
@@ -170,7 +170,7 @@ def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
             )
         if t < T - 1:
             before = P
-            m, P, cross = run.predict_x(t, m, P)
+            m, P, cross = run.through(run.transition, t, m, P)
             kept["F"][t] = slopes(cross[0], before[0])
     _slopes_without_variance(run, kept)
     return MomentPath(**kept, log_likelihood=total)
@@ -230,14 +230,6 @@ class FilterSteps:
             a, self.series.u_step[t], self.times[t], self.steps[t], record
         )
         return f, stacked(A), stacked(Q)
-
-    def predict_y(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Mean, covariance and cross-covariance with x of y_t."""
-        return self.through(self.observation, t, m, P)
-
-    def predict_x(self, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Mean, covariance and cross-covariance with x_t of x_{t+1}."""
-        return self.through(self.transition, t, m, P)
 
     def through(self, function: Any, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
         """Mean, covariance and cross-covariance with x of a function of x ~ N(m, P)."""

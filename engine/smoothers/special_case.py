@@ -27,7 +27,7 @@ from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import log_normal_common, psd_cholesky_many
 from engine.kernels.rts import gains, log_pairs
 from engine.smoothers.rb_ffbsi import Smoothed
-from engine.statespace.model import Array, MixedModel, ThetaLike, stacked
+from engine.statespace.model import Array, LinearGaussian, MixedModel, ThetaLike, stacked
 from engine.statespace.shapes import through
 from engine.views import Shown
 
@@ -54,9 +54,7 @@ class SpecialCase(Shown):
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", _without_coupling(self.model))
 
-    def linear(
-        self, a: Array, u: Any, t: float, dt: float, theta: Any
-    ) -> tuple[Array, Array, Array]:
+    def linear(self, a: Array, u: Any, t: float, dt: float, theta: Any) -> LinearGaussian:
         """Evaluate f_z (M, nz), A_z (B, nz, nz) and Q_z (B, nz, nz) of eq. (63b) at particles a (M, na)."""
         f, A, Q = self.model.transition(a, u, t, dt, theta)
         na = self.model.na

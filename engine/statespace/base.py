@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array as Array
 from engine.errors import OptionError
+from engine.statespace.evaluation import ModelFunction
+from engine.statespace.trial import Regular
 from engine.views import Shown, View, sheet, tables
 from engine.words import tidy
 
@@ -134,6 +136,11 @@ class BaseModel(Shown):
     def derived(self) -> dict[str, Any]:
         """Other forms of the model that algorithms made from it, kept so that each is made once."""
         return {}
+
+    def evaluated(self, name: str, regular: Regular) -> ModelFunction:
+        """The function ``name`` of the model, ``regular``, with what is known of the calls that it takes."""
+        bounds = (self.lower, self.upper)
+        return ModelFunction(regular, getattr(self, name), self.name, name, bounds)
 
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled: the model's fields, not what was found out from them."""

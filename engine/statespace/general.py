@@ -135,9 +135,7 @@ class NonlinearModel(BaseModel):
             f = as_rows(f, K, nx, "dynamics: f")
             return f, None if g is None else as_matrix(g, K, nx, nx, "dynamics: g")
 
-        return ModelFunction(
-            regular, self.dynamics, self.name, "dynamics", (self.lower, self.upper)
-        )
+        return self.evaluated("dynamics", regular)
 
     def log_transition(self, x_next: Array, f: Array, g: Array | None, theta: Any) -> Array:
         """Evaluate log p(x_{t+1} | x_t) for x_next (..., nx), with f (..., nx) and g of ``transition``."""
@@ -162,9 +160,7 @@ class NonlinearModel(BaseModel):
             h = as_rows(h, K, ny, "measurement: h")
             return h, None if s is None else as_matrix(s, K, ny, ny, "measurement: s")
 
-        return ModelFunction(
-            regular, self.measurement, self.name, "measurement", (self.lower, self.upper)
-        )
+        return self.evaluated("measurement", regular)
 
     def log_measurement(self, y: Array, x: Array, u: Any, t: Any, theta: Any) -> Array:
         """Evaluate log p(y_t | x_t) (K,) for x (K, nx) and y (ny,) or (K, ny)."""

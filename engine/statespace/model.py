@@ -70,6 +70,10 @@ class Density(Protocol):
         """Evaluate at a (M, na) -> (M,)."""
 
 
+# f, A, Q of N(f + A z, Q) at M points, a step; likewise h, C, R, a reading
+LinearGaussian: TypeAlias = tuple[Array, Array, Array]
+
+
 @dataclass(frozen=True)
 class Gaussian:
     """The density N(mean, cov).
@@ -186,17 +190,9 @@ class MixedModel(BaseModel):
     def __post_init__(self) -> None:
         for name in ("parameters", "equations", "kinematic"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        check_declared(
-            self.name,
-            {
-                "nonlinear states": self.nonlinear,
-                "linear states": self.linear,
-                "inputs": self.inputs,
-                "outputs": self.outputs,
-            },
-            ("nonlinear states", "linear states"),
-            self.parameters,
-        )
+        states = {"nonlinear states": self.nonlinear, "linear states": self.linear}
+        every = {**states, "inputs": self.inputs, "outputs": self.outputs}
+        check_declared(self.name, every, tuple(states), self.parameters)
         unknown = [name for name in self.kinematic if name not in {**self.nonlinear, **self.linear}]
         if unknown:
             raise ModelError(
@@ -235,14 +231,12 @@ class MixedModel(BaseModel):
     # arrays (M,) in theta. Whatever the user's function takes of these, the result is right; see
     # :mod:`engine.statespace.evaluation`.
 
-    def transition(
-        self, a: Array, u: Any, t: Any, dt: Any, theta: Any
-    ) -> tuple[Array, Array, Array]:
+    def transition(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
         """The step: f (M, nx); A (nx, nz) or (M, nx, nz); Q (nx, nx) or (M, nx, nx). Raises ModelError."""
         f, A, Q = self.transitions(a, u, t, dt, theta)
         return f, A, Q
 
-    def observation(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
+    def observation(self, a: Array, u: Any, t: Any, theta: Any) -> LinearGaussian:
         """The reading: h (M, ny); C (ny, nz) or (M, ny, nz); R (ny, ny) or (M, ny, ny). Raises ModelError."""
         h, C, R = self.observations(a, u, t, 0.0, theta)
         return h, C, R
@@ -251,7 +245,7 @@ class MixedModel(BaseModel):
     def transitions(self) -> ModelFunction:
         """``transition``, with what is known of the calls that ``dynamics`` takes."""
 
-        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
             f, A, Q = self.dynamics(a, u, t, dt, theta)
             M, nx, nz = a.shape[0], self.nx, self.nz
             return (
@@ -260,15 +254,13 @@ class MixedModel(BaseModel):
                 as_matrix(Q, M, nx, nx, "dynamics: Q"),
             )
 
-        return ModelFunction(
-            regular, self.dynamics, self.name, "dynamics", (self.lower, self.upper)
-        )
+        return self.evaluated("dynamics", regular)
 
     @cached_property
     def observations(self) -> ModelFunction:
         """``observation``, likewise; its dt has no meaning."""
 
-        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
+        def regular(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> LinearGaussian:
             h, C, R = self.measurement(a, u, t, theta)
             M, ny, nz = a.shape[0], self.ny, self.nz
             return (
@@ -277,9 +269,7 @@ class MixedModel(BaseModel):
                 as_matrix(R, M, ny, ny, "measurement: R"),
             )
 
-        return ModelFunction(
-            regular, self.measurement, self.name, "measurement", (self.lower, self.upper)
-        )
+        return self.evaluated("measurement", regular)
 
     def with_parameters(self, parameters: Sequence[Parameter]) -> MixedModel:
         """The same functions with parameters described otherwise; what is known of their calls is kept."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.statespace.model import Array, MixedModel
+from engine.statespace.model import Array, LinearGaussian, MixedModel
 
 
 class Points:
@@ -25,15 +25,15 @@ class Points:
         model.transitions.look_again(series.u_step)
         model.observations.look_again(series.u)
 
-    def transition(self, record: Any) -> tuple[Array, Array, Array]:
+    def transition(self, record: Any) -> LinearGaussian:
         """f (T-1, N, nx), A (T', N', nx, nz), Q (T', N', nx, nx) at t = 1 .. T-1."""
         return self.at(np.arange(self.T - 1), record, True)
 
-    def observation(self, record: Any, rows: Any = None) -> tuple[Array, Array, Array]:
+    def observation(self, record: Any, rows: Any = None) -> LinearGaussian:
         """h (n, N, ny), C (T', N', ny, nz), R (T', N', ny, ny) at the given n rows (default all)."""
         return self.at(np.arange(self.T) if rows is None else rows, record, False)
 
-    def at(self, rows: Any, record: Any, transition: bool) -> tuple[Array, Array, Array]:
+    def at(self, rows: Any, record: Any, transition: bool) -> LinearGaussian:
         """The transition or the observation at the given rows."""
         n, N = len(rows), self.N
         function = self.model.transitions if transition else self.model.observations

@@ -17,7 +17,6 @@ from engine.arrays import Array as Array
 
 Indices: TypeAlias = NDArray[np.intp]
 
-SPREAD = 0.1  # of a parameter's size, between rows of a test
 PERTURBATION = 4e-12  # relative: models may round their arguments to twelve digits
 
 

@@ -9,13 +9,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from engine.diagnose.effects.effect import Parts, Split, on_base
-from engine.statespace.model import Array, MixedModel
+from engine.statespace.model import Array, LinearGaussian, MixedModel
 from engine.statespace.promotion import product
 from engine.statespace.shapes import as_matrix
 
 # (a_1 (M, na), base record, own values) -> m (M, k), G (k, nz) or (M, k, nz), variances: the new states
 # are m + G z_1 at first, plus noise of these variances (a number or (k,))
 Begin: TypeAlias = Callable[[Array, Any, Any], tuple[Array, Array, Any]]
+# f, A, Q of a model's own states, and the next memory
+WithMemory: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 def add_linear_states(
@@ -78,9 +80,7 @@ def add_linear_states(
     return replace(extended, linear={**model.linear, **dict(added)})
 
 
-def beside(
-    step: tuple[Array, Array, Array], M: int, block: Any, noise: Any
-) -> tuple[Array, Array, Array]:
+def beside(step: LinearGaussian, M: int, block: Any, noise: Any) -> LinearGaussian:
     """One step of a model with k more linear states of their own dynamics behind its own.
 
     ``block`` is their transition matrix, (k, k) or (M, k, k) or k rows of numbers or (M,), ``noise`` the
@@ -108,16 +108,16 @@ def add_memory(
     model: MixedModel,
     split: Split,
     states: Mapping[str, str],
-    step: Callable[..., tuple[Array, Array, Array, Array]],
-    observe: Callable[..., tuple[Array, Array, Array]],
+    step: Callable[..., WithMemory],
     begin: Callable[[Any], tuple[Any, Any]],
+    observe: Callable[..., LinearGaussian] | None = None,
 ) -> MixedModel:
     """The model with more nonlinear states, name -> unit, without noise of their own.
 
     ``step(a, memory, u, t, dt, base, own)`` returns f, A, Q of the model's own states and the next memory, on
     which linear states act where A has rows of it, too; ``observe(a, memory, u, t, base, own)`` returns h, C,
-    R; ``begin(own)`` the memory's mean and variance at first, independent of x_1. A memory of one state is
-    (M,), of k states (k, M), so that it unpacks. p(a_1) may be any density.
+    R, by default the model's; ``begin(own)`` the memory's mean and variance at first, independent of x_1. A
+    memory of one state is (M,), of k states (k, M), so that it unpacks. p(a_1) may be any density.
     """
     na, nx, k = model.na, model.nx, len(states)
     order = np.array([*range(na), *range(nx, nx + k), *range(na, nx)])
@@ -136,6 +136,8 @@ def add_memory(
         return f[:, order], A[..., order, :], Q_all[..., rows, order]
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        if observe is None:
+            return model.observation(a[:, :na], u, t, split(theta)[0])
         return observe(*own_states(a), u, t, *split(theta))
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:

@@ -25,17 +25,11 @@ class Clip:
         origin = self.origin = Origin(setting, name, channel)
         low, high = setting.inside(channel)
         zero, away = setting.zero(channel), setting.distance(channel, SHARES[-1])
-        self.name = name
+        self.name, begins = name, zero + setting.distance(channel, 0.7)
         bounds = setting.limits(min(low, zero - away), max(high, zero + away), -np.inf)
         own = (
             Parameter(name, 0.0, "1", (0.0, 1.0), "share of the excess that is lost"),
-            Parameter(
-                f"{name}_limit",
-                zero + setting.distance(channel, 0.7),
-                setting.unit(channel),
-                bounds,
-                "where it begins",
-            ),
+            Parameter(f"{name}_limit", begins, setting.unit(channel), bounds, "where it begins"),
             Parameter(f"{name}_side", 0.0, "1", (-1.0, 1.0), "1: above, -1: below, 0: both sides"),
         )
         lowest, highest = (setting.quantile(channel, q) for q in (1.0 - SHARES[-1], SHARES[-1]))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from engine.diagnose.effects.effect import Effect, Values, add_to_state
-from engine.diagnose.effects.setting import POSITIVE, Kind, Setting, at_pairs
+from engine.diagnose.effects.setting import Kind, Setting, at_pairs
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Parameter
 
@@ -25,6 +26,8 @@ def _cogging(setting: Setting, channel: str, name: str, source: str, target: str
     low, middle, high = (setting.quantile(source, q) for q in (WAY, 0.5, 1.0 - WAY))
     way = high - low if high > low else setting.size(source)
     periods = [way / float(cycles) for cycles in CYCLES]
+    of_period = setting.limits(way / MOST_CYCLES, 2.0 * way)
+    of_offset = setting.limits(middle - 2.0 * way, middle + 2.0 * way, -np.inf)
 
     def term(v: Values, own: Sequence[Any]) -> Any:
         return own[0] * np.sin(2.0 * np.pi * (v[source] - own[2]) / own[1])
@@ -38,23 +41,11 @@ def _cogging(setting: Setting, channel: str, name: str, source: str, target: str
         (
             Parameter(name, 0.0, setting.rate(target), description="amplitude"),
             Parameter(
-                f"{name}_period",
-                periods[2],
-                unit,
-                setting.limits(way / MOST_CYCLES, 2.0 * way, POSITIVE),
-                "way after which it repeats itself",
+                f"{name}_period", periods[2], unit, of_period, "way after which it repeats itself"
             ),
-            Parameter(
-                f"{name}_offset",
-                middle,
-                unit,
-                setting.limits(middle - 2.0 * way, middle + 2.0 * way, -np.inf),
-                "where it is zero",
-            ),
+            Parameter(f"{name}_offset", middle, unit, of_offset, "where it is zero"),
         ),
-        lambda model: add_to_state(
-            model, target, term, (source,) if source in model.linear else ()
-        ),
+        lambda model: add_to_state(model, target, term, (source,)),
         probes=tuple((p, middle + shift * p) for p in periods for shift in (0.0, 0.25)),
         look_alikes={
             "harmonic": "repeats itself in time, not along the way",
@@ -64,12 +55,10 @@ def _cogging(setting: Setting, channel: str, name: str, source: str, target: str
     )
 
 
-def _each_position(setting: Setting) -> Iterator[str]:
+def _each_position(setting: Setting) -> list[str]:
     """From a position to its rate."""
-    for source in setting.states:
-        for target in setting.targets:
-            if setting.is_rate_of(target, source):
-                yield f"{source}->{target}"
+    pairs = product(setting.states, setting.targets)
+    return [f"{position}->{rate}" for position, rate in pairs if setting.is_rate_of(rate, position)]
 
 
 KINDS: list[Kind] = [at_pairs("cogging", _cogging, _each_position)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -10,10 +9,10 @@ import numpy as np
 
 from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
 from engine.diagnose.effects.effect import Effect, Split, identifier
-from engine.diagnose.effects.setting import Kind, Setting, each_output
+from engine.diagnose.effects.setting import FREQUENCIES, Kind, Setting, each_output
 from engine.diagnose.effects.traits import Traits
-from engine.statespace.model import Array, MixedModel, Parameter
-from engine.units import frequency_in, product
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
+from engine.units import product
 
 LATENT = "latent"  # the kind of the unnamed force
 OSCILLATING = "oscillating"  # the second manner of an unnamed force
@@ -30,7 +29,7 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
             return None
         return replace(force, kind="colored", title=f"coloured process noise of {channel}")
     name, unit = identifier("colored", channel), setting.unit(channel)
-    scale = setting.size(channel)
+    most = setting.limits(0.0, 100.0 * setting.size(channel) ** 2, 0.0)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -46,14 +45,8 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
             C[..., row, -1] = 1.0
             return h, C, R
 
-        return add_linear_states(
-            model,
-            split,
-            {f"noise_{channel}": unit},
-            dynamics,
-            _stationary(model.nz, 1),
-            measurement=measurement,
-        )
+        states, begin = {f"noise_{channel}": unit}, _stationary(model.nz, 1)
+        return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
 
     return Effect(
         "colored",
@@ -62,13 +55,7 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
         f"coloured measurement noise of {channel}",
         f"{channel} = ... + c,  c an Ornstein-Uhlenbeck process of variance {name}",
         (
-            Parameter(
-                name,
-                0.0,
-                product((unit, 2.0)),
-                setting.limits(0.0, 100.0 * scale**2, 0.0),
-                "variance",
-            ),
+            Parameter(name, 0.0, product((unit, 2.0)), most, "variance"),
             _time_parameter(name, setting),
         ),
         extend,
@@ -113,14 +100,8 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
     ]
     probes: tuple[tuple[float, ...], ...] = ((3.0 * setting.dt,), (20.0 * setting.dt,))
     if swings:
-        length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
-        bounds = setting.limits(0.5 / length, 0.48 / setting.dt)
-        parameters.append(
-            Parameter(
-                f"{name}_frequency", 0.1 / setting.dt, frequency_in(setting.time_unit), bounds
-            )
-        )
-        probes = tuple((15.0 * setting.dt, f / setting.dt) for f in (0.02, 0.06, 0.12, 0.25))
+        parameters.append(setting.frequency(f"{name}_frequency"))
+        probes = tuple((15.0 * setting.dt, f / setting.dt) for f in FREQUENCIES)
     return Effect(
         LATENT,
         channel,
@@ -137,21 +118,13 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _each_latent(setting: Setting) -> Iterator[str]:
-    for state in setting.targets:
-        yield state
-        yield f"{state},{OSCILLATING}"
+def _each_latent(setting: Setting) -> list[str]:
+    return [name for state in setting.targets for name in (state, f"{state},{OSCILLATING}")]
 
 
 def _time_parameter(name: str, setting: Setting) -> Parameter:
-    longest = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
-    return Parameter(
-        f"{name}_time",
-        5.0 * setting.dt,
-        setting.time_unit,
-        setting.limits(0.3 * setting.dt, longest),
-        "correlation time",
-    )
+    bounds = setting.limits(0.3 * setting.dt, max(setting.length, 10.0 * setting.dt))
+    return setting.time(f"{name}_time", 5.0 * setting.dt, bounds, "correlation time")
 
 
 def _stationary(nz: int, k: int) -> Begin:
@@ -159,15 +132,13 @@ def _stationary(nz: int, k: int) -> Begin:
     return lambda a, record, own: (np.zeros((len(a), k)), np.zeros((k, nz)), own[0])
 
 
-def _ou(step: tuple[Array, Array, Array], M: int, dt: Any, own: Any) -> tuple[Array, Array, Array]:
+def _ou(step: LinearGaussian, M: int, dt: Any, own: Any) -> LinearGaussian:
     """One more linear state d' = exp(-dt/tau) d + w of stationary variance own[0]."""
     keep = np.exp(-dt / own[1])
     return beside(step, M, [[keep]], own[0] * (1.0 - keep * keep))
 
 
-def _swing(
-    step: tuple[Array, Array, Array], M: int, dt: Any, own: Any
-) -> tuple[Array, Array, Array]:
+def _swing(step: LinearGaussian, M: int, dt: Any, own: Any) -> LinearGaussian:
     """Two more linear states that rotate at own[2] Hz and fade with own[1], of variance own[0] each."""
     keep = np.exp(-dt / own[1])
     angle = 2.0 * np.pi * own[2] * dt

@@ -7,17 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.augmentation import add_linear_states, add_memory, beside
+from engine.diagnose.effects.augmentation import WithMemory, add_linear_states, add_memory, beside
 from engine.diagnose.effects.effect import Effect, Split, per_point
-from engine.diagnose.effects.setting import (
-    Kind,
-    Setting,
-    at_inputs,
-    at_outputs,
-    each_input,
-    each_output,
-)
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.diagnose.effects.setting import Kind, Setting, at_outputs, at_terminals
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.rows import with_input
 
 LONGEST_DELAY = 12  # samples
@@ -260,33 +253,26 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
         late = (_parts(own, depth).T * (last - u[index])).sum(axis=0)
         return with_input(u, index, u[index] + late)
 
-    def step(
-        a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
-    ) -> tuple[Array, Array, Array, Array]:
+    def step(a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any) -> WithMemory:
         f, A, Q = model.transition(a, driven(last, u, own), t, dt, record)
         now = np.broadcast_to(u[index], (1, len(a)))
         shifted = np.concatenate([now, last[:-1]])
         return f, A, Q, np.where(setting.at_sample(t + dt), shifted, last)
 
-    def observe(
-        a: Array, last: Array, u: Any, t: Any, record: Any, own: Any
-    ) -> tuple[Array, Array, Array]:
+    def observe(a: Array, last: Array, u: Any, t: Any, record: Any, own: Any) -> LinearGaussian:
         return model.observation(a, driven(last, u, own), t, record)
 
     def begin(own: Any) -> tuple[float, float]:
         return float(own[2]), variance
 
     states = _register(setting, channel, depth)
-    return add_memory(model, split, states, step, observe, begin)
+    return add_memory(model, split, states, step, begin, observe)
 
 
-def _delay(setting: Setting, channel: str) -> Effect | None:
+def _delay(setting: Setting, channel: str, name: str) -> Effect:
     """Of an input, or of a sensor."""
-    makers = (at_inputs("delay", _input_delay)[1], at_outputs("delay", _sensor_delay)[1])
-    return makers[0](setting, channel) or makers[1](setting, channel)
+    make = _input_delay if channel in setting.model.inputs else _sensor_delay
+    return make(setting, channel, name)
 
 
-KINDS: list[Kind] = [
-    at_outputs("lag", _lag),
-    ("delay", _delay, lambda s: iter([*each_input(s), *each_output(s)])),
-]
+KINDS: list[Kind] = [at_outputs("lag", _lag), at_terminals("delay", _delay)]

@@ -9,10 +9,16 @@ import numpy as np
 
 from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
 from engine.diagnose.effects.effect import Effect, Split
-from engine.diagnose.effects.setting import Kind, Setting, at_pairs, each_moved, each_state
+from engine.diagnose.effects.setting import (
+    FREQUENCIES,
+    Kind,
+    Setting,
+    at_pairs,
+    each_moved,
+    each_state,
+)
 from engine.diagnose.effects.traits import Traits
-from engine.statespace.model import Array, MixedModel, Parameter
-from engine.units import frequency_in
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 
 
 class _Following:
@@ -39,8 +45,8 @@ class _Following:
         return begin
 
     def __call__(
-        self, step: tuple[Array, Array, Array], a: Array, force: Any, drives: Sequence[Any]
-    ) -> tuple[Array, Array, Array]:
+        self, step: LinearGaussian, a: Array, force: Any, drives: Sequence[Any]
+    ) -> LinearGaussian:
         """The step with ``force`` (l - x) on the target and ``drives`` x on each of the new states."""
         f, A, Q = step
         if self.continuous:
@@ -93,7 +99,6 @@ class _Following:
 
 def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
     """A first-order lag of a state that acts back: l' = l + dt (x - l) / tau, a force size (l - x)."""
-    fast, slow = 2.0 * setting.dt, 0.5 * (setting.span[1] - setting.span[0])
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -117,12 +122,7 @@ def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -
         f"l' = l + dt ({source} - l) / {name}_time,  {target}' = ... + dt * {name} * (l - {source})",
         (
             Parameter(name, 0.0, setting.rate(target, setting.unit(source))),
-            Parameter(
-                f"{name}_time",
-                10.0 * setting.dt,
-                setting.time_unit,
-                setting.limits(fast, max(slow, 2.0 * fast)),
-            ),
+            setting.time_constant(f"{name}_time"),
         ),
         extend,
         probes=((5.0 * setting.dt,), (30.0 * setting.dt,)),
@@ -137,7 +137,6 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
     Discretised exactly for x held over the step; its second state is q' / w, in the unit of x.
     """
     unit = setting.unit(source)
-    length = max(setting.span[1] - setting.span[0], 10.0 * setting.dt)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -166,16 +165,11 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
         f"{target}' = ... + dt * {name} * (q - {source})",
         (
             Parameter(name, 0.0, setting.rate(target, unit)),
-            Parameter(
-                f"{name}_frequency",
-                0.1 / setting.dt,
-                frequency_in(setting.time_unit),
-                setting.limits(0.5 / length, 0.48 / setting.dt),
-            ),
+            setting.frequency(f"{name}_frequency"),
             Parameter(f"{name}_damping", 0.1, "1", (1e-3, 0.99)),
         ),
         extend,
-        probes=tuple((f / setting.dt, 0.2) for f in (0.02, 0.06, 0.12, 0.25)),
+        probes=tuple((f / setting.dt, 0.2) for f in FREQUENCIES),
         look_alikes={"pole": "does not ring", "harmonic": "does not depend on the states"},
         traits=Traits(contains=("linear", "coupling", "pole")),
     )

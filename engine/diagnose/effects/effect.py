@@ -17,7 +17,7 @@ import numpy as np
 from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.errors import OptionError
 from engine.statespace.evaluation import hands_rows_on
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.promotion import promote
 from engine.statespace.rows import with_input
 
@@ -244,7 +244,7 @@ def _pushed_linearly(
 
 def pushed(
     model: MixedModel, pushes: Mapping[int, Any], a: Array, u: Any, t: Any, dt: Any, record: Any
-) -> tuple[Array, Array, Array]:
+) -> LinearGaussian:
     """One step of ``model`` with ``pushes``, row -> a number or (M,), added to its states.
 
     After the step; of a continuous model before it, so that they move the other states within the step. Where
@@ -306,18 +306,16 @@ def add_to_output(
     model: MixedModel,
     output: str,
     term: Callable[[Values, Sequence[Any]], Any],
-    needs: Sequence[str] = (),
 ) -> MixedModel:
     """``output`` = ... + term(signals, own parameters)."""
-    base = promote(model, needs)
-    row = list(base.outputs).index(output)
+    row = list(model.outputs).index(output)
 
     def change(a: Array, u: Any, t: Any, h: Array, C: Array, R: Array, own: Any) -> Any:
         h = h.copy()
-        h[:, row] += term(Values(signals(base, a, u), t, None), own)
+        h[:, row] += term(Values(signals(model, a, u), t, None), own)
         return h, C, R
 
-    return change_output(base, Split(model), change)
+    return change_output(model, Split(model), change)
 
 
 def change_output(model: MixedModel, split: Split, change: Callable[..., Any]) -> MixedModel:

@@ -12,6 +12,8 @@ from engine.diagnose.effects.setting import Kind, Setting, at_states
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, Density, Gaussian, MixedModel, Parameter
 
+FROM_THE_MODELS = "how far from the model's it begins"
+
 
 @dataclass(frozen=True)
 class Shifted:
@@ -66,14 +68,7 @@ def _start(setting: Setting, channel: str, name: str) -> Effect:
         "time",
         f"another first value of {channel} than the model's",
         f"{channel} at the first sample = ... + {name}",
-        (
-            Parameter(
-                name,
-                0.0,
-                setting.unit(channel),
-                description="how far from the model's it begins",
-            ),
-        ),
+        (Parameter(name, 0.0, setting.unit(channel), description=FROM_THE_MODELS),),
         lambda model: begin_elsewhere(model, channel),
         look_alikes={
             "bias": "a sensor that is off stays off",

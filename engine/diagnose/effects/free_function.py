@@ -16,10 +16,7 @@ from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 
 KNOTS = 9
-LEVELS = (
-    0.005,
-    0.995,
-)  # shares of the record beyond the first and last knot, where the curve is level
+LEVELS = 0.005, 0.995  # shares of the record at the first and last knot: beyond, the curve is level
 CLOSEST = 0.25  # of knots spread evenly: quantiles nearer to each other make one
 
 
@@ -70,9 +67,7 @@ def free_function(
         def term(v: Any, own: Sequence[Any]) -> Any:
             hat = hats(v[source], knots)
             weights = directions.reshape(*directions.shape, *(1,) * (hat.ndim - 1))
-            shapes = (weights * hat[:, None]).sum(
-                axis=0
-            )  # (r, ...), summed in the order of the knots
+            shapes = (weights * hat[:, None]).sum(axis=0)  # (r, ...), in the order of the knots
             return sum(value * shape for value, shape in zip(own, shapes, strict=True))
 
         return add_to_state(model, target, term, (source,) if source in model.linear else ())

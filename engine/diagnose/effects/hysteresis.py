@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.augmentation import add_memory
+from engine.diagnose.effects.augmentation import WithMemory, add_memory
 from engine.diagnose.effects.effect import Effect, Split, pushed
 from engine.diagnose.effects.origin import Origin
 from engine.diagnose.effects.setting import Kind, Setting, at_pairs, each_moved, each_state
@@ -61,20 +61,18 @@ def _bouc_wen(
         column = list(base.nonlinear).index(source)
         row = [*base.nonlinear, *base.linear].index(target)
 
-        def step(
-            a: Array, memory: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
-        ) -> tuple[Array, Array, Array, Array]:
+        def step(a: Array, m: Array, u: Any, t: Any, dt: Any, record: Any, own: Any) -> WithMemory:
             delta = own[2] if shaped else 0.0
             if not base.continuous:
-                f, A, Q = pushed(base, {row: dt * own[0] * memory}, a, u, t, dt, record)
+                f, A, Q = pushed(base, {row: dt * own[0] * m}, a, u, t, dt, record)
                 way = dt * (a[:, column] - origin.of(own))
-                return f, A, Q, _after(memory, way, own[1], delta)
+                return f, A, Q, _after(m, way, own[1], delta)
             half = 0.5 * dt * own[0]  # of the push comes before the step, half after it
-            push = half * memory
+            push = half * m
             f, A, Q = pushed(base, {row: push}, a, u, t, dt, record)
             speed = a[:, column] + push if row == column else a[:, column]
             way = dt * (0.5 * (speed + f[:, column]) - origin.of(own))  # but for linear states
-            after = _after(memory, way, own[1], delta)
+            after = _after(m, way, own[1], delta)
             if A[..., column, :].any():
                 slope = 0.5 * dt * _slope(after, way, own[1], delta)
                 A = np.broadcast_to(A, (len(a), *A.shape[-2:]))
@@ -84,15 +82,10 @@ def _bouc_wen(
             f[:, row] += half * after
             return f, A, Q, after
 
-        def observe(
-            a: Array, memory: Array, u: Any, t: Any, record: Any, own: Any
-        ) -> tuple[Array, Array, Array]:
-            return base.observation(a, u, t, record)
-
         def begin(own: Any) -> tuple[float, float]:
             return 0.0, float(own[1]) ** 2 / 3.0  # anywhere within its limits +- w
 
-        return add_memory(base, split, {f"memory_{source}": unit}, step, observe, begin)
+        return add_memory(base, split, {f"memory_{source}": unit}, step, begin)
 
     return Effect(
         kind,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from engine.diagnose.effects.effect import (
     on_base,
 )
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import POSITIVE, WIDEST, Kind, Setting, at_inputs
+from engine.diagnose.effects.setting import SOME_TIME, WIDEST, Kind, Setting, at_inputs
 from engine.diagnose.effects.spare_inputs import UNIT, with_inputs
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -129,13 +129,7 @@ def _hold(setting: Setting, channel: str, name: str) -> Effect | None:
         f"{channel}_t -> {channel}_t + {name} ({channel}_(t+1) - {channel}_t) / 2",
         (
             Parameter(name, 0.0, "1", (0.0, 2.0), "0: held, 1: linear between samples"),
-            Parameter(
-                f"{name}_step",
-                setting.dt,
-                setting.time_unit,
-                (POSITIVE, np.inf),
-                "time between samples",
-            ),
+            setting.time(f"{name}_step", setting.dt, SOME_TIME, "time between samples"),
             Parameter(f"{name}_first", first, setting.unit(channel), description="first input"),
         ),
         extend,
@@ -169,7 +163,7 @@ def _extra_input(setting: Setting, channel: str) -> Effect | None:
             model = with_inputs(model, [source])
         return add_to_state(model, target, lambda v, own: own[0] * (v[source] - origin.of(own)))
 
-    unit = setting.model.inputs.get(source, UNIT)
+    rate = setting.rate(target, setting.model.inputs.get(source, UNIT))
     return Effect(
         "extra-input",
         channel,
@@ -178,16 +172,12 @@ def _extra_input(setting: Setting, channel: str) -> Effect | None:
         f"{target}' = ... + dt * {name} * {origin.text(source)}",
         extend=extend,
         look_alikes={"force": "is constant", "latent": "does not follow the channel"},
-        **origin.proportional(
-            Parameter(name, 0.0, setting.rate(target, unit), description="rate per unit")
-        ),
+        **origin.proportional(Parameter(name, 0.0, rate, description="rate per unit")),
     )
 
 
-def _each_extra(setting: Setting) -> Iterator[str]:
-    for source in setting.extra:
-        for target in setting.targets:
-            yield f"{source}->{target}"
+def _each_extra(setting: Setting) -> list[str]:
+    return [f"{source}->{target}" for source in setting.extra for target in setting.targets]
 
 
 KINDS: list[Kind] = [

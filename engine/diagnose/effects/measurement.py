@@ -169,7 +169,7 @@ def _gain(setting: Setting, channel: str, name: str) -> Effect:
 
 KINDS: list[Kind] = [
     BIAS,
-    ("offset", _offset, lambda setting: iter(())),  # by name only: listed as bias
+    ("offset", _offset, lambda setting: ()),  # by name only: listed as bias
     at_outputs("drift", _drift),
     at_outputs("gain", _gain),
     _curve(

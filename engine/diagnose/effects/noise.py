@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,7 @@ from engine.diagnose.effects.setting import (
     Setting,
     at_outputs,
     at_signals,
-    each_output,
-    each_state,
+    each_signal,
 )
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -112,10 +112,6 @@ def _rounded(y: Array, variance: float) -> Array:
     return step * np.round(y / step) if step > 0.0 else y
 
 
-def _each_lattice(setting: Setting) -> Iterator[str]:
-    yield from setting.resolution
-
-
 def _variance(setting: Setting, channel: str) -> Effect | None:
     """``noise->signal``: the noise grows with |signal| (a nonlinear state or input) or with time."""
     target, _, signal = channel.partition("->")
@@ -147,9 +143,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
     ]
     if origin is None:
         what = f"(t - {name}_middle)"
-        further.append(
-            Parameter(f"{name}_middle", middle, setting.time_unit, description="where it is zero")
-        )
+        further.append(setting.time(f"{name}_middle", middle, what="where it is zero"))
     else:
         what = f"|{origin.text(signal)}|"
         further.extend(origin.parameters)
@@ -169,11 +163,10 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _each_variance(setting: Setting) -> Iterator[str]:
+def _each_variance(setting: Setting) -> list[str]:
     model = setting.model
-    for target in [*model.outputs, *setting.targets]:
-        for signal in [*model.nonlinear, *model.inputs, "time"]:
-            yield f"{target}->{signal}"
+    signals = [*model.nonlinear, *model.inputs, "time"]
+    return [f"{noise}->{signal}" for noise in each_signal(setting) for signal in signals]
 
 
 def _correlation(setting: Setting, channel: str) -> Effect | None:
@@ -209,16 +202,13 @@ def _correlation(setting: Setting, channel: str) -> Effect | None:
     )
 
 
-def _each_correlation(setting: Setting) -> Iterator[str]:
-    states = setting.targets
-    for i, one in enumerate(states):
-        for other in states[i + 1 :]:
-            yield f"{one},{other}"
+def _each_correlation(setting: Setting) -> list[str]:
+    return [f"{one},{other}" for one, other in combinations(setting.targets, 2)]
 
 
 KINDS: list[Kind] = [
-    at_signals("level", _level, lambda s: iter([*each_output(s), *each_state(s)])),
-    at_outputs("quantisation", _quantisation, _each_lattice),
+    at_signals("level", _level),
+    at_outputs("quantisation", _quantisation, lambda setting: setting.resolution),
     ("variance", _variance, _each_variance),
     ("correlation", _correlation, _each_correlation),
 ]

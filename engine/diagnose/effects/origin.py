@@ -27,16 +27,10 @@ class Origin:
             low, high = setting.inside(channel)
             if start is None:
                 self.outside = setting.zeros_outside(channel)
-                low, high = min((low, *self.outside)), max((high, *self.outside))
-            self.parameters = (
-                Parameter(
-                    f"{name}_zero",
-                    self.value,
-                    setting.unit(channel),
-                    (min(low, self.value), max(high, self.value)),
-                    f"zero of {channel} that it counts from",
-                ),
-            )
+            bounds = min((low, self.value, *self.outside)), max((high, self.value, *self.outside))
+            what = f"zero of {channel} that it counts from"
+            zero = Parameter(f"{name}_zero", self.value, setting.unit(channel), bounds, what)
+            self.parameters = (zero,)
 
     @property
     def name(self) -> str | None:

@@ -31,14 +31,9 @@ def _overflow(setting: Setting, channel: str, name: str, source: str, target: st
     low, high = setting.quantile(source, LOWEST), setting.quantile(source, 1.0)
     if not low < high < np.inf:
         low, high = setting.inside(source)
+    fastest = setting.limits(0.0, GONE / setting.dt, 0.0)
     parameters = [
-        Parameter(
-            name,
-            0.0,
-            setting.per_time,
-            setting.limits(0.0, GONE / setting.dt, 0.0),
-            "rate of decay",
-        ),
+        Parameter(name, 0.0, setting.per_time, fastest, "rate of decay"),
         Parameter(f"{name}_limit", setting.quantile(source, FULL[0]), unit, (low, high), "limit"),
     ]
     rest: tuple[float, ...] = ()

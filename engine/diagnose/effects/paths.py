@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -22,10 +21,9 @@ from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import product
 
 
-def _each_reading(setting: Setting) -> Iterator[str]:
+def _each_reading(setting: Setting) -> list[str]:
     """``input->output``."""
-    for source in each_input(setting):
-        yield from (f"{source}->{target}" for target in each_output(setting))
+    return [f"{u}->{y}" for u in each_input(setting) for y in each_output(setting)]
 
 
 def _ends(setting: Setting, channel: str) -> tuple[str, str, bool] | None:
@@ -77,14 +75,11 @@ def _path(setting: Setting, channel: str) -> Effect | None:
     source, target, at_output = ends
     name = identifier("path", channel)
     origin = Origin(setting, name, source)
-    fast, slow = 2.0 * setting.dt, 0.5 * (setting.span[1] - setting.span[0])
-    bounds, first = setting.limits(fast, max(slow, 2.0 * fast)), setting.first(source)
-    before = Parameter(
-        f"{name}_first", first, setting.unit(source), description=f"{source} until the record"
-    )
+    first, until = setting.first(source), f"{source} until the record"
+    before = Parameter(f"{name}_first", first, setting.unit(source), description=until)
     members = origin.counted(
         _size(setting, name, *ends),
-        Parameter(f"{name}_time", 10.0 * setting.dt, setting.time_unit, bounds, "time constant"),
+        setting.time_constant(f"{name}_time", "time constant"),
         before,
         probes=[(samples * setting.dt, first) for samples in (5.0, 30.0)],
     )
@@ -146,10 +141,9 @@ def _with_path(
     return add_linear_states(model, split, lagged, dynamics, begin, measurement=measurement)
 
 
-def _each_way(setting: Setting) -> Iterator[str]:
+def _each_way(setting: Setting) -> list[str]:
     """To every output, and to the states that the input moves already: beside the direct way."""
-    yield from each_path(setting)
-    yield from _each_reading(setting)
+    return [*each_path(setting), *_each_reading(setting)]
 
 
 KINDS: list[Kind] = [

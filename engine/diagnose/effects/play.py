@@ -12,18 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.augmentation import add_memory
+from engine.diagnose.effects.augmentation import WithMemory, add_memory
 from engine.diagnose.effects.effect import Effect, Split
 from engine.diagnose.effects.measurement import observers
-from engine.diagnose.effects.setting import (
-    Kind,
-    Setting,
-    at_inputs,
-    at_outputs,
-    each_input,
-    each_output,
-)
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.diagnose.effects.setting import Kind, Setting, at_terminals
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.promotion import promote
 from engine.statespace.rows import with_input
 
@@ -38,6 +31,7 @@ def _played(last: Any, x: Any, size: Any) -> Any:
 
 
 def _play(setting: Setting, channel: str, name: str) -> Effect:
+    """Of an input, or of a sensor."""
     at_input = channel in setting.model.inputs
     first, unit = setting.first(channel), setting.unit(channel)
     reach = 0.5 * (setting.quantile(channel, 1.0) - setting.quantile(channel, 0.0))
@@ -72,59 +66,41 @@ def _begin(own: Any) -> tuple[float, float]:
 
 def _of_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     split, index = Split(model), list(model.inputs).index(channel)
-    held = (
-        setting.hold == "zoh"
-    )  # then nothing moves between samples, and no moments are taken again
+    held = setting.hold == "zoh"  # nothing moves between samples, and no moments are taken again
 
     def driven(last: Array, u: Any, t: Any, own: Any) -> Any:
         played = _played(last, u[index], own[0])
-        return with_input(
-            u, index, np.where(setting.at_sample(t), played, last) if held else played
-        )
+        if held:
+            played = np.where(setting.at_sample(t), played, last)
+        return with_input(u, index, played)
 
-    def step(
-        a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
-    ) -> tuple[Array, Array, Array, Array]:
+    def step(a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any) -> WithMemory:
         rows = driven(last, u, t, own)
         return *model.transition(a, rows, t, dt, record), rows[index]
 
-    def observe(
-        a: Array, last: Array, u: Any, t: Any, record: Any, own: Any
-    ) -> tuple[Array, Array, Array]:
+    def observe(a: Array, last: Array, u: Any, t: Any, record: Any, own: Any) -> LinearGaussian:
         return model.observation(a, driven(last, u, t, own), t, record)
 
     states = {f"played_{channel}": setting.unit(channel)}
-    return add_memory(model, split, states, step, observe, _begin)
+    return add_memory(model, split, states, step, _begin, observe)
 
 
 def _of_reading(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     base = promote(model, observers(setting, model, channel))
     split, row = Split(base), list(base.outputs).index(channel)
 
-    def observe(
-        a: Array, last: Array, u: Any, t: Any, record: Any, own: Any
-    ) -> tuple[Array, Array, Array]:
+    def observe(a: Array, last: Array, u: Any, t: Any, record: Any, own: Any) -> LinearGaussian:
         h, C, R = base.observation(a, u, t, record)
         h = h.copy()
         h[:, row] = _played(last, h[:, row], own[0])
         return h, C, R
 
-    def step(
-        a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
-    ) -> tuple[Array, Array, Array, Array]:
+    def step(a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any) -> WithMemory:
         read = observe(a, last, u, t, record, own)[0][:, row]
         return *base.transition(a, u, t, dt, record), read
 
     states = {f"played_{channel}": setting.unit(channel)}
-    return add_memory(base, split, states, step, observe, _begin)
+    return add_memory(base, split, states, step, _begin, observe)
 
 
-def _play_anywhere(setting: Setting, channel: str) -> Effect | None:
-    """Of an input, or of a sensor."""
-    makers = (at_inputs("play", _play)[1], at_outputs("play", _play)[1])
-    return makers[0](setting, channel) or makers[1](setting, channel)
-
-
-KINDS: list[Kind] = [
-    ("play", _play_anywhere, lambda s: iter([*each_input(s), *each_output(s)])),
-]
+KINDS: list[Kind] = [at_terminals("play", _play)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -17,13 +17,15 @@ from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_n
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
 from engine.diagnose.effects.zeros import without_zero
 from engine.filters.sigma_point import moment_path
-from engine.statespace.model import Array, MixedModel
-from engine.units import SECOND, product
+from engine.statespace.model import Array, MixedModel, Parameter
+from engine.units import SECOND, frequency_in, product
 
 PROBED = 32  # rows of a record at which a model's structure is looked at
 NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
 ZEROS_OUTSIDE = (0.5, 2.0, 10.0)  # of a channel's range, beyond it: where its zero is looked for
 POSITIVE = float(np.finfo(float).tiny)  # in any unit
+ANY_TIME, SOME_TIME = (-np.inf, np.inf), (POSITIVE, np.inf)  # bounds of a time, of a length of time
+FREQUENCIES = (0.02, 0.06, 0.12, 0.25)  # cycles a sample at which the screen looks
 ON_TIME = 1e-3  # of a sample: how far off its time a sample may be
 
 
@@ -203,6 +205,28 @@ class Setting:
         return product(self.unit(target), (self.time_unit, -1.0), (divided_by, -1.0))
 
     @property
+    def length(self) -> float:
+        """The time from the first sample to the last."""
+        return self.span[1] - self.span[0]
+
+    def time(
+        self, name: str, default: float, bounds: tuple[float, float] = ANY_TIME, what: str = ""
+    ) -> Parameter:
+        """A parameter that is a time."""
+        return Parameter(name, default, self.time_unit, bounds, what)
+
+    def time_constant(self, name: str, what: str = "") -> Parameter:
+        """Of a lag that can be told from none and from a constant."""
+        fast, slow = 2.0 * self.dt, 0.5 * self.length
+        return self.time(name, 10.0 * self.dt, self.limits(fast, max(slow, 2.0 * fast)), what)
+
+    def frequency(self, name: str) -> Parameter:
+        """Of an oscillation that takes part of the record, and several samples."""
+        slowest, fastest = 0.5 / max(self.length, 10.0 * self.dt), 0.48 / self.dt
+        unit = frequency_in(self.time_unit)
+        return Parameter(name, 0.1 / self.dt, unit, self.limits(slowest, fastest))
+
+    @property
     def per_time(self) -> str:
         """Unit of a rate of decay."""
         return product((self.time_unit, -1.0))
@@ -263,36 +287,41 @@ Maker: TypeAlias = Callable[[Setting, str], Effect | None]
 
 
 # Which channels a maker is tried on when all effects of a model are listed.
-Channels: TypeAlias = Callable[[Setting], Iterator[str]]
+Channels: TypeAlias = Callable[[Setting], Iterable[str]]
 
 
 # A kind as the shipped modules list it.
 Kind: TypeAlias = tuple[str, Maker, Channels]
 
 
-def each_state(setting: Setting) -> Iterator[str]:
+def each_state(setting: Setting) -> list[str]:
     """Every state whose equation may be wrong."""
-    yield from setting.targets
+    return setting.targets
 
 
-def each_output(setting: Setting) -> Iterator[str]:
+def each_output(setting: Setting) -> list[str]:
     """Every output."""
-    yield from setting.model.outputs
+    return list(setting.model.outputs)
 
 
-def each_input(setting: Setting) -> Iterator[str]:
+def each_input(setting: Setting) -> list[str]:
     """Every input that the model uses."""
-    yield from (name for name in setting.model.inputs if name not in setting.extra)
+    return [name for name in setting.model.inputs if name not in setting.extra]
 
 
-def each_parameter(setting: Setting) -> Iterator[str]:
-    """Every parameter of the model."""
-    yield from setting.model.parameter_names
+def each_signal(setting: Setting) -> list[str]:
+    """Every output, and every state whose equation may be wrong."""
+    return [*each_output(setting), *each_state(setting)]
 
 
-def each_moved(setting: Setting) -> Iterator[str]:
+def each_terminal(setting: Setting) -> list[str]:
+    """Every input that the model uses, and every output."""
+    return [*each_input(setting), *each_output(setting)]
+
+
+def each_moved(setting: Setting) -> list[str]:
     """Every state that is no disturbance of its own and whose equation may be wrong."""
-    yield from (name for name in setting.moved if name in setting.targets)
+    return [name for name in setting.moved if name in setting.targets]
 
 
 def each_pair(setting: Setting) -> Iterator[str]:
@@ -317,28 +346,38 @@ def each_path(setting: Setting) -> Iterator[str]:
                 yield f"{source}->{target}"
 
 
-def at_outputs(
-    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels = each_output
-) -> Kind:
-    """A kind that enters at outputs; ``make(setting, channel, name of the size)``."""
-    return _kind(kind, make, channels, lambda setting: setting.model.outputs)
+# A maker of a kind that enters at single channels: (setting, channel, name of the size) -> the effect.
+ByName: TypeAlias = Callable[[Setting, str, str], Effect | None]
 
 
-def at_inputs(kind: str, make: Callable[[Setting, str, str], Effect | None]) -> Kind:
+def at_outputs(kind: str, make: ByName, channels: Channels = each_output) -> Kind:
+    """A kind that enters at outputs."""
+    return at_any(kind, make, channels, lambda setting: setting.model.outputs)
+
+
+def at_inputs(kind: str, make: ByName) -> Kind:
     """The same for inputs."""
-    return _kind(kind, make, each_input, lambda setting: setting.model.inputs)
+    return at_any(kind, make, each_input, lambda setting: setting.model.inputs)
 
 
-def at_states(kind: str, make: Callable[[Setting, str, str], Effect | None]) -> Kind:
+def at_states(kind: str, make: ByName) -> Kind:
     """The same for states."""
-    return _kind(kind, make, each_state, lambda setting: setting.states)
+    return at_any(kind, make, each_state, lambda setting: setting.states)
 
 
-def at_signals(
-    kind: str, make: Callable[[Setting, str, str], Effect | None], channels: Channels
-) -> Kind:
+def at_signals(kind: str, make: ByName, channels: Channels = each_signal) -> Kind:
     """The same for outputs and states."""
-    return _kind(kind, make, channels, lambda s: {**s.model.outputs, **s.states})
+    return at_any(kind, make, channels, lambda s: {**s.model.outputs, **s.states})
+
+
+def at_parameters(kind: str, make: ByName, channels: Channels) -> Kind:
+    """The same for parameters."""
+    return at_any(kind, make, channels, lambda setting: setting.model.parameter_names)
+
+
+def at_terminals(kind: str, make: ByName) -> Kind:
+    """The same for inputs and outputs."""
+    return at_any(kind, make, each_terminal, lambda s: {**s.model.inputs, **s.model.outputs})
 
 
 def at_pairs(
@@ -359,12 +398,11 @@ def at_pairs(
     return kind, maker, channels
 
 
-def _kind(
-    kind: str,
-    make: Callable[[Setting, str, str], Effect | None],
-    channels: Channels,
-    there: Callable[[Setting], Mapping[str, str]],
+def at_any(
+    kind: str, make: ByName, channels: Channels, there: Callable[[Setting], Container[str]]
 ) -> Kind:
+    """The same for those channels that are ``there``; ``channels`` are those it is tried on."""
+
     def maker(setting: Setting, channel: str) -> Effect | None:
         if channel not in there(setting):
             return None

@@ -15,26 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.augmentation import add_linear_states, add_memory, beside
+from engine.diagnose.effects.augmentation import WithMemory, add_linear_states, add_memory, beside
 from engine.diagnose.effects.effect import Effect, Split, per_point
 from engine.diagnose.effects.setting import Kind, Setting, at_outputs
 from engine.diagnose.effects.traits import Traits
-from engine.statespace.model import Array, MixedModel, Parameter
+from engine.statespace.model import Array, MixedModel
 
 
 def _slow_sensor(setting: Setting, channel: str, name: str) -> Effect:
-    slowest = max(0.5 * (setting.span[1] - setting.span[0]), 2.0 * setting.dt)
+    slowest = max(0.5 * setting.length, 2.0 * setting.dt)
     return Effect(
         "slow-sensor",
         channel,
         "measurement",
         f"slow sensor {channel}: a lag of first order",
         f"{name} r' = y - r,  {channel} = r",
-        (
-            Parameter(
-                name, 0.0, setting.time_unit, setting.limits(0.0, slowest, 0.0), "time constant"
-            ),
-        ),
+        (setting.time(name, 0.0, setting.limits(0.0, slowest, 0.0), "time constant"),),
         lambda model: _late(model, setting, channel),
         look_alikes={
             "lag": "is over after one sample",
@@ -59,19 +55,12 @@ def _late(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
             keep = np.exp(-np.divide(dt, own[0]))
         return keep, (1.0 - keep) * own[0] / dt
 
-    def step(
-        a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any
-    ) -> tuple[Array, Array, Array, Array]:
+    def step(a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any) -> WithMemory:
         share = np.broadcast_to(share_of(dt, own)[1], (len(a),))
         return *model.transition(a, u, t, dt, record), share
 
-    def observe(
-        a: Array, last: Array, u: Any, t: Any, record: Any, own: Any
-    ) -> tuple[Array, Array, Array]:
-        return model.observation(a, u, t, record)
-
     known = {f"share_{channel}": "1"}
-    inner = add_memory(model, split, known, step, observe, lambda own: (0.0, 0.0))
+    inner = add_memory(model, split, known, step, lambda own: (0.0, 0.0))
     nx, nz = inner.nx, inner.nz
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:

@@ -64,7 +64,7 @@ def _static(
                 model,
                 target,
                 lambda v, own: own[0] * term(v[source] - origin.of(own), own[1:]),
-                needs=(source,) if source in model.linear else (),
+                needs=(source,),
                 smooth=smooth,
             )
 
@@ -92,7 +92,7 @@ def _coulomb(setting: Setting, channel: str, name: str, source: str, target: str
     origin = Origin(setting, name, source)
 
     def extend(model: MixedModel) -> MixedModel:
-        base = promote(model, (source,) if source in model.linear else ())
+        base = promote(model, (source,))
         split, column = Split(model), list(base.nonlinear).index(source)
         row = [*base.nonlinear, *base.linear].index(target)
 
@@ -187,11 +187,8 @@ def _coupled(source: str, target: str, origin: Origin, model: MixedModel) -> Mix
     return add_to_state(model, target, lambda v, own: own[0] * (v[source] - origin.of(own)))
 
 
-def _each_coupling(setting: Setting) -> Any:
-    for source in setting.states:
-        for target in setting.targets:
-            if source != target:
-                yield f"{source}->{target}"
+def _each_coupling(setting: Setting) -> list[str]:
+    return [f"{x}->{y}" for x in setting.states for y in setting.targets if x != y]
 
 
 KINDS: list[Kind] = [

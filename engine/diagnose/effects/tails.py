@@ -34,6 +34,4 @@ def _heavy_tails(setting: Setting, channel: str, name: str) -> Effect:
     )
 
 
-KINDS: list[Kind] = [
-    at_signals("heavy-tails", _heavy_tails, lambda s: iter([*s.model.outputs, *s.targets])),
-]
+KINDS: list[Kind] = [at_signals("heavy-tails", _heavy_tails)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,28 +12,22 @@ from engine.diagnose.effects.effect import (
     Split,
     add_to_output,
     add_to_state,
-    identifier,
     on_base,
 )
 from engine.diagnose.effects.setting import (
     ON_TIME,
-    POSITIVE,
+    SOME_TIME,
     Channels,
     Kind,
     Setting,
+    at_parameters,
     at_signals,
-    each_output,
-    each_parameter,
+    each_signal,
     each_state,
 )
 from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import frequency_in, product
-
-
-def _each_place(setting: Setting) -> Iterator[str]:
-    yield from each_output(setting)
-    yield from each_state(setting)
 
 
 def _signal(
@@ -45,7 +39,7 @@ def _signal(
     look_alikes: dict[str, str],
     held: tuple[str, ...] = (),
     traits: Traits = USUAL,
-    channels: Channels = _each_place,
+    channels: Channels = each_signal,
     power: float = 0.0,
 ) -> Kind:
     """A kind ``size * signal(t)``, the signal of unit time^power, added to a state's equation or an output."""
@@ -79,36 +73,15 @@ def _signal(
 
 def _when(name: str, setting: Setting) -> list[Parameter]:
     first, last = setting.span
-    return [
-        Parameter(
-            f"{name}_time",
-            0.5 * (first + last),
-            setting.time_unit,
-            setting.limits(first, last, -np.inf),
-            "when",
-        )
-    ]
-
-
-def _frequency(name: str, setting: Setting) -> list[Parameter]:
-    first, last = setting.span
-    lowest, highest = 0.5 / max(last - first, setting.dt), 0.5 / setting.dt
-    return [
-        Parameter(f"{name}_sine", 0.0, "", description="amplitude of the sine"),
-        Parameter(
-            f"{name}_frequency",
-            10.0 * lowest,
-            frequency_in(setting.time_unit),
-            setting.limits(lowest, highest),
-            "frequency",
-        ),
-    ]
+    within = setting.limits(first, last, -np.inf)
+    return [setting.time(f"{name}_time", 0.5 * (first + last), within, "when")]
 
 
 def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
     at_output = channel in setting.model.outputs
     unit = setting.unit(channel) if at_output else setting.rate(channel)
-    frequency = _frequency(name, setting)
+    lowest, highest = 0.5 / max(setting.length, setting.dt), 0.5 / setting.dt
+    bounds, per_time = setting.limits(lowest, highest), frequency_in(setting.time_unit)
 
     def term(v: Any, own: Sequence[Any]) -> Any:
         angle = 2.0 * np.pi * own[2] * v.t
@@ -125,11 +98,11 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
         f"{channel} = ... + {'' if at_output else 'dt * '}({name} cos(2 pi f t) + {name}_sine sin(2 pi f t))",
         (
             Parameter(name, 0.0, unit, description="amplitude of the cosine"),
-            Parameter(frequency[0].name, 0.0, unit, description=frequency[0].description),
-            frequency[1],
+            Parameter(f"{name}_sine", 0.0, unit, description="amplitude of the sine"),
+            Parameter(f"{name}_frequency", 10.0 * lowest, per_time, bounds, "frequency"),
         ),
         extend,
-        probes=((0.0, frequency[1].default),),
+        probes=((0.0, 10.0 * lowest),),
         look_alikes={"pole": "a lightly damped missing mode rings, a harmonic does not decay"},
         traits=Traits(Course.HARMONIC, swallowed=True),
     )
@@ -138,31 +111,17 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
 def _parameter_change(kind: str, title: str) -> Kind:
     """A parameter that steps at a time, or drifts linearly through the record."""
 
-    def make(setting: Setting, channel: str) -> Effect | None:
-        if channel not in setting.model.parameter_names:
-            return None
+    def make(setting: Setting, channel: str, name: str) -> Effect:
         index = setting.model.parameter_names.index(channel)
-        name = identifier(kind, channel)
         first, last = setting.span
         parameter = setting.model.parameters[index]
         steps = kind == "parameter-step"
         further = _when(name, setting)
         if not steps:
-            length = max(last - first, setting.dt)
+            middle, length = 0.5 * (first + last), max(setting.length, setting.dt)
             further = [
-                Parameter(
-                    f"{name}_middle",
-                    0.5 * (first + last),
-                    setting.time_unit,
-                    description="where it is zero",
-                ),
-                Parameter(
-                    f"{name}_per",
-                    length,
-                    setting.time_unit,
-                    (POSITIVE, np.inf),
-                    "to which the size refers",
-                ),
+                setting.time(f"{name}_middle", middle, what="where it is zero"),
+                setting.time(f"{name}_per", length, SOME_TIME, "to which the size refers"),
             ]
 
         def course(t: Any, own: Sequence[Any]) -> Any:
@@ -201,7 +160,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
             ),
         )
 
-    return kind, make, each_parameter
+    return at_parameters(kind, make, lambda setting: setting.model.parameter_names)
 
 
 def _pulse(t: Any, own: Sequence[Any]) -> Any:
@@ -211,18 +170,12 @@ def _pulse(t: Any, own: Sequence[Any]) -> Any:
 
 
 def _width(name: str, setting: Setting) -> list[Parameter]:
-    width = Parameter(
-        f"{name}_width", setting.dt, setting.time_unit, (POSITIVE, np.inf), "how long"
-    )
+    width = setting.time(f"{name}_width", setting.dt, SOME_TIME, "how long")
     return [*_when(name, setting), width]
 
 
 def _start(name: str, setting: Setting) -> list[Parameter]:
-    return [
-        Parameter(
-            f"{name}_start", setting.span[0], setting.time_unit, description="when it is zero"
-        )
-    ]
+    return [setting.time(f"{name}_start", setting.span[0], what="when it is zero")]
 
 
 KINDS: list[Kind] = [
@@ -257,7 +210,7 @@ KINDS: list[Kind] = [
         channels=each_state,
         power=1.0,
     ),
-    at_signals("harmonic", _harmonic, _each_place),
+    at_signals("harmonic", _harmonic),
     _parameter_change("parameter-step", "step"),
     _parameter_change("parameter-drift", "drift"),
 ]

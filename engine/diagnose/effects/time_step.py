@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import Effect, Split, identifier, on_base
+from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.effects.rates import step
-from engine.diagnose.effects.setting import Kind, Setting
+from engine.diagnose.effects.setting import Kind, Setting, at_any
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 
@@ -24,11 +24,7 @@ HARDLY = 0.1  # of its move over the whole step
 ROUNDING = 1e-6  # of its move: what two half-steps may differ by and be the same
 
 
-def _time_step(setting: Setting, channel: str) -> Effect | None:
-    if channel != CHANNEL:
-        return None
-    name = identifier("time_step", channel)
-
+def _time_step(setting: Setting, channel: str, name: str) -> Effect:
     def extend(model: MixedModel) -> MixedModel:
         base = promote(model, list(model.linear))
         split = Split(model)
@@ -78,4 +74,4 @@ def _where(setting: Setting) -> Iterator[str]:
         yield CHANNEL
 
 
-KINDS: list[Kind] = [(KIND, _time_step, _where)]
+KINDS: list[Kind] = [at_any(KIND, _time_step, _where, lambda setting: (CHANNEL,))]

@@ -11,9 +11,10 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
-from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, Progress, one_round
+from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, one_round
 from engine.diagnose.free_run.windows import LONG, STRETCH
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
+from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.findings import Cause, LookAlike, Verdict
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml

@@ -30,9 +30,6 @@ FITTED = 3  # pairs of equation and signal, the best to first order
 NEAR_BEST = 0.25  # of the largest share: what takes less to first order is not fitted
 BENT = 12.0
 TOLD = 0.03  # of the direction of a curve that data tell best: the rest is left to the model's own parameters
-TWO_WAYS = (
-    0.2  # of the error on rows left out: what it must be worth that the force knows its direction
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,17 +84,8 @@ def missing_function(fit: Fitted, own: Array, setting: Setting) -> MissingFuncti
     if p_value > GAINED or left > 1.0 - WORTH:
         return None
     mean, sd = _curve(found, effect, one.directions)
-    return MissingFunction(
-        one.source,
-        one.target,
-        setting.unit(one.source),
-        setting.rate(one.target),
-        one.knots,
-        mean,
-        sd,
-        left,
-        p_value,
-    )
+    units = setting.unit(one.source), setting.rate(one.target)
+    return MissingFunction(one.source, one.target, *units, one.knots, mean, sd, left, p_value)
 
 
 def _curve(found: Fitted, effect: Effect, directions: Array) -> tuple[Array, Array]:

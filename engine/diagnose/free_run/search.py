@@ -8,9 +8,8 @@ other words, and one name stands for them; others are a set.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from engine.diagnose.free_run_fits.columns import CANNOT, columns
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, finished, with_effects
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses, p_better
 from engine.diagnose.free_run_fits.linear import Linear, Share
+from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.contradictions import LEAST_ERRORS
 from engine.diagnose.search.likeness import rank
 from engine.diagnose.search.search import part_of
@@ -40,12 +40,9 @@ APART = 0.05  # of the residuals: two refits that differ less run alike
 GAINED = 0.05  # p-value of a gain over the model without
 NOT_WORSE = 0.10  # p-value of being no worse than the best, for all together
 NEAR = 0.05  # of the error before: parameters that the model has survive where they lose no more
-WORTH = (
-    0.1  # of the error on rows left out: less is not worth an extension, nor a further parameter
-)
+# of the error on rows left out: less is not worth an extension, nor a further parameter
+WORTH = 0.1
 EARNED = 0.25  # of the same: what a second effect must take beside the first
-
-Progress = Callable[[str, float], Any]
 
 
 @dataclass(frozen=True, eq=False)

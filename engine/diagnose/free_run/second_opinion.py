@@ -23,7 +23,7 @@ from engine.diagnose.free_run.answer import (
 )
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.null import Alarm, alarm
-from engine.diagnose.free_run.search import STAGE, FreeRound, Progress
+from engine.diagnose.free_run.search import STAGE, FreeRound
 from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
 from engine.diagnose.free_run_fits.columns import CANNOT, columns
@@ -31,6 +31,7 @@ from engine.diagnose.free_run_fits.fitted import Fitted, Pick
 from engine.diagnose.free_run_fits.folds import Folds, folds_of, losses
 from engine.diagnose.free_run_fits.linear import Linear
 from engine.diagnose.gain.adoption import Decision
+from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.pipeline import Causes
 from engine.diagnose.search.refits import Refit

@@ -9,12 +9,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.free_run_fits.fitted import (
-    Fitted,
-    extended_run,
-    first_states,
-    state_names,
-)
+from engine.diagnose.free_run_fits.fitted import Fitted, extended_run, first_states, state_names
 from engine.errors import EngineError
 from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import states_of
@@ -23,10 +18,8 @@ from engine.statespace.model import Array, MixedModel, Theta
 SMALL = 0.01  # of the residuals: what the effect does over the distance of its differences
 LONGEST, SHORTEST = 0.1, 1e4  # that distance may be ten times as long, or be much shorter
 TRIALS = 6  # distances tried
-CANNOT = (
-    EngineError,
-    np.linalg.LinAlgError,
-)  # a candidate drops out; what a model raises is the first
+# a candidate drops out; what a model raises is the first
+CANNOT = (EngineError, np.linalg.LinAlgError)
 
 
 @dataclass(frozen=True, eq=False)

@@ -158,23 +158,22 @@ def extended_run(model: MixedModel, base: MixedModel, run: Array | None, x1: Arr
     """A guess of a run (T, nx) of an extended model: that of its base, its own states as at first, x1 (nx,)."""
     if run is None:
         return None
-    known, own = list(state_names(base)), state_names(model)
-    out = np.tile(x1, (len(run), 1))
-    for i, name in enumerate(own):
-        if name in known:
-            out[:, i] = run[:, known.index(name)]
-    return out
+    return _by_name(model, base, run, np.tile(x1, (len(run), 1)))
 
 
 def first_states(model: MixedModel, theta: Theta, fit: Fitted) -> Array:
     """First states (S, nx) of an extended model: those of the fit, by name, where it has them."""
     mean, _ = first_state(model, theta)
-    out = np.tile(mean, (len(fit.records), 1))
-    known = list(state_names(fit.model))
+    return _by_name(model, fit.model, fit.x1, np.tile(mean, (len(fit.records), 1)))
+
+
+def _by_name(model: MixedModel, base: MixedModel, values: Array, others: Array) -> Array:
+    """States of an extended model: those of its base from ``values``, its own from ``others`` (n, nx)."""
+    known = state_names(base)
     for i, name in enumerate(state_names(model)):
         if name in known:
-            out[:, i] = fit.x1[:, known.index(name)]
-    return out
+            others[:, i] = values[:, known.index(name)]
+    return others
 
 
 def state_names(model: MixedModel) -> tuple[str, ...]:

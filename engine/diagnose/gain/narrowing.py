@@ -6,15 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from engine.data.series import Series
 from engine.diagnose.gain.gain import Gain
-from engine.diagnose.screening.noise_parameters import noise_only
+from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
 from engine.estimation.restricted import restricted
-from engine.filters.sigma_point import moment_path
 from engine.words import enumerated
 
 
@@ -86,13 +83,8 @@ def narrowed(
 
 def with_fair_noise(found: Search, series: Series) -> Search:
     """The search with the noise of its models as great as their other parameters leave it."""
-    fits = []
-    for fit in (found.base, found.final):
-        indices = fit.model.free_indices(fit.free)
-        theta = np.asarray(fit.theta)
-        path = moment_path(fit.model, theta, series)
-        fits.append(restricted(fit, series, noise_only(fit.model, theta, indices, series, path)))
-    return replace(found, base=fits[0], final=fits[1])
+    base, final = (restricted(f, series, noise_of(f, series)) for f in (found.base, found.final))
+    return replace(found, base=base, final=final)
 
 
 def _leading(found: Search) -> Round:

@@ -20,7 +20,8 @@ from engine.data.series import Series
 from engine.diagnose.screening.score_columns import Column, along_path
 from engine.errors import EngineError
 from engine.estimation.expectation import either_side
-from engine.filters.sigma_point import MomentPath
+from engine.estimation.quasi_ml import QuasiFit
+from engine.filters.sigma_point import MomentPath, moment_path
 from engine.statespace.model import MixedModel
 
 DIFFERENCE = 0.01  # of a parameter's scale, by which it is moved
@@ -44,6 +45,13 @@ def noise_only(
             continue
         out[i] = all(np.array_equal(here[m], one[m]) for one in moved for m in MEANS)
     return out
+
+
+def noise_of(fit: QuasiFit, series: Series) -> NDArray[np.bool_]:
+    """Which of a fit's free parameters are of the noise alone (n_free,)."""
+    model, theta = fit.model, np.asarray(fit.theta)
+    path = moment_path(model, theta, series)
+    return noise_only(model, theta, model.free_indices(fit.free), series, path)
 
 
 def inside(

@@ -108,9 +108,8 @@ def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
     if fit.model.na == 0:
         return None
     rng = np.random.default_rng([seed, 77])
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # of a particle that runs away, and has no weight
+    # of a particle that runs away, and has no weight
+    with np.errstate(over="ignore", invalid="ignore"):
         filtered = rbpf(fit.model, fit.theta, series, PARTICLES, rng, proposal="bootstrap")
         return prediction_pit(filtered, rng)
 

@@ -7,54 +7,43 @@ the data to the smallest p-value, on data of which it knows that nothing is hidd
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from engine.data.series import Series
-from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.screen import Screen
-from engine.diagnose.search.calibration import Question, screen_of_simulated
+from engine.diagnose.screening.screening import Progress
+from engine.diagnose.search.calibration import Question, screen_of_simulated, silent
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.search import Search
-from engine.estimation.quasi_ml import QuasiFit
 
 STAGE = "bootstrap"
 
-Progress = Callable[[str, float], Any]
-
 
 def bootstrap_p(
-    base_fit: QuasiFit,
-    series: Series,
-    setting: Setting,
+    question: Question,
     screen: Screen,
     n: int,
     seed: int,
     *,
-    kinds: Sequence[str] | None = None,
     swallowed: bool = False,
-    progress: Progress = lambda stage, fraction: None,
+    progress: Progress = silent,
     kept: Kept = NOTHING,
 ) -> float:
     """The share of n simulated series whose screen is as extreme as that of the data.
 
-    ``screen`` is what :func:`engine.diagnose.screening.screening.screen_effects` found on ``series`` at
-    ``base_fit``,
-    over the effects ``kinds`` of ``setting``; the same effects are asked of every simulated series.
+    ``screen`` is what :func:`engine.diagnose.screening.screening.screen_effects` found for the ``question``;
+    the same effects are asked of every simulated series.
     With ``swallowed`` the screen includes :func:`engine.diagnose.search.refitting.refit_swallowed`, which
     is then repeated too. Each series has the inputs, times and missing values of the data. Runs that are
     lost (no simulation or no filter) are left out; p = (1 + as extreme) / (1 + runs not lost).
     """
     observed = screen.p_value if swallowed else screen.smallest
-    question = Question(base_fit, series, setting, kinds)
     extreme = used = 0
     for k in range(n):
         progress(STAGE, k / n)
         one = partial(_one, question, swallowed, [seed, k])
-        drawn = kept.number(f"bootstrap {k + 1}", one)
+        drawn = kept.numbers(f"bootstrap {k + 1}", one)
         if drawn is not None:
             used += 1
             extreme += drawn <= observed
@@ -62,16 +51,7 @@ def bootstrap_p(
 
 
 def first_round_p(
-    base_fit: QuasiFit,
-    series: Series,
-    setting: Setting,
-    search: Search,
-    n: int,
-    seed: int,
-    *,
-    kinds: Sequence[str] | None,
-    progress: Progress,
-    kept: Kept = NOTHING,
+    question: Question, search: Search, n: int, seed: int, progress: Progress, kept: Kept
 ) -> float:
     """The bootstrap p-value of what a search saw in its first round.
 
@@ -80,18 +60,7 @@ def first_round_p(
     """
     seen = search.rounds[0].screen
     swallowed = seen.p_value < seen.family_wise(seen.smallest)
-    return bootstrap_p(
-        base_fit,
-        series,
-        setting,
-        seen,
-        n,
-        seed,
-        kinds=kinds,
-        swallowed=swallowed,
-        progress=progress,
-        kept=kept,
-    )
+    return bootstrap_p(question, seen, n, seed, swallowed=swallowed, progress=progress, kept=kept)
 
 
 def _one(question: Question, swallowed: bool, seed: list[int]) -> float | None:

@@ -24,14 +24,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.screen import Screen
-from engine.diagnose.screening.screening import screen_effects
+from engine.diagnose.screening.screening import Progress, screen_effects
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refitting import refit_swallowed, swallowed_p
 from engine.errors import EngineError
@@ -40,14 +39,11 @@ from engine.simulation.simulate import simulate
 from engine.statespace.model import Array
 
 BOLDEST = 2.0  # p-values with more than twice the logarithm they should have are rare
-SERIES = (
-    19  # at most; FEWEST where the p-value is then CLEARLY above or below alpha, by this factor
-)
+# at most; FEWEST where the p-value is then CLEARLY above or below alpha, by this factor
+SERIES = 19
 FEWEST, CLEARLY = 7, 4.0
 PRIOR = 10.0  # series that the overall mean stands for
 LEVEL = 0.05  # of a screen whose threshold nobody asks for
-
-Progress = Callable[[str, float], Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,17 +126,11 @@ def simulated(question: Question, rng: np.random.Generator) -> tuple[QuasiFit, S
 
 def drawn_from(fit: QuasiFit, like: Series, rng: np.random.Generator) -> Series:
     """A series drawn from the fit, with the inputs, times and gaps of another one."""
-    y = simulate(
-        fit.model,
-        fit.theta,
-        len(like),
-        rng,
-        u=like.u,
-        t=like.t,
-        hold=like.hold,
-        time_unit=like.time_unit,
-    ).y
-    return like.replace(y=np.where(like.observed, y, np.nan))
+    clock = like.time_unit
+    run = simulate(
+        fit.model, fit.theta, len(like), rng, u=like.u, t=like.t, hold=like.hold, time_unit=clock
+    )
+    return like.replace(y=np.where(like.observed, run.y, np.nan))
 
 
 def screen_of_simulated(
@@ -174,7 +164,7 @@ def sequential_p(
     for k in range(n):
         progress("calibration of refits", k / n)
         one = partial(swallowed_of_simulated, question, [seed, k, n, 1])
-        drawn = kept.number(f"refits simulated {k + 1}", one)
+        drawn = kept.numbers(f"refits simulated {k + 1}", one)
         if drawn is not None and drawn <= p_value:
             return max(2.0 / (k + 2.0), float(np.nextafter(alpha, 1.0)))
     return max(p_value, 1.0 / (n + 1.0))

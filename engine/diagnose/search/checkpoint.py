@@ -12,7 +12,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -35,12 +35,8 @@ Parts = MutableMapping[str, Any]
 ASKED = "asked"  # the part that says which diagnosis the others belong to
 
 
-def _nobody(_seconds: float) -> None:
-    """Leaves the seconds uncounted."""
-
-
-def _untold(_name: str, _part: Any) -> None:
-    """Tells nobody of a part."""
+def _nobody(*_told: Any) -> None:
+    """Hears of seconds and parts, and does nothing."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class Kept:
     spent: Callable[[float], Any] = _nobody
     where: str = ""
     of: str = ""
-    told: Callable[[str, Any], Any] = _untold
+    told: Callable[[str, Any], Any] = _nobody
 
     def apart(self, what: str) -> Kept:
         """The same parts, for a search beside the first, whose names may be the same."""
@@ -87,24 +83,10 @@ class Kept:
         """A screen of some or all of ``effects``."""
         return self._part("screen", compute, _of_screen, lambda kept: _screen(kept, effects))
 
-    def number(self, name: str, compute: Callable[[], float | None]) -> float | None:
-        """One number, or that there is none."""
-        return self._part(name, compute, _itself, _itself)
-
-    def array(self, name: str, compute: Callable[[], Array]) -> Array:
-        """An array."""
-        return self._part(name, compute, _of_array, _array)
-
-    def numbers(self, name: str, compute: Callable[[], Array | None]) -> Array | None:
-        """An array, or that there is none."""
-
-        def numbers_of(row: Array | None) -> Any:
-            return None if row is None else _of_array(row)
-
-        def made_of(kept: Any) -> Array | None:
-            return None if kept is None else _array(kept)
-
-        return self._part(name, compute, numbers_of, made_of)
+    def numbers(self, name: str, compute: Callable[[], Part]) -> Part:
+        """A number or an array, or that there is none."""
+        found: Part = self._part(name, compute, _packed, _unpacked)
+        return found
 
     def _part(
         self,
@@ -195,76 +177,55 @@ def _data(series: Series) -> list[Any]:
     return [names, [_of_array(np.asarray(a)) for a in (series.t, series.y, series.u)]]
 
 
-def _itself(value: float | None) -> float | None:
-    return value
-
-
 def _of_fit(fit: QuasiFit) -> dict[str, Any]:
-    return {
-        "theta": fit.theta.tolist(),
-        "log_likelihood": float(fit.log_likelihood),
-        "free": list(fit.free),
-        "information": _of_array(fit.information),
-        "iterations": int(fit.iterations),
-        "converged": bool(fit.converged),
-        "given_up": bool(fit.given_up),
-        "rivals": [list(theta) for theta in fit.rivals],
-    }
-
-
-def _fit(kept: Mapping[str, Any], model: MixedModel) -> QuasiFit:
-    return QuasiFit(
-        model,
-        Theta(kept["theta"], model.parameter_names),
-        kept["log_likelihood"],
-        tuple(kept["free"]),
-        _array(kept["information"]),
-        kept["iterations"],
-        kept["converged"],
-        kept["given_up"],
-        tuple(map(tuple, kept["rivals"])),
-    )
+    return _numbers_of(fit, "model")
 
 
 def _of_refit(refit: Refit) -> dict[str, Any]:
-    return {**_of_fit(refit.fit), "gain": float(refit.gain), "score": float(refit.score)}
+    return {**_of_fit(refit.fit), **_numbers_of(refit, "effect", "fit")}
 
 
 def _of_screen(screen: Screen) -> dict[str, Any]:
-    return {
-        "scores": [_of_score(score) for score in screen.scores],
-        "p_value": float(screen.p_value),
-        "threshold": float(screen.threshold),
-        "likenesses": _of_array(screen.likenesses),
-        "lowest": _of_array(screen.lowest),
-        "simulated": int(screen.simulated),
-        "share": float(screen.share),
-    }
+    scores = [[s.effect.name, *_numbers_of(s, "effect").values()] for s in screen.scores]
+    return {**_numbers_of(screen, "scores"), "scores": scores}
+
+
+def _fit(kept: Mapping[str, Any], model: MixedModel) -> QuasiFit:
+    return _made(QuasiFit, kept, model=model, theta=Theta(kept["theta"], model.parameter_names))
 
 
 def _screen(kept: Mapping[str, Any], effects: Sequence[Effect]) -> Screen:
     named = {effect.name: effect for effect in effects}
-    return Screen(
-        tuple(_score(one, named) for one in kept["scores"]),
-        kept["p_value"],
-        kept["threshold"],
-        _array(kept["likenesses"]),
-        _array(kept["lowest"]),
-        kept["simulated"],
-        kept["share"],
-    )
+    scores = [Score(named[name], *_unpacked(numbers)) for name, *numbers in kept["scores"]]
+    return _made(Screen, kept, scores=tuple(scores))
 
 
-def _of_score(score: Score) -> list[Any]:
-    numbers = (score.statistic, score.size, score.se, score.p_value, score.rho)
-    at = [float(value) for value in score.at]
-    more = (float(score.tests), int(score.degrees), float(score.boldness))
-    return [score.effect.name, *map(float, numbers), at, *more]
+def _numbers_of(record: Any, *without: str) -> dict[str, Any]:
+    """The fields of a dataclass as JSON values, but those that are no numbers."""
+    names = [field.name for field in fields(record) if field.name not in without]
+    return {name: _packed(getattr(record, name)) for name in names}
 
 
-def _score(kept: Sequence[Any], named: Mapping[str, Effect]) -> Score:
-    name, statistic, size, se, p_value, rho, at, *more = kept
-    return Score(named[name], statistic, size, se, p_value, rho, tuple(at), *more)
+def _made(cls: type[Part], kept: Mapping[str, Any], **others: Any) -> Part:
+    """The dataclass with these numbers, and the ``others`` of its fields."""
+    names = [field.name for field in fields(cls) if field.name not in others]  # type: ignore[arg-type]
+    return cls(**{name: _unpacked(kept[name]) for name in names}, **others)
+
+
+def _packed(value: Any) -> Any:
+    """Numbers, arrays and tuples of them as JSON values; None and text as they are."""
+    if isinstance(value, tuple):
+        return [_packed(one) for one in value]
+    if isinstance(value, np.ndarray) and not isinstance(value, Theta):
+        return _of_array(value)
+    return value.tolist() if isinstance(value, Theta | np.generic) else value
+
+
+def _unpacked(kept: Any) -> Any:
+    """The inverse of :func:`_packed`, but for a Theta, which needs its names."""
+    if isinstance(kept, list):
+        return tuple(map(_unpacked, kept))
+    return _array(kept) if isinstance(kept, Mapping) else kept
 
 
 def _of_array(array: Array) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 
@@ -19,6 +20,8 @@ REPEATS = 4
 MARGIN = 3.0  # nats, beyond the particle filter's own error, that two filters may differ by
 SHARE = 0.5  # of the moment filter's gain, that the particle filter must at least find
 
+Given: TypeAlias = tuple[MixedModel, ThetaLike]  # a model with its parameters
+
 
 def undetermined(found: Sequence[Round]) -> list[str]:
     """A sentence for each effect whose estimated size may as well be zero."""
@@ -27,9 +30,8 @@ def undetermined(found: Sequence[Round]) -> list[str]:
 
 def _undetermined(refit: Refit) -> str:
     effect = refit.effect
-    if (
-        effect.traits.outliers or effect.one_sided
-    ):  # a share or a variance: its error is no Gaussian one
+    # of a share or a variance the error is no Gaussian one
+    if effect.traits.outliers or effect.one_sided:
         return ""
     amplitudes = [effect.size.name, f"{effect.size.name}_sine"]
     at = [refit.fit.free.index(name) for name in amplitudes if name in refit.fit.free]
@@ -52,11 +54,7 @@ def _sentence(refit: Refit) -> str:
 
 
 def particle_word(
-    before: tuple[MixedModel, ThetaLike],
-    after: tuple[MixedModel, ThetaLike],
-    moment: float,
-    series: Series,
-    seed: int,
+    before: Given, after: Given, moment: float, series: Series, seed: int
 ) -> tuple[str, bool]:
     """What the particle filter says of a log-likelihood gained, and whether it contradicts.
 
@@ -65,10 +63,8 @@ def particle_word(
     for particles in PARTICLES:
         gain, error = _particle_gain(before, after, series, particles, seed)
         if not (np.isfinite(gain) and np.isfinite(error)):
-            return (
-                f"The particle filter ({particles} particles) is lost on one of the models.",
-                False,
-            )
+            lost = f"The particle filter ({particles} particles) is lost on one of the models."
+            return lost, False
         text = (
             f"Log-likelihood gained: {moment:.1f} by the moment filter, {gain:.1f} +- {error:.1f} by the "
             f"particle filter ({particles} particles, {REPEATS} runs)."
@@ -79,29 +75,18 @@ def particle_word(
 
 
 def _particle_gain(
-    before: tuple[MixedModel, ThetaLike],
-    after: tuple[MixedModel, ThetaLike],
-    series: Series,
-    particles: int,
-    seed: int,
+    before: Given, after: Given, series: Series, particles: int, seed: int
 ) -> tuple[float, float]:
     """The gain with its standard error, over REPEATS runs with common seeds.
 
     The logarithm of a particle filter's likelihood is too low by half its own variance (Pitt, dos Santos
     Silva, Giordani, Kohn 2012, section 4), which is much where the readings are nearly free of noise.
     """
-    values = np.array(
-        [
-            [
-                rbpf(
-                    model, theta, series, particles, np.random.default_rng([seed, k])
-                ).log_likelihood
-                for model, theta in (before, after)
-            ]
-            for k in range(REPEATS)
-        ]
-    )
-    return debiased(values)
+
+    def run(given: Given, k: int) -> float:
+        return rbpf(*given, series, particles, np.random.default_rng([seed, k])).log_likelihood
+
+    return debiased(np.array([[run(before, k), run(after, k)] for k in range(REPEATS)]))
 
 
 def debiased(values: Array) -> tuple[float, float]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import TOLERANCE, Refit, cost, free_parameters
 from engine.diagnose.search.rounds import Round, settle
@@ -24,11 +24,8 @@ from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
 
 STAGE = "looking back"
 RIVALS = 3  # of each round that are refitted again
-ITERATIONS = (
-    25  # of each of these refits: where noise is small, thousands of nats are climbed slowly
-)
-
-Progress = Callable[[str, float], Any]
+# of each of these refits: where noise is small, thousands of nats are climbed slowly
+ITERATIONS = 25
 
 
 def look_back(

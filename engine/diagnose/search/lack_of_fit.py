@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect, Values, add_to_state
-from engine.diagnose.screening.noise_parameters import apart, noise_only
+from engine.diagnose.screening.noise_parameters import apart, noise_of
 from engine.diagnose.screening.score_columns import (
     Column,
     Projection,
@@ -45,13 +45,13 @@ from engine.statespace.model import Array, MixedModel, Parameter
 
 DEGREE = 2
 LEVEL = 0.02  # of right names, the share that this test may cost
-NEW = (
-    1e-3  # share of a term's information that the others do not have: below it, it says nothing new
-)
+# share of a term's information that the others do not have: below it, it says nothing new
+NEW = 1e-3
 DRAWS = 999  # multiplier draws
 SIMULATED = 49  # records; if none of them lacks as much, p = 1 / (SIMULATED + 1) = LEVEL
 
 Term = tuple[str, ...]  # channels that are multiplied
+Around = dict[str, tuple[float, float]]  # middle and spread of channels
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,8 @@ def lack_of_fit(
     ``states`` of the fitted model and its inputs are what polynomials are made of. None where nothing
     can be tested.
     """
-    model, theta, indices = fit.model, np.asarray(fit.theta), fit.model.free_indices(fit.free)
-    noise = noise_only(model, theta, indices, series, moment_path(model, theta, series))
     first = found = None
-    for own, kind in _variants(fit, series, noise):
+    for own, kind in _variants(fit, series, noise_of(fit, series)):
         found = _lacking(own, series, kind, targets, states, seed)
         if found is None or found.p_value > LEVEL:
             return found
@@ -148,17 +146,13 @@ def _lacking(
     seed: int,
 ) -> LackOfFit | None:
     """The same at the noise of this fit; ``noise`` (n_free,) marks parameters that share no innovations."""
-    model, theta, indices = fit.model, np.asarray(fit.theta), fit.model.free_indices(fit.free)
-    columns = parameter_columns(model, theta, indices, series)
+    model, theta = fit.model, np.asarray(fit.theta)
+    columns = parameter_columns(model, theta, model.free_indices(fit.free), series)
     projection = Projection(apart(columns, noise, series.y.size))
     path = moment_path(model, theta, series)
-    around = _around(model, series, path, states)
+    way = _Way(model, theta, series, path, _around(model, series, path, states))
     rng = np.random.default_rng([seed, 5])
-    found = [
-        one
-        for target in targets
-        if (one := _of_target(target, model, theta, series, path, around, projection, rng))
-    ]
+    found = [one for name in targets if (one := _of_target(name, way, projection, rng))]
     if not found:
         return None
     worst = min(found, key=lambda one: one.p_value)
@@ -166,9 +160,18 @@ def _lacking(
     return LackOfFit(worst.target, worst.statistic, worst.terms, p_value, worst.largest)
 
 
-def _around(
-    model: MixedModel, series: Series, path: MomentPath, states: Sequence[str]
-) -> dict[str, tuple[float, float]]:
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """A fitted model's way along a record; ``around`` middle and spread of each channel that varies."""
+
+    model: MixedModel
+    theta: Array
+    series: Series
+    path: MomentPath
+    around: Around
+
+
+def _around(model: MixedModel, series: Series, path: MomentPath, states: Sequence[str]) -> Around:
     """Middle and spread of each channel that varies."""
     rows = [*model.nonlinear, *model.linear]
     values = {name: path.predicted[:, rows.index(name)] for name in states}
@@ -178,27 +181,20 @@ def _around(
 
 
 def _of_target(
-    target: str,
-    model: MixedModel,
-    theta: Array,
-    series: Series,
-    path: MomentPath,
-    around: dict[str, tuple[float, float]],
-    projection: Projection,
-    rng: np.random.Generator,
+    target: str, way: _Way, projection: Projection, rng: np.random.Generator
 ) -> LackOfFit | None:
     """The test of one equation."""
     terms: list[Term] = []
     columns: list[Column] = []
-    by_degree = (combinations_with_replacement(around, k) for k in range(1, DEGREE + 1))
+    by_degree = (combinations_with_replacement(way.around, k) for k in range(1, DEGREE + 1))
     for term in chain.from_iterable(by_degree):
-        column = _column(target, term, model, theta, series, path, around)
+        column = _column(target, term, way)
         if column is not None:
             terms.append(term)
             columns.append(column)
     if not columns:
         return None
-    columns = apart(columns, np.zeros(len(columns), dtype=bool), series.y.size)
+    columns = apart(columns, np.zeros(len(columns), dtype=bool), way.series.y.size)
     s, v = projection(np.array([c.s for c in columns]), np.array([c.v for c in columns]))
     raw = np.array([c.v @ c.v for c in columns])
     size = (v**2).sum(axis=1)
@@ -219,15 +215,7 @@ def _of_target(
     return LackOfFit(target, statistic, k, p_value, terms[largest])
 
 
-def _column(
-    target: str,
-    term: Term,
-    model: MixedModel,
-    theta: Array,
-    series: Series,
-    path: MomentPath,
-    around: dict[str, tuple[float, float]],
-) -> Column | None:
+def _column(target: str, term: Term, way: _Way) -> Column | None:
     """The column of one term; None where it cannot be calculated."""
     effect = Effect(
         "polynomial",
@@ -236,12 +224,12 @@ def _column(
         "a term of a polynomial",
         f"{target}' = ... + dt * polynomial * {' '.join(term)}",
         (Parameter("polynomial_term", 0.0, "1"),),
-        lambda base: add_to_state(base, target, _product(term, around), _linear(base, term)),
+        lambda base: add_to_state(base, target, _product(term, way.around), _linear(base, term)),
     )
     try:
-        extended = effect.apply(model)
-        at = np.append(theta, 0.0)
-        column = static_column(effect, extended, at, len(theta), model, series, path)
+        extended = effect.apply(way.model)
+        at, n = np.append(way.theta, 0.0), len(way.theta)
+        column = static_column(effect, extended, at, n, way.model, way.series, way.path)
     except (EngineError, np.linalg.LinAlgError):
         return None
     finite = np.isfinite(column.s).all() and np.isfinite(column.v).all()
@@ -252,9 +240,7 @@ def _linear(model: MixedModel, term: Term) -> tuple[str, ...]:
     return tuple(name for name in term if name in model.linear)
 
 
-def _product(
-    term: Term, around: dict[str, tuple[float, float]]
-) -> Callable[[Values, Sequence[Any]], Any]:
+def _product(term: Term, around: Around) -> Callable[[Values, Sequence[Any]], Any]:
     """size * product of (x - middle) / spread over the channels of a term."""
 
     def value(v: Values, own: Sequence[Any]) -> Any:

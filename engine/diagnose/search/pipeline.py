@@ -27,9 +27,8 @@ from engine.estimation.start import WarmStart
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import MixedModel, Theta, ThetaLike
 
-RIVALS = (
-    20.0  # nats below the highest maximum, another one is kept for what an effect may make of it
-)
+# nats below the highest maximum, another one is kept for what an effect may make of it
+RIVALS = 20.0
 MANY = 1000.0  # times the model's noise: beyond it a number says nothing more
 MISFIT = 2.0  # mean squared standardised innovation from which no name can be trusted
 # For progress: of the fits of a continuous model, the first; of a fit, the search for its start.
@@ -86,27 +85,22 @@ def find_causes(
         )
     setting = setting_for(model, series, base.theta)
     clock.start("search")
-    options: Any = {
-        "alpha": alpha,
-        "max_effects": max_effects,
-        "kinds": effects,
-        "seed": seed,
-        "progress": clock.progress,
-    }
-    found = search(model, series, base, setting, kept=kept, **options)
-    apart = kept.apart("read otherwise")
-    other = read_otherwise(
-        found,
-        series,
-        lambda fit, read: search(
-            model,
-            read,
-            fit,
-            setting_for(model, read, fit.theta),
-            kept=apart,
-            **options | {"alpha": LATER * alpha},  # it is a later round
-        ),
+    look = partial(
+        search,
+        model,
+        max_effects=max_effects,
+        kinds=effects,
+        seed=seed,
+        progress=clock.progress,
     )
+    found = look(series, base, setting, alpha=alpha, kept=kept)
+    apart = kept.apart("read otherwise")
+
+    def look_later(fit: QuasiFit, read: Series) -> Search:
+        known = setting_for(model, read, fit.theta)
+        return look(read, fit, known, alpha=LATER * alpha, kept=apart)
+
+    other = read_otherwise(found, series, look_later)
     settled = other is not None and other.search is not found  # the record says it all
     if other is not None:
         found = other.search
@@ -136,8 +130,8 @@ def find_causes(
         notes.extend(against)
         verdict = Verdict.UNKNOWN
     # beside an error of the steps every shape is in doubt
-    asked = verdict in NAMES and not settled and not found.of_the_steps
-    shape = _shape_left(found, series, setting, seed) if asked else None
+    doubted = verdict not in NAMES or settled or bool(found.of_the_steps)
+    shape = None if doubted else _shape_left(found, series, setting, seed)
     if shape is not None:
         notes.append(shape)
         verdict = Verdict.UNKNOWN

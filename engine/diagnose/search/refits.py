@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -94,22 +95,20 @@ def refit(
     if sought:
         start = _best_row(extended, series, start, sought[0], effect)
     target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
-    found = quasi_ml(extended, series, start, free, tolerance=TOLERANCE, target=target, hope=HOPE)
+    climb = partial(quasi_ml, extended, series, free=free, tolerance=TOLERANCE)
+    found = climb(start, target=target, hope=HOPE)
     if sought and found.log_likelihood > target:
         moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect)
         if not np.array_equal(moved, found.theta):
-            again = quasi_ml(extended, series, moved, free, tolerance=TOLERANCE)
-            found = max(found, again, key=lambda one: one.log_likelihood)
+            found = max(found, climb(moved), key=lambda one: one.log_likelihood)
     for rival in fit.rivals:
         other = np.concatenate([rival, np.asarray(found.theta)[n:]])
         at_least = max(target, found.log_likelihood)
-        again = quasi_ml(
-            extended, series, other, free, tolerance=TOLERANCE, target=at_least, hope=HOPE
-        )
+        again = climb(other, target=at_least, hope=HOPE)
         found = max(found, again, key=lambda one: one.log_likelihood)
     best_elsewhere = None
     if elsewhere:
-        best_elsewhere, _ = _best_start(extended, series, np.array(elsewhere), null, n)
+        best_elsewhere, _ = _best_start(extended, series, np.array(elsewhere), null, n, None)
     return _complete(_weighed(effect, found, zero, series), zero, series, best_elsewhere)
 
 
@@ -230,12 +229,7 @@ def _from_elsewhere(effect: Effect, start: Array, further: Array | None, n: int)
 
 
 def _best_start(
-    extended: MixedModel,
-    series: Series,
-    places: Array,
-    null: Array,
-    n: int,
-    further: Array | None = None,
+    extended: MixedModel, series: Series, places: Array, null: Array, n: int, further: Array | None
 ) -> tuple[Array, float]:
     """The best of a few sizes around the one-step estimate, which may overshoot; log-likelihood at null."""
     sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01])

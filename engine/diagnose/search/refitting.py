@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.screen import Score, Screen
-from engine.diagnose.screening.screening import TAILS_ALARM
+from engine.diagnose.screening.screening import TAILS_ALARM, Progress
 from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import Refit, cost, refit, taken_up
@@ -28,9 +27,8 @@ REFITS = 12  # effects refitted in a round
 MORE_REFITS = 24
 WORTH = 0.4  # of the best statistic: below this an effect is not refitted ...
 AT_LEAST = 8  # ... unless it is among the first few: large effects bend the scores of others
-AGAIN = (
-    0.01  # p-value of the tails that are left beside one bad reading: then there are more of them
-)
+# p-value of the tails that are left beside one bad reading: then there are more of them
+AGAIN = 0.01
 TIED = 1e-6  # share of a statistic: rounding, and so units, may not decide which of two is refitted
 REACH = 0.5  # of the best score: a refit left half-way that has this much is taken up again
 
@@ -40,8 +38,6 @@ REFITTED_ONCE, FOLLOWED = 0.7, 0.9
 SWALLOWED_REFITS = 6
 ALARM = 0.1  # family-wise p-value from which no alarm is to be feared at any usual level
 REFITTED = 0.1  # of alpha, for these refits: maxima between a grid's points are larger than on it
-
-Progress = Callable[[str, float], Any]
 
 
 def refit_swallowed(

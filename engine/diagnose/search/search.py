@@ -23,7 +23,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run_fits.candidates import leading
-from engine.diagnose.screening.screening import screen_effects
+from engine.diagnose.screening.screening import Progress, screen_effects
 from engine.diagnose.screening.tails import pit_of, standardised_errors
 from engine.diagnose.search.calibration import BOLDEST, Question, calibrated, decides, sequential_p
 from engine.diagnose.search.checkpoint import NOTHING, Kept
@@ -47,8 +47,6 @@ FIRST = 0.7  # of alpha, for the first screen; the rest is for refits of what no
 LATER = 0.1  # of alpha, for screens after the first, as each round is a new chance
 LOOKED_BACK = 0.9  # of looking back: all but the last fit
 OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
-
-Progress = Callable[[str, float], Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,9 +38,8 @@ SIZES_TRIED, LEAST_SHARE, CLOSE = 200, 1e-3, 1.5
 SHORT = 1.0 / 16.0  # of a sample: steps at which the order of the scheme shows
 FASTER, SLOWER = 0.4, 0.75  # an error of order h^2, of order h, falls below these where h is halved
 EXACT = 1e-8  # of a state's size: a difference that is rounding
-ALIKE_NOISE = (
-    0.05  # of a covariance: a rule for Q that ends up so near, however short the step, will do
-)
+# of a covariance: a rule for Q that ends up so near, however short the step, will do
+ALIKE_NOISE = 0.05
 MUCH = 0.5  # of the free run's residual: change by which the steps are what it is mostly wrong by
 
 

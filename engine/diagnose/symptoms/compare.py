@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from engine.statespace.model import Array, MixedModel
 BAND_LEVEL = 0.95
 # Times the median: a prediction less certain than that is one of a state not yet known.
 TRANSIENT = 3.0
+Signal: TypeAlias = tuple[str, str, str, Array]  # kind, name, unit, values (T,)
 AWAY_RANGES = 1000.0  # ranges of the readings: a run further off than that has run away
 
 
@@ -123,10 +125,8 @@ def against_predictions(
     return Comparison(y, lower, upper, tuple(fits), tuple(regions))
 
 
-def _signals(
-    model: MixedModel, series: Series, x: Array, y: Array
-) -> list[tuple[str, str, str, Array]]:
-    """(kind, name, unit, values (T,)) of all that is known before an error is; then time."""
+def _signals(model: MixedModel, series: Series, x: Array, y: Array) -> list[Signal]:
+    """All that is known before an error is; then time."""
     named = [("state", n, u) for n, u in {**model.nonlinear, **model.linear}.items()]
     named += [("input", n, u) for n, u in model.inputs.items()]
     named += [("output", n, u) for n, u in model.outputs.items()]
@@ -137,10 +137,7 @@ def _signals(
 
 
 def _regions(
-    errors: Errors,
-    signals: list[tuple[str, str, str, Array]],
-    series: Series,
-    spectrum: bool = True,
+    errors: Errors, signals: list[Signal], series: Series, spectrum: bool = True
 ) -> list[Region]:
     if not np.isfinite(errors.e).any():
         return []

@@ -216,17 +216,10 @@ def standard_errors(
     warning = "" if settled else _warning(found, decrement, drawn)
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=2)
+    mean = scores.mean(axis=0)
+    error = scores.std(axis=0, ddof=min(len(scores) - 1, 1)) / np.sqrt(len(scores))
     return StandardErrors(
-        model,
-        theta,
-        names,
-        covariance,
-        scores.mean(axis=0),
-        scores.std(axis=0, ddof=min(len(scores) - 1, 1)) / np.sqrt(len(scores)),
-        relative,
-        decrement,
-        settled,
-        warning,
+        model, theta, names, covariance, mean, error, relative, decrement, settled, warning
     )
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.search.bootstrap import bootstrap_p
+from engine.diagnose.search.calibration import Question
 from engine.diagnose.search.search import screen_effects
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.hidden_effects import DRIVE, hidden
@@ -20,7 +21,7 @@ def both(effects, values, seed):
     setting = setting_for(DRIVE, series, fit.theta)
     silent = lambda stage, fraction: None  # noqa: E731
     seen = screen_effects(fit, series, setting, KINDS, 0.05, seed, silent)
-    return seen.p_value, bootstrap_p(fit, series, setting, seen, N, seed, kinds=KINDS)
+    return seen.p_value, bootstrap_p(Question(fit, series, setting, KINDS), seen, N, seed)
 
 
 @pytest.mark.slow

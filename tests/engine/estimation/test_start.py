@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine import get_model, rbps_em, simulate
-from engine.estimation.start import moment_maxima
+from engine.estimation.start import WarmStart
 
 # a start from which plain EM ends at theta_4 = 0, about 40 below in log-likelihood
 LOST = {"theta_1": 1.86, "theta_2": 0.47, "theta_3": 0.57, "theta_4": 0.17, "theta_5": 0.22}
@@ -41,6 +41,6 @@ def test_resuming_a_warm_started_run_gives_the_same_bits(series):
 def test_only_free_parameters_move(series):
     model = get_model("mixed-4")
     start = model.theta({"theta_2": 0.1, "theta_3": 0.31})
-    found = moment_maxima(model, [series], model.free_indices(["theta_2"]), start)
+    found = WarmStart(model, [series], model.free_indices(["theta_2"]))(start)
     assert found[0]["theta_3"] == 0.31
     assert 0.5 < found[0]["theta_2"] < 1.6

@@ -16,6 +16,7 @@ from engine.data.joined import joined
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.bootstrap import bootstrap_p
+from engine.diagnose.search.calibration import Question
 from engine.diagnose.search.pipeline import Causes, find_causes
 from engine.diagnose.search.refits import Refit, held_out_terms, refit
 from engine.diagnose.search.rounds import Round
@@ -166,7 +167,8 @@ def work_bootstrap(cells: Sequence[Cell], stream: int, seed: int, run: int) -> R
     found = find_causes(base.model, hidden.train, base.model.theta(), free=base.free, seed=run)
     spent = time.perf_counter() - began
     first = found.search.rounds[0].screen
-    p = bootstrap_p(found.base, hidden.train, found.setting, first, n=SAMPLES, seed=run)
+    question = Question(found.base, hidden.train, found.setting, None)
+    p = bootstrap_p(question, first, n=SAMPLES, seed=run)
     return row | {
         "verdict": found.verdict.value,
         "p_value": first.p_value,
