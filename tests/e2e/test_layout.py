@@ -12,6 +12,7 @@ from PIL import Image
 from engine.data import nile
 from tests.e2e.browser import eventually, ready
 
+pytestmark = pytest.mark.slow
 PHONE = {"width": 390, "height": 844}
 
 

@@ -107,6 +107,7 @@ def test_a_hidden_effect_is_found_estimated_and_simulated(client, ended, record)
     assert errors[1] < 0.25 * errors[0]
 
 
+@pytest.mark.slow
 def test_steps_within_a_sample_are_those_of_the_library(client, ended, record):
     """The same run as in the library on the refined series; a model without a real time step refuses them."""
     setting = {"scale": {}, "span": [0.0, DT * (T - 1)], "dt": DT, "substeps": 4}

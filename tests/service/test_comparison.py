@@ -102,6 +102,7 @@ def test_the_held_out_error_is_that_of_the_model_run_on_those_data(
     assert found["samples"] == 300
 
 
+@pytest.mark.slow
 def test_what_is_of_different_data_is_not_subtracted(compare):
     found = compare("first", "elsewhere").json()
     assert (found["same_data"], found["same_held_out"]) == (False, False)
@@ -124,6 +125,7 @@ def test_a_diagnosis_beside_an_estimate(compare, client, jobs):
     assert omega["standard_errors"][0] == extension["standard_errors"]["omega"]
 
 
+@pytest.mark.slow
 def test_the_report_as_parts_and_as_a_file(compare):
     parts = compare("first", "second", "/compare/report").json()
     assert parts["title"] == "first and second"

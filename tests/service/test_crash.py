@@ -247,6 +247,7 @@ def test_a_killed_forkserver_is_replaced(
     assert without_seconds(service.client.get(f"{url}/results").json()) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
 def test_a_forkserver_that_still_loads_goes_with_its_service(
     spawn, children_of, dead, eventually, how
@@ -288,6 +289,7 @@ def test_a_suspended_service_has_lost_nothing(spawn, catch, ended, request_, exp
     assert without_seconds(service.client.get(f"{url}/results").json()) == expected
 
 
+@pytest.mark.slow
 def test_memory_that_ends_is_taken_from_a_worker_first(running, catch, long):
     service = running
     url, worker = catch(service, long, iterations=1)

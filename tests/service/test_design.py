@@ -52,6 +52,7 @@ def test_what_cannot_be_used_is_refused_by_its_field(client, options, field):
     assert field in [one["field"] for one in answer.json()["errors"]]
 
 
+@pytest.mark.slow
 def test_the_page_of_a_diagnosis_has_the_form(client, ended):
     url = client.post("/jobs", json=REQUEST).headers["location"]
     ended(client, url, 120.0)

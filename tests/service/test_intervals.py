@@ -6,6 +6,7 @@ import pytest
 import engine
 
 
+@pytest.mark.slow
 def test_intervals_by_the_likelihood_ratio_or_symmetric(client, estimation, ended):
     found = {}
     for kind in ("likelihood-ratio", "symmetric"):

@@ -215,6 +215,7 @@ def test_service_document_and_livez(client):
     assert client.get("/livez").json() == {"status": "alive"}
 
 
+@pytest.mark.slow
 def test_a_fresh_service_starts_warm(spawn, catch, long):
     """Its first worker has the engine loaded and compiled: it computes for little more than itself."""
     long["options"]["particles"] = 100

@@ -20,6 +20,7 @@ def request_():
     return {"kind": "smooth", "model": "mine", "series": [{"y": rows, "u": rows}]}
 
 
+@pytest.mark.slow
 def test_a_folder_of_models(spawn, folder, request_, ended):
     client = spawn(models=folder).client
     document = client.get("/models/mine").json()
@@ -48,6 +49,7 @@ def test_a_folder_of_models(spawn, folder, request_, ended):
     assert client.get(f"{url}/results").json()["parameters"] == {"c": 0.7}
 
 
+@pytest.mark.slow
 def test_a_file_that_changes_while_its_job_waits(spawn, folder, request_, long, ended):
     client = spawn(models=folder / "mine.py").client
     first = client.post("/jobs", json=long).headers["location"]  # the only worker has it

@@ -40,6 +40,7 @@ def found(parts):
     return ask(parts, [record(80, 4), record(90, 5)])
 
 
+@pytest.mark.slow
 def test_the_cause_is_named_and_the_gain_is_of_all_that_is_held_out(found):
     assert [cause.effect for cause in found.causes] == ["drag:rate"]
     assert abs(found.causes[0].size - 0.8) < 4.0 * found.causes[0].standard_error < 0.8
@@ -69,6 +70,7 @@ def test_one_record_is_the_same_in_a_list_and_alone(parts):
     assert str(alone).splitlines()[0] == str(listed).splitlines()[0]
 
 
+@pytest.mark.slow
 def test_the_gain_of_two_records_is_that_of_both(found):
     one, other = record(80, 4), record(90, 5)
     before, after = found.before, found.after

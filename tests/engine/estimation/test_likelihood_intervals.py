@@ -8,7 +8,7 @@ from scipy.stats import chi2
 import engine
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.uncertainty.likelihood import ends
-from engine.models import scalar_linear
+from tests.studies import scalar_linear
 
 FALL = 0.5 * chi2.ppf(0.95, 1)
 

@@ -9,9 +9,9 @@ import engine
 from engine.kernels.backward import pick
 from engine.kernels.linear_cost import backward_linear
 from engine.kernels.resampling import inverse_cdf, normalize
-from engine.models import scalar_linear
 from engine.smoothers.general import filter_general, smooth_general
 from engine.statespace.general import NonlinearModel
+from tests.studies import scalar_linear
 
 
 def test_pick_refuses_what_has_no_weight():

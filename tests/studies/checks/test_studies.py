@@ -251,6 +251,7 @@ def short(problem, label, method="rbps", **options):
     return em_arms.em_arm(problem, label, method, options)
 
 
+@pytest.mark.slow
 def test_estimation_studies_report_every_run(tmp_path):
     arms = {
         "table-I.rts-em": short("table-I", "rts-em", "rts"),
