@@ -121,8 +121,8 @@ Resume = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.state",
-        help="Go on with an interrupted run, as if it had never stopped. Only the options of output may be "
-        "given with it.",
+        help="Go on with an interrupted run, as if it had never stopped. Only options of output, and the "
+        "--iterations of a fit, may be given with it.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]

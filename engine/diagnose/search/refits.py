@@ -85,7 +85,7 @@ def refit(
     elsewhere = _from_elsewhere(effect, start, further, n)
     if elsewhere:
         start[-1] = effect.probes[0][-1]
-        further = None
+        further = None if elsewhere[-1] is further else further
     null = start.copy()
     null[n] = 0.0
     sought = effect.sought
