@@ -106,14 +106,15 @@ def make_effect(name: str, setting: Setting) -> Effect:
 
 
 def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Effect]:
-    """Every effect of the catalogue for a model; ``kinds`` restricts to kinds or full names."""
+    """Every effect of the catalogue for a model but those it has; ``kinds`` restricts to kinds or names."""
     out: list[Effect] = []
+    there = set(setting.model.parameter_names)
     for kind, (maker, channels) in _makers.items():
         for channel in channels(setting):
             if kinds is not None and kind not in kinds and f"{kind}:{channel}" not in kinds:
                 continue
             effect = maker(setting, channel)
-            if effect is not None:
+            if effect is not None and there.isdisjoint(p.name for p in effect.parameters):
                 out.append(effect)
     return out
 

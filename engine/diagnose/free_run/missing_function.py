@@ -182,7 +182,7 @@ class _Push:
 
     def __init__(self, fit: Fitted, setting: Setting, target: str, runs: list[Array]) -> None:
         force, model = make_effect(f"force:{target}", setting), fit.model
-        if force.name not in fit.names:
+        if force.size.name not in model.parameter_names:
             model = force.apply(model)
         self.fit = fit
         index = model.index(force.size.name)
