@@ -18,6 +18,7 @@ from tests.studies.blind.report import BLIND
 from tests.studies.design.report import STUDY as DESIGN
 from tests.studies.foreign.report import FOREIGN, FOREIGN_DEVELOPMENT
 from tests.studies.measured.report import MEASURED
+from tests.studies.plasmodes.report import PLASMODES
 from tests.studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -36,6 +37,7 @@ STUDIES: dict[str, Study] = {
         uncertainty.STANDARD_ERRORS,
         e_steps.STUDY,
         MEASURED,
+        PLASMODES,
         free_run_clean.FREE_RUN_CLEAN,
         BLIND,
         FOREIGN,
@@ -49,6 +51,7 @@ BESIDE = (
     "table-II-tried",
     "e-steps",
     "measured",
+    "plasmodes",
     "free-run-clean",
     "blind",
     "foreign",

@@ -1,0 +1,152 @@
+"""How large: by the projected likelihood ratio, or by the share of the free run's error.
+
+With e the standardised innovations of the base, d what the effect adds to them, Gamma their derivatives by
+the parameters and M = I - Gamma Gamma^+,
+
+    LR = d' M d,
+
+the likelihood ratio that is expected of the true extension, whatever the noise of this record is. Where
+the free run decides, e are its errors, Gamma has the first states too, and
+
+    share = d' M d / (d' M d + e' e).
+
+Of scatter, which moves no innovation in the mean, LR is 2 x the log-likelihood that it costs the base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.free_run_fits.candidates import fit_of
+from engine.diagnose.free_run_fits.fitted import Fitted
+from engine.diagnose.free_run_fits.linear import orthonormal
+from engine.diagnose.symptoms.runs import noise_free
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import neighbours, quasi_ml, whitening
+from engine.filters.neighbours import filter_neighbours
+from engine.filters.sigma_point import moment_filter
+from engine.statespace.model import Array
+from tests.studies.plasmodes.planted import Place, Put, put_in
+from tests.studies.plasmodes.windows import Base
+
+RATIOS = (40.0, 100.0)  # of the likelihood, fixed beforehand
+SHARES = (0.5, 0.8)  # of the free run's squared error, likewise
+IMITATED = 0.02  # of d' d: with less of it left beside Gamma, parameters imitate the effect
+CLOSE = 0.02  # of the logarithm of what is wanted
+TRIALS = 30
+MOST_STEP = 4.0  # by which a size changes in a trial
+
+
+@dataclass(frozen=True)
+class Strength:
+    """``value`` is LR or the share; ``own`` the part of d' d that parameters cannot imitate."""
+
+    value: float
+    own: float
+
+
+Measure = Callable[[Series], Strength]
+
+
+def measure_of(base: Base, scatter: bool = False) -> Measure:
+    """How strong what was put into the base's series is."""
+    if scatter:
+        return _by_likelihood(base)
+    return _by_free_run(base) if base.window.by_free_run else _by_innovations(base)
+
+
+def _by_innovations(base: Base) -> Measure:
+    model, theta, series = base.model, np.asarray(base.theta), base.series
+    thetas, distances = neighbours(model, theta, model.free_indices(base.free))
+    f = filter_neighbours(model, thetas, series)
+    root = whitening(f.S[:, 0], series.observed)
+    slopes = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2]) / distances[:, None]
+    Gamma = np.einsum("tij,tkj->tik", root, slopes).reshape(-1, len(distances))
+    basis, before = orthonormal(Gamma), np.nan_to_num(f.innovations[:, 0])
+
+    def measure(changed: Series) -> Strength:
+        after = moment_filter(model, theta[None], changed).innovations[:, 0]
+        seen = series.observed & changed.observed
+        d = np.where(seen, np.nan_to_num(after) - before, 0.0)
+        d = np.einsum("tij,tj->ti", root, d).ravel()
+        own = d - basis @ (basis.T @ d)
+        return Strength(float(own @ own), _part(own, d))
+
+    return measure
+
+
+def _by_free_run(base: Base) -> Measure:
+    start = quasi_ml(base.model, base.series, base.theta, base.free)
+    fit = fit_of(start, [base.series])
+    basis = orthonormal(fit.J)
+    error = float(fit.e @ fit.e)
+
+    scale, seen = fit.problem.scale, base.series.observed
+    before = _errors(fit, base.series)
+
+    def measure(changed: Series) -> Strength:
+        d = np.nan_to_num((_errors(fit, changed) - before) / scale)[seen]
+        own = d - basis @ (basis.T @ d)
+        power = float(own @ own)
+        return Strength(power / (power + error), _part(own, d))
+
+    return measure
+
+
+def _errors(fit: Fitted, series: Series) -> Array:
+    """Measured minus simulated (T, ny), from the fit's first state."""
+    y, _ = noise_free(fit.model, np.asarray(fit.theta), series, fit.x1[0])
+    return np.asarray(series.y - y)
+
+
+def _by_likelihood(base: Base) -> Measure:
+    def of(series: Series) -> float:
+        f = moment_filter(base.model, np.asarray(base.theta)[None], series)
+        return float(f.log_likelihood[0])
+
+    before = of(base.series)
+
+    def measure(changed: Series) -> Strength:
+        return Strength(2.0 * (before - of(changed)), 1.0)
+
+    return measure
+
+
+def _part(own: Array, d: Array) -> float:
+    power = float(d @ d)
+    return float(own @ own) / power if power > 0.0 else 1.0
+
+
+def size_for(base: Base, put: Put, place: Place, wanted: float) -> tuple[float, Strength]:
+    """The size at which an effect is as strong as wanted, and what it is there.
+
+    The largest size that makes sense where that is not reached. By bisection of the logarithm, between sizes
+    that are found by steps.
+    """
+    measure = measure_of(base, put.noise)
+
+    def strength(size: float) -> Strength:
+        try:
+            found = measure(put_in(put, base.series, size, place))
+        except (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return Strength(np.inf, 1.0)
+        return found if np.isfinite(found.value) else Strength(np.inf, 1.0)
+
+    size, low, high = put.first, 0.0, put.most
+    there = strength(size)
+    for _ in range(TRIALS):
+        if abs(np.log(max(there.value, 1e-300) / wanted)) < CLOSE or size == put.most == low:
+            break
+        low, high = (size, high) if there.value < wanted else (low, size)
+        guess = size * float(
+            np.clip(np.sqrt(wanted / max(there.value, 1e-300)), 1.0 / MOST_STEP, MOST_STEP)
+        )
+        size = guess if low < guess < high else 0.5 * (low + high)
+        if low >= 0.99 * put.most:
+            size = low = put.most
+        there = strength(size)
+    return size, there
