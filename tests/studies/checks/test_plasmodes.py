@@ -1,0 +1,110 @@
+"""What is put into measured records is what it is called, and as strong as it was asked to be."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data import nile
+from engine.data.series import Series
+from tests.studies.plasmodes.planted import PUTS, Place, put_in
+from tests.studies.plasmodes.report import in_set, right, wrong
+from tests.studies.plasmodes.runs import NOTHING, answer, cells, work
+from tests.studies.plasmodes.sizes import measure_of, size_for
+from tests.studies.plasmodes.windows import WINDOWS, Base
+from tests.studies.study import Row
+
+PLACE = Place(0.4, 0.3, 7)
+
+
+def record() -> Base:
+    """A driven resonance with 300 readings."""
+    model = engine.get_model("oscillator")
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.standard_normal((30, 1)), 10, axis=0)
+    series = engine.simulate(model, model.theta(), 300, rng, u=u, dt=0.1).series
+    window = next(w for w in WINDOWS if w.record == "tanks")
+    return Base(window, model, series, model.theta(), tuple(model.parameter_names))
+
+
+BASE = record()
+
+
+@pytest.mark.parametrize("name", [name for name in PUTS if not PUTS[name].noise])
+def test_an_effect_is_as_strong_as_wanted(name: str) -> None:
+    put = PUTS[name]
+    size, there = size_for(BASE, put, PLACE, 40.0)
+    changed = put_in(put, BASE.series, size, PLACE)
+    again = measure_of(BASE)(changed)
+    assert again.value == pytest.approx(there.value)
+    assert 0.0 < there.own <= 1.0
+    # a channel with nothing put in has no strength; half the size has less
+    assert measure_of(BASE)(BASE.series).value < 1e-9
+    half = measure_of(BASE)(put_in(put, BASE.series, 0.5 * size, PLACE))
+    assert half.value < there.value
+    if size < put.most:
+        assert there.value == pytest.approx(40.0, rel=0.1)
+
+
+@pytest.mark.parametrize("shift", [0.0, 273.15])
+def test_readings_are_put_late_by_the_samples_that_are_said(shift: float) -> None:
+    t = np.arange(200.0)
+    series = Series(np.sin(0.1 * t) + shift, np.cos(0.07 * t), dt=1.0)
+    late = put_in(PUTS["delay:{y}"], series, 3.0, PLACE).y[:, 0]
+    assert np.isnan(late[:3]).all()
+    np.testing.assert_allclose(late[3:], series.y[:-3, 0])
+    early = put_in(PUTS["delay:{u}"], series, 3.0, PLACE).u[:, 0]
+    np.testing.assert_allclose(early[:-3], series.u[3:, 0])
+
+
+def test_a_lag_of_first_order_answers_a_ramp_by_its_time() -> None:
+    series = Series(0.5 * np.arange(100.0), dt=1.0)
+    slow = put_in(PUTS["slow-sensor:{y}"], series, 4.0, PLACE).y[:, 0]
+    np.testing.assert_allclose(series.y[60:, 0] - slow[60:], 4.0 * 0.5, rtol=1e-5)
+
+
+def test_play_is_as_wide_as_said() -> None:
+    t = np.arange(400.0)
+    series = Series(np.sin(0.05 * t), dt=1.0)
+    y = put_in(PUTS["play:{y}"], series, 0.2, PLACE).y[100:, 0]
+    width = 0.2 * np.std(series.y)
+    assert y.max() == pytest.approx(1.0 - 0.5 * width, abs=2e-3)
+    assert np.abs(y - series.y[100:, 0]).max() <= 0.5 * width + 1e-12
+
+
+def test_scores_count_words_for_the_truth_as_right() -> None:
+    row: Row = {
+        "verdict": "set",
+        "causes": "bias:y",
+        "set": "bias:y step:y",
+        "words": "step:y bias:y",
+    }
+    assert right(row)
+    assert not wrong(row)
+    assert in_set(row)
+    row |= {"verdict": "named", "causes": "drift:y", "set": "drift:y"}
+    assert wrong(row)
+    assert not in_set(row)
+    row |= {"causes": "step:y drift:y", "set": "step:y"}  # one name too many
+    assert wrong(row)
+    assert in_set(row)
+
+
+def test_a_record_that_may_be_shipped_gives_rows() -> None:
+    there = cells("nile")
+    assert NOTHING in [name for name, _ in there]
+    assert "delay:{y}" not in [name for name, _ in there]  # there is nothing but noise to delay
+    run = next(i for i, (name, _) in enumerate(there) if name == "harmonic:{y}")
+    row = work("nile", 0, run)
+    assert row["counts"] == "hidden"
+    assert row["strength"] == pytest.approx(40.0, rel=0.1)
+    assert row["verdict"] in ("named", "set", "unknown", "nothing")
+    assert row["note"] == ""
+
+
+def test_the_words_for_a_truth_hold_it() -> None:
+    found = engine.diagnose(
+        engine.get_model("local-level"), nile(), max_effects=1, effects=["step"]
+    )
+    row = answer(found, ("step:flow",))
+    assert "step:flow" in str(row["words"]).split()
+    assert right(row)
