@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Byte code is kept whatever the environment says: the tests start a hundred processes.
 PYTEST := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo serve test test-all lint tables measured bench warm load large-bodies chaos bench-dask bench-free-run bench-continuous
+.PHONY: setup demo serve test test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-continuous
 
 setup: .venv/ready
 
@@ -44,6 +44,11 @@ tables: setup
 # Measured records with documented effects; they are not part of the repository: MEASURED_DATA=folder.
 measured: setup
 	$(BIN)/python -m tests.studies measured
+
+# Effects of known size put into measured records.
+plasmodes: setup
+	$(BIN)/python -m tests.studies.plasmodes.windows
+	$(BIN)/python -m tests.studies plasmodes
 
 bench: setup
 	$(BIN)/python -m tests.benchmarks.bench_em
