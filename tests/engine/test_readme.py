@@ -127,7 +127,7 @@ def test_the_glider(capsys):
 @pytest.mark.slow
 def test_the_drive(capsys):
     """Named, with the size that was hidden inside its interval, and the frictions restored."""
-    names, printed = run('engine.get_model("servo")', capsys)
+    names, printed = run('found.report("drive.html")', capsys)
     found = names["found"]
     assert found.verdict.value == "named"
     (cause,) = found.causes

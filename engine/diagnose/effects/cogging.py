@@ -13,7 +13,8 @@ from engine.diagnose.effects.setting import Kind, Setting, at_pairs
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Parameter
 
-CYCLES = np.arange(1.0, 8.5, 0.5)  # periods over the way travelled at which the screen looks
+CYCLES = np.arange(2.0, 8.5, 0.5)  # periods over the way travelled at which the screen looks
+LEAST_CYCLES = 2.0  # with fewer nothing is seen to repeat itself: any bend with an offset looks like it
 MOST_CYCLES = 50.0
 WAY = 0.02  # share of the record on either side of the way travelled
 
@@ -26,7 +27,7 @@ def _cogging(setting: Setting, channel: str, name: str, source: str, target: str
     low, middle, high = (setting.quantile(source, q) for q in (WAY, 0.5, 1.0 - WAY))
     way = high - low if high > low else setting.size(source)
     periods = [way / float(cycles) for cycles in CYCLES]
-    of_period = setting.limits(way / MOST_CYCLES, 2.0 * way)
+    of_period = setting.limits(way / MOST_CYCLES, way / LEAST_CYCLES)
     of_offset = setting.limits(middle - 2.0 * way, middle + 2.0 * way, -np.inf)
 
     def term(v: Values, own: Sequence[Any]) -> Any:
@@ -41,7 +42,7 @@ def _cogging(setting: Setting, channel: str, name: str, source: str, target: str
         (
             Parameter(name, 0.0, setting.rate(target), description="amplitude"),
             Parameter(
-                f"{name}_period", periods[2], unit, of_period, "way after which it repeats itself"
+                f"{name}_period", periods[0], unit, of_period, "way after which it repeats itself"
             ),
             Parameter(f"{name}_offset", middle, unit, of_offset, "where it is zero"),
         ),

@@ -171,7 +171,9 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
         if test.known is not None:
             observed.append(test.known[1])
             drawn.append(rng.random(MULTIPLIER_DRAWS))
-        elif test.tries > 1:  # the best of many places, nearly independent: Bonferroni
+        elif test.tries > 1 or test.effect.traits.of_record:
+            # the best of many places, nearly independent: Bonferroni; or made of the first readings alone,
+            # whose signs say nothing
             observed.append(min(1.0, test.tries * float(chi2_sf(found.max(), test.degrees))))
             drawn.append(rng.random(MULTIPLIER_DRAWS))
         elif single:  # the limiting distribution resolves smaller p-values than the draws

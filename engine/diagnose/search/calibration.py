@@ -43,6 +43,7 @@ BOLDEST = 2.0  # p-values with more than twice the logarithm they should have ar
 SERIES = 19
 FEWEST, CLEARLY = 7, 4.0
 PRIOR = 10.0  # series that the overall mean stands for
+LEAST_P = 1e-300  # of which there is a logarithm
 LEVEL = 0.05  # of a screen whose threshold nobody asks for
 
 
@@ -186,8 +187,8 @@ def simulated_logs(question: Question, names: Sequence[str], seed: list[int]) ->
         return None
     found = {score.effect.name: score.p_value for score in drawn[0].scores}
     p_values = [found.get(name, np.nan) for name in names]
-    x = -np.log(np.maximum(p_values, 1e-300))
-    return np.append(x, -np.log(drawn[0].lowest).mean())
+    x = -np.log(np.maximum(p_values, LEAST_P))
+    return np.append(x, -np.log(np.maximum(drawn[0].lowest, LEAST_P)).mean())
 
 
 def silent(stage: str, fraction: float) -> None:
