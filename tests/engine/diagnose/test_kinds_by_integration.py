@@ -324,3 +324,17 @@ def test_a_dead_time_of_many_samples_is_that_of_the_input(model, late):
     shifted = engine.Series(np.zeros(100), np.append(np.full(late, 0.5), force)[:100], dt=DT)
     by_hand, _ = noise_free(model, np.asarray(model.theta()), shifted, np.zeros(2))
     np.testing.assert_allclose(y, by_hand, atol=1e-9)
+
+
+def test_cogging_repeats_itself_within_the_way_that_was_travelled():
+    """With a longer period it would be any bend with an offset."""
+    model = engine.get_model("oscillator")
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.standard_normal((30, 1)), 10, axis=0)
+    series = engine.simulate(model, None, 300, rng, u=u, dt=0.1).series
+    setting = setting_for(model, series, np.asarray(model.theta()))
+    effect = make_effect("cogging:position->velocity", setting)
+    way = np.ptp(setting.record.values["position"])
+    _, longest = effect.parameters[1].bounds
+    assert longest < 0.5 * way
+    assert all(period <= longest for period, _ in effect.probes)
