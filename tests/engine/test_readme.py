@@ -134,7 +134,7 @@ def test_the_drive(capsys):
     assert cause.effect == "drag:velocity"
     size, error = re.search(r"\[drag:velocity\]: (\S+) \+- (\S+)", printed).groups()
     assert abs(float(size) - 0.6) < 1.96 * float(error)
-    promised = README.split("It answers")[1].split("| what the simulation")[0]
+    promised = README.split("It prints (the whole page")[1].split("| what the simulation")[0]
     assert f"Quadratic drag of velocity [drag:velocity]: {size} +- {error}" in promised
 
 
