@@ -14,9 +14,7 @@ from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Parameter
 
 CYCLES = np.arange(2.0, 8.5, 0.5)  # periods over the way travelled at which the screen looks
-LEAST_CYCLES = (
-    2.0  # with fewer nothing is seen to repeat itself: any bend with an offset looks like it
-)
+LEAST_CYCLES = 2.0  # with fewer nothing repeats itself: any bend with an offset looks like it
 MOST_CYCLES = 50.0
 WAY = 0.02  # share of the record on either side of the way travelled
 
