@@ -1,5 +1,7 @@
 """What is put into measured records is what it is called, and as strong as it was asked to be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from engine.data.series import Series
 from tests.studies.plasmodes.planted import PUTS, Place, put_in
 from tests.studies.plasmodes.report import in_set, right, wrong
 from tests.studies.plasmodes.runs import NOTHING, answer, cells, work
-from tests.studies.plasmodes.sizes import measure_of, size_for
+from tests.studies.plasmodes.sizes import measure_of, searched, size_for
 from tests.studies.plasmodes.windows import WINDOWS, Base
 from tests.studies.study import Row
 
@@ -34,12 +36,13 @@ def test_an_effect_is_as_strong_as_wanted(name: str) -> None:
     put = PUTS[name]
     size, there = size_for(BASE, put, PLACE, 40.0)
     changed = put_in(put, BASE.series, size, PLACE)
-    again = measure_of(BASE)(changed)
+    part = replace(BASE, series=searched(BASE.series))
+    again = measure_of(part)(searched(changed))
     assert again.value == pytest.approx(there.value)
     assert 0.0 < there.own <= 1.0
     # a channel with nothing put in has no strength; half the size has less
-    assert measure_of(BASE)(BASE.series).value < 1e-9
-    half = measure_of(BASE)(put_in(put, BASE.series, 0.5 * size, PLACE))
+    assert measure_of(part)(part.series).value < 1e-9
+    half = measure_of(part)(searched(put_in(put, BASE.series, 0.5 * size, PLACE)))
     assert half.value < there.value
     if size < put.most:
         assert there.value == pytest.approx(40.0, rel=0.1)
@@ -91,9 +94,12 @@ def test_scores_count_words_for_the_truth_as_right() -> None:
 
 def test_a_record_that_may_be_shipped_gives_rows() -> None:
     there = cells("nile")
-    assert NOTHING in [name for name, _ in there]
-    assert "delay:{y}" not in [name for name, _ in there]  # there is nothing but noise to delay
-    run = next(i for i, (name, _) in enumerate(there) if name == "harmonic:{y}")
+    names = [name for _, name, _ in there]
+    assert NOTHING in names
+    assert "delay:{y}" not in names  # there is nothing but noise to delay
+    taken = {window.first for window, name, _ in there if name == "step:{y}"}
+    assert taken == {28}  # the other window begins before the step of 1899, which its model has
+    run = next(i for i, (_, name, k) in enumerate(there) if name == "harmonic:{y}" and k == 0)
     row = work("nile", 0, run)
     assert row["counts"] == "hidden"
     assert row["strength"] == pytest.approx(40.0, rel=0.1)

@@ -41,14 +41,17 @@ BLANK: Row = {
 }
 
 
-def cells(record: str) -> list[tuple[str, int]]:
-    """What is put into a record, and at which of the two strengths; nothing, once in eight."""
-    windows = usable(record)
-    if not windows:
-        return []
-    there = [(name, level) for name in PUTS if _fits(PUTS[name], windows[0]) for level in (0, 1)]
-    each = max(len(there) // 7, 1)
-    return there + [(NOTHING, 0)] * each
+def cells(record: str) -> list[tuple[Window, str, int]]:
+    """Window, what is put in, and at which of the two strengths, in random order; nothing, once in eight.
+
+    Windows of a record may have been extended by different effects, and so take different ones.
+    """
+    out: list[tuple[Window, str, int]] = []
+    for window in usable(record):
+        there = [(window, name, k) for name in PUTS if _fits(PUTS[name], window) for k in (0, 1)]
+        out += there + [(window, NOTHING, 0)] * max(len(there) // 7, 1)
+    order = np.random.default_rng(SEED).permutation(len(out))
+    return [out[k] for k in order]
 
 
 def _fits(put: Put, window: Window) -> bool:
@@ -73,10 +76,10 @@ def truth_of(put: Put, base: Base) -> tuple[str, ...]:
 
 
 def work(record: str, seed: int, run: int) -> Row:
-    """Run ``run`` belongs to a cell and a window, so that all grow together."""
-    windows, all_cells = usable(record), cells(record)
-    name, level = all_cells[run % len(all_cells)]
-    base = base_of(windows[run // len(all_cells) % len(windows)])
+    """Run ``run`` belongs to a cell, so that all grow together."""
+    all_cells = cells(record)
+    window, name, level = all_cells[run % len(all_cells)]
+    base = base_of(window)
     rng = np.random.default_rng([SEED, seed, run, *record.encode()])
     row: Row = {**BLANK, "window": base.window.name, "hidden": name, "counts": "clean"}
     series = base.series

@@ -16,7 +16,7 @@ Of scatter, which moves no innovation in the mean, LR is 2 x the log-likelihood 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from engine.data.series import Series
 from engine.diagnose.free_run_fits.candidates import fit_of
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.free_run_fits.linear import orthonormal
+from engine.diagnose.records import Records
 from engine.diagnose.symptoms.runs import noise_free
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import neighbours, quasi_ml, whitening
@@ -121,17 +122,22 @@ def _part(own: Array, d: Array) -> float:
     return float(own @ own) / power if power > 0.0 else 1.0
 
 
+def searched(series: Series) -> Series:
+    """The record without what a diagnosis holds out of it."""
+    return Records(series).train
+
+
 def size_for(base: Base, put: Put, place: Place, wanted: float) -> tuple[float, Strength]:
     """The size at which an effect is as strong as wanted, and what it is there.
 
-    The largest size that makes sense where that is not reached. By bisection of the logarithm, between sizes
-    that are found by steps.
+    As strong in the part of the record that a diagnosis searches; the rest is held out. The largest size that
+    makes sense where that is not reached.
     """
-    measure = measure_of(base, put.noise)
+    measure = measure_of(replace(base, series=searched(base.series)), put.noise)
 
     def strength(size: float) -> Strength:
         try:
-            found = measure(put_in(put, base.series, size, place))
+            found = measure(searched(put_in(put, base.series, size, place)))
         except (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return Strength(np.inf, 1.0)
         return found if np.isfinite(found.value) else Strength(np.inf, 1.0)
