@@ -13,7 +13,8 @@ from engine.diagnose.effects.setting import Kind, Setting, at_pairs
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Parameter
 
-CYCLES = np.arange(2.0, 8.5, 0.5)  # periods over the way travelled at which the screen looks
+# Periods over the way travelled at which the screen looks: half a period less or more over the way is another one.
+CYCLES = np.arange(2.0, 24.5, 0.5)
 LEAST_CYCLES = 2.0  # with fewer nothing repeats itself: any bend with an offset looks like it
 MOST_CYCLES = 50.0
 WAY = 0.02  # share of the record on either side of the way travelled
