@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +15,11 @@ from engine.errors import OptionError, check_count
 from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.kernels import resampling as schemes
 from engine.kernels.filtering import advance, predict, weigh
-from engine.kernels.gaussian import psd_cholesky
+from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.statespace.refutation import repeated_if_refuted
+from engine.statespace.shapes import squared
 from engine.views import Shown
 
 RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
@@ -48,8 +50,9 @@ class Filtered(Shown):
         Particles of the nonlinear states.
     z : array (T, M, nz)
         Means z_{t|t} of the linear states given each particle.
-    cov : array (T, B, nz, nz)
-        Covariances P_{t|t} of z given each particle; ``P`` (T, M, nz, nz) is the full view.
+    root : array (T, B, nz, nz)
+        Lower roots of the covariances P_{t|t} of z given each particle; ``cov`` are these, ``P``
+        (T, M, nz, nz) their full view.
     weights, log_weights : array (T, M)
         Normalised weights before resampling, and their logarithms.
     log_likelihood_terms : array (T,)
@@ -62,8 +65,10 @@ class Filtered(Shown):
         Means of the prediction from t to t + 1, report, eq. (22).
     L : array (T-1, B, nx, nx)
         Roots of its covariances, L L' = Sigma.
-    AP : array (T-1, B, nx, nz)
-        Product A P_{t|t}, which the backward pass uses.
+    V : array (T-1, B, nz, nx)
+        V L' = P_{t|t} A', which the backward pass uses; ``AP`` is A P_{t|t}.
+    root_plus : array (T-1, B, nz, nz)
+        Lower roots of the covariances of z_t given x_{t+1}.
     """
 
     model: MixedModel
@@ -71,7 +76,7 @@ class Filtered(Shown):
     series: Series
     a: Array
     z: Array
-    cov: Array
+    root: Array
     weights: Array
     log_weights: Array
     log_likelihood_terms: Array
@@ -79,12 +84,23 @@ class Filtered(Shown):
     ancestors: NDArray[np.int64]
     mu: Array
     L: Array
-    AP: Array
+    V: Array
+    root_plus: Array
 
     @property
     def log_likelihood(self) -> float:
         """Estimate of log p(y_{1:T})."""
         return float(self.log_likelihood_terms.sum())
+
+    @cached_property
+    def cov(self) -> Array:
+        """P_{t|t}, (T, B, nz, nz)."""
+        return squared(self.root)
+
+    @property
+    def AP(self) -> Array:
+        """A P_{t|t}, (T-1, B, nx, nz)."""
+        return np.asarray(self.L @ np.swapaxes(self.V, 2, 3))
 
     @property
     def P(self) -> Array:
@@ -112,7 +128,7 @@ class Updated(NamedTuple):
 
     a: Array
     z: Array
-    cov: Array
+    root: Array
     weights: Array
     log_weights: Array
     log_likelihood_terms: float
@@ -125,7 +141,8 @@ class Predicted(NamedTuple):
 
     mu: Array
     L: Array
-    AP: Array
+    V: Array
+    root_plus: Array
 
 
 @repeated_if_refuted
@@ -194,17 +211,17 @@ def rbpf(
         # 1. Sampling, 2. Prediction, 3. Weighting, 4. Update of the linear states
         if t == 0:
             step = Step(model, record, mu, L, own, y[0], u[0], times[0], rng)
-            a, z, P, log_ratio = _first(step, draw)
+            a, z, Z, log_ratio = _first(step, draw)
             h, C, R = model.observation(a, u[0], times[0], record)
-            z, P, log_w, w, log_sum, ess = weigh(
-                z, P, log_ratio, h, stacked(C), stacked(R), y[0], even
+            z, Z, log_w, w, log_sum, ess = weigh(
+                z, Z, log_ratio, h, stacked(C), stacked(R), y[0], even
             )
         else:
             a, log_q = draw(Step(model, record, mu, L, ancestors, y[t], u[t], times[t], rng))
             a = np.ascontiguousarray(a)
             blind = log_q is None
             h, C, R = model.observation(a, u[t], times[t], record)
-            z, P, log_w, w, log_sum, ess = advance(
+            z, Z, log_w, w, log_sum, ess = advance(
                 mu,
                 L,
                 ancestors,
@@ -217,7 +234,7 @@ def rbpf(
                 y[t],
                 log_w,
             )
-        updated.append(Updated(a, z, P, w, log_w, log_sum, ess, ancestors))
+        updated.append(Updated(a, z, Z, w, log_w, log_sum, ess, ancestors))
         if t == T - 1:
             break
 
@@ -228,8 +245,8 @@ def rbpf(
         else:
             ancestors = own
         f, A, Q = model.transition(a, series.u_step[t], times[t], steps[t], record)
-        predicted.append(Predicted(*predict(f, stacked(A), stacked(Q), z, P)))
-        mu, L, _ = predicted[-1]
+        predicted.append(Predicted(*predict(f, stacked(A), stacked(Q), z, Z)))
+        mu, L = predicted[-1][:2]
     return Filtered(model, theta, series, **over_time(updated), **over_time(predicted))
 
 
@@ -251,7 +268,7 @@ def check_options(
 
 
 def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
-    """a_1 from q(a_1 | y_1), its z_{1|0} and P_{1|0}, and log p(a_1) - log q(a_1)."""
+    """a_1 from q(a_1 | y_1), its z_{1|0} and the root of P_{1|0}, and log p(a_1) - log q(a_1)."""
     model, M = step.model, len(step.ancestors)
     start = model.start(step.theta)
     density = start.density
@@ -268,7 +285,7 @@ def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
         if log_q is not None:
             log_ratio = density.log_density(a) - log_q
     z, P = start.linear(a)
-    return a, z, stacked(P), log_ratio
+    return a, z, psd_cholesky_many(stacked(P)), log_ratio
 
 
 def over_time(rows: Sequence[Any]) -> dict[str, Any]:

@@ -88,41 +88,23 @@ def pick(log_w, w, u):
 
 
 @njit(cache=True, error_model="numpy")
-def backward_gain(P, L, AP, K, P_plus):
-    """Gain and covariance of z_t given x_{t+1}; report, eqs. (56)-(57b).
+def backward_gain(L, V, K):
+    """K (nz, nx) = P A' Sigma^{-1} = P+ A' Q^{-1}, the gain of z_t on x_{t+1}; report, eqs. (56)-(57b).
 
-    With L L' = Sigma = Q + A P A': K (nz, nx) = P A' Sigma^{-1} = P+ A' Q^{-1}, so that
-    z+ = z + K (x_{t+1} - f - A z), and P+ (nz, nz) = P - K A P. Only Sigma is factored.
+    With L L' = Sigma = Q + A P A' and V L' = P A' from the filter, so that z+ = z + K (x_{t+1} - f - A z).
     """
-    nx, nz = AP.shape
-    W = np.empty((nx, nz))
-    v = np.empty(nx)
-    for c in range(nz):
-        for i in range(nx):
-            s = AP[i, c]
-            for k in range(i):
-                s -= L[i, k] * W[k, c]
-            W[i, c] = s / L[i, i] if L[i, i] > 0.0 else 0.0
-    for c in range(nz):
-        solve_lower_transposed(L, W[:, c], v)
-        for i in range(nx):
-            K[c, i] = v[i]
-    for r in range(nz):
-        for c in range(r + 1):
-            s = P[r, c]
-            for i in range(nx):
-                s -= W[i, r] * W[i, c]
-            P_plus[r, c] = s
-            P_plus[c, r] = s
+    for c in range(V.shape[0]):
+        solve_lower_transposed(L, V[c], K[c])
 
 
 @njit(cache=True, error_model="numpy")
-def smooth_covariance(K, P_plus, P_next, na, P_out, M_out):
+def smooth_covariance(K, Z_plus, P_next, na, P_out, M_out):
     """P_{t|T} and M_{t|T}; paper, eqs. (33b)-(33c). Here Approximation 2 is made.
 
-    (Report (61c) is misprinted.) K_z = P+ W^z are the columns of K (nz, nx) for z_{t+1}.
+    (Report (61c) is misprinted.) Z_plus (nz, nz) is the root of P+, K_z = P+ W^z the columns of K (nz, nx)
+    for z_{t+1}.
     """
-    nz = P_plus.shape[0]
+    nz = Z_plus.shape[0]
     for r in range(nz):
         for c in range(nz):
             s = 0.0
@@ -131,7 +113,9 @@ def smooth_covariance(K, P_plus, P_next, na, P_out, M_out):
             M_out[r, c] = s
     for r in range(nz):
         for c in range(r + 1):
-            s = P_plus[r, c]
+            s = 0.0
+            for k in range(c + 1):
+                s += Z_plus[r, k] * Z_plus[c, k]
             for k in range(nz):
                 s += M_out[r, k] * K[c, na + k]
             P_out[r, c] = s
@@ -175,11 +159,12 @@ def particle_log_weights(log_w, mu, L, constants, x, r, v, out):
 
 
 @njit(cache=True, error_model="numpy")
-def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, noise, joint):
+def backward_simulation(a, z, Z, log_w, mu, L, V, Z_plus, ancestors, first, uniforms, noise, joint):
     """N backward trajectories through the filter's particles; report, Algorithm 3.
 
-    a (T, M, na), z (T, M, nz), P (T, B, nz, nz), log_w (T, M); mu (T-1, M, nx), L (T-1, B, nx, nx),
-    AP (T-1, B, nx, nz) of the predictions, ancestors (T, M); first (N,) the indices at time T;
+    a (T, M, na), z (T, M, nz), Z (T, B, nz, nz), log_w (T, M); mu (T-1, M, nx), L (T-1, B, nx, nx),
+    V (T-1, B, nz, nx), Z_plus (T-1, B, nz, nz) of the predictions, see ``engine.kernels.filtering.predict``;
+    ancestors (T, M); first (N,) the indices at time T;
     uniforms (T-1, N), noise (T, N, nz) random numbers. ``joint`` chains the drawn z~ into whole
     trajectories (a, z) drawn from the joint smoothing density (neither Approximation then enters
     the draws); otherwise z~_{t+1} is drawn anew from N(z_{t+1|T}, P_{t+1|T}), report, eq. (42).
@@ -191,8 +176,8 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
     nz = z.shape[2]
     nx = na + nz
     N = first.shape[0]
-    BP, BL = P.shape[1], L.shape[1]
-    common = BP == 1 and BL == 1
+    BL = L.shape[1]
+    common = Z.shape[1] == 1 and BL == 1
     B = 1 if common else N
     index = np.empty((T, N), np.int64)
     z_s = np.empty((T, N, nz))
@@ -202,9 +187,8 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
     index[T - 1] = first
     LP = np.empty((B, nz, nz))
     for b in range(B):
-        P_s[T - 1, b] = P[T - 1, 0 if BP == 1 else first[b]]
-    for b in range(B):
-        psd_cholesky_into(P_s[T - 1, b], LP[b])
+        LP[b] = Z[T - 1, 0 if Z.shape[1] == 1 else first[b]]
+        P_s[T - 1, b] = LP[b] @ LP[b].T
     for j in range(N):
         Lj = LP[0 if common else j]
         for k in range(nz):
@@ -215,8 +199,6 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
             z_draw[T - 1, j, k] = s
 
     K = np.empty((nz, nx))
-    P_plus = np.empty((nz, nz))
-    L_plus = np.empty((nz, nz))
     m = np.empty((nx, M))
     constants = np.empty(M)
     lw = np.empty(M)
@@ -234,9 +216,12 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
             for i in range(M):
                 constants[i] = log_normalizer(L[t, i], nx)
         if common:
-            backward_gain(P[t, 0], L[t, 0], AP[t, 0], K, P_plus)
-            smooth_covariance(K, P_plus, P_s[t + 1, 0], na, P_s[t, 0], M_s[t, 0])
-            psd_cholesky_into(P_plus if joint else P_s[t, 0], LP[0])
+            backward_gain(L[t, 0], V[t, 0], K)
+            smooth_covariance(K, Z_plus[t, 0], P_s[t + 1, 0], na, P_s[t, 0], M_s[t, 0])
+            if joint:
+                LP[0] = Z_plus[t, 0]
+            else:
+                psd_cholesky_into(P_s[t, 0], LP[0])
         for j in range(N):
             after = index[t + 1, j]
             for k in range(na):
@@ -256,15 +241,13 @@ def backward_simulation(a, z, P, log_w, mu, L, AP, ancestors, first, uniforms, n
             b = 0
             if not common:
                 b = j
-                backward_gain(
-                    P[t, 0 if BP == 1 else i],
-                    L[t, 0 if BL == 1 else i],
-                    AP[t, 0 if BL == 1 else i],
-                    K,
-                    P_plus,
-                )
-                smooth_covariance(K, P_plus, P_s[t + 1, j], na, P_s[t, j], M_s[t, j])
-                psd_cholesky_into(P_plus if joint else P_s[t, j], LP[j])
+                own = 0 if BL == 1 else i
+                backward_gain(L[t, own], V[t, own], K)
+                smooth_covariance(K, Z_plus[t, own], P_s[t + 1, j], na, P_s[t, j], M_s[t, j])
+                if joint:
+                    LP[j] = Z_plus[t, own]
+                else:
+                    psd_cholesky_into(P_s[t, j], LP[j])
             L_plus = LP[b]
             for k in range(nz):  # paper, eq. (33a)
                 s = z[t, i, k]

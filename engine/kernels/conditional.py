@@ -11,6 +11,7 @@ from numba import njit
 
 from engine.kernels.backward import backward_gain, smooth_covariance
 from engine.kernels.filtering import condition, predict, update
+from engine.kernels.gaussian import psd_cholesky_many
 
 
 @njit(cache=True, error_model="numpy")
@@ -26,36 +27,35 @@ def smooth_along(a, f, A, Q, h, C, R, z1, P1, y):
     # B' = 1 only where every matrix is common to all trajectories
     B = max(A.shape[1], Q.shape[1], C.shape[1], R.shape[1], P1.shape[0])
     z_f = np.empty((T, N, nz))
-    P_f = np.empty((T, B, nz, nz))
     mu = np.empty((T - 1, N, nx))
     L = np.empty((T - 1, B, nx, nx))
-    AP = np.empty((T - 1, B, nx, nz))
+    V = np.empty((T - 1, B, nz, nx))
+    Z_plus = np.empty((T - 1, B, nz, nz))
     own = np.arange(N)
-    z, P = z1, P1
+    z, Z = z1, psd_cholesky_many(P1)
     for t in range(T):
-        z, P, _ = update(z, P, h[t], C[t], R[t], y[t])
+        z, Z, _ = update(z, Z, h[t], C[t], R[t], y[t])
         z_f[t] = z
-        for b in range(B):
-            P_f[t, b] = P[b if P.shape[0] > 1 else 0]
         if t < T - 1:
-            m, factor, ap = predict(f[t], A[t], Q[t], z, P)
+            m, factor, cross, after = predict(f[t], A[t], Q[t], z, Z)
             mu[t] = m
             for b in range(B):
-                L[t, b] = factor[b if factor.shape[0] > 1 else 0]
-                AP[t, b] = ap[b if ap.shape[0] > 1 else 0]
-            z, P, _ = condition(m, factor, own, a[t + 1])
+                k = b if factor.shape[0] > 1 else 0
+                L[t, b], V[t, b], Z_plus[t, b] = factor[k], cross[k], after[k]
+            z, Z, _ = condition(m, factor, own, a[t + 1])
     z_s = np.empty((T, N, nz))
     P_s = np.empty((T, B, nz, nz))
     M_s = np.empty((T - 1, B, nz, nz))
     z_s[T - 1] = z_f[T - 1]
-    P_s[T - 1] = P_f[T - 1]
+    for b in range(B):
+        last = Z[b if Z.shape[0] > 1 else 0]
+        P_s[T - 1, b] = last @ last.T
     K = np.empty((nz, nx))
-    P_plus = np.empty((nz, nz))
     for t in range(T - 2, -1, -1):
         for j in range(N):
             if j < B:
-                backward_gain(P_f[t, j], L[t, j], AP[t, j], K, P_plus)
-                smooth_covariance(K, P_plus, P_s[t + 1, j], na, P_s[t, j], M_s[t, j])
+                backward_gain(L[t, j], V[t, j], K)
+                smooth_covariance(K, Z_plus[t, j], P_s[t + 1, j], na, P_s[t, j], M_s[t, j])
             for k in range(nz):
                 s = z_f[t, j, k]
                 for c in range(na):

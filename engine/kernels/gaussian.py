@@ -1,6 +1,6 @@
-"""Small Gaussian algebra: Cholesky factors of singular matrices, triangular solves, densities.
+"""Small Gaussian algebra: roots of singular covariances, triangular solves, densities.
 
-Every covariance is handled by its lower Cholesky factor L, S = L L'. A zero pivot (a direction
+Every covariance is handled by its lower root L, S = L L'. A zero pivot (a direction
 without noise) gives a zero column; such a direction leaves solves and densities, and a residual
 in it beyond rounding makes the density zero. Nothing is inverted. What counts as rounding is
 measured by numbers of the same unit: those that were subtracted, and the noise of other directions.
@@ -15,6 +15,7 @@ from numba import njit
 
 LOG_2PI = math.log(2.0 * math.pi)
 PIVOT = 1e-12  # a pivot below this share of its own diagonal element is rounding, not noise
+ROOT_PIVOT = 1e-13  # the same of a standard deviation, where roots are never squared
 ROUNDING = 1e-11  # what computing a residual may leave, as a share of the numbers it is made of ...
 EXACT = 1e-7  # ... and, of the standard deviations next to it, what dropping a pivot may leave
 MEASURED = 1e-7  # readings are written with seven digits or more
@@ -41,6 +42,45 @@ def psd_cholesky_into(S, L):
         else:
             for i in range(j, n):
                 L[i, j] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def lower_root_into(X, L):
+    """L (n, n) lower with L L' = X X' for X (n, m), by Householder reflections; zero pivots allowed.
+
+    X is overwritten. Nothing is squared and subtracted, so that a small standard deviation beside a large
+    one keeps its digits (Kailath, Sayed, Hassibi 2000, ch. 12).
+    """
+    n, m = X.shape
+    c = 0  # columns that rows so far have taken
+    for j in range(n):
+        before, rest = 0.0, 0.0
+        for k in range(c):
+            before += X[j, k] * X[j, k]
+        for k in range(c, m):
+            rest += X[j, k] * X[j, k]
+        for i in range(j):
+            L[i, j] = 0.0
+        if not rest > ROOT_PIVOT * ROOT_PIVOT * (before + rest):
+            for i in range(j, n):
+                L[i, j] = 0.0
+            continue
+        norm = math.sqrt(rest)
+        first = X[j, c]
+        pivot = first + norm if first > 0.0 else first - norm  # of the reflection's vector
+        scale = 1.0 / (norm * abs(pivot))
+        L[j, j] = norm
+        for i in range(j + 1, n):
+            s = X[i, c] * pivot
+            for k in range(c + 1, m):
+                s += X[i, k] * X[j, k]
+            s *= scale
+            # the reflection turns row j into -norm where first > 0; columns are turned back
+            L[i, j] = s * pivot - X[i, c] if first > 0.0 else X[i, c] - s * pivot
+            X[i, c] = L[i, j]
+            for k in range(c + 1, m):
+                X[i, k] -= s * X[j, k]
+        c += 1
 
 
 @njit(cache=True, error_model="numpy")

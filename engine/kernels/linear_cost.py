@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from engine.kernels.backward import backward_gain, pick, reduce
-from engine.kernels.gaussian import ROUNDING, log_normalizer, psd_cholesky_into, rounding
+from engine.kernels.gaussian import ROUNDING, log_normalizer, rounding
 
 
 @njit(cache=True, error_model="numpy")
@@ -66,7 +66,7 @@ def log_density(x, e, reduced, mu, L, r, v):
 
 
 @njit(cache=True, error_model="numpy")
-def backward_linear(a, z, P, w, mu, L, AP, ancestors, first, noise, rng, tries, moves):
+def backward_linear(a, z, Z, w, mu, L, V, Z_plus, ancestors, first, noise, rng, tries, moves):
     """N joint trajectories x~ = (a, z), report, eqs. (47)-(48) and (53).
 
     With ``moves`` > 0, that many steps of an independent Metropolis-Hastings chain per trajectory
@@ -84,23 +84,20 @@ def backward_linear(a, z, P, w, mu, L, AP, ancestors, first, noise, rng, tries, 
     nz = z.shape[2]
     nx = na + nz
     N = first.shape[0]
-    BP, BL = P.shape[1], L.shape[1]
+    BP, BL = Z.shape[1], L.shape[1]
     common = BP == 1 and BL == 1
     index = np.empty((T, N), np.int64)
     z_draw = np.empty((T, N, nz))
     index[T - 1] = first
-    L_plus = np.empty((nz, nz))
     for j in range(N):
-        if BP > 1 or j == 0:
-            psd_cholesky_into(P[T - 1, 0 if BP == 1 else first[j]], L_plus)
+        last = Z[T - 1, 0 if BP == 1 else first[j]]
         for k in range(nz):
             s = z[T - 1, first[j], k]
             for c in range(k + 1):
-                s += L_plus[k, c] * noise[T - 1, j, c]
+                s += last[k, c] * noise[T - 1, j, c]
             z_draw[T - 1, j, k] = s
 
     K = np.empty((nz, nx))
-    P_plus = np.empty((nz, nz))
     m = np.empty((M, nx))
     constants = np.zeros(M)
     cumulated = np.empty(M)
@@ -124,8 +121,7 @@ def backward_linear(a, z, P, w, mu, L, AP, ancestors, first, noise, rng, tries, 
                 constants[i] = log_normalizer(L[t, i], nx)
                 top = max(top, constants[i])
         if common:
-            backward_gain(P[t, 0], L[t, 0], AP[t, 0], K, P_plus)
-            psd_cholesky_into(P_plus, L_plus)
+            backward_gain(L[t, 0], V[t, 0], K)
         means = m if BL == 1 else mu[t]
         for j in range(N):
             after = index[t + 1, j]
@@ -179,21 +175,15 @@ def backward_linear(a, z, P, w, mu, L, AP, ancestors, first, noise, rng, tries, 
                         i = ancestors[t + 1, after]
             index[t, j] = i
 
+            own = 0 if BL == 1 else i
             if not common:
-                backward_gain(
-                    P[t, 0 if BP == 1 else i],
-                    L[t, 0 if BL == 1 else i],
-                    AP[t, 0 if BL == 1 else i],
-                    K,
-                    P_plus,
-                )
-                psd_cholesky_into(P_plus, L_plus)
+                backward_gain(L[t, own], V[t, own], K)
             for k in range(nz):
                 s = z[t, i, k]
                 for c in range(nx):
                     s += K[k, c] * (x[c] - mu[t, i, c])
                 for c in range(k + 1):
-                    s += L_plus[k, c] * noise[t, j, c]
+                    s += Z_plus[t, own, k, c] * noise[t, j, c]
                 z_draw[t, j, k] = s
     draws = max((T - 1) * N, 1)
     return index, z_draw, accepted / max(candidates, 1), full / draws

@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from engine.kernels.backward import common_log_weights, particle_log_weights, reduce
-from engine.kernels.gaussian import log_normalizer, solve_lower_transposed
+from engine.kernels.backward import (
+    backward_gain,
+    common_log_weights,
+    particle_log_weights,
+    reduce,
+)
+from engine.kernels.gaussian import log_normalizer
 
 
 @njit(cache=True, error_model="numpy")
@@ -40,20 +45,9 @@ def log_pairs(x, mu, L):
 
 
 @njit(cache=True, error_model="numpy")
-def gains(L, AP):
-    """T = P A' P_{t+1|t}^{-1} (B, nz, nz) from L L' = P_{t+1|t} and AP = A P; report, eq. (66c)."""
-    B, n, nz = AP.shape
-    out = np.empty((B, nz, n))
-    W = np.empty(n)
-    v = np.empty(n)
-    for b in range(B):
-        for c in range(nz):
-            for i in range(n):
-                s = AP[b, i, c]
-                for k in range(i):
-                    s -= L[b, i, k] * W[k]
-                W[i] = s / L[b, i, i] if L[b, i, i] > 0.0 else 0.0
-            solve_lower_transposed(L[b], W, v)
-            for i in range(n):
-                out[b, c, i] = v[i]
+def gains(L, V):
+    """T = P A' P_{t+1|t}^{-1} (B, nz, nz) from L L' = P_{t+1|t} and V L' = P A'; report, eq. (66c)."""
+    out = np.empty_like(V)
+    for b in range(V.shape[0]):
+        backward_gain(L[b], V[b], out[b])
     return out

@@ -28,7 +28,7 @@ from engine.kernels.gaussian import log_normal_common, psd_cholesky_many
 from engine.kernels.rts import gains, log_pairs
 from engine.smoothers.rb_ffbsi import Smoothed
 from engine.statespace.model import Array, LinearGaussian, MixedModel, ThetaLike, stacked
-from engine.statespace.shapes import through
+from engine.statespace.shapes import squared, through
 from engine.views import Shown
 
 
@@ -102,7 +102,7 @@ def gaussian_case(model: MixedModel) -> SpecialCase:
 
 @dataclass(frozen=True, eq=False)
 class SpecialFiltered(Filtered):
-    """As :class:`engine.filters.rbpf.Filtered`, with mu = z_{t+1|t}, L L' = P_{t+1|t} and AP = A_z P_{t|t}."""
+    """As :class:`engine.filters.rbpf.Filtered`, with mu = z_{t+1|t}, L L' = P_{t+1|t}, V L' = P_{t|t} A_z'."""
 
     case: SpecialCase
 
@@ -167,21 +167,21 @@ def rbpf_special(
         h, C, R = model.observation(a, series.u[t], time, record)
         if t == 0:
             z, P = start.linear(a)
-            z, P, log_w, w, log_sum, ess = weigh(
-                z, stacked(P), nothing, h, stacked(C), stacked(R), y[0], even
+            z, Z, log_w, w, log_sum, ess = weigh(
+                z, psd_cholesky_many(stacked(P)), nothing, h, stacked(C), stacked(R), y[0], even
             )
         else:
-            z, P, log_w, w, log_sum, ess = advance(
+            z, Z, log_w, w, log_sum, ess = advance(
                 mu, L, ancestors, none, nothing, True, h, stacked(C), stacked(R), y[t], log_w
             )
-        updated.append(Updated(a, z, P, w, log_w, log_sum, ess, ancestors))
+        updated.append(Updated(a, z, Z, w, log_w, log_sum, ess, ancestors))
         if t == T - 1:
             break
         ancestors, u, dt = own, series.u_step[t], float(series.steps[t])
         if ess <= ess_threshold * M:
             ancestors, log_w = scheme(w, rng.random(M)), even
-        predicted.append(Predicted(*predict(*case.linear(a, u, time, dt, record), z, P)))
-        mu, L, _ = predicted[-1]
+        predicted.append(Predicted(*predict(*case.linear(a, u, time, dt, record), z, Z)))
+        mu, L = predicted[-1][:2]
         a = np.ascontiguousarray(
             case.sample(np.ascontiguousarray(a[ancestors]), u, time, dt, record, rng), dtype=float
         )
@@ -222,7 +222,7 @@ def rb_ffbsi_special(
     record = case.model.record(filtered.theta)
     T, M, na = filtered.a.shape
     N, nz = n_trajectories, filtered.z.shape[2]
-    common = filtered.cov.shape[1] == filtered.L.shape[1] == 1
+    common = filtered.root.shape[1] == filtered.L.shape[1] == 1
     B = 1 if common else N
     index = np.empty((T, N), dtype=np.int64)
     a, z, draws = np.empty((T, N, na)), np.empty((T, N, nz)), np.empty((T, N, nz))
@@ -230,8 +230,9 @@ def rb_ffbsi_special(
     index[-1] = schemes.stratified(filtered.weights[-1], rng.random(N))
     uniforms, noise = rng.random((T - 1, N)), rng.standard_normal((T, N, nz))
     a[-1], z[-1] = filtered.a[-1, index[-1]], filtered.z[-1, index[-1]]
-    P[-1] = _of(filtered.cov[-1], index[-1], common)
-    draws[-1] = z[-1] + _coloured(P[-1], noise[-1])
+    last = _of(filtered.root[-1], index[-1], common)
+    P[-1] = squared(last)
+    draws[-1] = z[-1] + _times(last, noise[-1])
     for t in range(T - 2, -1, -1):
         dt = float(series.steps[t])
         log_a = case.log_density(
@@ -250,18 +251,18 @@ def rb_ffbsi_special(
         index[t], a[t] = i, filtered.a[t, i]
 
         # Approximation 1: the moments of particle i, whose past need not be that of a~_{1:t}
-        P_f, L = _of(filtered.cov[t], i, common), _of(filtered.L[t], i, common)
-        gain = gains(L, _of(filtered.AP[t], i, common))  # T_t, eq. (66c)
-        gain_t, predicted = np.swapaxes(gain, 1, 2), L @ np.swapaxes(L, 1, 2)
+        L, V, plus = (_of(m[t], i, common) for m in (filtered.L, filtered.V, filtered.root_plus))
+        gain = gains(L, V)  # T_t, eq. (66c)
         cross[t] = gain @ P[t + 1]  # eq. (68c)
-        P[t] = P_f + gain @ (P[t + 1] - predicted) @ gain_t  # eq. (68b), here Approximation 2
+        # eq. (68b), here Approximation 2: P_{t|t} - T P_{t+1|t} T' is what x_{t+1} leaves of z_t
+        P[t] = squared(plus) + cross[t] @ np.swapaxes(gain, 1, 2)
         z_f, ahead = filtered.z[t, i], filtered.mu[t, i]
         z[t] = z_f + _times(gain, z[t + 1] - ahead)  # eq. (68a)
         if joint:
             mean = z_f + _times(gain, draws[t + 1] - ahead)
-            draws[t] = mean + _coloured(P_f - gain @ predicted @ gain_t, noise[t])
+            draws[t] = mean + _times(plus, noise[t])
         else:
-            draws[t] = z[t] + _coloured(P[t], noise[t])
+            draws[t] = z[t] + _times(psd_cholesky_many(np.ascontiguousarray(P[t])), noise[t])
     trajectories = np.concatenate([a, draws], axis=2) if joint else None
     return Smoothed(filtered, a, z, P, cross, index, trajectories)
 
@@ -293,11 +294,6 @@ def _of(matrices: Array, i: NDArray[np.int64], common: bool) -> Array:
         if len(matrices) == 1
         else matrices[i]
     )
-
-
-def _coloured(S: Array, noise: Array) -> Array:
-    """Draws (N, nz) from N(0, S), S (1 or N, nz, nz)."""
-    return _times(psd_cholesky_many(np.ascontiguousarray(S)), noise)
 
 
 def _times(A: Array, x: Array) -> Array:

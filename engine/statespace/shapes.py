@@ -61,6 +61,11 @@ def stacked(matrix: Array) -> Array:
     return matrix[None] if matrix.ndim == 2 else matrix
 
 
+def squared(root: Array) -> Array:
+    """The covariances (..., n, n) of roots (..., n, n)."""
+    return np.asarray(root @ np.swapaxes(root, -1, -2))
+
+
 def through(A: Array, z: Array) -> Array:
     """A z for each row of z (K, nz): A (n, nz) or (K, n, nz) -> (K, n)."""
     return z @ A.T if A.ndim == 2 else np.einsum("kij,kj->ki", A, z)

@@ -19,12 +19,13 @@ from engine.diagnose.effects.first_state import KINDS as FIRST_STATE
 from engine.diagnose.effects.held import KINDS as HELD
 from engine.diagnose.effects.hysteresis import KINDS as HYSTERESIS
 from engine.diagnose.effects.inputs import KINDS as INPUT
+from engine.diagnose.effects.kinds import Channels, Kind, Maker
 from engine.diagnose.effects.measurement import KINDS as MEASUREMENT
 from engine.diagnose.effects.noise import KINDS as NOISE
 from engine.diagnose.effects.overflow import KINDS as OVERFLOW
 from engine.diagnose.effects.paths import KINDS as PATHS
 from engine.diagnose.effects.play import KINDS as PLAY
-from engine.diagnose.effects.setting import Channels, Kind, Maker, Setting
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.slow_sensor import KINDS as SLOW_SENSOR
 from engine.diagnose.effects.state import KINDS as STATE
 from engine.diagnose.effects.tails import KINDS as TAILS

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.effect import Effect, Values, add_to_state
-from engine.diagnose.effects.setting import Kind, Setting, at_pairs
+from engine.diagnose.effects.kinds import Kind, at_pairs
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Parameter
 
-# Periods over the way travelled at which the screen looks: half a period less or more over the way is another one.
+# Periods over the way travelled at which the screen looks; half of one more over the way is another force.
 CYCLES = np.arange(2.0, 24.5, 0.5)
 LEAST_CYCLES = 2.0  # with fewer nothing repeats itself: any bend with an offset looks like it
 MOST_CYCLES = 50.0

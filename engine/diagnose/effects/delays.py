@@ -9,7 +9,8 @@ import numpy as np
 
 from engine.diagnose.effects.augmentation import WithMemory, add_linear_states, add_memory, beside
 from engine.diagnose.effects.effect import Effect, Split, per_point
-from engine.diagnose.effects.setting import Kind, Setting, at_outputs, at_terminals
+from engine.diagnose.effects.kinds import Kind, at_outputs, at_terminals
+from engine.diagnose.effects.setting import Setting
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.rows import with_input
 

@@ -9,14 +9,8 @@ import numpy as np
 
 from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
 from engine.diagnose.effects.effect import Effect, Split
-from engine.diagnose.effects.setting import (
-    FREQUENCIES,
-    Kind,
-    Setting,
-    at_pairs,
-    each_moved,
-    each_state,
-)
+from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved, each_state
+from engine.diagnose.effects.setting import FREQUENCIES, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 

@@ -19,8 +19,9 @@ import numpy as np
 
 from engine.diagnose.effects.augmentation import WithMemory, add_memory
 from engine.diagnose.effects.effect import Effect, Split, pushed
+from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved, each_state
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import Kind, Setting, at_pairs, each_moved, each_state
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote

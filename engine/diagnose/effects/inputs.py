@@ -17,8 +17,9 @@ from engine.diagnose.effects.effect import (
     identifier,
     on_base,
 )
+from engine.diagnose.effects.kinds import Kind, at_inputs
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import SOME_TIME, WIDEST, Kind, Setting, at_inputs
+from engine.diagnose.effects.setting import SOME_TIME, WIDEST, Setting
 from engine.diagnose.effects.spare_inputs import UNIT, with_inputs
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter

@@ -11,8 +11,9 @@ import numpy as np
 from engine.diagnose.effects.clip import Clip
 from engine.diagnose.effects.effect import Effect, Split, add_to_output, change_output, per_point
 from engine.diagnose.effects.inputs import INPUT_OFFSET
+from engine.diagnose.effects.kinds import Kind, at_outputs
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import Kind, Setting, at_outputs
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote

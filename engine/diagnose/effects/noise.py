@@ -16,15 +16,9 @@ from engine.diagnose.effects.effect import (
     identifier,
     per_point,
 )
+from engine.diagnose.effects.kinds import Kind, at_outputs, at_signals, each_signal
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import (
-    POSITIVE,
-    Kind,
-    Setting,
-    at_outputs,
-    at_signals,
-    each_signal,
-)
+from engine.diagnose.effects.setting import POSITIVE, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import product

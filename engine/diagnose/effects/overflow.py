@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.effect import Effect, Split, on_base, pushed
-from engine.diagnose.effects.setting import WIDEST, Kind, Setting, at_pairs, each_moved
+from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved
+from engine.diagnose.effects.setting import WIDEST, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote

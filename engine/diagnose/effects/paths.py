@@ -14,8 +14,9 @@ from engine.diagnose.effects.effect import (
     identifier,
     per_point,
 )
+from engine.diagnose.effects.kinds import Kind, each_input, each_output, each_path
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import Kind, Setting, each_input, each_output, each_path
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import product

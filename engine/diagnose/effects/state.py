@@ -18,8 +18,9 @@ from engine.diagnose.effects.effect import (
     on_base,
     pushed,
 )
+from engine.diagnose.effects.kinds import Kind, at_pairs, at_states, each_pair
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import Kind, Setting, at_pairs, at_states, each_pair
+from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import USUAL, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote

@@ -14,17 +14,15 @@ from engine.diagnose.effects.effect import (
     add_to_state,
     on_base,
 )
-from engine.diagnose.effects.setting import (
-    ON_TIME,
-    SOME_TIME,
+from engine.diagnose.effects.kinds import (
     Channels,
     Kind,
-    Setting,
     at_parameters,
     at_signals,
     each_signal,
     each_state,
 )
+from engine.diagnose.effects.setting import ON_TIME, SOME_TIME, Setting
 from engine.diagnose.effects.traits import USUAL, Course, Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import frequency_in, product

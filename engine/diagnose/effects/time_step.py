@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.effect import Effect, Split, on_base
+from engine.diagnose.effects.kinds import Kind, at_any
 from engine.diagnose.effects.rates import step
-from engine.diagnose.effects.setting import Kind, Setting, at_any
+from engine.diagnose.effects.setting import Setting
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import promote
 

@@ -92,11 +92,11 @@ def prediction_pit(filtered: Filtered, rng: np.random.Generator) -> Array:
     for t in range(1, T):
         mu, L = filtered.mu[t - 1], filtered.L[t - 1]
         a = draw_prior(mu, L, own, rng.standard_normal((M, model.na)))
-        z, P, _ = condition(mu, L, own, a)
+        z, Z, _ = condition(mu, L, own, a)
         h, C, R = model.observation(a, series.u[t], float(series.t[t]), record)
         C, R = stacked(C), stacked(R)
         mean = h + (C @ z[:, :, None])[:, :, 0]
-        variance = np.diagonal(C @ P @ np.swapaxes(C, 1, 2) + R, axis1=1, axis2=2)
+        variance = ((C @ Z) ** 2).sum(axis=2) + np.diagonal(R, axis1=1, axis2=2)
         cdf = ndtr((series.y[t] - mean) / np.sqrt(variance))
         pit[t] = filtered.weights[t - 1] @ cdf
     pit[~series.observed] = np.nan

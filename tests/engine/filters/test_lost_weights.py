@@ -63,15 +63,15 @@ def test_the_linear_cost_sampler_never_takes_an_impossible_candidate(common):
     T, M, N = 6, 2, 40
     a = np.tile(np.array([[[0.0], [1.0]]]), (T, 1, 1))
     a[1:] += 1e-3  # by more than rounding: nobody's prediction leads there
-    z, P = np.zeros((T, M, 0)), np.zeros((T, 1, 0, 0))
+    z, Z = np.zeros((T, M, 0)), np.zeros((T, 1, 0, 0))
     w = np.full((T, M), 0.5)
     mu = np.tile(np.array([[[0.0], [1.0]]]), (T - 1, 1, 1))
     L = np.zeros((T - 1, 1 if common else M, 1, 1))
-    AP = np.zeros((T - 1, 1 if common else M, 1, 0))
+    V, Z_plus = (np.zeros((T - 1, 1 if common else M, 0, n)) for n in (1, 0))
     ancestors = np.tile(np.arange(M), (T, 1))
     first = np.arange(N) % M
     rng = np.random.default_rng(0)
     index, *_ = backward_linear(
-        a, z, P, w, mu, L, AP, ancestors, first, np.zeros((T, N, 0)), rng, 16, 3
+        a, z, Z, w, mu, L, V, Z_plus, ancestors, first, np.zeros((T, N, 0)), rng, 16, 3
     )
     np.testing.assert_array_equal(index, np.tile(first, (T, 1)))
