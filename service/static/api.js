@@ -2,7 +2,8 @@
 //
 //   get(path), post(path, body), patch(path, body), remove(path)   -> the JSON document; throw Problem
 //   body                       an object (sent as JSON) or FormData (sent as multipart)
-//   Problem                    .status, .title, .detail, .errors = [{field, message, row?, channel?}]
+//   Problem                    .status, .title, .detail, .errors = [{field, message, row?, channel?}];
+//                              .passing where the same call may be answered later
 //   showProblem(form, problem) puts each message beside the element with data-field="<field>" (the
 //                              longest prefix there is), the rest into the form's .problem element
 //   clearProblem(form)
@@ -26,6 +27,10 @@ export class Problem extends Error {
     this.detail = this.message;
     this.advice = body.advice ?? "";
     this.errors = body.errors ?? [];
+  }
+
+  get passing() {
+    return this.status === 0 || this.status === 429 || this.status >= 500;
   }
 }
 
@@ -53,8 +58,9 @@ async function call(method, path, body, options = {}) {
       await askKey("This key is not known to the service.");
       continue;
     }
-    const found = await answer.json().catch(() => ({ detail: `the service answered ${answer.status}` }));
-    if (!answer.ok) throw new Problem(answer.status, found);
+    const found = await answer.json().catch(() => null);
+    if (!answer.ok) throw new Problem(answer.status, found ?? {});
+    if (found === null) throw new Problem(0, { title: "cut off", detail: "The service's answer was cut off." });
     return found;
   }
 }

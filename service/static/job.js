@@ -24,7 +24,7 @@ poll(async () => {
     if (!(error instanceof Problem)) throw error;
     by("problem").hidden = false;
     by("problem").textContent = error.message;
-    return error.status === 0 || error.status === 503 ? 3000 : null; // it may come back
+    return error.passing ? 3000 : null;
   }
 });
 

@@ -31,7 +31,7 @@ async function refresh() {
     if (!(error instanceof Problem)) throw error;
     by("problem").hidden = false;
     by("problem").textContent = error.message;
-    return error.status === 0 ? 5000 : null;
+    return error.passing ? 5000 : null;
   }
   if (mine !== asked) return 2000;
   by("problem").hidden = true;

@@ -136,6 +136,35 @@ def test_held_parameters_have_no_curve_from_the_first_iteration_on(visit, addres
     assert not set(titles) & {"zeta", "gain", "sigma_v", "sigma_y"}
 
 
+def test_a_page_goes_on_after_answers_that_failed(visit, address):
+    """A proxy's error, a hint to wait and an answer cut off end no page: it asks again."""
+    request = {"kind": "smooth", "model": "local-level", "series": [{"y": nile().y.tolist()}]}
+    job = httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
+    failing = [{"status": 502, "body": "<h1>"}, {"status": 429, "json": {}}, {"body": '{"jobID"'}]
+
+    def fails_at_first(route):
+        if failing and asks(route):
+            route.fulfill(**failing.pop(0))
+        else:
+            route.continue_()
+
+    page = visit("/jobs")
+    page.route(f"**/jobs/{job}", fails_at_first)
+    page.goto(f"{address}/jobs/{job}")
+    page.wait_for_selector("text=The service's answer was cut off.")
+    page.wait_for_selector("#status.successful")
+    page.wait_for_selector("#results canvas")
+    assert not failing
+    assert not page.is_visible("#problem")
+    for status in ("502", "429"):
+        visit.expect(f"status of {status}")
+
+
+def asks(route):
+    """Whether a page asks for data, in contrast to a page itself."""
+    return route.request.resource_type == "fetch"
+
+
 @pytest.mark.slow
 def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
     page = visit(f"/jobs/{long}")
