@@ -78,6 +78,7 @@ def work(case: str, seed: int, run: int) -> Row:
         "p_value": first.p_value,
         "p_gain": first.p_gain,
         "p_size": first.p_size,
+        "p_near": first.p_near,
         "names": json.dumps([c.names for c in found.found]),
         "gain": first.gain,
         "seconds": time.perf_counter() - began,

@@ -199,6 +199,11 @@ def _decided(
 
 def _too_far(seen: Alarm) -> str:
     """What of the free run's error noise does not explain."""
+    if seen.p_near < min(seen.p_size, seen.p_gain):
+        return (
+            "the noise that is fitted one step ahead would lead it further astray than it goes "
+            f"(p = {seen.p_value:.2g}), so that this noise stands for something else"
+        )
     if seen.p_size < seen.p_gain:
         return f"it is further off than noise makes it (p = {seen.p_value:.2g})"
     return f"what it gets wrong has a pattern that noise does not have (p = {seen.p_value:.2g})"

@@ -280,6 +280,13 @@ def test_other_words_are_of_faults_that_are_hidden():
     assert set(alike.ARGUED) <= hidden
 
 
+def test_every_fault_outside_the_catalogue_was_compared_with_what_is_inside():
+    assert set(alike.nearest()) == {(c.system, c.hidden) for c in cells.unlisted()}
+    assert alike.imitated("tanks", "outside:notch")
+    assert not alike.imitated("pendulum", "outside:chirp")
+    assert not alike.imitated("pendulum", "drag:rate")
+
+
 def test_a_cell_goes_by_its_name():
     for cell in cells.every_cell():
         assert cells.cell_of(cell.name) == cell

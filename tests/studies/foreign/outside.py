@@ -66,12 +66,12 @@ def product(
 
 
 def saturating(state: int, of: int, half: float, first: float) -> Fault:
-    """Growth (or decay) that saturates, as enzymes do: -size x / (half + x)."""
+    """Growth (or decay) that saturates, as enzymes do: -size x / (half + |x|)."""
     return force(
         "outside:saturating",
         state,
         of,
-        lambda t, x, u, own: -x[state] / (half + x[state]),
+        lambda t, x, u, own: -x[state] / (half + abs(x[state])),
         first,
     )
 
