@@ -3,8 +3,9 @@
 Where a model is wrong, process noise is fitted to what it misses from one sample to the next, and a free run
 may be further off than this noise makes it, or in a way that an effect explains and noise does not. It may be
 far *nearer*, too: noise that adds up from sample to sample walks away from any record, whereas the error
-that it stands for comes back with the physics. So an error too small for the noise says as much as one too
-large.
+that it stands for comes back with the physics. So an error far too small for the noise says as much as one too
+large. It must be ``NEARER`` times smaller: parameters that are fitted to a free run bend it towards the record,
+and the noise beside them is larger than that of a fit by likelihood.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from engine.simulation.simulate import propagate
 from engine.statespace.model import Array
 
 SERIES = 299  # simulated; the smallest p-value is 3 / (SERIES + 1)
+NEARER = 3.0  # times smaller than what noise makes, from which on an error is too small for it
 
 
 @dataclass(frozen=True)
@@ -27,9 +29,9 @@ class Alarm:
     """Whether noise alone explains what the free run gets wrong.
 
     ``p_gain`` of the held-out gain of the best effects, ``p_size`` of so large an error beside what parameters
-    and first states take up, ``p_near`` of so small a one; ``rms`` is that error, ``rms_noise`` what noise
-    makes of it (median), in the weighed unit of the residuals; ``gain`` the held-out gain, log(mean squared
-    error without / with).
+    and first states take up, ``p_near`` of one so small that noise makes it ``NEARER`` times as large;
+    ``rms`` is that error, ``rms_noise`` what noise makes of it (median), in the weighed unit of the residuals;
+    ``gain`` the held-out gain, log(mean squared error without / with).
     """
 
     p_gain: float
@@ -60,7 +62,10 @@ def alarm(linear: Linear, theta: Array, folds: Folds, seed: int) -> Alarm:
         return Alarm(1.0, 1.0, 1.0, rms, float("inf"), gain)
     sizes = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
     p_gain = _p_value(int((linear.held_out_gains(E, folds) >= gain).sum()) + away)
-    p_size, p_near = _p_value(int((sizes >= rms).sum()) + away), _p_value(int((sizes <= rms).sum()))
+    p_size, p_near = (
+        _p_value(int((sizes >= rms).sum()) + away),
+        _p_value(int((sizes <= NEARER * rms).sum())),
+    )
     return Alarm(p_gain, p_size, p_near, rms, float(np.median(sizes)), gain)
 
 
