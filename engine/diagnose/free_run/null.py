@@ -21,7 +21,7 @@ from engine.simulation.simulate import propagate
 from engine.statespace.model import Array
 
 SERIES = 299  # simulated; the smallest p-value is 3 / (SERIES + 1)
-NEARER = 3.0  # times smaller than what noise makes, from which on an error is too small for it
+NEARER = 10.0  # times smaller than what noise makes, from which on an error is too small for it
 
 
 @dataclass(frozen=True)
