@@ -211,7 +211,7 @@ def _write(path: Path, rows: Sequence[Sequence[str]]) -> None:
     with path.open("w", newline="") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(["system", "hidden", "other", "cos"])
-        out.writerows(sorted(rows))
+        out.writerows(sorted(map(list, rows)))
 
 
 if __name__ == "__main__":
