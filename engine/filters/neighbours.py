@@ -17,6 +17,7 @@ takes a few calls where it is affine in the inputs (:mod:`engine.statespace.affi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +35,8 @@ from engine.filters.sigma_point import (
     run_filter,
     usable,
 )
-from engine.kernels.moments import filter_near, sigma_points
+from engine.kernels.moments import sigma_points
+from engine.kernels.near import filter_near
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.points import Points
 from engine.statespace.refutation import repeated_if_refuted
@@ -233,18 +235,17 @@ class _Known:
 
     def at(self, rows: NDArray[np.intp]) -> tuple[Array, ...]:
         """Points, values and slopes at some rows, as :func:`filter_near` wants them."""
-        S, na = self.each[0].N, self.a.shape[2]
         pairs = zip(self.each, self.records, strict=True)
-        each = [points.at(rows, record, self.transition) for points, record in pairs]
-        values = [_stacked([one[i] for one in each], len(rows), S) for i in range(3)]
-        slopes = [self._slopes(rows, j) for j in range(na)]
-        by_a = [
-            np.ascontiguousarray(np.stack([one[i] for one in slopes], axis=2))
-            if na
-            else np.zeros((len(rows), S, 0, *values[i].shape[2:]))
-            for i in range(3)
-        ]
-        return (self.a[rows], *values, *by_a)
+        f, *matrices = zip(
+            *(points.at(rows, record, self.transition) for points, record in pairs), strict=True
+        )
+        slopes = [self._slopes(rows, j) for j in range(self.a.shape[2])]
+        return (
+            self.a[rows],
+            np.concatenate(f, axis=1),
+            *(_compact(each) for each in matrices),
+            *(_by_a([one[i] for one in slopes], each[0]) for i, each in enumerate((f, *matrices))),
+        )
 
     def _slopes(self, rows: NDArray[np.intp], j: int) -> list[Array]:
         first, step = self.each[0], np.zeros(len(self.spread))
@@ -253,13 +254,26 @@ class _Known:
             self._points(first.a + sign * step).at(rows, self.records[0], self.transition)
             for sign in (-1.0, 1.0)
         )
-        return [
-            _stacked([(y - x) / (2.0 * step[j])], len(rows), first.N)
-            for x, y in zip(low, high, strict=True)
-        ]
+        return [(y - x) / (2.0 * step[j]) for x, y in zip(low, high, strict=True)]
 
 
-def _stacked(each: list[Array], n: int, S: int) -> Array:
-    """K arrays (n or 1, S or 1, ...) as one of (n, K S, ...)."""
-    full = [np.broadcast_to(one, (n, S, *one.shape[2:])) for one in each]
-    return np.ascontiguousarray(np.concatenate(full, axis=1))
+def _compact(each: Sequence[Array]) -> Array:
+    """K matrices (n or 1, S or 1, ., .) as one of (n or 1, 1 or K or K S, ., .), no larger than it must be."""
+    first = each[0]
+    alike = all(one.shape == first.shape and (one == first).all() for one in each[1:])
+    if alike and (first.shape[1] == 1 or len(each) == 1):
+        return np.ascontiguousarray(first)
+    times = max(one.shape[0] for one in each)
+    points = max(one.shape[1] for one in each)
+    return np.concatenate(
+        [np.broadcast_to(one, (times, points, *one.shape[2:])) for one in each], axis=1
+    )
+
+
+def _by_a(slopes: Sequence[Array], value: Array) -> Array:
+    """Slopes by each component of a as one (n or 1, S or 1, na, ...); na is 0 where all of them are zero."""
+    if value.ndim > 3 and not any(one.any() for one in slopes):
+        return np.zeros((1, 1, 0, *value.shape[2:]))
+    if not slopes:
+        return np.zeros((*value.shape[:2], 0, *value.shape[2:]))
+    return np.stack(slopes, axis=2)
