@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
+from engine.errors import ModelError
 from engine.filters.sigma_point import (
     FilterSteps,
     MomentFiltered,
@@ -47,7 +48,7 @@ NEAR = 0.1  # of that spread: further from the visited points the slopes are not
 LEAST_SPREAD = 1e-2  # of the way a component goes
 FEW = 3  # parameter vectors that are not worth it
 ROWS = 4  # on which it is asked what the model takes
-FAR = 1.0  # of the spread: from points farther away Newton's method is not tried ...
+FAR = 8.0  # of the spread: from points farther away Newton's method is not tried ...
 SETTLED = 1e-5  # ... and so near it has arrived
 ROUNDS = 6  # of it
 STATES = 2  # nonlinear ones, beyond which slopes by each cost more than calls at every time
@@ -62,6 +63,10 @@ class Visited:
 
     seen: Array | None = None
     moved: Array | None = None
+
+    def copy(self) -> Visited:
+        """The same, to be brought up to date on its own."""
+        return Visited(self.seen, self.moved)
 
     def part(self, n: int) -> Visited:
         """Of the first n times."""
@@ -94,13 +99,51 @@ def filter_neighbours(
 
 @repeated_if_refuted
 @np.errstate(all="ignore")
-def filter_all(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
-    """:func:`moment_filter` at any ``thetas`` (K, n_theta), of whole records where there are no points."""
+def filter_all(
+    model: MixedModel, thetas: Array, series: Series, visited: Visited | None = None
+) -> MomentFiltered:
+    """:func:`moment_filter` at any ``thetas`` (K, n_theta), of whole records where there are no points.
+
+    And from the points ``visited`` at another theta, where the model takes one parameter vector a call.
+    """
+    run = FilterSteps(model, Thetas(model, thetas), series)
     if model.na == 0:
-        found = followed(FilterSteps(model, Thetas(model, thetas), series))
-        if found is not None:
-            return found
+        found = followed(run)
+        return moment_filter(model, thetas, series) if found is None else found
+    if visited is not None and visited.seen is not None:
+        times, vectors = _takes(run)
+        if times and (not vectors or run.thetas.K == 1):
+            return _each(run, visited)
     return moment_filter(model, thetas, series)
+
+
+def _each(run: FilterSteps, visited: Visited) -> MomentFiltered:
+    """Each filter by Newton's method from the points visited, those that do not get there step by step."""
+    model, thetas, series = run.model, run.thetas.thetas, run.series
+    found: list[MomentFiltered | None] = []
+    for theta in thetas:
+        try:
+            settled = _settled(FilterSteps(model, Thetas(model, theta), series), visited)
+        except ModelError as error:
+            if not error.numeric:
+                raise
+            return moment_filter(model, thetas, series)  # which leaves such a theta out
+        found.append(None if settled is None else settled[0])
+    left = [k for k, one in enumerate(found) if one is None]
+    if len(left) == len(thetas):
+        return moment_filter(model, thetas, series)
+    if left:
+        rest = moment_filter(model, thetas[left], series)
+        for i, k in enumerate(left):
+            found[k] = MomentFiltered(
+                rest.innovations[:, i : i + 1], rest.S[:, i : i + 1], rest.log_terms[:, i : i + 1]
+            )
+    every = [one for one in found if one is not None]
+    return MomentFiltered(
+        np.concatenate([one.innovations for one in every], axis=1),
+        np.concatenate([one.S for one in every], axis=1),
+        np.concatenate([one.log_terms for one in every], axis=1),
+    )
 
 
 def _worth_it(run: FilterSteps, visited: Visited | None) -> bool:
@@ -108,10 +151,17 @@ def _worth_it(run: FilterSteps, visited: Visited | None) -> bool:
     model, series, K = run.model, run.series, run.thetas.K
     if model.na == 0:
         return True
-    rows = np.arange(min(len(series) - 1, ROWS))
     again, known = visited is not None, visited is not None and visited.seen is not None
-    if len(rows) < ROWS or (K <= FEW and not known):
+    if len(series) <= ROWS or (K <= FEW and not known):
         return False
+    times, vectors = _takes(run)
+    return times and (not vectors or (again and model.na <= STATES))
+
+
+def _takes(run: FilterSteps) -> tuple[bool, bool]:
+    """Whether the model takes many times a call, and many parameter vectors."""
+    model, series, K = run.model, run.series, run.thetas.K
+    rows = np.arange(min(len(series) - 1, ROWS))
     m, _ = first_moments(model, run.thetas.thetas[0])
     a = np.repeat(m[None, : model.na], K, axis=0)
     points = Points(model, series, np.repeat(a[None, :1], len(series), axis=0))
@@ -123,7 +173,7 @@ def _worth_it(run: FilterSteps, visited: Visited | None) -> bool:
         u_0 = (series.u_step if transition else series.u)[0]
         dt_0 = run.steps[0] if transition else 0.0
         vectors &= function.takes(a, u_0, run.times[0], dt_0, together)
-    return times and (not vectors or (again and model.na <= STATES))
+    return times, vectors
 
 
 def followed(run: FilterSteps, visited: Visited | None = None) -> MomentFiltered | None:
@@ -151,8 +201,10 @@ def _points(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
     if model.na == 0:
         return np.empty(shape), np.empty(shape)
     first = FilterSteps(model, Thetas(model, run.thetas.thetas[:1]), series)
-    points = _settled(first, visited)
-    if points is None:
+    settled = _settled(first, visited)
+    if settled is not None:
+        points = settled[1]
+    else:
         points = np.empty(shape), np.empty(shape)
         if not np.isfinite(run_filter(first, points).log_terms).all():
             return None
@@ -161,8 +213,10 @@ def _points(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
     return points
 
 
-def _settled(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
-    """The points of a filter by Newton's method from those visited; None where it does not get there."""
+def _settled(
+    run: FilterSteps, visited: Visited
+) -> tuple[MomentFiltered, tuple[Array, Array]] | None:
+    """A filter and its points by Newton's method from those visited; None where it does not get there."""
     seen, moved = visited.seen, visited.moved
     if seen is None or moved is None:
         return None
@@ -174,7 +228,7 @@ def _settled(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
             return None
         seen, moved = near.visited
         if (farthest <= SETTLED * spread).all():
-            return seen, moved
+            return found, (seen, moved)
     return None
 
 
