@@ -99,13 +99,15 @@ def quasi_ml(
     target: float = -np.inf,
     hope: float = 1.0,
     callback: Callable[[int], object] | None = None,
+    visited: Sequence[Visited] | None = None,
 ) -> QuasiFit:
     """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
 
     The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
     where even ``hope`` times twice what a quadratic function gains would not reach ``target``; then
     ``given_up`` is True.
-    ``callback(k)`` is called as iteration k begins.
+    ``callback(k)`` is called as iteration k begins. ``visited``, one for each series, are points at a theta not
+    far from the start; they are brought up to date.
     Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
     all_series = as_series_list(series, model)
@@ -116,7 +118,7 @@ def quasi_ml(
     given, model = model, with_scales(model, all_series, theta, indices)
     names = tuple(model.parameter_names[i] for i in indices)
     lower, upper = model.lower[indices], model.upper[indices]
-    visited = [Visited() for _ in all_series]
+    visited = [Visited() for _ in all_series] if visited is None else visited
     value, g, H = derivatives(model, all_series, theta, indices, visited)
     if not np.isfinite(value):
         raise ModelError(
