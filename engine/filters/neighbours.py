@@ -280,35 +280,39 @@ class _Known:
     def __init__(
         self, run: FilterSteps, a: Array, records: list[Any], spread: Array, transition: bool
     ) -> None:
-        self.run, self.a, self.records, self.spread = run, a, records, spread
-        self.transition = transition
-        self.each = [self._points(own) for own in np.split(a, len(records), axis=1)]
-
-    def _points(self, a: Array) -> Points:
-        return Points(self.run.model, self.run.series, a)
+        self.a, self.records, self.transition = a, records, transition
+        self.S, self.steps = a.shape[1] // len(records), STEP * spread
+        first, *others = np.split(a, len(records), axis=1)
+        # beside the points those to either side of them in each component, all in one call
+        sides = [first + sign * step for step in np.diag(self.steps) for sign in (-1.0, 1.0)]
+        first = np.concatenate([first, *sides], axis=1)
+        self.each = [Points(run.model, run.series, own) for own in (first, *others)]
 
     def at(self, rows: NDArray[np.intp]) -> tuple[Array, ...]:
         """Points, values and slopes at some rows, as :func:`filter_near` wants them."""
         pairs = zip(self.each, self.records, strict=True)
-        f, *matrices = zip(
-            *(points.at(rows, record, self.transition) for points, record in pairs), strict=True
-        )
-        slopes = [self._slopes(rows, j) for j in range(self.a.shape[2])]
+        each = [points.at(rows, record, self.transition) for points, record in pairs]
+        (f, slopes), *matrices = (self._split(part) for part in each[0])
         return (
             self.a[rows],
-            np.concatenate(f, axis=1),
-            *(_compact(each) for each in matrices),
-            *(_by_a([one[i] for one in slopes], each[0]) for i, each in enumerate((f, *matrices))),
+            np.concatenate([f, *(one[0] for one in each[1:])], axis=1),
+            *(
+                _compact([own, *(one[i] for one in each[1:])])
+                for i, (own, _) in enumerate(matrices, 1)
+            ),
+            slopes,
+            *(_none_if_zero(by_a) for _, by_a in matrices),
         )
 
-    def _slopes(self, rows: NDArray[np.intp], j: int) -> list[Array]:
-        first, step = self.each[0], np.zeros(len(self.spread))
-        step[j] = STEP * self.spread[j]
-        low, high = (
-            self._points(first.a + sign * step).at(rows, self.records[0], self.transition)
-            for sign in (-1.0, 1.0)
-        )
-        return [(y - x) / (2.0 * step[j]) for x, y in zip(low, high, strict=True)]
+    def _split(self, values: Array) -> tuple[Array, Array]:
+        """At the first record's points (n, S, ...), and slopes by a (n, S, na, ...); S is 1 where common."""
+        n, na, shape = len(values), len(self.steps), values.shape[2:]
+        if values.shape[1] == 1 < self.S * (1 + 2 * na):
+            return values, np.zeros((n, 1, na, *shape))
+        sides = values[:, self.S :].reshape(n, na, 2, self.S, *shape)
+        width = (2.0 * self.steps).reshape(na, *[1] * (1 + len(shape)))
+        slopes = (sides[:, :, 1] - sides[:, :, 0]) / width
+        return values[:, : self.S], np.ascontiguousarray(np.swapaxes(slopes, 1, 2))
 
 
 def _compact(each: Sequence[Array]) -> Array:
@@ -324,10 +328,6 @@ def _compact(each: Sequence[Array]) -> Array:
     )
 
 
-def _by_a(slopes: Sequence[Array], value: Array) -> Array:
-    """Slopes by each component of a as one (n or 1, S or 1, na, ...); na is 0 where all of them are zero."""
-    if value.ndim > 3 and not any(one.any() for one in slopes):
-        return np.zeros((1, 1, 0, *value.shape[2:]))
-    if not slopes:
-        return np.zeros((*value.shape[:2], 0, *value.shape[2:]))
-    return np.stack(slopes, axis=2)
+def _none_if_zero(slopes: Array) -> Array:
+    """Slopes of matrices (n or 1, S or 1, na, ., .); with na = 0 where all are zero."""
+    return slopes if slopes.any() else np.zeros((1, 1, 0, *slopes.shape[3:]))
