@@ -89,7 +89,7 @@ class QuasiFit:
 
 
 @repeated_if_refuted
-def quasi_ml(
+def quasi_ml(  # noqa: PLR0913
     model: MixedModel,
     series: Series | Sequence[Series],
     theta0: ThetaLike = None,
@@ -100,6 +100,7 @@ def quasi_ml(
     hope: float = 1.0,
     callback: Callable[[int], object] | None = None,
     visited: Sequence[Visited] | None = None,
+    leave: Callable[[Array, float, Array], bool] = lambda theta, value, information: False,
 ) -> QuasiFit:
     """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
 
@@ -107,7 +108,8 @@ def quasi_ml(
     where even ``hope`` times twice what a quadratic function gains would not reach ``target``; then
     ``given_up`` is True.
     ``callback(k)`` is called as iteration k begins. ``visited``, one for each series, are points at a theta not
-    far from the start; they are brought up to date.
+    far from the start; they are brought up to date. ``leave(theta, value, information)`` may give a search up
+    before each iteration.
     Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
     all_series = as_series_list(series, model)
@@ -135,7 +137,8 @@ def quasi_ml(
         if not expected > tolerance:
             converged = True
             break
-        if iterations > PATIENCE and value + hope * expected < target:
+        hopeless = iterations > PATIENCE and value + hope * expected < target
+        if hopeless or leave(theta, value, H):
             given_up = True
             break
         moved, there = _step(model, all_series, theta, indices, direction, value, expected, visited)
