@@ -36,8 +36,8 @@ CANDIDATES_SHARE = 0.15  # of the whole search: the points
 class WarmStart:
     """The maxima for a theta, as far as these rows tell; ``note`` says why where it found nothing.
 
-    ``progress`` is told which share of a search is done. ``once``: a maximum that is known is not climbed to its
-    end again, which costs no more than the last digits.
+    ``progress`` is told which share of a search is done. ``once``: a maximum that is known is not climbed to
+    its end again, which costs no more than the last digits.
     """
 
     def __init__(
