@@ -18,6 +18,7 @@ from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
+from engine.filters.neighbours import Visited
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta
 
@@ -82,7 +83,8 @@ class WarmStart:
         order = np.argsort(-values, kind="stable")
         starts = [0, *[k for k in order if k][:IMPROVED_CANDIDATES]]
         self.progress(CANDIDATES_SHARE)
-        climb = partial(quasi_ml, model, self.searched, free=names, hope=HOPE)
+        visited = [Visited() for _ in self.searched]  # from one search to the next
+        climb = partial(quasi_ml, model, self.searched, free=names, hope=HOPE, visited=visited)
         found: list[QuasiFit] = []
         lost: Exception | None = None
         for i, start in enumerate(sorted(starts, key=lambda k: -values[k])):

@@ -47,6 +47,7 @@ STEP = 1e-4  # of the spread of a component of a, over which slopes by it are ta
 NEAR = 0.1  # of that spread: further from the visited points the slopes are not to be trusted
 LEAST_SPREAD = 1e-2  # of the way a component goes
 FEW = 3  # parameter vectors that are not worth it
+EACH = 4  # parameter vectors that are worth a filter of their own where a call takes all
 ROWS = 4  # on which it is asked what the model takes
 FAR = 8.0  # of the spread: from points farther away Newton's method is not tried ...
 SETTLED = 1e-5  # ... and so near it has arrived
@@ -104,7 +105,8 @@ def filter_all(
 ) -> MomentFiltered:
     """:func:`moment_filter` at any ``thetas`` (K, n_theta), of whole records where there are no points.
 
-    And from the points ``visited`` at another theta, where the model takes one parameter vector a call.
+    And from the points ``visited`` at another theta, where the model takes one parameter vector a call, or
+    there are few.
     """
     run = FilterSteps(model, Thetas(model, thetas), series)
     if model.na == 0:
@@ -112,7 +114,7 @@ def filter_all(
         return moment_filter(model, thetas, series) if found is None else found
     if visited is not None and visited.seen is not None:
         times, vectors = _takes(run)
-        if times and (not vectors or run.thetas.K == 1):
+        if times and (not vectors or (run.thetas.K <= EACH and model.na <= STATES)):
             return _each(run, visited)
     return moment_filter(model, thetas, series)
 
