@@ -89,7 +89,7 @@ class QuasiFit:
 
 
 @repeated_if_refuted
-def quasi_ml(
+def quasi_ml(  # noqa: PLR0913
     model: MixedModel,
     series: Series | Sequence[Series],
     theta0: ThetaLike = None,
@@ -99,13 +99,17 @@ def quasi_ml(
     target: float = -np.inf,
     hope: float = 1.0,
     callback: Callable[[int], object] | None = None,
+    visited: Sequence[Visited] | None = None,
+    leave: Callable[[Array, float, Array], bool] = lambda theta, value, information: False,
 ) -> QuasiFit:
     """Maximise the moment filter's log-likelihood over the free parameters, within their bounds.
 
     The search ends where less than ``tolerance`` is expected to be gained, or, after a few iterations,
     where even ``hope`` times twice what a quadratic function gains would not reach ``target``; then
     ``given_up`` is True.
-    ``callback(k)`` is called as iteration k begins.
+    ``callback(k)`` is called as iteration k begins. ``visited``, one for each series, are points at a theta not
+    far from the start; they are brought up to date. ``leave(theta, value, information)`` may give a search up
+    before each iteration.
     Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
     all_series = as_series_list(series, model)
@@ -116,7 +120,7 @@ def quasi_ml(
     given, model = model, with_scales(model, all_series, theta, indices)
     names = tuple(model.parameter_names[i] for i in indices)
     lower, upper = model.lower[indices], model.upper[indices]
-    visited = [Visited() for _ in all_series]
+    visited = [Visited() for _ in all_series] if visited is None else visited
     value, g, H = derivatives(model, all_series, theta, indices, visited)
     if not np.isfinite(value):
         raise ModelError(
@@ -133,7 +137,8 @@ def quasi_ml(
         if not expected > tolerance:
             converged = True
             break
-        if iterations > PATIENCE and value + hope * expected < target:
+        hopeless = iterations > PATIENCE and value + hope * expected < target
+        if hopeless or leave(theta, value, H):
             given_up = True
             break
         moved, there = _step(model, all_series, theta, indices, direction, value, expected, visited)
@@ -213,12 +218,14 @@ def _step(
     lower, upper = model.lower[indices], model.upper[indices]
     trials = np.clip(theta[indices] + TRIES[:, None] * direction, lower, upper)
     moved = free_thetas(theta, indices, trials[:1])[0]
+    here = [one.copy() for one in visited]
     there = derivatives(model, all_series, moved, indices, visited)
     if there[0] > value + GOOD * expected:
         return moved, there
     values = np.full(len(trials), -np.inf)
     for part in BATCHES:
-        values[part] = log_likelihoods(model, all_series, free_thetas(theta, indices, trials[part]))
+        thetas = free_thetas(theta, indices, trials[part])
+        values[part] = log_likelihoods(model, all_series, thetas, here)
         best = int(np.argmax(values))
         if values[best] > value + GOOD * TRIES[best] * expected:
             break
@@ -227,12 +234,26 @@ def _step(
     if not values[best] > value:
         return None, there
     moved = free_thetas(theta, indices, trials[best : best + 1])[0]
+    for one, before in zip(visited, here, strict=True):
+        one.seen, one.moved = before.seen, before.moved
     return moved, derivatives(model, all_series, moved, indices, visited)
 
 
-def log_likelihoods(model: MixedModel, all_series: Sequence[Series], thetas: Array) -> Array:
-    """Log-likelihood of all series together at each of the parameter vectors (K, n_theta)."""
-    each = [filter_all(model, thetas, one).log_likelihood for one in all_series]
+def log_likelihoods(
+    model: MixedModel,
+    all_series: Sequence[Series],
+    thetas: Array,
+    visited: Sequence[Visited] | None = None,
+) -> Array:
+    """Log-likelihood of all series together at each of the parameter vectors (K, n_theta).
+
+    ``visited``, one for each series, at a theta not far from them, spares a model that takes one parameter
+    vector a call the steps one by one.
+    """
+    each = [
+        filter_all(model, thetas, one, visited[i] if visited else None).log_likelihood
+        for i, one in enumerate(all_series)
+    ]
     return np.asarray(np.sum(each, axis=0))
 
 

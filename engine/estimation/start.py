@@ -18,6 +18,7 @@ from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
+from engine.filters.neighbours import Visited
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta
 
@@ -36,7 +37,8 @@ CANDIDATES_SHARE = 0.15  # of the whole search: the points
 class WarmStart:
     """The maxima for a theta, as far as these rows tell; ``note`` says why where it found nothing.
 
-    ``progress`` is told which share of a search is done.
+    ``progress`` is told which share of a search is done. ``once``: a maximum that is known is not climbed to
+    its end again, which costs no more than the last digits.
     """
 
     def __init__(
@@ -47,7 +49,9 @@ class WarmStart:
         *,
         rivals: float = RIVAL_NATS,
         progress: Callable[[float], object] = lambda share: None,
+        once: bool = False,
     ) -> None:
+        self.once = once
         self.model, self.indices, self.rivals, self.progress = model, indices, rivals, progress
         self.searched = [
             one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
@@ -79,7 +83,8 @@ class WarmStart:
         order = np.argsort(-values, kind="stable")
         starts = [0, *[k for k in order if k][:IMPROVED_CANDIDATES]]
         self.progress(CANDIDATES_SHARE)
-        climb = partial(quasi_ml, model, self.searched, free=names, hope=HOPE)
+        visited = [Visited() for _ in self.searched]  # from one search to the next
+        climb = partial(quasi_ml, model, self.searched, free=names, hope=HOPE, visited=visited)
         found: list[QuasiFit] = []
         lost: Exception | None = None
         for i, start in enumerate(sorted(starts, key=lambda k: -values[k])):
@@ -90,7 +95,12 @@ class WarmStart:
                 self.progress(CANDIDATES_SHARE + (1.0 - CANDIDATES_SHARE) * done)
 
             try:
-                found.append(climb(candidates[start], target=highest - self.rivals, callback=tell))
+                least = highest - self.rivals
+                known = found if self.once else ()
+                leave = partial(_arrives, found=known, indices=indices)
+                fit = climb(candidates[start], target=least, callback=tell, leave=leave)
+                if not (fit.given_up and leave(fit.theta, fit.log_likelihood, fit.information)):
+                    found.append(fit)
             except (ModelError, np.linalg.LinAlgError) as error:
                 lost = lost or error
         if not found and lost is not None:
@@ -116,6 +126,26 @@ def _same(fit: QuasiFit, other: QuasiFit, indices: NDArray[np.intp]) -> bool:
     """Whether two searches ended at the same place, by the information of either."""
     d = (np.asarray(fit.theta) - np.asarray(other.theta))[indices]
     return any(float(d @ one.information @ d) <= SAME_ERRORS**2 for one in (fit, other))
+
+
+def _arrives(
+    theta: Array,
+    value: float,
+    information: Array,
+    found: Sequence[QuasiFit],
+    indices: NDArray[np.intp],
+) -> bool:
+    """Whether a search is so near a maximum that is known that its end would be the same, see :func:`_same`.
+
+    As seen from both, and about as high as a quadratic function is there.
+    """
+    for fit in found:
+        d = (theta - np.asarray(fit.theta))[indices]
+        far = max(float(d @ one @ d) for one in (information, fit.information))
+        near = far <= SAME_ERRORS**2 and abs(value - fit.log_likelihood) <= SAME_ERRORS**2
+        if fit.converged and near:
+            return True
+    return False
 
 
 def _around(model: MixedModel, theta: Theta, indices: NDArray[np.intp]) -> Array:

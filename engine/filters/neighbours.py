@@ -17,6 +17,7 @@ takes a few calls where it is affine in the inputs (:mod:`engine.statespace.affi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
+from engine.errors import ModelError
 from engine.filters.sigma_point import (
     FilterSteps,
     MomentFiltered,
@@ -34,7 +36,8 @@ from engine.filters.sigma_point import (
     run_filter,
     usable,
 )
-from engine.kernels.moments import filter_near, sigma_points
+from engine.kernels.moments import sigma_points
+from engine.kernels.near import filter_near
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.points import Points
 from engine.statespace.refutation import repeated_if_refuted
@@ -44,8 +47,9 @@ STEP = 1e-4  # of the spread of a component of a, over which slopes by it are ta
 NEAR = 0.1  # of that spread: further from the visited points the slopes are not to be trusted
 LEAST_SPREAD = 1e-2  # of the way a component goes
 FEW = 3  # parameter vectors that are not worth it
+EACH = 4  # parameter vectors that are worth a filter of their own where a call takes all
 ROWS = 4  # on which it is asked what the model takes
-FAR = 1.0  # of the spread: from points farther away Newton's method is not tried ...
+FAR = 8.0  # of the spread: from points farther away Newton's method is not tried ...
 SETTLED = 1e-5  # ... and so near it has arrived
 ROUNDS = 6  # of it
 STATES = 2  # nonlinear ones, beyond which slopes by each cost more than calls at every time
@@ -60,6 +64,10 @@ class Visited:
 
     seen: Array | None = None
     moved: Array | None = None
+
+    def copy(self) -> Visited:
+        """The same, to be brought up to date on its own."""
+        return Visited(self.seen, self.moved)
 
     def part(self, n: int) -> Visited:
         """Of the first n times."""
@@ -92,13 +100,52 @@ def filter_neighbours(
 
 @repeated_if_refuted
 @np.errstate(all="ignore")
-def filter_all(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
-    """:func:`moment_filter` at any ``thetas`` (K, n_theta), of whole records where there are no points."""
+def filter_all(
+    model: MixedModel, thetas: Array, series: Series, visited: Visited | None = None
+) -> MomentFiltered:
+    """:func:`moment_filter` at any ``thetas`` (K, n_theta), of whole records where there are no points.
+
+    And from the points ``visited`` at another theta, where the model takes one parameter vector a call, or
+    there are few.
+    """
+    run = FilterSteps(model, Thetas(model, thetas), series)
     if model.na == 0:
-        found = followed(FilterSteps(model, Thetas(model, thetas), series))
-        if found is not None:
-            return found
+        found = followed(run)
+        return moment_filter(model, thetas, series) if found is None else found
+    if visited is not None and visited.seen is not None:
+        times, vectors = _takes(run)
+        if times and (not vectors or (run.thetas.K <= EACH and model.na <= STATES)):
+            return _each(run, visited)
     return moment_filter(model, thetas, series)
+
+
+def _each(run: FilterSteps, visited: Visited) -> MomentFiltered:
+    """Each filter by Newton's method from the points visited, those that do not get there step by step."""
+    model, thetas, series = run.model, run.thetas.thetas, run.series
+    found: list[MomentFiltered | None] = []
+    for theta in thetas:
+        try:
+            settled = _settled(FilterSteps(model, Thetas(model, theta), series), visited)
+        except ModelError as error:
+            if not error.numeric:
+                raise
+            return moment_filter(model, thetas, series)  # which leaves such a theta out
+        found.append(None if settled is None else settled[0])
+    left = [k for k, one in enumerate(found) if one is None]
+    if len(left) == len(thetas):
+        return moment_filter(model, thetas, series)
+    if left:
+        rest = moment_filter(model, thetas[left], series)
+        for i, k in enumerate(left):
+            found[k] = MomentFiltered(
+                rest.innovations[:, i : i + 1], rest.S[:, i : i + 1], rest.log_terms[:, i : i + 1]
+            )
+    every = [one for one in found if one is not None]
+    return MomentFiltered(
+        np.concatenate([one.innovations for one in every], axis=1),
+        np.concatenate([one.S for one in every], axis=1),
+        np.concatenate([one.log_terms for one in every], axis=1),
+    )
 
 
 def _worth_it(run: FilterSteps, visited: Visited | None) -> bool:
@@ -106,10 +153,17 @@ def _worth_it(run: FilterSteps, visited: Visited | None) -> bool:
     model, series, K = run.model, run.series, run.thetas.K
     if model.na == 0:
         return True
-    rows = np.arange(min(len(series) - 1, ROWS))
     again, known = visited is not None, visited is not None and visited.seen is not None
-    if len(rows) < ROWS or (K <= FEW and not known):
+    if len(series) <= ROWS or (K <= FEW and not known):
         return False
+    times, vectors = _takes(run)
+    return times and (not vectors or (again and model.na <= STATES))
+
+
+def _takes(run: FilterSteps) -> tuple[bool, bool]:
+    """Whether the model takes many times a call, and many parameter vectors."""
+    model, series, K = run.model, run.series, run.thetas.K
+    rows = np.arange(min(len(series) - 1, ROWS))
     m, _ = first_moments(model, run.thetas.thetas[0])
     a = np.repeat(m[None, : model.na], K, axis=0)
     points = Points(model, series, np.repeat(a[None, :1], len(series), axis=0))
@@ -121,7 +175,7 @@ def _worth_it(run: FilterSteps, visited: Visited | None) -> bool:
         u_0 = (series.u_step if transition else series.u)[0]
         dt_0 = run.steps[0] if transition else 0.0
         vectors &= function.takes(a, u_0, run.times[0], dt_0, together)
-    return times and (not vectors or (again and model.na <= STATES))
+    return times, vectors
 
 
 def followed(run: FilterSteps, visited: Visited | None = None) -> MomentFiltered | None:
@@ -149,8 +203,10 @@ def _points(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
     if model.na == 0:
         return np.empty(shape), np.empty(shape)
     first = FilterSteps(model, Thetas(model, run.thetas.thetas[:1]), series)
-    points = _settled(first, visited)
-    if points is None:
+    settled = _settled(first, visited)
+    if settled is not None:
+        points = settled[1]
+    else:
         points = np.empty(shape), np.empty(shape)
         if not np.isfinite(run_filter(first, points).log_terms).all():
             return None
@@ -159,8 +215,10 @@ def _points(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
     return points
 
 
-def _settled(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
-    """The points of a filter by Newton's method from those visited; None where it does not get there."""
+def _settled(
+    run: FilterSteps, visited: Visited
+) -> tuple[MomentFiltered, tuple[Array, Array]] | None:
+    """A filter and its points by Newton's method from those visited; None where it does not get there."""
     seen, moved = visited.seen, visited.moved
     if seen is None or moved is None:
         return None
@@ -172,7 +230,7 @@ def _settled(run: FilterSteps, visited: Visited) -> tuple[Array, Array] | None:
             return None
         seen, moved = near.visited
         if (farthest <= SETTLED * spread).all():
-            return seen, moved
+            return found, (seen, moved)
     return None
 
 
@@ -224,42 +282,54 @@ class _Known:
     def __init__(
         self, run: FilterSteps, a: Array, records: list[Any], spread: Array, transition: bool
     ) -> None:
-        self.run, self.a, self.records, self.spread = run, a, records, spread
-        self.transition = transition
-        self.each = [self._points(own) for own in np.split(a, len(records), axis=1)]
-
-    def _points(self, a: Array) -> Points:
-        return Points(self.run.model, self.run.series, a)
+        self.a, self.records, self.transition = a, records, transition
+        self.S, self.steps = a.shape[1] // len(records), STEP * spread
+        first, *others = np.split(a, len(records), axis=1)
+        # beside the points those to either side of them in each component, all in one call
+        sides = [first + sign * step for step in np.diag(self.steps) for sign in (-1.0, 1.0)]
+        first = np.concatenate([first, *sides], axis=1)
+        self.each = [Points(run.model, run.series, own) for own in (first, *others)]
 
     def at(self, rows: NDArray[np.intp]) -> tuple[Array, ...]:
         """Points, values and slopes at some rows, as :func:`filter_near` wants them."""
-        S, na = self.each[0].N, self.a.shape[2]
         pairs = zip(self.each, self.records, strict=True)
         each = [points.at(rows, record, self.transition) for points, record in pairs]
-        values = [_stacked([one[i] for one in each], len(rows), S) for i in range(3)]
-        slopes = [self._slopes(rows, j) for j in range(na)]
-        by_a = [
-            np.ascontiguousarray(np.stack([one[i] for one in slopes], axis=2))
-            if na
-            else np.zeros((len(rows), S, 0, *values[i].shape[2:]))
-            for i in range(3)
-        ]
-        return (self.a[rows], *values, *by_a)
-
-    def _slopes(self, rows: NDArray[np.intp], j: int) -> list[Array]:
-        first, step = self.each[0], np.zeros(len(self.spread))
-        step[j] = STEP * self.spread[j]
-        low, high = (
-            self._points(first.a + sign * step).at(rows, self.records[0], self.transition)
-            for sign in (-1.0, 1.0)
+        (f, slopes), *matrices = (self._split(part) for part in each[0])
+        return (
+            self.a[rows],
+            np.concatenate([f, *(one[0] for one in each[1:])], axis=1),
+            *(
+                _compact([own, *(one[i] for one in each[1:])])
+                for i, (own, _) in enumerate(matrices, 1)
+            ),
+            slopes,
+            *(_none_if_zero(by_a) for _, by_a in matrices),
         )
-        return [
-            _stacked([(y - x) / (2.0 * step[j])], len(rows), first.N)
-            for x, y in zip(low, high, strict=True)
-        ]
+
+    def _split(self, values: Array) -> tuple[Array, Array]:
+        """At the first record's points (n, S, ...), and slopes by a (n, S, na, ...); S is 1 where common."""
+        n, na, shape = len(values), len(self.steps), values.shape[2:]
+        if values.shape[1] == 1 < self.S * (1 + 2 * na):
+            return values, np.zeros((n, 1, na, *shape))
+        sides = values[:, self.S :].reshape(n, na, 2, self.S, *shape)
+        width = (2.0 * self.steps).reshape(na, *[1] * (1 + len(shape)))
+        slopes = (sides[:, :, 1] - sides[:, :, 0]) / width
+        return values[:, : self.S], np.ascontiguousarray(np.swapaxes(slopes, 1, 2))
 
 
-def _stacked(each: list[Array], n: int, S: int) -> Array:
-    """K arrays (n or 1, S or 1, ...) as one of (n, K S, ...)."""
-    full = [np.broadcast_to(one, (n, S, *one.shape[2:])) for one in each]
-    return np.ascontiguousarray(np.concatenate(full, axis=1))
+def _compact(each: Sequence[Array]) -> Array:
+    """K matrices (n or 1, S or 1, ., .) as one of (n or 1, 1 or K or K S, ., .), no larger than it must be."""
+    first = each[0]
+    alike = all(one.shape == first.shape and (one == first).all() for one in each[1:])
+    if alike and (first.shape[1] == 1 or len(each) == 1):
+        return np.ascontiguousarray(first)
+    times = max(one.shape[0] for one in each)
+    points = max(one.shape[1] for one in each)
+    return np.concatenate(
+        [np.broadcast_to(one, (times, points, *one.shape[2:])) for one in each], axis=1
+    )
+
+
+def _none_if_zero(slopes: Array) -> Array:
+    """Slopes of matrices (n or 1, S or 1, na, ., .); with na = 0 where all are zero."""
+    return slopes if slopes.any() else np.zeros((1, 1, 0, *slopes.shape[3:]))

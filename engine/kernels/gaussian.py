@@ -23,8 +23,11 @@ MEASURED = 1e-7  # readings are written with seven digits or more
 
 @njit(cache=True, error_model="numpy")
 def psd_cholesky_into(S, L):
-    """L (n, n) lower with L L' = S for a symmetric non-negative S (n, n); zero pivots allowed."""
-    n = S.shape[0]
+    """L (n, n) lower with L L' = S for a symmetric non-negative S (n, n); zero pivots allowed.
+
+    Of a larger S the leading n x n block is used.
+    """
+    n = L.shape[0]
     for j in range(n):
         d = S[j, j]
         for k in range(j):

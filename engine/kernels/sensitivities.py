@@ -62,23 +62,68 @@ def sensitivities(F, H, K, precision, nu, b, e, dQ, dR, dX, dm, dV):
         g = H dx + e,    dS = H dP H' + dR,    dC = dP H' + dX,    dK = (dC - K dS) S^{-1},
         dx' = F (dx + dK nu - K g) + b,    dP' = F (dP - dC K' - K dC' + K dS K') F' + dQ.
     """
-    T, ny, _ = H.shape
-    g = np.empty((T, ny))
-    dS = np.empty((T, ny, ny))
-    dx = dm.copy()
-    dP = dV.copy()
+    T, ny, nx = H.shape
+    g, dS = np.empty((T, ny)), np.empty((T, ny, ny))
+    dx, dP = dm.copy(), dV.copy()
+    v, dC, KdS = np.empty(nx), np.empty((nx, ny)), np.empty((nx, ny))
+    M, FM = np.empty((nx, nx)), np.empty((nx, nx))
+    # written out, as a call for each of such small products takes longer than they do
     for t in range(T):
-        Ht = np.ascontiguousarray(H[t])
-        Kt = np.ascontiguousarray(K[t])
-        g[t] = Ht @ dx + e[t]
-        dC = dP @ Ht.T
-        dS[t] = Ht @ dC + dR[t]
-        if t < T - 1:
-            dC += dX[t]
-            Ft = np.ascontiguousarray(F[t])
-            dK = (dC - Kt @ dS[t]) @ np.ascontiguousarray(precision[t])
-            CK = dC @ Kt.T
-            dx = Ft @ (dx + dK @ nu[t] - Kt @ g[t]) + b[t]
-            dP = Ft @ (dP - CK - CK.T + Kt @ dS[t] @ Kt.T) @ Ft.T + dQ[t]
-            dP = 0.5 * (dP + dP.T)  # the recursion amplifies what rounding makes unsymmetric
+        for p in range(ny):
+            s = e[t, p]
+            for i in range(nx):
+                s += H[t, p, i] * dx[i]
+            g[t, p] = s
+        for i in range(nx):
+            for p in range(ny):
+                s = 0.0
+                for j in range(nx):
+                    s += dP[i, j] * H[t, p, j]
+                dC[i, p] = s
+        for p in range(ny):
+            for q in range(ny):
+                s = dR[t, p, q]
+                for i in range(nx):
+                    s += H[t, p, i] * dC[i, q]
+                dS[t, p, q] = s
+        if t == T - 1:
+            continue
+        for i in range(nx):
+            for p in range(ny):
+                s = 0.0
+                for q in range(ny):
+                    s += K[t, i, q] * dS[t, q, p]
+                KdS[i, p] = s
+                dC[i, p] += dX[t, i, p]
+        for i in range(nx):  # v = dx + dK nu - K g
+            s = dx[i]
+            for p in range(ny):
+                s -= K[t, i, p] * g[t, p]
+                for q in range(ny):
+                    s += (dC[i, p] - KdS[i, p]) * precision[t, p, q] * nu[t, q]
+            v[i] = s
+        for i in range(nx):  # M = dP - dC K' - K dC' + K dS K', symmetric whatever rounding does
+            for j in range(i + 1):
+                s = 0.5 * (dP[i, j] + dP[j, i])
+                for p in range(ny):
+                    s += KdS[i, p] * K[t, j, p] - dC[i, p] * K[t, j, p] - dC[j, p] * K[t, i, p]
+                M[i, j] = s
+                M[j, i] = s
+        for i in range(nx):
+            s = b[t, i]
+            for j in range(nx):
+                s += F[t, i, j] * v[j]
+            dx[i] = s
+            for j in range(nx):
+                s = 0.0
+                for r in range(nx):
+                    s += F[t, i, r] * M[r, j]
+                FM[i, j] = s
+        for i in range(nx):
+            for j in range(i + 1):
+                s = 0.5 * (dQ[t, i, j] + dQ[t, j, i])
+                for r in range(nx):
+                    s += FM[i, r] * F[t, j, r]
+                dP[i, j] = s
+                dP[j, i] = s
     return g, dS

@@ -8,40 +8,59 @@ sum c_t score_t: one pass backward serves every course there is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.estimation.quasi_ml import whitening
+from engine.diagnose.screening.score_columns import whitened
 from engine.filters.sigma_point import MomentPath
 from engine.statespace.model import Array
 
 BLOCK_NUMBERS = 1_000_000  # numbers held at once where times are irregular
+_KEPT: WeakKeyDictionary[MomentPath, tuple[Series, Backward]] = WeakKeyDictionary()
 
 
-def backward(
-    path: MomentPath, series: Series
-) -> Iterator[tuple[int, Array, Array, Array, Array, Array]]:
-    """From the last row to the first: t, u_t (ny,), D_t (ny, ny), r_t (nx,), N_t (nx, nx), F_t K_t.
+@dataclass(frozen=True, eq=False)
+class Backward:
+    """One pass from the last row to the first, of which every disturbance takes what it needs.
 
-    u_t = S_t^{-1} nu_t - (F_t K_t)' r_t scores a unit disturbance of y_t, r_t one of x_{t+1}; their
-    informations are D_t = S_t^{-1} + (F_t K_t)' N_t F_t K_t and N_t. At the last row r and N are zero.
+    ``u`` (T, ny), u_t = S_t^{-1} nu_t - (F_t K_t)' r_t, scores a unit disturbance of y_t, ``r`` (T, nx) one of
+    x_{t+1}; their informations are ``D`` (T, ny, ny), D_t = S_t^{-1} + (F_t K_t)' N_t F_t K_t, and ``N``
+    (T, nx, nx); ``gain`` (T, nx, ny) is F_t K_t. At the last row r, N and the gain are zero.
     """
+
+    u: Array
+    D: Array
+    r: Array
+    N: Array
+    gain: Array
+
+
+def backward(path: MomentPath, series: Series) -> Backward:
+    """The disturbance smoother along a filter's way; kept with the way, as all disturbances share it."""
+    known = _KEPT.get(path)
+    if known is not None and known[0] is series:
+        return known[1]
     T, _, nx = path.H.shape
-    root = whitening(path.S, series.observed)
-    nu = np.nan_to_num(path.innovations)
-    r, N = np.zeros(nx), np.zeros((nx, nx))
-    for t in range(T - 1, -1, -1):
-        precision = root[t].T @ root[t]
-        F = path.F[t] if t < T - 1 else np.zeros((nx, nx))
-        gain = F @ path.K[t]
-        u, D = precision @ nu[t] - gain.T @ r, precision + gain.T @ N @ gain
-        yield t, u, D, r, N, gain
-        L = F - gain @ path.H[t]
-        r = path.H[t].T @ precision @ nu[t] + L.T @ r
-        N = path.H[t].T @ precision @ path.H[t] + L.T @ N @ L
+    _, precision, nu, _ = whitened(path, series)
+    scaled = (precision @ nu[:, :, None])[:, :, 0]
+    F = np.concatenate([path.F, np.zeros((1, nx, nx))])
+    gain = F @ path.K
+    L = F - gain @ path.H
+    Hs = np.swapaxes(path.H, -1, -2)
+    own, own_information = (Hs @ scaled[:, :, None])[:, :, 0], Hs @ precision @ path.H
+    r, N = np.zeros((T, nx)), np.zeros((T, nx, nx))
+    for t in range(T - 1, 0, -1):
+        r[t - 1] = own[t] + L[t].T @ r[t]
+        N[t - 1] = own_information[t] + L[t].T @ N[t] @ L[t]
+    back = np.swapaxes(gain, -1, -2)
+    u = scaled - (back @ r[:, :, None])[:, :, 0]
+    out = Backward(u, precision + back @ N @ gain, r, N, gain)
+    _KEPT[path] = series, out
+    return out
 
 
 def pulse_scores(path: MomentPath, series: Series, b: Array, e: Array) -> tuple[Array, Array]:
@@ -49,14 +68,13 @@ def pulse_scores(path: MomentPath, series: Series, b: Array, e: Array) -> tuple[
 
     ``b`` (T-1, nx), ``e`` (T, ny).
     """
-    T = len(path.H)
-    scores, information = np.zeros(T), np.zeros(T)
-    for t, u, D, r, N, gain in backward(path, series):
-        scores[t] = e[t] @ u
-        information[t] = e[t] @ D @ e[t]
-        if t < T - 1:
-            scores[t] += b[t] @ r
-            information[t] += b[t] @ N @ b[t] - 2.0 * e[t] @ gain.T @ N @ b[t]
+    way = backward(path, series)
+    b = np.concatenate([b, np.zeros((1, b.shape[1]))])
+    scores = (e * way.u).sum(axis=1) + (b * way.r).sum(axis=1)
+    Nb = (way.N @ b[:, :, None])[:, :, 0]
+    beside = (np.swapaxes(way.gain, -1, -2) @ Nb[:, :, None])[:, :, 0]
+    of_y = (way.D @ e[:, :, None])[:, :, 0]
+    information = (e * of_y).sum(axis=1) + (b * Nb).sum(axis=1) - 2.0 * (e * beside).sum(axis=1)
     return scores, information
 
 
@@ -80,11 +98,9 @@ def best_frequencies(
 def _fourier_sums(scores: Array, series: Series, frequencies: Array) -> NDArray[np.complex128]:
     """Sums (m,) of scores_t exp(-2 pi i f (t - t_1)) at equally spaced frequencies (m,)."""
     if series.dt is not None:
-        from scipy.signal import czt  # here, as it takes longer to load than most of the engine
-
+        turn = -2j * np.pi * series.dt
         first, step = frequencies[0], frequencies[1] - frequencies[0]
-        turn = 2j * np.pi * series.dt
-        return np.asarray(czt(scores, len(frequencies), np.exp(-turn * step), np.exp(turn * first)))
+        return _chirp(scores, len(frequencies), turn * first, turn * step)
     t = series.t - series.t[0]
     rows = max(1, BLOCK_NUMBERS // len(t))
     return np.concatenate(
@@ -93,6 +109,19 @@ def _fourier_sums(scores: Array, series: Series, frequencies: Array) -> NDArray[
             for i in range(0, len(frequencies), rows)
         ]
     )
+
+
+def _chirp(x: Array, m: int, first: complex, step: complex) -> NDArray[np.complex128]:
+    """Sums (m,) over n of x_n exp(n (first + k step)) by three Fourier transforms (Bluestein 1970).
+
+    With n k = (n^2 + k^2 - (k - n)^2) / 2 they are a convolution. SciPy has it, in what takes long to load.
+    """
+    n, k = np.arange(len(x)), np.arange(m)
+    reach = np.arange(-len(x) + 1, m)
+    size = 1 << (len(reach) + len(x)).bit_length()
+    spread = np.fft.fft(x * np.exp(n * first + 0.5 * n**2 * step), size)
+    sums = np.fft.ifft(spread * np.fft.fft(np.exp(-0.5 * reach**2 * step), size))
+    return np.asarray(np.exp(0.5 * k**2 * step) * sums[len(x) - 1 : len(x) - 1 + m])
 
 
 def _response(path: MomentPath, series: Series, b: Array, e: Array, frequencies: Array) -> Array:

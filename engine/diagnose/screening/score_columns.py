@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,10 @@ TRIALS = 6
 
 ATTEMPTS = 12  # at a step
 POWERS = (0.5, 2.0)  # of a size, to which predictions answer
+
+_KEPT: WeakKeyDictionary[MomentPath, tuple[Series, tuple[Array, Array, Array, Array]]] = (
+    WeakKeyDictionary()
+)
 
 UNTESTABLE = 1e-4  # rho below this: the parameters take up all an effect could show
 
@@ -91,6 +96,21 @@ def parameter_columns(
     return innovation_columns(filtered, series.observed, pairs)
 
 
+def whitened(path: MomentPath, series: Series) -> tuple[Array, Array, Array, Array]:
+    """S_t^{-1/2} and S_t^{-1} (T, ny, ny), innovations and whitened ones (T, ny); zero where missing.
+
+    Kept with the way, as all columns along it share them.
+    """
+    known = _KEPT.get(path)
+    if known is not None and known[0] is series:
+        return known[1]
+    root = whitening(path.S, series.observed)
+    nu = np.nan_to_num(path.innovations)
+    out = root, np.swapaxes(root, -1, -2) @ root, nu, np.einsum("tij,tj->ti", root, nu)
+    _KEPT[path] = series, out
+    return out
+
+
 @np.errstate(all="ignore")  # sizes are tried that are far too large
 def effect_columns(
     effect: Effect, model: MixedModel, theta: Array, series: Series, path: MomentPath
@@ -129,11 +149,8 @@ def static_column(
 ) -> Column:
     """The column of parameter k of ``extended`` at ``at``, along the path of the base model."""
     b, dQ, e, dR, dX, dm, dV = _slopes(extended, at, k, model, series, path)
-    root = whitening(path.S, series.observed)
-    precision = np.swapaxes(root, -1, -2) @ root
-    nu = np.nan_to_num(path.innovations)
+    root, precision, nu, z = whitened(path, series)
     g, dS = sensitivities(path.F, path.H, path.K, precision, nu, b, e, dQ, dR, dX, dm, dV)
-    z = np.einsum("tij,tj->ti", root, nu)
     Z = -np.einsum("tij,tj->ti", root, g)
     E = root @ dS @ np.swapaxes(root, -1, -2)
     s = -(Z * z).sum(axis=1) + 0.5 * (

@@ -8,10 +8,9 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
-from engine.diagnose.screening.score_columns import Column, Projection
+from engine.diagnose.screening.score_columns import Column, Projection, whitened
 from engine.diagnose.screening.screen import Test, make_test
 from engine.estimation.expectation import parameter_scale
-from engine.estimation.quasi_ml import whitening
 from engine.filters.sigma_point import MomentPath
 from engine.kernels.sensitivities import footprints
 from engine.statespace.model import Array, MixedModel
@@ -37,16 +36,15 @@ def family_test(
     """The test of a timed effect over its whole grid; None where it leaves no footprint."""
     b, e = _driver(effect, model, theta, series, path)
     at, gate, tries = _gates(effect, series, path, b, e)
-    root = whitening(path.S, series.observed)
-    z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
-    T, ny = z.shape
+    root, _, _, z = whitened(path, series)
+    turned, (T, ny) = np.swapaxes(root, -1, -2), z.shape
     degrees = 2 if effect.traits.course is Course.HARMONIC else 1
 
     def chunk(start: int) -> list[tuple[tuple[float, ...], Column]]:
         some = np.ascontiguousarray(gate[:, start : start + CHUNK])
         g = np.nan_to_num(footprints(path.F, path.H, path.K, b, e, some))
-        G = np.einsum("tij,tnj->nti", root, g)
-        s = np.einsum("nti,ti->nt", G, z)
+        G = np.swapaxes(g @ turned, 0, 1)
+        s = (G * z).sum(axis=2)
         v = np.zeros((some.shape[1], T * ny * (1 + ny)))
         v[:, : T * ny] = -G.reshape(len(v), -1)
         return [(at[(start + k) // degrees], Column(s[k], v[k])) for k in range(len(v))]

@@ -198,7 +198,12 @@ def fit_base(
         begun = START_SHARE
         indices = model.free_indices(free)
         ahead = WarmStart(
-            model, [series], indices, rivals=RIVALS, progress=lambda share: progress(begun * share)
+            model,
+            [series],
+            indices,
+            rivals=RIVALS,
+            progress=lambda share: progress(begun * share),
+            once=True,
         )
         start, *others = ahead(start) or [start]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,10 +16,14 @@ from engine.diagnose.screening.tails import fit_tails
 from engine.diagnose.screening.time_scan import grid
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
+from engine.filters.neighbours import Visited, visited_on
+from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel
 
 TOLERANCE = 0.02  # of a log-likelihood: refits are compared, the best one is then finished
 HOPE = 10.0  # a large effect is far away, where a search gains many times what it expects
+Way = Callable[[], Visited]  # called where it is needed
+
 HOPELESS = 10.0  # of the score behind the best refit, from which another one is left for later
 
 
@@ -67,13 +72,14 @@ def refit(
     score: Score,
     best: float = -np.inf,
     further: Array | None = None,
+    way: Way = lambda: Visited(),
 ) -> Refit:
     """Maximum likelihood of the extended model, started at the score's one-step estimate.
 
     Or at ``further`` (n,), theta with the effect, where the likelihood is larger there. And from the fit's
     other maxima: with the effect in the model another one may be the highest.
     Given up early where its score seems to stay far below ``best``, the score of another refit; see
-    :func:`taken_up`.
+    :func:`taken_up`. ``way`` tells where the filter of ``fit`` went, see :func:`way_of`.
     """
     effect = score.effect
     extended = effect.apply(fit.model)
@@ -91,14 +97,18 @@ def refit(
     sought = effect.sought
     free = [*fit.free, *free_parameters(effect)]
     starts = np.clip(_places(effect, start, n), extended.lower, extended.upper)
-    start, zero = _best_start(extended, series, starts, null, n, further)
+    # without a size the filter of the extended model goes this way, and not far from it with one
+    visited = _along(way, fit.model, extended)
+    start, zero = _best_start(extended, series, starts, null, n, further, visited)
     if sought:
-        start = _best_row(extended, series, start, sought[0], effect)
+        start = _best_row(extended, series, start, sought[0], effect, visited)
     target = zero + 0.5 * (best - HOPELESS + cost(effect, series))
-    climb = partial(quasi_ml, extended, series, free=free, tolerance=TOLERANCE)
+    climb = partial(
+        quasi_ml, extended, series, free=free, tolerance=TOLERANCE, visited=[visited.copy()]
+    )
     found = climb(start, target=target, hope=HOPE)
     if sought and found.log_likelihood > target:
-        moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect)
+        moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect, visited)
         if not np.array_equal(moved, found.theta):
             found = max(found, climb(moved), key=lambda one: one.log_likelihood)
     for rival in fit.rivals:
@@ -108,8 +118,26 @@ def refit(
         found = max(found, again, key=lambda one: one.log_likelihood)
     best_elsewhere = None
     if elsewhere:
-        best_elsewhere, _ = _best_start(extended, series, np.array(elsewhere), null, n, None)
+        best_elsewhere, _ = _best_start(
+            extended, series, np.array(elsewhere), null, n, None, visited
+        )
     return _complete(_weighed(effect, found, zero, series), zero, series, best_elsewhere)
+
+
+def way_of(fit: QuasiFit, series: Series) -> Visited:
+    """The points of a fitted model's filter, from which those of its extensions are not far."""
+    try:
+        path = moment_path(fit.model, np.asarray(fit.theta), series)
+    except EngineError:
+        return Visited()
+    return visited_on(path, fit.model.na)
+
+
+def _along(way: Way, model: MixedModel, extended: MixedModel) -> Visited:
+    """Of the way of ``model`` what holds for an extension: none where that has nonlinear states of its own."""
+    if not model.na or extended.nonlinear != model.nonlinear:
+        return Visited()
+    return way().copy()
 
 
 def taken_up(refit: Refit, series: Series) -> Refit:
@@ -229,7 +257,13 @@ def _from_elsewhere(effect: Effect, start: Array, further: Array | None, n: int)
 
 
 def _best_start(
-    extended: MixedModel, series: Series, places: Array, null: Array, n: int, further: Array | None
+    extended: MixedModel,
+    series: Series,
+    places: Array,
+    null: Array,
+    n: int,
+    further: Array | None,
+    visited: Visited,
 ) -> tuple[Array, float]:
     """The best of a few sizes around the one-step estimate, which may overshoot; log-likelihood at null."""
     sizes = np.array([1.0, 0.5, 0.25, 0.1, 2.0, 0.01])
@@ -238,12 +272,18 @@ def _best_start(
     if further is not None:
         starts = np.vstack([starts, further])
     starts = np.clip(starts, extended.lower, extended.upper)
-    values = log_likelihoods(extended, [series], np.concatenate([null[None], starts]))
+    thetas = np.concatenate([null[None], starts])
+    values = log_likelihoods(extended, [series], thetas, [visited])
     return np.asarray(starts[int(np.argmax(values[1:]))]), float(values[0])
 
 
 def _best_row(
-    extended: MixedModel, series: Series, theta: Array, name: str, effect: Effect
+    extended: MixedModel,
+    series: Series,
+    theta: Array,
+    name: str,
+    effect: Effect,
+    visited: Visited,
 ) -> Array:
     """Theta with the effect's time moved to the row near it where the likelihood is largest."""
     k = extended.index(name)
@@ -254,7 +294,7 @@ def _best_row(
     rows = np.arange(max(here - reach, 1), min(here + reach + 1, len(series) - 1))
     thetas = np.repeat(theta[None], len(rows) + 1, axis=0)
     thetas[1:, k] = series.t[rows]
-    values = log_likelihoods(extended, [series], thetas)
+    values = log_likelihoods(extended, [series], thetas, [visited])
     return np.asarray(thetas[int(np.argmax(values))])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.screening.screening import TAILS_ALARM, Progress
 from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.refits import Refit, cost, refit, taken_up
+from engine.diagnose.search.refits import Refit, cost, refit, taken_up, way_of
 from engine.diagnose.search.rounds import Round, settle
 from engine.distributions import chi2_isf
 from engine.errors import EngineError
@@ -49,10 +49,12 @@ def refit_swallowed(
     both gives the noise back. A refit is left half-way where it will not be an alarm.
     """
     refits = []
+    way = cache(partial(way_of, fit, series))
     families = _swallowed(seen)[:SWALLOWED_REFITS]
     for i, score in enumerate(families):
         progress("refit swallowed", i / len(families))
-        once = partial(refit, fit, series, score, _alarming(score, len(families), series))
+        least = _alarming(score, len(families), series)
+        once = partial(refit, fit, series, score, least, way=way)
         refits.append(_made(partial(kept.refit, fit.model, score.effect, once)))
     return [found for found in refits if found is not None]
 
@@ -96,11 +98,13 @@ def refit_best(
     refits = list(done)
     names = {r.effect.name for r in done}
     asked = asked or {}
+    way = cache(partial(way_of, fit, series))
     left = [s for s in _worth_refitting(seen, series, asked) if s.effect.name not in names]
     for i, score in enumerate(left):
         progress("refit", REFITTED_ONCE * i / len(left))
         leading = max((r.score for r in refits), default=-np.inf)
-        once = partial(refit, fit, series, score, leading, asked.get(score.effect.name))
+        further = asked.get(score.effect.name)
+        once = partial(refit, fit, series, score, leading, further, way)
         found = _made(partial(kept.refit, fit.model, score.effect, once))
         if found is not None:
             refits.append(found)

@@ -75,12 +75,9 @@ def auxiliary(path: MomentPath, series: Series) -> tuple[Array, Array]:
     disturbance smoother's r, N, u and D (:func:`engine.diagnose.screening.disturbances.backward`). Each is
     N(0, 1).
     """
-    T, ny, nx = path.H.shape
-    of_y, of_x = np.full((T, ny), np.nan), np.full((T - 1, nx), np.nan)
-    for t, u, D, r, N, _ in backward(path, series):
-        of_y[t] = _over_root(u, np.diag(D))
-        if t < T - 1:
-            of_x[t] = _over_root(r, np.diag(N))
+    way = backward(path, series)
+    of_y = _over_root(way.u, np.diagonal(way.D, axis1=1, axis2=2))
+    of_x = _over_root(way.r[:-1], np.diagonal(way.N[:-1], axis1=1, axis2=2))
     return np.where(series.observed, of_y, np.nan), of_x
 
 

@@ -6,7 +6,12 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.screening.disturbances import best_frequencies, pulse_scores
+from engine.diagnose.screening.disturbances import (
+    _fourier_sums,
+    backward,
+    best_frequencies,
+    pulse_scores,
+)
 from engine.diagnose.screening.score_columns import Projection, parameter_columns
 from engine.diagnose.screening.time_scan import family_test, grid
 from engine.estimation.quasi_ml import quasi_ml
@@ -101,3 +106,21 @@ def test_a_pulse_is_found_on_any_row_but_the_first_and_the_last():
         found = family_test(effect, DRIVE, theta, series, path, Projection([]))
         assert found is not None
         assert found.at[0][0] == pytest.approx(series.t[row])
+
+
+@pytest.mark.parametrize(("rows", "frequencies"), [(40, 7), (301, 250), (64, 900)])
+def test_the_chirp_transform_is_the_sum_written_out(rows, frequencies):
+    series, x = drive(rows), np.random.default_rng(2).standard_normal(rows)
+    at = np.linspace(0.05, 4.8, frequencies)
+    expected = np.exp(-2j * np.pi * np.outer(at, series.t - series.t[0])) @ x
+    np.testing.assert_allclose(_fourier_sums(x, series, at), expected, atol=1e-9)
+
+
+def test_a_way_is_gone_back_once():
+    series = drive(60)
+    path = moment_path(DRIVE, np.asarray(DRIVE.theta()), series)
+    assert backward(path, series) is backward(path, series)
+    gap = series.replace(y=np.where(np.arange(60)[:, None] == 30, np.nan, series.y))
+    there = moment_path(DRIVE, np.asarray(DRIVE.theta()), gap)
+    assert not backward(there, gap).D[30].any()  # what is missing tells nothing
+    assert np.isfinite(backward(there, gap).u).all()

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from engine import get_model, rbps_em, simulate
+from engine.estimation import start as module
+from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.start import WarmStart
 
 # a start from which plain EM ends at theta_4 = 0, about 40 below in log-likelihood
@@ -44,3 +46,39 @@ def test_only_free_parameters_move(series):
     found = WarmStart(model, [series], model.free_indices(["theta_2"]))(start)
     assert found[0]["theta_3"] == 0.31
     assert 0.5 < found[0]["theta_2"] < 1.6
+
+
+def test_searches_that_come_to_a_known_maximum_end_there(series, monkeypatch):
+    """The maxima are those of searches that all go to their end, in fewer iterations."""
+    model = get_model("mixed-4")
+    theta, indices = model.theta(), model.free_indices(None)
+    counts = []
+
+    def counted(*args, **options):
+        found = quasi_ml(*args, **options)
+        counts[-1] += found.iterations
+        return found
+
+    monkeypatch.setattr(module, "quasi_ml", counted)
+    maxima = []
+    for once in (True, False):
+        counts.append(0)
+        maxima.append(WarmStart(model, [series], indices, once=once).maxima(theta))
+    assert counts[0] < counts[1]
+    assert len(maxima[0]) == len(maxima[1])
+    fit = quasi_ml(model, series, maxima[1][0])
+    for one, other in zip(*maxima, strict=True):
+        d = (np.asarray(one) - np.asarray(other))[indices]
+        assert d @ fit.information @ d < 0.01
+
+
+def test_a_search_that_is_left_is_given_up(series):
+    model = get_model("mixed-4")
+    seen = []
+    found = quasi_ml(
+        model, series, leave=lambda theta, value, information: seen.append(value) or len(seen) == 2
+    )
+    assert found.given_up
+    assert not found.converged
+    assert found.iterations == 2
+    assert found.log_likelihood == seen[-1]

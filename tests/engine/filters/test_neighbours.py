@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,13 @@ import pytest
 from engine import Series, get_model, simulate
 from engine.estimation.quasi_ml import derivatives, neighbours
 from engine.filters import neighbours as module
-from engine.filters.neighbours import Visited, filter_neighbours, followed, visited_on
+from engine.filters.neighbours import (
+    Visited,
+    filter_all,
+    filter_neighbours,
+    followed,
+    visited_on,
+)
 from engine.filters.sigma_point import FilterSteps, Thetas, moment_filter, moment_path, run_filter
 
 MODELS = ("mixed-4", "servo", "tanks", "linear-2", "oscillator")
@@ -146,3 +153,48 @@ def test_a_filter_s_way_tells_the_points_it_looked_at(name):
     np.testing.assert_allclose(told.seen, own[0], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(told.moved[:-1], own[1][:-1], rtol=1e-9, atol=1e-12)
     assert len(told.part(7).seen) == len(told.part(7).moved) == 7
+
+
+@pytest.mark.parametrize("name", ["mixed-4", "servo", "tanks"])
+def test_each_theta_has_its_own_filter_from_points_of_another(name, monkeypatch):
+    """Those that are near, and those that must be filtered step by step, in their order."""
+    model, series = record(name)
+    model = one_vector_a_call(model)
+    theta = np.asarray(model.theta())
+    visited = visited_on(moment_path(model, theta, series), model.na)
+    seen, moved = visited.seen.copy(), visited.moved.copy()
+    far = np.clip(0.3 * theta, model.lower, model.upper)
+    thetas = np.stack([theta, 1.01 * theta, far, 0.95 * theta, theta * (1.0 + 1e-6)])
+    thetas = np.clip(thetas, model.lower, model.upper)
+    exact = moment_filter(model, thetas, series)
+    stepwise = []
+
+    def counted(model, some, series):
+        stepwise.append(len(some))
+        return moment_filter(model, some, series)
+
+    monkeypatch.setattr(module, "moment_filter", counted)
+    found = filter_all(model, thetas, series, visited)
+    assert sum(stepwise) <= 2
+    np.testing.assert_allclose(found.log_terms, exact.log_terms, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(found.S, exact.S, rtol=1e-6, atol=1e-9 * np.abs(exact.S).max())
+    assert np.array_equal(seen, visited.seen)
+    assert np.array_equal(moved, visited.moved)
+
+
+def test_a_theta_that_cannot_be_calculated_loses_beside_others():
+    model, series = record("mixed-4")
+
+    def dynamics(a, u, t, dt, theta):
+        assert np.ndim(theta[0]) == 0
+        root = math.sqrt(theta.theta_1)  # of a negative number: ValueError
+        return model.dynamics(a, u, t, dt, theta._replace(theta_1=root**2))
+
+    picky = replace(model, dynamics=dynamics)
+    theta = np.asarray(model.theta())
+    visited = visited_on(moment_path(model, theta, series), model.na)
+    thetas = np.stack([theta, theta])
+    thetas[1, 0] = -1.0
+    found = filter_all(picky, thetas, series, visited).log_likelihood
+    assert np.isfinite(found[0])
+    assert found[1] == -np.inf
