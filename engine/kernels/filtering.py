@@ -300,10 +300,7 @@ def draw_adapted(mu, L, ancestors, h, C, R, y, noise, uniform, defensive, inflat
     whiten_each(root, r, np.zeros((n, M)), np.empty(M, np.bool_))
     wide = math.sqrt(inflation)
     own = np.empty((na, na, M))
-    from_own = np.empty((na, M))
-    from_prior = np.empty((na, M))
-    slack_own = np.empty((na, M))
-    slack_prior = np.empty((na, M))
+    from_own, from_prior, slack_own, slack_prior = np.empty((4, na, M))
     a = np.empty((M, na))
     for k in range(na):
         for q in range(na):

@@ -94,11 +94,7 @@ def lower_roots_into(X, L):
         _one_by_one(X, L)
         return
     kept = X.copy()
-    before = np.empty(M)
-    rest = np.empty(M)
-    pivot = np.empty(M)
-    scale = np.empty(M)
-    s = np.empty(M)
+    before, rest, pivot, scale, s = np.empty((5, M))
     for j in range(n):
         before[:] = 0.0
         rest[:] = 0.0
