@@ -58,7 +58,7 @@ def adapted(step: Step) -> tuple[Array, Array | None]:
     measurement that knows better brings a ``propose(step)`` of its own, see :mod:`engine.filters.heavy_tails`.
     """
     model, M, na = step.model, len(step.ancestors), step.model.na
-    if na == 0 or all(value != value for value in step.y.tolist()):  # NaN throughout
+    if na == 0 or not any(value == value for value in step.y.tolist()):  # NaN throughout
         return bootstrap(step)
     if step.roots is None and hasattr(model.measurement, "propose"):
         drawn: tuple[Array, Array | None] = model.measurement.propose(step)

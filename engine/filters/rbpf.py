@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -295,6 +296,12 @@ def over_time(rows: Sequence[Any]) -> dict[str, Any]:
 
 
 def _stacked(rows: Sequence[Any]) -> Array:
+    first = rows[0]
+    if isinstance(first, np.ndarray) and first.size:
+        # as memory, which takes a third of the time; rows of other sizes or layouts do not fit
+        with suppress(TypeError, ValueError):
+            every = np.frombuffer(bytearray().join(rows), first.dtype)
+            return every.reshape(len(rows), *first.shape)
     try:
         return np.array(rows)
     except ValueError:

@@ -20,10 +20,11 @@ from numba import njit
 from engine.kernels.gaussian import (
     MEASURED,
     ROUNDING,
-    log_normalizer,
-    lower_root_into,
+    log_normal_columns,
+    log_normal_each,
+    lower_roots_into,
     psd_cholesky_into,
-    whiten,
+    whiten_each,
 )
 from engine.kernels.resampling import normalize
 
@@ -51,12 +52,9 @@ def predict(f, A, Q, z, Z):
                 s += A[b, r, c] * z[i, c]
             mu[i, r] = s
     B = max(A.shape[0], Q.shape[0], Z.shape[0])
-    L = np.empty((B, nx, nx))
-    V = np.empty((B, nz, nx))
-    Z_plus = np.empty((B, nz, nz))
+    joint = np.zeros((nx + nz, nz + nx, B))
+    root = np.empty((nx + nz, nx + nz, B))
     Q_root = np.empty((nx, nx))
-    joint = np.empty((nx + nz, nz + nx))
-    root = np.empty((nx + nz, nx + nz))
     for b in range(B):
         Ab = A[b if A.shape[0] > 1 else 0]
         Zb = Z[b if Z.shape[0] > 1 else 0]
@@ -67,18 +65,20 @@ def predict(f, A, Q, z, Z):
                 s = 0.0
                 for k in range(c, nz):
                     s += Ab[r, k] * Zb[k, c]
-                joint[r, c] = s
-            for c in range(nx):
-                joint[r, nz + c] = Q_root[r, c]
+                joint[r, c, b] = s
+            for c in range(r + 1):
+                joint[r, nz + c, b] = Q_root[r, c]
         for r in range(nz):
-            for c in range(nz):
-                joint[nx + r, c] = Zb[r, c]
-            for c in range(nx):
-                joint[nx + r, nz + c] = 0.0
-        lower_root_into(joint, root)
-        L[b] = root[:nx, :nx]
-        V[b] = root[nx:, :nx]
-        Z_plus[b] = root[nx:, nx:]
+            for c in range(r + 1):
+                joint[nx + r, c, b] = Zb[r, c]
+    lower_roots_into(joint, root)
+    L = np.empty((B, nx, nx))
+    V = np.empty((B, nz, nx))
+    Z_plus = np.empty((B, nz, nz))
+    for b in range(B):
+        L[b] = root[:nx, :nx, b]
+        V[b] = root[nx:, :nx, b]
+        Z_plus[b] = root[nx:, nx:, b]
     return mu, L, V, Z_plus
 
 
@@ -92,33 +92,35 @@ def condition(mu, L, ancestors, a):
     M, na = a.shape
     nx = mu.shape[1]
     nz = nx - na
-    common = L.shape[0] == 1
+    B = 1 if L.shape[0] == 1 else M
     z = np.empty((M, nz))
-    Z = np.empty((1 if common else M, nz, nz))
+    Z = np.empty((B, nz, nz))
     log_p = np.empty(M)
-    r = np.empty(na)
-    slack = np.empty(na)
-    v = np.empty(na)
-    c = log_normalizer(L[0], na)
+    r = np.empty((na, M))
+    slack = np.empty((na, M))
+    for k in range(na):
+        for i in range(M):
+            alpha = mu[ancestors[i], k]
+            r[k, i] = a[i, k] - alpha
+            slack[k, i] = ROUNDING * (abs(a[i, k]) + abs(alpha))
+    if B == 1:
+        log_normal_columns(L[0], r, slack, log_p)
+    else:
+        L_a = np.empty((na, na, M))
+        for k in range(na):
+            for q in range(k + 1):
+                for i in range(M):
+                    L_a[k, q, i] = L[ancestors[i], k, q]
+        log_normal_each(L_a, r, slack, log_p)
     for i in range(M):
         j = ancestors[i]
-        b = 0 if common else j
-        for k in range(na):
-            r[k] = a[i, k] - mu[j, k]
-            slack[k] = ROUNDING * (abs(a[i, k]) + abs(mu[j, k]))
-        possible = whiten(L[b], r, slack, v)
-        if not common:
-            c = log_normalizer(L[b], na)
-        q = 0.0
-        for k in range(na):
-            q += v[k] * v[k]
-        log_p[i] = c - 0.5 * q if possible else -np.inf
+        b = 0 if B == 1 else j
         for k in range(nz):
             s = mu[j, na + k]
             for m in range(na):
-                s += L[b, na + k, m] * v[m]
+                s += L[b, na + k, m] * r[m, i]
             z[i, k] = s
-        if not common or i == 0:
+        if i < B:
             Z[i] = L[b, na:, na:]
     return z, Z, log_p
 
@@ -148,55 +150,54 @@ def update(z, Z, h, C, R, y):
         return z_new, Z_new, log_p
     R_there = np.empty((n, n))
     R_root = np.empty((n, n))
-    joint = np.empty((n + nz, n + nz))
-    root = np.empty((n + nz, n + nz))
-    r = np.empty(n)
-    slack = np.empty(n)
-    v = np.empty(n)
-    c = 0.0
-    for i in range(M):
-        ci = i if C.shape[0] > 1 else 0
-        if B > 1 or i == 0:
-            Zi = Z[i if Z.shape[0] > 1 else 0]
-            if i == 0 or R.shape[0] > 1:
-                for p in range(n):
-                    for q in range(n):
-                        R_there[p, q] = R[i, channels[p], channels[q]]
-                psd_cholesky_into(R_there, R_root)
+    joint = np.zeros((n + nz, n + nz, B))
+    root = np.empty((n + nz, n + nz, B))
+    for b in range(B):
+        Cb = C[b if C.shape[0] > 1 else 0]
+        Zb = Z[b if Z.shape[0] > 1 else 0]
+        if b == 0 or R.shape[0] > 1:
             for p in range(n):
                 for q in range(n):
-                    joint[p, q] = R_root[p, q]
-                for m in range(nz):
-                    s = 0.0
-                    for k in range(m, nz):
-                        s += C[ci, channels[p], k] * Zi[k, m]
-                    joint[p, n + m] = s
-            for m in range(nz):
-                for q in range(n):
-                    joint[n + m, q] = 0.0
-                for k in range(nz):
-                    joint[n + m, n + k] = Zi[m, k]
-            lower_root_into(joint, root)
-            c = log_normalizer(root, n)
-            Z_new[i] = root[n:, n:]
+                    R_there[p, q] = R[b, channels[p], channels[q]]
+            psd_cholesky_into(R_there, R_root)
         for p in range(n):
-            s = y[channels[p]] - h[i, channels[p]]
-            size = abs(y[channels[p]]) + abs(h[i, channels[p]])
+            for q in range(p + 1):
+                joint[p, q, b] = R_root[p, q]
+            for m in range(nz):
+                s = 0.0
+                for k in range(m, nz):
+                    s += Cb[channels[p], k] * Zb[k, m]
+                joint[p, n + m, b] = s
+        for m in range(nz):
+            for k in range(m + 1):
+                joint[n + m, n + k, b] = Zb[m, k]
+    lower_roots_into(joint, root)
+    for b in range(B):
+        Z_new[b] = root[n:, n:, b]
+    r = np.empty((n, M))
+    slack = np.empty((n, M))
+    each = 1 if C.shape[0] > 1 else 0  # what a step from row to row is among the C
+    for p in range(n):
+        there = channels[p]
+        for i in range(M):
+            s = y[there] - h[i, there]
+            size = abs(y[there]) + abs(h[i, there])
             for k in range(nz):
-                term = C[ci, channels[p], k] * z[i, k]
+                term = C[each * i, there, k] * z[i, k]
                 s -= term
                 size += abs(term)
-            r[p] = s
-            slack[p] = MEASURED * size
-        possible = whiten(root, r, slack, v)
-        d = 0.0
-        for p in range(n):
-            d += v[p] * v[p]
-        log_p[i] = c - 0.5 * d if possible else -np.inf
+            r[p, i] = s
+            slack[p, i] = MEASURED * size
+    if B == 1:
+        log_normal_columns(root[:, :, 0], r, slack, log_p)
+    else:
+        log_normal_each(root, r, slack, log_p)
+    each = 1 if B > 1 else 0
+    for i in range(M):
         for m in range(nz):
             s = z[i, m]
             for p in range(n):
-                s += root[n + m, p] * v[p]
+                s += root[n + m, p, each * i] * r[p, i]
             z_new[i, m] = s
     return z_new, Z_new, log_p
 
@@ -286,119 +287,136 @@ def draw_adapted(mu, L, ancestors, h, C, R, y, noise, uniform, defensive, inflat
     Returns a (M, na) and log q (M,).
     """
     M, na = noise.shape
-    nx = mu.shape[1]
-    nz = nx - na
     channels = np.flatnonzero(~np.isnan(y))
     n = channels.size
+    joint = np.zeros((n + na, n + 2 * na, M))
+    prior = np.empty((na, na, M))  # L_a of each particle
+    _joint_at_zeta(mu, L, ancestors, C, R, channels, joint, prior)
+    r = np.empty((n, M))
+    _add_slopes(mu, L, ancestors, h, C, y, channels, joint, prior, r)
+    root = np.empty((n + na, n + na, M))
+    lower_roots_into(joint, root)
+
+    whiten_each(root, r, np.zeros((n, M)), np.empty(M, np.bool_))
+    wide = math.sqrt(inflation)
+    own = np.empty((na, na, M))
+    from_own, from_prior, slack_own, slack_prior = np.empty((4, na, M))
     a = np.empty((M, na))
+    for k in range(na):
+        for q in range(na):
+            for i in range(M):
+                own[k, q, i] = wide * root[n + k, n + q, i]
+        for i in range(M):
+            alpha = mu[ancestors[i], k]
+            mean = alpha
+            for p in range(n):
+                mean += root[n + k, p, i] * r[p, i]
+            blind = uniform[i] < defensive
+            s = alpha if blind else mean
+            for q in range(k + 1):
+                s += (prior[k, q, i] if blind else own[k, q, i]) * noise[i, q]
+            a[i, k] = s
+            from_own[k, i] = s - mean
+            slack_own[k, i] = ROUNDING * (abs(s) + abs(mean))
+            from_prior[k, i] = s - alpha
+            slack_prior[k, i] = ROUNDING * (abs(s) + abs(alpha))
     log_q = np.empty(M)
-    CL = np.empty((n, na))  # C L_za
-    noises = np.empty((n, n + nz))  # (R^{1/2}, C L_z): what the draw of a does not move
-    D = np.empty((n, n))  # their lower root
+    log_prior = np.empty(M)
+    log_normal_each(own, from_own, slack_own, log_q)
+    log_normal_each(prior, from_prior, slack_prior, log_prior)
+    for i in range(M):
+        if log_q[i] > log_prior[i]:
+            mixture = (1.0 - defensive) + defensive * math.exp(log_prior[i] - log_q[i])
+        else:
+            mixture = (1.0 - defensive) * math.exp(log_q[i] - log_prior[i]) + defensive
+        log_q[i] = max(log_q[i], log_prior[i]) + math.log(mixture)
+    return a, log_q
+
+
+@njit(cache=True, error_model="numpy")
+def _joint_at_zeta(mu, L, ancestors, C, R, channels, joint, prior):
+    """Fill the joint root of (y, a) as far as the slope of h has no part in it, and ``prior``, L_a.
+
+    joint (n + na, n + 2 na, M), the particles last: [D  C L_za  0; 0  L_a  0] with D the lower root of
+    (R^{1/2}, C L_z), what the draw of a does not move.
+    """
+    na, _, M = prior.shape
+    nx = mu.shape[1]
+    nz = nx - na
+    n = channels.size
+    B = M if max(L.shape[0], C.shape[0], R.shape[0]) > 1 else 1
+    CL = np.empty((n, na, B))
+    noises = np.empty((n, n + nz, B))
+    D = np.empty((n, n, B))
     R_there = np.empty((n, n))
     R_root = np.empty((n, n))
-    widths = np.empty(na)  # predicted standard deviations of a
-    H = np.empty((n, na))
-    joint = np.empty((n + na, n + 2 * na))
-    root = np.empty((n + na, n + na))
-    LV = np.empty((na, na))
-    at = np.empty((1 + 2 * na, n))  # h + C zeta at the points of one particle
-    r = np.empty(n)
-    v = np.empty(n)
-    m = np.empty(na)
-    ra = np.empty(na)
-    va = np.empty(na)
-    none = np.zeros(n)  # where only the whitened residual is wanted
-    slack = np.empty(na)
-    wide = math.sqrt(inflation)
-    prior_constant = 0.0
-    varying = L.shape[0] > 1 or C.shape[0] > 1 or R.shape[0] > 1
-    for i in range(M):
-        j = ancestors[i]
-        b = j if L.shape[0] > 1 else 0
-        if i == 0 or varying:
-            ci = i if C.shape[0] > 1 else 0
-            if i == 0 or R.shape[0] > 1:
-                for p in range(n):
-                    for q in range(n):
-                        R_there[p, q] = R[i, channels[p], channels[q]]
-                psd_cholesky_into(R_there, R_root)
+    for b in range(B):
+        Lb = L[ancestors[b] if L.shape[0] > 1 else 0]
+        Cb = C[b if C.shape[0] > 1 else 0]
+        if b == 0 or R.shape[0] > 1:
             for p in range(n):
                 for q in range(n):
-                    noises[p, q] = R_root[p, q]
-                for k in range(nx):
-                    s = 0.0
-                    for q in range(max(k - na, 0), nz):
-                        s += C[ci, channels[p], q] * L[b, na + q, k]
-                    if k < na:
-                        CL[p, k] = s
-                    else:
-                        noises[p, n + k - na] = s
-            lower_root_into(noises, D)
-            for k in range(na):
-                s = 0.0
-                for q in range(k + 1):
-                    s += L[b, k, q] * L[b, k, q]
-                widths[k] = math.sqrt(s)
-            prior_constant = log_normalizer(L[b], na)
-        for point in range(1 + 2 * na):
-            cp = point * M + i if C.shape[0] > 1 else 0
-            for p in range(n):
-                if point == 0 or C.shape[0] > 1:
-                    s = 0.0
-                    for k in range(nz):
-                        s += C[cp, channels[p], k] * mu[j, na + k]
-                    v[p] = s
-                at[point, p] = h[point * M + i, channels[p]] + v[p]
-        for p in range(n):
-            r[p] = y[channels[p]] - at[0, p]
-        for k in range(na):
-            for p in range(n):
-                up, down = at[1 + 2 * k, p], at[2 + 2 * k, p]
-                H[p, k] = (up - down) / (2.0 * widths[k]) if widths[k] > 0.0 else 0.0
-                curved = 0.5 * (up + down) - at[0, p]
-                r[p] -= curved
-                joint[p, n + na + k] = math.sqrt(2.0) * curved
+                    R_there[p, q] = R[b, channels[p], channels[q]]
+            psd_cholesky_into(R_there, R_root)
         for p in range(n):
             for q in range(n):
-                joint[p, q] = D[p, q]
-            for k in range(na):
-                s = CL[p, k]
-                for q in range(k, na):
-                    s += H[p, q] * L[b, q, k]
-                joint[p, n + k] = s
+                noises[p, q, b] = R_root[p, q]
+            for k in range(nx):
+                s = 0.0
+                for q in range(max(k - na, 0), nz):
+                    s += Cb[channels[p], q] * Lb[na + q, k]
+                if k < na:
+                    CL[p, k, b] = s
+                else:
+                    noises[p, n + k - na, b] = s
+    lower_roots_into(noises, D)
+    for p in range(n):
+        for q in range(n):
+            joint[p, q, :] = D[p, q]
         for k in range(na):
-            for q in range(n + 2 * na):
-                joint[n + k, q] = L[b, k, q - n] if n <= q <= n + k else 0.0
-        lower_root_into(joint, root)
-        whiten(root, r, none, v)
-        for k in range(na):
-            s = mu[j, k]
-            for p in range(n):
-                s += root[n + k, p] * v[p]
-            m[k] = s
-            for q in range(na):
-                LV[k, q] = wide * root[n + k, n + q]
-        from_prior = uniform[i] < defensive
-        for k in range(na):
-            s = mu[j, k] if from_prior else m[k]
+            joint[p, n + k, :] = CL[p, k]
+    for k in range(na):
+        for q in range(k + 1):
+            if L.shape[0] == 1:
+                joint[n + k, n + q, :] = L[0, k, q]
+            else:
+                for i in range(M):
+                    joint[n + k, n + q, i] = L[ancestors[i], k, q]
+            prior[k, q, :] = joint[n + k, n + q]
+
+
+@njit(cache=True, error_model="numpy")
+def _add_slopes(mu, L, ancestors, h, C, y, channels, joint, prior, r):
+    """Add H L_a to the joint root, set the curvature there, and r (n, M) = y - y_hat."""
+    na, _, M = prior.shape
+    nz = mu.shape[1] - na
+    each = 1 if C.shape[0] > 1 else 0  # what a step from row to row is among the C
+    at = np.empty((3, M))  # h + C zeta at the middle and to both sides of it
+    width = np.empty(M)
+    for k in range(na):
+        width[:] = 0.0
+        for q in range(k + 1):
+            for i in range(M):
+                width[i] += prior[k, q, i] * prior[k, q, i]
+        for i in range(M):
+            width[i] = math.sqrt(width[i])
+        for p in range(channels.size):
+            there = channels[p]
+            for side in range(3):
+                point = 0 if side == 0 else side + 2 * k
+                for i in range(M):
+                    s = h[point * M + i, there]
+                    for q in range(nz):
+                        s += C[each * (point * M + i), there, q] * mu[ancestors[i], na + q]
+                    at[side, i] = s
+            for i in range(M):
+                if k == 0:
+                    r[p, i] = y[there] - at[0, i]
+                curved = 0.5 * (at[1, i] + at[2, i]) - at[0, i]
+                r[p, i] -= curved
+                joint[p, channels.size + na + k, i] = math.sqrt(2.0) * curved
+                slope = (at[1, i] - at[2, i]) / (2.0 * width[i]) if width[i] > 0.0 else 0.0
+                at[0, i] = slope
             for q in range(k + 1):
-                s += (L[b, k, q] if from_prior else LV[k, q]) * noise[i, q]
-            a[i, k] = s
-        for k in range(na):
-            ra[k] = a[i, k] - m[k]
-            slack[k] = ROUNDING * (abs(a[i, k]) + abs(m[k]))
-        adapted = log_normalizer(LV, na) if whiten(LV, ra, slack, va) else -np.inf
-        for k in range(na):
-            adapted -= 0.5 * va[k] * va[k]
-            ra[k] = a[i, k] - mu[j, k]
-            slack[k] = ROUNDING * (abs(a[i, k]) + abs(mu[j, k]))
-        prior = prior_constant if whiten(L[b], ra, slack, va) else -np.inf
-        for k in range(na):
-            prior -= 0.5 * va[k] * va[k]
-        if adapted > prior:
-            mixture = (1.0 - defensive) + defensive * math.exp(prior - adapted)
-        else:
-            mixture = (1.0 - defensive) * math.exp(adapted - prior) + defensive
-        log_q[i] = max(adapted, prior) + math.log(mixture)
-    return a, log_q
+                for i in range(M):
+                    joint[p, channels.size + q, i] += at[0, i] * prior[k, q, i]

@@ -87,6 +87,67 @@ def lower_root_into(X, L):
 
 
 @njit(cache=True, error_model="numpy")
+def lower_roots_into(X, L):
+    """``lower_root_into`` for X (n, m, M) and L (n, n, M): M of them at once, side by side in memory.
+
+    So the compiler uses SIMD. Where one meets a zero pivot, which takes no column, each goes by itself.
+    """
+    n, m, M = X.shape
+    if M == 1:
+        _one_by_one(X, L)
+        return
+    kept = X.copy()
+    before, rest, pivot, scale, s = np.empty((5, M))
+    for j in range(n):
+        before[:] = 0.0
+        rest[:] = 0.0
+        for k in range(j):
+            L[k, j] = 0.0
+            for i in range(M):
+                before[i] += X[j, k, i] * X[j, k, i]
+        for k in range(j, m):
+            for i in range(M):
+                rest[i] += X[j, k, i] * X[j, k, i]
+        lost = 0
+        for i in range(M):
+            lost += not rest[i] > ROOT_PIVOT * ROOT_PIVOT * (before[i] + rest[i])
+        if lost:
+            _one_by_one(kept, L)
+            return
+        for i in range(M):
+            norm = math.sqrt(rest[i])
+            first = X[j, j, i]
+            pivot[i] = first + norm if first > 0.0 else first - norm
+            scale[i] = 1.0 / (norm * abs(pivot[i]))
+            L[j, j, i] = norm
+        for q in range(j + 1, n):
+            for i in range(M):
+                s[i] = X[q, j, i] * pivot[i]
+            for k in range(j + 1, m):
+                for i in range(M):
+                    s[i] += X[q, k, i] * X[j, k, i]
+            for i in range(M):
+                s[i] *= scale[i]
+                turned = s[i] * pivot[i] - X[q, j, i]
+                L[q, j, i] = turned if pivot[i] > 0.0 else -turned
+                X[q, j, i] = L[q, j, i]
+            for k in range(j + 1, m):
+                for i in range(M):
+                    X[q, k, i] -= s[i] * X[j, k, i]
+
+
+@njit(cache=True, error_model="numpy")
+def _one_by_one(X, L):
+    n, m, M = X.shape
+    one = np.empty((n, m))
+    root = np.empty((n, n))
+    for i in range(M):
+        one[:] = X[:, :, i]
+        lower_root_into(one, root)
+        L[:, :, i] = root
+
+
+@njit(cache=True, error_model="numpy")
 def psd_cholesky(S):
     """The lower factor of S (n, n), or of each S (M, n, n) through ``psd_cholesky_many``."""
     L = np.empty_like(S)
@@ -132,6 +193,70 @@ def whiten(L, r, slack, out):
             if abs(s) > slack[i] + rounding(L, out, i):
                 possible = False
     return possible
+
+
+@njit(cache=True, error_model="numpy")
+def log_normal_columns(L, r, slack, log_p):
+    """``whiten`` for every column of r (n, M), in place, with log N(r_i; 0, L L') in log_p (M,)."""
+    n, M = r.shape
+    log_p[:] = log_normalizer(L, n)
+    for p in range(n):
+        for k in range(p):
+            s = L[p, k]
+            for i in range(M):
+                r[p, i] -= s * r[k, i]
+        s = L[p, p]
+        if s > 0.0:
+            for i in range(M):
+                v = r[p, i] / s
+                r[p, i] = v
+                log_p[i] -= 0.5 * v * v
+        else:
+            for i in range(M):
+                if abs(r[p, i]) > slack[p, i] + rounding(L, r[:, i], p):
+                    log_p[i] = -np.inf
+                r[p, i] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def whiten_each(L, r, slack, possible):
+    """``whiten`` for each column of r (n, M), in place, by a root of its own: L (n', n', M).
+
+    ``possible`` (M,) becomes False where r contradicts a direction without noise.
+    """
+    n, M = r.shape
+    for p in range(n):
+        for k in range(p):
+            for i in range(M):
+                r[p, i] -= L[p, k, i] * r[k, i]
+        least = np.inf
+        for i in range(M):
+            least = min(least, L[p, p, i])
+        if least > 0.0:
+            for i in range(M):
+                r[p, i] /= L[p, p, i]
+            continue
+        for i in range(M):
+            if L[p, p, i] > 0.0:
+                r[p, i] /= L[p, p, i]
+                continue
+            if abs(r[p, i]) > slack[p, i] + rounding(L[:, :, i], r[:, i], p):
+                possible[i] = False
+            r[p, i] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def log_normal_each(L, r, slack, log_p):
+    """log N(r_i; 0, L_i L_i') (M,) for the columns of r (n, M), which are whitened by ``whiten_each``."""
+    n, M = r.shape
+    possible = np.ones(M, np.bool_)
+    whiten_each(L, r, slack, possible)
+    for i in range(M):
+        log_p[i] = 0.0 if possible[i] else -np.inf
+    for k in range(n):
+        for i in range(M):
+            if L[k, k, i] > 0.0:
+                log_p[i] -= math.log(L[k, k, i]) + 0.5 * (LOG_2PI + r[k, i] * r[k, i])
 
 
 @njit(cache=True, error_model="numpy")

@@ -122,6 +122,7 @@ class ModelFunction:
             if any(value.__class__ is not float for value in theta):
                 return self._first_look(Rows(a, regular_input(u, len(a)), t, dt, theta))
             kind, verdict = None, self._verdicts[None]
+            self._theta, self._kind, self._verdict, self._M = theta, kind, verdict, 0
         if kind is not None and not verdict.takes:
             return self._theta_by_theta(a, u, t, dt, theta, kind)
         return self._as_before(a, u, t, dt, theta, kind, verdict)

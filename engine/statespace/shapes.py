@@ -12,14 +12,15 @@ from engine.statespace.rows import Array
 
 def as_rows(value: Any, M: int, n: int, where: str) -> Array:
     """(M, n) float array from an array or a list of n rows, each a number or (M,)."""
-    if isinstance(value, np.ndarray) and value.dtype != object:
-        if value.shape == (M, n):
-            return regular(value)
-        if value.shape == (n,):
-            return np.repeat(np.asarray(value, dtype=float)[None], M, axis=0)
-        raise _shape_error(where, value.shape, f"({M}, {n}) or ({n},)")
-    if _is_number(value):  # a single row may be written as a number
-        value = [value]
+    if value.__class__ is not list:
+        if isinstance(value, np.ndarray) and value.dtype.char != "O":
+            if value.shape == (M, n):
+                return regular(value)
+            if value.shape == (n,):
+                return np.repeat(np.asarray(value, dtype=float)[None], M, axis=0)
+            raise _shape_error(where, value.shape, f"({M}, {n}) or ({n},)")
+        if _is_number(value):  # a single row may be written as a number
+            value = [value]
     if len(value) != n:
         raise _shape_error(where, (len(value),), f"a list of {n} rows")
     out = np.zeros((M, n))
@@ -37,7 +38,10 @@ def as_rows(value: Any, M: int, n: int, where: str) -> Array:
 
 def as_matrix(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
     """(rows, columns) when common to all particles, else (M, rows, columns)."""
-    if value.__class__ is not np.ndarray or value.dtype == object:
+    if value.__class__ is not np.ndarray or value.dtype.char == "O":
+        numbers = _numbers(value)
+        if numbers is not None and numbers.shape == (rows, columns):
+            return numbers
         value = _nested(value, M, rows, columns, where)
     shape = value.shape
     if shape == (rows, columns) or shape == (M, rows, columns):
@@ -75,9 +79,6 @@ def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
     """A nested list whose entries are numbers or (M,)."""
     if rows * columns == 0:
         return np.zeros((rows, columns))
-    numbers = _numbers(value)
-    if numbers is not None and numbers.shape == (rows, columns):
-        return numbers
     if _is_number(value):  # a 1 x 1 matrix may be written as a number
         value = [[value]]
     if len(value) != rows or any(_is_number(row) or len(row) != columns for row in value):
@@ -92,8 +93,10 @@ def _nested(value: Any, M: int, rows: int, columns: int, where: str) -> Array:
 def _numbers(value: Any) -> Array | None:
     """A nested list of numbers as an array, None where entries are arrays."""
     try:
-        if any(entry.__class__ is np.ndarray and entry.ndim for row in value for entry in row):
-            return None  # sooner than NumPy would say so
+        for row in value:
+            for entry in row:
+                if entry.__class__ is np.ndarray and entry.ndim:
+                    return None  # sooner than NumPy would say so
         return np.array(value, dtype=float)
     except (ValueError, TypeError):  # entries of different shapes, or no list of lists
         return None

@@ -34,6 +34,7 @@ from engine.statespace.points import Points
 from tests.benchmarks import compiled_mixed4
 
 T, M, N = 200, 50, 50
+CHAINS = 8
 ROUNDS = 41
 RESULTS = Path(__file__).parent / "results"
 LOG_2PI = float(np.log(2.0 * np.pi))
@@ -90,6 +91,8 @@ def measure() -> tuple[dict[str, list[float]], list[float], float]:
 
     filtered = rbpf(model, theta, series, M, rng)
     drawn = rb_ffbsi(filtered, N, rng, joint=True)
+    s = condition_on_trajectories(drawn)
+    moments, points = Moments(s.a, s.z, s.cov, s.cross), Points(model, series, s.a)
     calls = {
         "E step": lambda: step["adapted"](theta, rng),
         "E step, compiled": lambda: compiled_mixed4.e_step(series.y, plain, M, N, rng, True, 0.5),
@@ -103,6 +106,16 @@ def measure() -> tuple[dict[str, list[float]], list[float], float]:
         "of the E step: RBPF": lambda: rbpf(model, theta, series, M, rng),
         "of the E step: backward simulation": lambda: rb_ffbsi(filtered, N, rng, joint=True),
         "of the E step: exact moments": lambda: condition_on_trajectories(drawn),
+        "of the E step: Q-function": lambda: expectation(model, theta, [(moments, points)]),
+        f"{CHAINS} chains: E steps one after the other": lambda: [
+            step["adapted"](theta, rng) for _ in range(CHAINS)
+        ],
+        f"{CHAINS} chains: RBPFs one after the other": lambda: [
+            rbpf(model, theta, series, M, rng) for _ in range(CHAINS)
+        ],
+        f"{CHAINS} chains: one RBPF of as many particles": lambda: rbpf(
+            model, theta, series, CHAINS * M, rng
+        ),
     }
     times: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
@@ -111,15 +124,13 @@ def measure() -> tuple[dict[str, list[float]], list[float], float]:
         for name, call in calls.items():
             times[name].append(milliseconds(call))
 
-    s = condition_on_trajectories(drawn)
     found: list[Any] = []
     naive = "M step, naive on all points with finite-difference BFGS"
     times[naive] = [
         milliseconds(lambda: found.append(minimize(lambda x: -naive_q(x, s, series, model), plain)))
         for _ in range(3)
     ]
-    points = Points(model, series, s.a)
-    same = expectation(model, theta, [(Moments(s.a, s.z, s.cov, s.cross), points)])
+    same = expectation(model, theta, [(moments, points)])
     disagreement = float(np.abs(maximize(same, plain, free) - found[-1].x).max())
     return times, cold_starts(series.y), disagreement
 
@@ -149,11 +160,19 @@ def main() -> None:
         return float(np.median(np.divide(times[one], times[other])))
 
     checks = [
-        ("E step / compiled", ratio("E step", "E step, compiled"), 3.0),
+        ("E step / compiled", ratio("E step", "E step, compiled"), 2.0),
         (
             "E step / compiled, bootstrap proposal",
             ratio("E step, bootstrap", "E step, bootstrap, compiled"),
-            3.0,
+            2.0,
+        ),
+        (
+            f"{CHAINS} M particles in one pass over time / {CHAINS} passes",
+            ratio(
+                f"{CHAINS} chains: one RBPF of as many particles",
+                f"{CHAINS} chains: RBPFs one after the other",
+            ),
+            1 / 3,
         ),
         ("M step / E step", ratio("M step", "E step"), 1.0),
         ("cold start to first iteration, s", float(np.median(cold)), 2.0),
@@ -172,13 +191,15 @@ def main() -> None:
         "| ratio | measured | at most | |",
         "| --- | ---: | ---: | --- |",
         *(
-            f"| {name} | {value:.2f} | {limit:g} | {'met' if value <= limit else 'MISSED'} |"
+            f"| {name} | {value:.2f} | {limit:.3g} | {'met' if value <= limit else 'MISSED'} |"
             for name, value, limit in checks
         ),
         "",
         "The compiled version is the same algorithm written by hand for this one model and compiled as a",
         "whole (`compiled_mixed4.py`); from the same random numbers it gives the same results up to",
-        f"rounding. The naive M step and the engine's agree in theta to {disagreement:.1e}.",
+        f"rounding. The naive M step and the engine's agree in theta to {disagreement:.1e}. Several chains",
+        "are run one after the other; one RBPF of as many particles, of one theta, is the least that one pass",
+        "over time for all of them would cost.",
         "",
     ]
     text = "\n".join(lines)

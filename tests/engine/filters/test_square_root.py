@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import engine
-from engine.kernels.gaussian import lower_root_into
+from engine.kernels.gaussian import (
+    log_normal_columns,
+    log_normal_each,
+    log_normalizer,
+    lower_root_into,
+    lower_roots_into,
+    whiten,
+)
 
 
 @given(st.integers(1, 6), st.integers(1, 9), st.integers(0, 10**6))
@@ -29,6 +36,49 @@ def test_a_lower_root_is_one_whatever_the_units_and_the_rank(n, m, seed):
     np.testing.assert_allclose(L @ L.T / np.outer(sd, sd), X @ X.T / np.outer(sd, sd), atol=1e-13)
     if bound:
         assert L[n - 1, n - 1] == 0.0
+
+
+@pytest.mark.parametrize(("n", "m"), [(3, 5), (3, 3), (3, 2)])
+@pytest.mark.parametrize("lost", [False, True])
+def test_roots_side_by_side_are_those_one_by_one(n, m, lost):
+    rng = np.random.default_rng(n + m)
+    X = rng.standard_normal((n, m, 7))
+    if lost:
+        X[1, :, 3] = 0.0  # takes no column
+        X[:, :, 5] = np.nan
+    L = np.full((n, n, 7), np.nan)
+    lower_roots_into(X.copy(), L)
+    for i in range(7):
+        one = np.full((n, n), np.nan)
+        lower_root_into(X[:, :, i].copy(), one)
+        np.testing.assert_allclose(L[:, :, i], one, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_columns_are_whitened_as_one_by_one(silent):
+    rng = np.random.default_rng(1)
+    n, M = 3, 6
+    L = np.tril(rng.uniform(0.5, 1.0, (n, n)))
+    if silent:
+        L[1, 1] = 0.0  # half of the columns agree with a direction without noise
+    r = rng.standard_normal((n, M))
+    if silent:
+        r[1, ::2] = L[1, 0] * r[0, ::2] / L[0, 0]
+    slack = np.full((n, M), 1e-12)
+    expected, whitened = np.empty(M), np.empty((n, M))
+    for i in range(M):
+        v = np.empty(n)
+        possible = whiten(L, r[:, i].copy(), slack[:, i].copy(), v)
+        whitened[:, i] = v
+        expected[i] = log_normalizer(L, n) - 0.5 * v @ v if possible else -np.inf
+    assert np.isinf(expected).any() == silent
+    one, each = r.copy(), r.copy()
+    log_one, log_each = np.empty(M), np.empty(M)
+    log_normal_columns(L, one, slack, log_one)
+    log_normal_each(np.repeat(L[:, :, None], M, axis=2), each, slack, log_each)
+    for found, log_p in ((one, log_one), (each, log_each)):
+        np.testing.assert_allclose(found, whitened, rtol=1e-13, atol=1e-13)
+        np.testing.assert_allclose(log_p, expected, rtol=1e-13)
 
 
 def at_rest(R: float) -> engine.MixedModel:

@@ -204,6 +204,21 @@ def test_a_condition_that_shows_late_is_found_when_states_get_there():
         engine.rbpf(model, None, series, 50, np.random.default_rng(0))
 
 
+def test_records_of_numbers_and_of_rows_in_turn_are_told_apart():
+    def dynamics(a, u, t, dt, theta):
+        return [math.cos(theta.w) * a[:, 0], 0.0], [[0.3], [0.8]], 1e-4 * np.eye(2)
+
+    model = replace(user_model(), dynamics=dynamics)
+    a, u = np.linspace(0.1, 0.4, 4)[:, None], np.zeros(2)
+    one, other = model.record(model.theta()), model.record(model.theta({"w": 0.5}))
+    rows = model.records(np.array([[w, *model.theta()[1:]] for w in (0.2, 0.4, 0.6, 0.8)]))
+    for record in (one, rows, one, one, other, rows, rows, other, one):
+        f = model.transition(a, u, 0.0, 0.1, record)[0]
+        np.testing.assert_allclose(f[:, 0], np.cos(record.w) * a[:, 0], rtol=1e-14)
+    few = model.transition(a[:2], u, 0.0, 0.1, one)[0]  # the same record with other rows
+    np.testing.assert_allclose(few[:, 0], np.cos(one.w) * a[:2, 0], rtol=1e-14)
+
+
 # ---- the same answers, fast or slow ------------------------------------------------------------
 
 
