@@ -11,13 +11,13 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose import extend
+from engine.diagnose import make_effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.windows import rows_searched, telling
 from engine.diagnose.records import records_of
@@ -138,18 +138,22 @@ def smoothed(known: Estimated, seed: int) -> Array:
 
 
 def answers(known: Estimated, seed: int) -> dict[str, tuple[str, ...]]:
-    """What each setting finds, in all equations. Raises StudyError without PySINDy."""
-    x, samples = smoothed(known, seed), known.part.held(known.part.hold)
-    states = (*known.fit.model.nonlinear, *known.fit.model.linear)
+    """What each setting finds, in all equations. Raises StudyError without PySINDy.
+
+    States count from the zeros that the catalogue has for them: so a term is the effect of its name.
+    """
+    samples, setting = known.part.held(known.part.hold), known.setting
+    states = tuple(setting.states)
+    x = smoothed(known, seed) - [setting.zero(state) for state in states]
     found: dict[str, list[str]] = {label: [] for label in SETTINGS}
     step = float(samples.t[1] - samples.t[0])
-    for state in searched(known.setting):
+    for state in searched(setting):
         paths = {
             way: path(equation(x, samples.u, step, states, state, way.target), way)
-            for way in {setting.way for setting in SETTINGS.values()}
+            for way in {one.way for one in SETTINGS.values()}
         }
-        for label, setting in SETTINGS.items():
-            found[label] += sorted(paths[setting.way].answer(setting))
+        for label, one in SETTINGS.items():
+            found[label] += sorted(paths[one.way].answer(one))
     return {label: tuple(terms) for label, terms in found.items()}
 
 
@@ -162,17 +166,19 @@ def extended(
     seed: int,
 ) -> dict[str, Any]:
     """The base model with these terms fitted to the free run; those that it cannot take are left out."""
-    setting, model = known.setting, known.fit.model
-    left_out = list[str]()
+    setting, model = known.setting.keeping_zeros(), known.fit.model
+    left_out, free = [], list(known.fit.free)
     for name in (*constants(terms), *terms):
         try:
-            model = extend(model, [name], setting)
+            effect = make_effect(name, replace(setting, model=model))
+            model = effect.apply(model)
         except LOST:
             left_out.append(name)
-    own = model.parameter_names[len(base.theta) :]
+        else:
+            free += [p.name for p in effect.parameters if p.name not in effect.held]
     start = np.array([*base.theta, *np.asarray(model.theta())[len(base.theta) :]])
     try:
-        fit = fit_simulation(model, parts, start, [*known.fit.free, *own], STARTS, seed)
+        fit = fit_simulation(model, parts, start, free, STARTS, seed)
     except LOST:
         return {"left_out": left_out, "errors": dict.fromkeys(data.tests)}
     return {"left_out": left_out, "errors": judge(fit, data, known.substeps)}

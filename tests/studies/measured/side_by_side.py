@@ -23,16 +23,18 @@ LOST = "lost"
 ABOUT = """\
 ## Each criterion alone, both, and PySINDy
 
-*Alone* is what each criterion says in the same diagnosis, and how its own last fit runs free: the likelihood
-before the free run is asked, and the free run's own search (which in its first round weighs the likelihood's
-answer too), asked of the base model also where the diagnosis asked it only of what the likelihood had found.
-*PySINDy* regresses the equation of each state that inputs or other states move on states that the smoother of
-the estimated base model gives, with the terms and the two settings of [sindy.md](sindy.md); its terms, and the
-constant that each such equation has, are added from the catalogue and fitted to the free run.
+*Alone*: what each criterion says in the same diagnosis, and how its own last fit runs free. The likelihood
+answers before the free run is asked; the free run has a search of its own, which in its first round weighs the
+likelihood's answer too. Where the diagnosis asked it only of what the likelihood had found, it is asked here of
+the base model.
 
-Errors are those of the table above, one for each held-out part: of the model that each ends with, which is the
-base as it is fitted there where nothing is found. "lost" is a run that is not finite. The criterion that did
-not decide was not held against held-out data before.
+*PySINDy*: a regression of the equation of each state that inputs or other states move. The states are those of
+the smoother of the estimated base model; terms and the two settings are those of [sindy.md](sindy.md). What it
+finds, and the constant that each such equation has, are effects of the catalogue, fitted to the free run.
+
+Errors are those of the table above, one for each held-out part, of the model that each ends with. Where nothing
+is found that is the base, as it is fitted there. "lost" is a run that is not finite. The criterion that did not
+decide was not held against held-out data before.
 """
 
 
