@@ -1,6 +1,7 @@
 """The study of measured records: its loaders, and one record from the diagnosis to the page."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from engine.simulation.free_run import free_run
 from tests.studies.measured import alone, by_sindy, models, records, report, runs, side_by_side
 from tests.studies.measured.errors import simulated
 from tests.studies.measured.known import KNOWN
-from tests.studies.study import Table
+from tests.studies.study import StudyError, Table
 
 
 def test_thinning_averages_the_input_that_is_held():
@@ -185,6 +186,30 @@ def test_terms_count_from_the_zeros_of_the_effects_of_their_names(monkeypatch):
     position = x[:, list(known.setting.states).index("position")]
     assert np.median(series.y) > 0.5  # m: the drive goes one way
     assert abs(np.median(position)) < 0.01
+
+
+def test_states_of_a_nonlinear_model_come_from_particles():
+    model, rows = get_model("tanks"), 120
+    u = np.repeat(np.random.default_rng(5).uniform(0.5, 4.0, rows // 20), 20)
+    made = hide(model, ["cubic:lower"], {}, rows, np.random.default_rng(6), u=u, dt=4.0)
+    known = by_sindy.Estimated(
+        by_sindy.fit_base(model, made.series, model.theta(), ["sigma_y"]),
+        made.series,
+        made.series,
+        1,
+    )
+    with pytest.raises(by_sindy.ModelError):
+        by_sindy.kalman_smoother(model, known.fit.theta, known.part)
+    x = by_sindy.smoothed(known, 0)
+    assert x.shape == (rows, model.nx)
+    assert np.sqrt(np.mean((x[:, 1] - made.series.y[:, 0]) ** 2)) < 0.1  # V: the level is measured
+
+
+def test_without_pysindy_no_row_is_made(monkeypatch):
+    _replace_nile(monkeypatch, _swings(-1.0, 100))
+    monkeypatch.setitem(sys.modules, "pysindy", None)
+    with pytest.raises(StudyError, match="PySINDy"):
+        by_sindy.work("nile", 0, 0)
 
 
 def test_each_equation_has_its_constant_once():

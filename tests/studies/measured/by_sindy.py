@@ -43,12 +43,14 @@ COLUMNS = ("model", "reason", "base", *SETTINGS)
 STILL = "no input and no other state moves a state of this model, so there is no equation to search"
 IRREGULAR = "its samples are not at one common step, as a regression of the next value needs"
 NO_OTHER = "there is no other record to judge on"
-WITHOUT = "PySINDy is not installed"
 LOST = (EngineError, np.linalg.LinAlgError)
 
 
 def work(name: str, seed: int, run: int) -> Row:
-    """One record: what both settings find and what it brings, or the reason why there is nothing."""
+    """One record: what both settings find and what it brings, or the reason why there is nothing.
+
+    Raises StudyError without PySINDy.
+    """
     record = RECORDS[name]
     data = record.load(record.path)
     row: Row = {**dict.fromkeys(COLUMNS, ""), "model": data.model.name}
@@ -59,8 +61,8 @@ def work(name: str, seed: int, run: int) -> Row:
     else:
         try:
             row |= {key: json.dumps(value) for key, value in judged(data, seed).items()}
-        except StudyError:  # an EngineError too
-            row["reason"] = WITHOUT
+        except StudyError:  # without PySINDy: no row, so that it is made once it is there
+            raise
         except LOST as error:
             row["reason"] = f"it failed: {error}"
     return row | {"seconds": time.perf_counter() - began}

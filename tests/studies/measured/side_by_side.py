@@ -30,7 +30,8 @@ the base model.
 
 *PySINDy*: a regression of the equation of each state that inputs or other states move. The states are those of
 the smoother of the estimated base model; terms and the two settings are those of [sindy.md](sindy.md). What it
-finds, and the constant that each such equation has, are effects of the catalogue, fitted to the free run.
+finds, and the constant that each such equation has, are effects of the catalogue, fitted to the free run on the
+rows that its search looks at.
 
 Errors are those of the table above, one for each held-out part, of the model that each ends with. Where nothing
 is found that is the base, as it is fitted there. "lost" is a run that is not finite. The criterion that did not
