@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from engine.words import estimate
+from tests.studies.measured import by_sindy
 from tests.studies.measured.known import KNOWN
 from tests.studies.measured.looked_at import LOOKED_AT
 from tests.studies.measured.records import RECORDS, Record
 from tests.studies.measured.runs import work
+from tests.studies.measured.side_by_side import arm_of, side_by_side
 from tests.studies.plots import axes, save
 from tests.studies.report import made_with, markdown
 from tests.studies.study import Arm, Row, Study, Tables
@@ -33,7 +35,7 @@ with patches, and the free run is asked all the same.
 
 
 def report(tables: Tables) -> str:
-    """Both tables, then each record: what is known, what came out, why, the page."""
+    """All tables, then each record: what is known, what came out, why, the page."""
     answers, errors, pages = [], [], []
     for record in RECORDS.values():
         table = tables.get(f"measured.{record.name}")
@@ -49,8 +51,9 @@ def report(tables: Tables) -> str:
             INTRODUCTION,
             markdown(HEAD, answers),
             markdown(HEAD_ERRORS, errors),
+            side_by_side(tables),
             *pages,
-            made_with(tables),
+            made_with({name: table for name, table in tables.items() if table.rows}),
         ]
     )
 
@@ -211,14 +214,20 @@ def _settings(record: Record) -> dict[str, str]:
     return {"data": record.folder or record.name, "cut": record.cut}
 
 
+def _arms(record: Record) -> tuple[Arm, Arm]:
+    """The diagnosis of a record, and PySINDy's answer."""
+    settings = _settings(record)
+    sparse = settings | {label: str(one) for label, one in by_sindy.SETTINGS.items()}
+    return (
+        Arm(f"measured.{record.name}", partial(work, record.name), settings),
+        Arm(arm_of(record), partial(by_sindy.work, record.name), sparse),
+    )
+
+
 MEASURED = Study(
     "measured",
     "Diagnosis of models on measured records",
-    {
-        Arm(f"measured.{record.name}", partial(work, record.name), _settings(record)): 1
-        for record in RECORDS.values()
-        if record.there
-    },
+    {arm: 1 for record in RECORDS.values() if record.there for arm in _arms(record)},
     report,
     plot,
 )

@@ -13,14 +13,15 @@ from engine.diagnose import diagnose
 from engine.diagnose.diagnosis import Diagnosis
 from engine.diagnose.free_run.search import FreeRound
 from engine.errors import EngineError
-from engine.simulation.free_run import free_run
-from engine.statespace.model import Array, MixedModel
+from engine.statespace.model import Array
+from tests.studies.measured.alone import alone
+from tests.studies.measured.errors import Runs, errors, simulated
 from tests.studies.measured.records import RECORDS, Data
 from tests.studies.study import Row
 
 POINTS = 400  # of each curve that is kept for the picture
 LISTED = 12  # candidates of a round of the free run that are kept
-COLUMNS = ("verdict", "decided", "causes", "errors", "gain", "rounds", "page", "curves")
+COLUMNS = ("verdict", "decided", "causes", "errors", "gain", "rounds", "page", "curves", "alone")
 
 
 def work(name: str, seed: int, run: int) -> Row:
@@ -49,6 +50,7 @@ def work(name: str, seed: int, run: int) -> Row:
                 "rounds": rounds(found),
                 "page": str(found),
                 "curves": curves(runs, data),
+                "alone": alone(found, data, runs),
             }.items()
         }
     )
@@ -82,61 +84,6 @@ def gain(found: Diagnosis) -> dict[str, Any] | None:
         "p_value": found.gain.p_value,
         "how": found.gain.how,
     }
-
-
-Runs = dict[str, tuple[Series, Array | None, Array | None]]
-
-
-def simulated(found: Diagnosis, data: Data) -> Runs:
-    """Free runs (n,) of the first output at the samples of each test part, before and after.
-
-    None where there is none. Without a test part those of blocks, each left out of fits.
-    """
-    before, after = found.before, found.after
-    if data.blocks:
-        return _own(found)
-    out: Runs = {}
-    for part, series in data.tests.items():
-        fine = series.refined(found.substeps)
-        fits = (before, after if after is not before else None)
-        runs = [
-            None
-            if fit is None
-            else run_of(fit.model, np.asarray(fit.theta), fine, data.settled * found.substeps)
-            for fit in fits
-        ]
-        out[part] = (series, runs[0], runs[1])
-    return out
-
-
-def _own(found: Diagnosis) -> Runs:
-    """The free runs that the gain was measured with."""
-    if found.gain is None:
-        return {}
-    one = Series(found.gain.y, t=found.gain.t)
-    runs = [None if y is None else y[:, 0] for y in (found.gain.before, found.gain.after)]
-    return {found.gain.how: (one, runs[0], runs[1])}
-
-
-def run_of(model: MixedModel, theta: Array, fine: Series, rows: int) -> Array | None:
-    """A free run at the samples, its first state estimated on the first rows; None where it is lost."""
-    try:
-        with np.errstate(all="ignore"):
-            y = free_run(model, theta, fine, initial_rows=rows).y[fine.samples, 0]
-    except (EngineError, ValueError, np.linalg.LinAlgError):
-        return None
-    return y if np.isfinite(y).all() else None
-
-
-def errors(
-    series: Series, before: Array | None, after: Array | None, settled: int
-) -> list[float | None]:
-    """RMSE before and after, the rows that settle the first state not counted."""
-    y = series.y[settled:, 0]
-    return [
-        None if run is None else float(np.sqrt(np.nanmean((y - run[settled:]) ** 2)))
-        for run in (before, after)
-    ]
 
 
 def rounds(found: Diagnosis) -> dict[str, Any]:
