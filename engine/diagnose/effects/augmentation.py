@@ -70,14 +70,19 @@ def add_linear_states(
             return h, np.concatenate([C, np.zeros((*C.shape[:-1], k))], axis=-1), R
 
         functions["measurement"] = measurement
-    taken = {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}
-    for name, unit in states.items():
-        while name in taken:
-            name += "_"
-        taken[name] = unit
-    added = list(taken.items())[-k:]
     extended = on_base(model, split, dynamics=dynamics, initial=initial, **functions)
-    return replace(extended, linear={**model.linear, **dict(added)})
+    return replace(extended, linear={**model.linear, **_with_free_names(model, states)})
+
+
+def _with_free_names(model: MixedModel, states: Mapping[str, str]) -> dict[str, str]:
+    """States to be added, name -> unit, by names that no channel has: two effects may add their like."""
+    taken = {*model.nonlinear, *model.linear, *model.inputs, *model.outputs}
+    added: dict[str, str] = {}
+    for name, unit in states.items():
+        while name in taken or name in added:
+            name += "_"
+        added[name] = unit
+    return added
 
 
 def beside(step: LinearGaussian, M: int, block: Any, noise: Any) -> LinearGaussian:
@@ -156,7 +161,7 @@ def add_memory(
 
     return replace(
         model,
-        nonlinear={**model.nonlinear, **states},
+        nonlinear={**model.nonlinear, **_with_free_names(model, states)},
         dynamics=dynamics,
         measurement=measurement,
         initial=initial,

@@ -1,6 +1,7 @@
 """Every kind of effect: nothing at size zero, hidden at a given size, found."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -68,6 +69,23 @@ def test_at_size_zero_the_extended_model_is_the_model():
             continue  # its likelihood is the particle filter's
         likelihood = moment_filter(extended, theta[None], series).log_likelihood[0]
         assert likelihood == pytest.approx(base, abs=1e-7), effect.name
+
+
+def test_two_effects_with_states_of_their_own_have_as_many_names_as_states():
+    """Bouc-Wen's hysteresis beside a plain one of the same signal: both remember where it was."""
+    model = engine.get_model("mixed-4")
+    series = engine.simulate(model, None, 50, np.random.default_rng(3)).series
+    own = all_effects(setting_for(model, series, np.asarray(model.theta())))
+    own = [effect for effect in own if effect.apply(model).nx > model.nx]
+    assert {"hysteresis:a", "boucwen:a", "slow-sensor:y1"} <= {effect.name for effect in own}
+    for one, other in combinations(own, 2):
+        extended = other.apply(one.apply(model))
+        a = np.zeros((1, extended.na))
+        f, A, Q = extended.transition(a, np.zeros(0), 0.0, 1.0, extended.record(extended.theta()))
+        assert f.shape == (1, extended.nx), (one.name, other.name)
+        assert A.shape[-2:] == (extended.nx, extended.nz)
+        assert Q.shape[-2:] == (extended.nx, extended.nx)
+        assert extended.nx == one.apply(model).nx + other.apply(model).nx - model.nx
 
 
 def test_many_sizes_at_once_are_what_each_is_alone():
