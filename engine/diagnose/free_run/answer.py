@@ -110,7 +110,8 @@ def search_free_runs(
         noisy, more = np.asarray(theta), k < ROUNDS
         # nobody knows how many rounds there will be
         told = part_of(progress, *(SEARCHED - (SEARCHED - STARTED) * 0.5**i for i in (k, k + 1)))
-        one = one_round(fit, setting, noisy, kinds, others, level, seed + k, told, more)
+        ahead = base.theta if k == 0 else None
+        one = one_round(fit, setting, noisy, kinds, others, level, seed + k, told, more, ahead)
         done.append(one)
         if one.chosen is None:
             break

@@ -25,7 +25,7 @@ from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.contradictions import LEAST_ERRORS
 from engine.diagnose.search.likeness import rank
 from engine.diagnose.search.search import part_of
-from engine.statespace.model import Array
+from engine.statespace.model import Array, Theta
 
 STAGE = "free run"
 SEEN, ENDED = 0.1, 0.9  # of a round: its alarm, and all but the ends of what survives
@@ -110,17 +110,18 @@ def one_round(
     seed: int,
     progress: Progress,
     more: bool = True,
+    ahead: Theta | None = None,
 ) -> FreeRound:
     """One round beyond ``fit``; ``noisy`` its theta with the noise of the data, ``rivals`` answers to try.
 
-    Nothing is added unless ``more``.
+    Nothing is added unless ``more``. ``ahead`` is the likelihood's own fit of this model, where there is one.
     """
     progress(STAGE, 0.0)
     effects = candidates(fit, setting, kinds)
     linear = Linear(fit, columns(fit, effects))
     folds = folds_of(fit.records)
     progress(STAGE, 0.5 * SEEN)
-    seen = alarm(linear, noisy, folds, seed)
+    seen = alarm(linear, noisy, folds, seed, ahead)
     singles = linear.singles()
     own = losses(fit, folds)
     progress = part_of(progress, SEEN, ENDED)

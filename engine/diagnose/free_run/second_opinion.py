@@ -148,13 +148,15 @@ def heeding(
 class _Beside:
     """The free run of a fitted model, with the effects that may be missing in it."""
 
+    start: QuasiFit
     linear: Linear
     setting: Setting
     folds: Folds
 
     def alarm(self, seed: int) -> Alarm:
         """Whether noise explains what it gets wrong."""
-        return alarm(self.linear, np.asarray(noise_fit(self.linear.fit).theta), self.folds, seed)
+        noisy = np.asarray(noise_fit(self.linear.fit).theta)
+        return alarm(self.linear, noisy, self.folds, seed, self.start.theta)
 
     def missing(self) -> MissingFunction | None:
         """A force without a name."""
@@ -168,7 +170,7 @@ def _beside(
     fit = fit_of(start, records)
     setting = setting_of(fit, held)
     linear = Linear(fit, columns(fit, candidates(fit, setting, kinds)))
-    return _Beside(linear, setting, folds_of(fit.records))
+    return _Beside(start, linear, setting, folds_of(fit.records))
 
 
 def _rivals(named: Sequence[Refit]) -> list[list[Pick]]:

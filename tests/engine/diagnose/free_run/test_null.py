@@ -39,9 +39,19 @@ def test_noise_that_is_too_large_or_too_small_is_no_explanation(clean, times, sm
     fitted = np.asarray(linear.fit.theta).copy()
     at = MODEL.parameter_names.index("sigma_v"), MODEL.parameter_names.index("sigma_y")
     fitted[list(at)] = theta[list(at)]
-    seen = alarm(linear, fitted, folds, seed=1)
+    seen = alarm(linear, fitted, folds, 1, linear.fit.model.theta(fitted))
     assert {name for name in ("p_size", "p_near") if getattr(seen, name) == LEAST} == small
     assert (seen.p_value <= 0.01) == bool(small)
+
+
+def test_an_error_is_too_small_only_where_the_likelihood_s_own_noise_is_too_large_too(clean):
+    linear, folds = clean
+    fitted = np.asarray(linear.fit.theta).copy()
+    own = linear.fit.model.theta(fitted)
+    fitted[MODEL.parameter_names.index("sigma_v")] *= 30.0
+    assert alarm(linear, fitted, folds, 1, linear.fit.model.theta(fitted)).p_near == LEAST
+    assert alarm(linear, fitted, folds, 1, own).p_near > 0.5
+    assert alarm(linear, fitted, folds, 1).p_near == 1.0
 
 
 def test_three_questions_share_the_error():
