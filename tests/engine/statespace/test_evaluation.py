@@ -253,7 +253,8 @@ def test_all_algorithms_give_the_same_without_arrays_of_times_and_parameters(fac
     fast = user_model(factor, noise=noise)
     slow = numbers_only(fast)
     series = drawn(fast)
-    np.testing.assert_array_equal(series.y, drawn(slow).y)
+    # to rounding: a product of another shape may sum in another order
+    np.testing.assert_allclose(series.y, drawn(slow).y, rtol=1e-13)
     thetas = np.asarray(fast.theta()) * np.random.default_rng(1).uniform(0.8, 1.2, (5, 2))
     x1 = np.tile([0.4, 0.1], (5, 1))
     results = []
