@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,11 @@ def naive_q(theta: Any, s: Any, series: Any, model: Any) -> float:
     return float(-0.5 * np.sum(log_det + quadratic) / N)
 
 
+def one_iteration(model: Any, series: Any, warm_start: bool = True) -> Any:
+    """The first iteration of EM, as a user's call."""
+    return rbps_em(model, series, n_particles=M, n_iterations=1, method="em", warm_start=warm_start)
+
+
 def milliseconds(call: Callable[[], Any]) -> float:
     """Processor time of one call: what other processes take is not counted."""
     started = time.process_time()
@@ -102,7 +108,8 @@ def measure() -> tuple[dict[str, list[float]], list[float], float]:
         ),
         "M step": lambda: maximize(q, theta, free),
         "M step, bfgs": lambda: maximize(q, theta, free, "bfgs"),
-        "EM iteration": lambda: rbps_em(model, series, n_particles=M, n_iterations=1, method="em"),
+        "EM iteration": partial(one_iteration, model, series, warm_start=False),
+        "EM iteration, with the search for a start": partial(one_iteration, model, series),
         "of the E step: RBPF": lambda: rbpf(model, theta, series, M, rng),
         "of the E step: backward simulation": lambda: rb_ffbsi(filtered, N, rng, joint=True),
         "of the E step: exact moments": lambda: condition_on_trajectories(drawn),
@@ -166,17 +173,13 @@ def main() -> None:
             ratio("E step, bootstrap", "E step, bootstrap, compiled"),
             2.0,
         ),
-        (
-            f"{CHAINS} M particles in one pass over time / {CHAINS} passes",
-            ratio(
-                f"{CHAINS} chains: one RBPF of as many particles",
-                f"{CHAINS} chains: RBPFs one after the other",
-            ),
-            1 / 3,
-        ),
         ("M step / E step", ratio("M step", "E step"), 1.0),
         ("cold start to first iteration, s", float(np.median(cold)), 2.0),
     ]
+    together = ratio(
+        f"{CHAINS} chains: one RBPF of as many particles",
+        f"{CHAINS} chains: RBPFs one after the other",
+    )
     lines = [
         "# Speed of RBPS-EM on eq. (35)",
         "",
@@ -191,15 +194,17 @@ def main() -> None:
         "| ratio | measured | at most | |",
         "| --- | ---: | ---: | --- |",
         *(
-            f"| {name} | {value:.2f} | {limit:.3g} | {'met' if value <= limit else 'MISSED'} |"
+            f"| {name} | {value:.2f} | {limit:g} | {'met' if value <= limit else 'MISSED'} |"
             for name, value, limit in checks
         ),
         "",
         "The compiled version is the same algorithm written by hand for this one model and compiled as a",
         "whole (`compiled_mixed4.py`); from the same random numbers it gives the same results up to",
-        f"rounding. The naive M step and the engine's agree in theta to {disagreement:.1e}. Several chains",
-        "are run one after the other; one RBPF of as many particles, of one theta, is the least that one pass",
-        "over time for all of them would cost.",
+        f"rounding. The naive M step and the engine's agree in theta to {disagreement:.1e}.",
+        "",
+        "Several chains are run one after the other; there is no pass over time for all of them yet. One RBPF",
+        f"of as many particles, of one theta, bounds what it could save: it takes {together:.2f} of the time",
+        f"of {CHAINS} RBPFs. A cold start contains the search for a start.",
         "",
     ]
     text = "\n".join(lines)
