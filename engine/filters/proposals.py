@@ -14,7 +14,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from engine.errors import OptionError
-from engine.kernels.filtering import draw_adapted, draw_prior, spread_points
+from engine.kernels.adapted import draw_adapted, spread_points
+from engine.kernels.filtering import draw_prior
 from engine.statespace.model import Array, MixedModel, stacked
 
 INFLATION = 1.3  # the adapted covariance is widened: the linearisation is only a guess

@@ -17,7 +17,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from engine.filters.proposals import Step, adapted
-from engine.kernels.filtering import condition, spread_points
+from engine.kernels.adapted import spread_points
+from engine.kernels.filtering import condition
 from engine.kernels.scale_mixture import log_innovations
 from engine.statespace.model import Array, MixedModel, stacked
 
