@@ -190,7 +190,7 @@ def test_a_key_that_comes_later_is_not_kept_waiting(make_client, tmp_path, long,
 
 @pytest.mark.slow
 def test_turns_change_no_bit(make_client, tmp_path, client, estimation, ended):
-    request = estimation(particles=100, iterations=60, seed=9)
+    request = estimation(particles=100, iterations=200, seed=9)
     alone = client.post("/jobs", json=request).headers["location"]
     ended(client, alone)
     callers = keyed(make_client, tmp_path, turn_seconds=0.2)
