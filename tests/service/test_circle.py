@@ -9,18 +9,20 @@ from engine.diagnose.effects.catalogue import extend
 from engine.diagnose.effects.setting import Setting
 
 T, DT, CUBIC, NOISE = 100, 0.2, -30.0, 3e-3
+PUSH = 0.006  # of a force that nobody knows: without any, particles have nothing to differ by
 
 
 @pytest.fixture(scope="module")
 def record():
-    """x'' = -36 x - 0.6 x' - 30 x^3 + 36 u by another program, u held; the model has no x^3."""
+    """x'' = -36 x - 0.6 x' - 30 x^3 + 36 (u + w) by another program, u and w held; the model has no x^3."""
     rng = np.random.default_rng(4)
     u = np.convolve(rng.standard_normal(T + 8), np.ones(8) / 8.0)[8 : T + 8]
+    w = PUSH * np.random.default_rng(5).standard_normal(T)
     y, x = np.zeros(T), np.zeros(2)
     for k in range(T):
         y[k] = x[0]
         x = solve_ivp(
-            lambda t, s, push=36.0 * u[k]: [
+            lambda t, s, push=36.0 * (u[k] + w[k]): [
                 s[1],
                 push - 36.0 * s[0] - 0.6 * s[1] + CUBIC * s[0] ** 3,
             ],
