@@ -30,9 +30,9 @@ class Alarm:
     """Whether noise alone explains what the free run gets wrong.
 
     ``p_gain`` of the held-out gain of the best effects, ``p_size`` of so large an error beside what parameters
-    and first states take up, ``p_near`` of so small a one;
-    ``rms`` is that error, ``rms_noise`` what noise makes of it (median), in the weighed unit of the residuals;
-    ``gain`` the held-out gain, log(mean squared error without / with).
+    and first states take up, ``p_near`` of so small a one; ``rms`` is that error, ``rms_noise`` what noise
+    makes of it (median), in the weighed unit of the residuals; ``gain`` the held-out gain, log(mean squared
+    error without / with).
     """
 
     p_gain: float
@@ -70,6 +70,7 @@ def alarm(linear: Linear, theta: Array, folds: Folds, seed: int, ahead: ThetaLik
         p_near = _p_value(int((sizes <= NEARER * rms).sum()))
         if 3.0 * p_near <= LOOKED_AT:
             E = noise_runs(fit, _with_noise_of(fit, ahead), SERIES, seed)
+            E = E[:, np.isfinite(E).all(axis=0)]  # what runs away is not small
             own = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
             p_near = max(p_near, _p_value(int((own <= rms).sum())))
     return Alarm(p_gain, p_size, p_near, rms, float(np.median(sizes)), gain)
