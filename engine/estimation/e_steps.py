@@ -2,6 +2,10 @@
 
 An E step is a function of theta and a random generator that returns an :class:`EStep`. RBPS-EM runs
 the RBPF and the RB-FFBSi, RTS-EM the Kalman smoother; what follows is the same for all.
+
+Few particles may lose a series without one of them ever being left alone: where there is next to no process
+noise, those of t = 1 have to do for all times. A filter that is followed is therefore compared with the moment
+filter, which has no such trouble, and run again with more particles where it falls short of it.
 """
 
 from __future__ import annotations
@@ -30,20 +34,23 @@ from engine.statespace.points import Points
 
 SMOOTHERS = ("exact", "algorithm-3", "linear-cost")
 LOST_SHARE = 0.05  # a filter that collapses at more than this share of its rows is run again ...
-RETRIES = (4, 16)  # ... with this many times the particles
+RETRIES = (4, 16)  # ... with this many times the particles ...
+FAR_NATS = 20.0  # ... as is one whose log-likelihood is so far below the moment filter's
 
 
 @dataclass(frozen=True, eq=False)
 class EStep:
     """The Q-function at theta_k with the log-likelihood and health of the filter behind it.
 
-    ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left.
+    ``ess`` is the mean effective sample size, ``collapsed`` the share of rows with one particle left,
+    ``times`` how many times the particles asked for were needed.
     """
 
     q: Objective
     log_likelihood: float
     ess: float
     collapsed: float
+    times: int = 1
 
 
 Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
@@ -55,6 +62,7 @@ class ParticleStep:
 
     ``run(theta, series, M, rng)`` filters, with more particles where it collapsed and ``recover`` is true;
     ``smooth(filtered, series, rng)`` gives what the ``objective(theta, [...])`` needs of one series.
+    ``moment(theta, series)`` is the log-likelihood of the moment filter, if there is one.
     """
 
     all_series: Sequence[Series]
@@ -63,21 +71,37 @@ class ParticleStep:
     objective: Callable[[Theta, list[Any]], Objective]
     n_particles: int
     recover: bool
+    moment: Callable[[Theta, Series], float] | None = None
 
     def __call__(self, theta: Theta, rng: np.random.Generator) -> EStep:
         """Q(., theta) with random numbers of ``rng``."""
-        smoothed, log_likelihood, ess, lost = [], 0.0, 0.0, 0
+        return self._step(theta, rng, None)
+
+    def compared(self, theta: Theta, rng: np.random.Generator) -> EStep:
+        """The same by filters that do not fall short of the moment filter, as far as more particles help."""
+        return self._step(theta, rng, self.moment)
+
+    def _step(
+        self,
+        theta: Theta,
+        rng: np.random.Generator,
+        moment: Callable[[Theta, Series], float] | None,
+    ) -> EStep:
+        smoothed, log_likelihood, ess, lost, most = [], 0.0, 0.0, 0, 1
         for one in self.all_series:
+            least = -np.inf if moment is None or not self.recover else moment(theta, one) - FAR_NATS
             for times in (1, *RETRIES) if self.recover else (1,):
                 filtered = self.run(theta, one, times * self.n_particles, rng)
-                if len(filtered.collapsed) <= LOST_SHARE * len(one):
+                kept = len(filtered.collapsed) <= LOST_SHARE * len(one)
+                if kept and not filtered.log_likelihood < least:
                     break
             smoothed.append(self.smooth(filtered, one, rng))
             log_likelihood += filtered.log_likelihood
             ess += float(filtered.ess.sum())
             lost += len(filtered.collapsed)
+            most = max(most, times)
         n = sum(map(len, self.all_series))
-        return EStep(self.objective(theta, smoothed), log_likelihood, ess / n, lost / n)
+        return EStep(self.objective(theta, smoothed), log_likelihood, ess / n, lost / n, most)
 
 
 def rbps_step(
@@ -91,8 +115,9 @@ def rbps_step(
     ess_threshold: float = 0.5,
     smoother: str = "exact",
     recover: bool = True,
-) -> Expect:
-    """RBPF and RB-FFBSi over every series; options as in :func:`engine.rbps_em`."""
+    moment: Callable[[Theta, Series], float] | None = None,
+) -> ParticleStep:
+    """RBPF and RB-FFBSi over every series; options as in :func:`engine.rbps_em`, ``moment`` as for the step."""
     check_options(n_particles, resampling, ess_threshold)
     get_proposal(proposal)
     if smoother not in SMOOTHERS:
@@ -114,7 +139,8 @@ def rbps_step(
     run = partial(
         rbpf, model, proposal=proposal, resampling=resampling, ess_threshold=ess_threshold
     )
-    return ParticleStep(all_series, run, smooth, partial(expectation, model), n_particles, recover)
+    objective = partial(expectation, model)
+    return ParticleStep(all_series, run, smooth, objective, n_particles, recover, moment)
 
 
 def rts_step(model: MixedModel, all_series: Sequence[Series]) -> Expect:

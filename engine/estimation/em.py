@@ -89,7 +89,8 @@ def rbps_em(  # noqa: PLR0913
         ``algorithm-3``: those of the report, eqs. (61), whose P and M keep the bias of Approximation 2.
         ``linear-cost``: as ``exact``, with trajectories drawn by Markov chain Monte Carlo moves in O(M).
     recover : bool
-        Run a filter that collapsed again with more particles (the papers do not).
+        Run a filter that collapsed, or fell far short of the moment filter, again with more particles (the
+        papers do not).
     m_step : str
         How the M step maximises Q: ``scoring`` by Fisher scoring, ``bfgs`` by quasi-Newton steps.
     tolerance : float, optional
@@ -120,6 +121,7 @@ def rbps_em(  # noqa: PLR0913
     newton = _is_newton(method)
     all_series = as_series_list(series, model)
     given, model = model, scaled(model, all_series, theta0, free, resume)
+    likelihood = LikelihoodStep(model, all_series)
     expect = rbps_step(
         model,
         all_series,
@@ -130,13 +132,14 @@ def rbps_em(  # noqa: PLR0913
         ess_threshold=ess_threshold,
         smoother=smoother,
         recover=recover,
+        moment=likelihood.of,
     )
     indices = model.free_indices(free)
     start = WarmStart(model, all_series, indices) if warm_start else None
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
-    likelihood = LikelihoodStep(model, all_series)
     ascent = _ascent(likelihood, indices, tolerance) if newton else None
-    found = iterate(model, expect, loop, start, likelihood, ascent)
+    compared = expect.compared if recover else None
+    found = iterate(model, expect, loop, start, likelihood, ascent, compared)
     note = f" {start.note}" if start is not None and start.note else ""
     return replace(found, model=given, message=found.message + note)
 
@@ -221,10 +224,9 @@ def _ascent(
     exact: bool = False,
 ) -> Ascent:
     """The rule of the quasi-Newton method for the free parameters ``indices``."""
-    rows = sum(map(len, likelihood.all_series))
     worth = np.inf if tolerance is None else WORTH * tolerance
     information = partial(likelihood.information, indices=indices)
-    return Ascent(likelihood.model, indices, information, rows, worth, exact)
+    return Ascent(likelihood.model, indices, information, likelihood.rows, worth, exact)
 
 
 def scaled(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,19 +17,24 @@ from numpy.typing import NDArray
 
 from engine.errors import ModelError, OptionError, check_count
 from engine.estimation.convergence import WINDOW, has_settled, mean_point
-from engine.estimation.e_steps import LOST_SHARE, EStep, Expect
+from engine.estimation.e_steps import FAR_NATS, LOST_SHARE, EStep, Expect
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
-from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
-from engine.estimation.start import FAR_NATS
+from engine.estimation.quasi_newton import Ascent, Memory, Seen, nats_apart, width
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
 from engine.words import held_by_bounds
 
 Callback: TypeAlias = Callable[[Iteration], Any]
+
+CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
+AGAINST = (
+    " By the moment filter the iterates passed parameters that are {:.0f} nats likelier than these; the "
+    "particle filter does not say so. More particles would tell which is right."
+)
 
 
 @dataclass(frozen=True)
@@ -56,26 +61,27 @@ def iterate(
     better_starts: Callable[[Theta], Sequence[Theta]] | None = None,
     likelihood: LikelihoodStep | None = None,
     ascent: Ascent | None = None,
+    compared: Expect | None = None,
 ) -> EmResult:
     """Algorithm 1 of the paper: E step, M step, settled?
 
     ``better_starts`` may name points; the first iteration leaves from one that is far more likely;
     ``likelihood`` moves the parameters to which the Q-function is no guide. ``ascent`` replaces the M step
-    where it can.
+    where it can. ``compared`` is the E step that takes more particles where few have lost the series.
     """
     n = loop.n_iterations
     check_count("n_iterations", n)
     check_m_step(loop.m_step)
     indices = model.free_indices(loop.free)
     log = _Log(model, loop, len(indices) if ascent is not None else 0)
-    steps = _Steps(expect, indices, loop, better_starts, likelihood, ascent)
+    steps = _Steps(expect, indices, loop, better_starts, likelihood, ascent, compared)
     outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
         if settled:
             break
         started = time.perf_counter()
-        last = steps.move(k, log.theta, log.memory)
+        last = steps.move(k, log.theta, log.memory, steps.least(log.rows))
         seconds = time.perf_counter() - started
         it = log.add(k, last, seconds)
         if not last.finite:
@@ -88,9 +94,11 @@ def iterate(
     if settled and outcome is not Outcome.STOPPED_BY_CALLER:
         outcome = Outcome.CONVERGED
     if last is None and log.k:  # all was done before: the last iteration again, for what it said
-        last = steps.move(log.k, log.trace[-2], log.memory[:-1])
+        last = steps.move(log.k, log.trace[-2], log.memory[:-1], steps.least(log.rows[:-1]))
     names = tuple(model.parameter_names[i] for i in indices)
-    return log.result(names, outcome, last)
+    found = log.result(names, outcome, last)
+    done = log.k > 0 and outcome is not Outcome.DIVERGED
+    return steps.looked_back(found) if done else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,26 +143,71 @@ class _Steps:
     better_starts: Callable[[Theta], Sequence[Theta]] | None
     likelihood: LikelihoodStep | None
     ascent: Ascent | None
+    compared: Expect | None
 
-    def move(self, k: int, theta: Theta, memory: Sequence[Memory | None]) -> _Maximized:
-        """Iteration k from theta, ``memory`` being what those before it left."""
-        expected = self.e_step(k, theta)
+    def move(
+        self, k: int, theta: Theta, memory: Sequence[Memory | None], least: float
+    ) -> _Maximized:
+        """Iteration k from theta, ``memory`` being what those before it left; ``least`` as for the E step."""
+        expected = self.e_step(k, theta, least)
         ascended = self._ascend(k, expected, memory) if self.ascent is not None else None
         return self.m_step(expected) if ascended is None else ascended
 
-    def e_step(self, k: int, theta: Theta) -> _Expected:
-        """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point."""
-        rng = np.random.default_rng(np.random.SeedSequence(self.loop.seed, spawn_key=(k,)))
-        seen = self.expect(theta, rng)
+    def e_step(self, k: int, theta: Theta, least: float) -> _Expected:
+        """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point.
+
+        A log-likelihood below ``least`` is not believed without comparison.
+        """
+        seed = np.random.SeedSequence(self.loop.seed, spawn_key=(k,))
+        rng = np.random.default_rng(seed)
+        compared = self.compared or self.expect
+        seen = (compared if least == np.inf else self.expect)(theta, rng)
+        if seen.log_likelihood < least < np.inf:
+            rng = np.random.default_rng(seed)  # the same numbers, should the moment filter agree
+            seen = compared(theta, rng)
         at, origin = theta, seen
         if k == 1 and self.better_starts is not None:
             by = FAR_NATS if self.ascent is None else 0.0
             for other in self.better_starts(theta):
-                there = self.expect(other, rng)
+                there = compared(other, rng)
                 gain = there.log_likelihood - origin.log_likelihood
                 if np.isfinite(there.log_likelihood) and not gain < by:  # nats
                     at, origin, by = other, there, 0.0
         return _Expected(seen, at, origin)
+
+    def least(self, rows: Sequence[tuple[float, ...]]) -> float:
+        """Log-likelihood below which a filter may have lost the series: far below that of one before, ``rows``.
+
+        The first is as likely as it may be, and gives the second nothing to be compared with.
+        """
+        if self.compared is None or self.likelihood is None or not rows:
+            return -np.inf
+        value, ess = max((row[:2] for row in rows if np.isfinite(row[0])), default=(np.inf, 1.0))
+        return np.inf if len(rows) == 1 else value - nats_apart(self.likelihood.rows, ess)
+
+    def looked_back(self, found: EmResult) -> EmResult:
+        """The result, at a theta of its trace that is far likelier than the last by both filters, if any is."""
+        if self.compared is None or self.likelihood is None:
+            return found
+        rows = {0, len(found.trace) - 1, *np.argsort(-found.log_likelihood)[:2].tolist()}
+        passed = [Theta(found.trace[k], found.theta.names) for k in sorted(rows)]
+        *before, end = (self.likelihood.of(theta) for theta in (*passed, found.theta))
+        best = passed[int(np.argmax(before))]
+        fall = max(before) - end
+        if not fall > FAR_NATS:
+            return found
+        there, here = (self._by_particles(theta, self.compared) for theta in (best, found.theta))
+        if there - here < FAR_NATS:
+            return replace(found, message=found.message + AGAINST.format(fall))
+        outcome = Outcome.WANDERED
+        message = found.message.replace(found.outcome.value, outcome.value)
+        return replace(found, theta=best, outcome=outcome, message=message)
+
+    def _by_particles(self, theta: Theta, expect: Expect) -> float:
+        """Median log-likelihood of a few filters."""
+        seeds = np.random.SeedSequence(self.loop.seed, spawn_key=(0,)).spawn(CHECKS)
+        values = [expect(theta, np.random.default_rng(seed)).log_likelihood for seed in seeds]
+        return float(np.median(values))
 
     def _ascend(
         self, k: int, expected: _Expected, memory: Sequence[Memory | None]
@@ -176,8 +229,8 @@ class _Steps:
                 return None
         found = None
         if self.ascent is not None and n:
-            noise = float(np.sqrt(self.ascent.rows / max(expected.origin.ess, 1.0)))
-            seen = Seen(np.asarray(at), x, score, complete, value, noise)
+            wide = nats_apart(self.ascent.rows, expected.origin.ess)
+            seen = Seen(np.asarray(at), x, score, complete, value, wide)
             found = self.ascent.next(seen, before, k)
         if found is None:
             return None
@@ -299,6 +352,8 @@ class _Log:
         stuck: tuple[str, ...] = ()
         if last is not None and outcome is not Outcome.DIVERGED:
             stuck = last.not_moved([self.model.index(name) for name in names])
+        if last is not None and last.seen.times > 1:
+            message += f" The last E step took {last.seen.times} times the particles, as fewer lost the series."
         if last is not None and last.by_likelihood:
             message += (
                 f" Estimated by scoring on {last.whose} likelihood, as EM cannot move what enters "

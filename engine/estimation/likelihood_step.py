@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.maximization import Objective
-from engine.estimation.quasi_ml import derivatives, quasi_ml
+from engine.estimation.quasi_ml import derivatives, log_likelihoods, quasi_ml
 from engine.statespace.model import Array, MixedModel, Theta
 
 LIKELIHOOD_STEPS = 10  # at most; near the maximum it is one, or none
@@ -50,6 +50,19 @@ class LikelihoodStep:
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)
+
+    @property
+    def rows(self) -> int:
+        """Of all series."""
+        return sum(map(len, self.all_series))
+
+    def of(self, theta: Theta, series: Series | None = None) -> float:
+        """Log-likelihood of one series, or of all; NaN where it cannot be had."""
+        which = self.all_series if series is None else [series]
+        try:
+            return float(log_likelihoods(self.model, which, np.asarray(theta)[None])[0])
+        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return np.nan
 
     def information(self, theta: Array, indices: NDArray[np.intp]) -> Array | None:
         """Of the parameters ``indices`` (n, n), or None where it cannot be had."""

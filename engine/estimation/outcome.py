@@ -20,8 +20,13 @@ class Outcome(Enum):
         "iterates follow noise. Check the units of the data, or use more particles, another start, or a "
         "larger measurement noise."
     )
+    WANDERED = (
+        "Lost: the iterates ended where parameters are far less likely than others they have passed, by "
+        "the moment filter and by the particle filter; the likeliest of those are kept. The particles are "
+        "too few to follow this series: use more of them, or hold a larger process noise."
+    )
 
     @property
     def success(self) -> bool:
         """False where the last iterate must not be taken for an estimate."""
-        return self not in (Outcome.DIVERGED, Outcome.COLLAPSED)
+        return self not in (Outcome.DIVERGED, Outcome.COLLAPSED, Outcome.WANDERED)

@@ -90,7 +90,8 @@ def ps_em(  # noqa: PLR0913
     ess_threshold : float
         Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
     recover : bool
-        Run a filter that collapsed again with more particles (the papers do not).
+        Run a filter that collapsed, or fell far short of the moment filter, again with more particles (the
+        papers do not).
     m_step : str, optional
         How the M step maximises Q: ``scoring``, the default for mixed models, or ``bfgs``.
     tolerance : float, optional
@@ -133,10 +134,12 @@ def ps_em(  # noqa: PLR0913
         likelihood = LikelihoodStep(model, all_series)
         run = partial(particle_filter, model, proposal=proposal, **options)
         smooth, objective = partial(_draws, N), partial(expectation, model)
-    expect = ParticleStep(all_series, run, smooth, objective, n_particles, recover)
+    moment = likelihood.of if likelihood is not None else None
+    expect = ParticleStep(all_series, run, smooth, objective, n_particles, recover, moment)
     chosen = m_step or ("scoring" if likelihood else "bfgs")
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)
-    found = iterate(model, expect, loop, likelihood=likelihood)
+    compared = expect.compared if recover else None
+    found = iterate(model, expect, loop, likelihood=likelihood, compared=compared)
     return replace(found, model=given)
 
 

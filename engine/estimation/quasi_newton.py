@@ -62,8 +62,7 @@ LEAST, MOST = 1e-4, 1.2  # of the complete-data information is in the metric
 class Seen:
     """What an E step at theta told: score (n,), complete-data information (n, n), log-likelihood.
 
-    ``x`` (n,) are the values of the parameters they are taken in, ``noise`` the standard deviation of the
-    log-likelihood, or a bit more.
+    ``x`` (n,) are the values of the parameters they are taken in; ``wide``: see :func:`nats_apart`.
     """
 
     theta: Array
@@ -71,12 +70,7 @@ class Seen:
     score: Array
     complete: Array
     value: float
-    noise: float
-
-    @property
-    def wide(self) -> float:
-        """Nats by which another log-likelihood may differ without meaning it."""
-        return max(WIDE_NATS, WIDE_SPREADS * self.noise)
+    wide: float
 
     @property
     def finite(self) -> bool:
@@ -118,6 +112,11 @@ class Memory:
         value, radius, images, settled = last.tolist()
         metric = metric.reshape(n, n)
         return cls(base, score, metric, value, radius, at, image, int(images), settled > 0.0)
+
+
+def nats_apart(rows: int, ess: float) -> float:
+    """Nats by which log-likelihoods of particle filters may differ without meaning it."""
+    return max(WIDE_NATS, WIDE_SPREADS * float(np.sqrt(rows / max(ess, 1.0))))
 
 
 def width(n: int) -> int:

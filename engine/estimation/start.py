@@ -25,7 +25,6 @@ from engine.statespace.model import Array, MixedModel, Theta
 SEARCHED_ROWS = 2000  # of each series, at most, are searched
 CANDIDATES = 96  # points around the start values ...
 REACH_SIZES = 2.0  # ... this many sizes of each parameter away at most, within its bounds
-FAR_NATS = 20.0  # EM leaves from theta0 unless it is less likely than the maximum by this much
 IMPROVED_CANDIDATES = 8  # of the candidates are improved, besides the start values themselves
 HOPE = 10.0  # far from a maximum a search gains more than it expects, up to so many times
 RIVAL_NATS = 5.0  # below the highest maximum, another may be the higher one of the true likelihood

@@ -9,15 +9,22 @@ from engine.diagnose.effects.catalogue import extend
 from engine.diagnose.effects.setting import Setting
 
 T, DT, CUBIC, NOISE = 100, 0.2, -30.0, 3e-3
-PUSH = 0.006  # of a force that nobody knows: without any, particles have nothing to differ by
+# of a force that nobody knows; without any, those particles that begin near the truth have to do for all times
+PUSH = {"pushed": (0.006, 30), "not pushed": (0.0, 200)}
+
+
+@pytest.fixture(scope="module", params=PUSH)
+def pushed(request):
+    """Size of the force that nobody knows, and the particles that are enough for it."""
+    return PUSH[request.param]
 
 
 @pytest.fixture(scope="module")
-def record():
+def record(pushed):
     """x'' = -36 x - 0.6 x' - 30 x^3 + 36 (u + w) by another program, u and w held; the model has no x^3."""
     rng = np.random.default_rng(4)
     u = np.convolve(rng.standard_normal(T + 8), np.ones(8) / 8.0)[8 : T + 8]
-    w = PUSH * np.random.default_rng(5).standard_normal(T)
+    w = pushed[0] * np.random.default_rng(5).standard_normal(T)
     y, x = np.zeros(T), np.zeros(2)
     for k in range(T):
         y[k] = x[0]
@@ -45,7 +52,7 @@ def run(client, ended, job):
 
 
 @pytest.mark.slow
-def test_a_hidden_effect_is_found_estimated_and_simulated(client, ended, record):
+def test_a_hidden_effect_is_found_estimated_and_simulated(client, ended, record, pushed):
     _, found = run(
         client,
         ended,
@@ -72,7 +79,7 @@ def test_a_hidden_effect_is_found_estimated_and_simulated(client, ended, record)
             "kind": "estimate",
             "parameters": {"start": theta},
             "options": {
-                "particles": 30,
+                "particles": pushed[1],
                 "iterations": 25,
                 "seed": 1,
                 "intervals": "symmetric",

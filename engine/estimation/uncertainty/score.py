@@ -9,7 +9,7 @@ so that any E step yields it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,8 +55,9 @@ class Score:
         likelihood = LikelihoodStep(model, all_series, whose)
         if exact:
             return cls(model, theta, indices, rts_step(model, all_series), True, likelihood)
-        expect = rbps_step(model, all_series, n_particles, n_trajectories)
-        return cls(model, theta, indices, expect, False, likelihood)
+        moment = _remembered(likelihood.of)
+        expect = rbps_step(model, all_series, n_particles, n_trajectories, moment=moment)
+        return cls(model, theta, indices, expect.compared, False, likelihood)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -80,6 +81,19 @@ class Score:
         theta = Theta(values, self.theta.names)
         q = self.expect(theta, np.random.default_rng(seed)).q
         return score_of(q, theta, self.indices, self.likelihood)[:2]
+
+
+def _remembered(moment: Callable[[Theta, Series], float]) -> Callable[[Theta, Series], float]:
+    """The same, asked once for each theta and series: the score is drawn many times at one point."""
+    known: dict[tuple[bytes, int], float] = {}
+
+    def remembered(theta: Theta, series: Series) -> float:
+        key = (np.asarray(theta).tobytes(), id(series))
+        if key not in known:
+            known[key] = moment(theta, series)
+        return known[key]
+
+    return remembered
 
 
 def inside(model: MixedModel, theta: Theta, free: Sequence[str] | None) -> NDArray[np.intp]:

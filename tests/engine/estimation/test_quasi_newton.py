@@ -30,7 +30,7 @@ def climb(start, noise=0.0, metric=INFORMATION, tolerance=0.02, n=200, fall=0.0,
         d = TOP - x
         score = INFORMATION @ d + noise * np.linalg.cholesky(INFORMATION) @ rng.standard_normal(2)
         value = -0.5 * d @ INFORMATION @ d - fall * float(len(points) == 2)
-        x, memory = rule.next(Seen(x, x, score, 20.0 * INFORMATION, value, 2.0), before, k + 8)
+        x, memory = rule.next(Seen(x, x, score, 20.0 * INFORMATION, value, 20.0), before, k + 8)
         before.append(memory)
         if memory.settled:
             break
@@ -80,7 +80,7 @@ def test_bounds_are_kept_and_a_maximum_beyond_one_is_approached():
     x, before = np.array([0.2, 0.2]), []
     for k in range(40):
         d = beyond - x
-        seen = Seen(x, x, INFORMATION @ d, 20.0 * INFORMATION, -0.5 * d @ INFORMATION @ d, 2.0)
+        seen = Seen(x, x, INFORMATION @ d, 20.0 * INFORMATION, -0.5 * d @ INFORMATION @ d, 20.0)
         x, memory = rule.next(seen, before, k + 9)
         before.append(memory)
         assert -1.0 <= x[0] <= 1.0

@@ -1,0 +1,98 @@
+"""Particles too few to follow a series: more are taken, and iterates that wander off are not an estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import engine
+from engine import Outcome, get_model
+from engine.estimation import e_steps
+from engine.estimation.e_steps import FAR_NATS, rbps_step
+from engine.estimation.likelihood_step import LikelihoodStep
+
+OSCILLATOR = get_model("oscillator")
+QUIET = OSCILLATOR.theta({"sigma_v": 1e-6, "sigma_y": 1e-3})
+PUSH = np.sin(0.7 * np.arange(60))
+
+
+def swung(seed):
+    """Next to no process noise, an unknown first velocity: one particle of t = 1 is followed to the end."""
+    rng = np.random.default_rng(seed)
+    return engine.simulate(OSCILLATOR, QUIET, 60, rng, PUSH, dt=0.05).series
+
+
+def test_a_filter_that_falls_short_is_run_with_more_particles():
+    """The model is linear, so that its moment filter is exact; 4 particles are up to 180 nats below it."""
+    series = swung(0)
+    moment = LikelihoodStep(OSCILLATOR, [series]).of
+    step = rbps_step(OSCILLATOR, [series], 4, 4, moment=moment)
+    exact, short, kept = moment(QUIET), 0, 0
+    for seed in range(8):
+        few, more = (
+            run(QUIET, np.random.default_rng(seed)) for run in (step.__call__, step.compared)
+        )
+        short += few.log_likelihood < exact - FAR_NATS
+        kept += more.log_likelihood >= exact - FAR_NATS
+        assert more.times >= few.times
+        if few.log_likelihood >= exact - FAR_NATS:
+            assert more.log_likelihood == few.log_likelihood  # the same bits, with the same numbers
+        else:
+            assert more.times > 1
+    assert short >= 3
+    assert kept > 8 - short
+
+
+def test_enough_particles_are_left_alone():
+    rng, start = np.random.default_rng(1), {"sigma_v": 1.0}
+    series = engine.simulate(OSCILLATOR, start, 60, rng, PUSH, dt=0.3).series
+    options = {"n_particles": 30, "n_iterations": 4, "seed": 2}
+    plain, careful = (
+        engine.rbps_em(OSCILLATOR, series, start, recover=recover, **options)
+        for recover in (False, True)
+    )
+    np.testing.assert_array_equal(plain.trace, careful.trace)
+    assert plain.message == careful.message
+
+
+def runs(**more):
+    """From the truth with 8 particles on three series: the exact gain of each, nats, and the result."""
+    for seed in (1, 4, 5):
+        series = swung(seed)
+        of = LikelihoodStep(OSCILLATOR, [series]).of
+        options = {"n_particles": 8, "n_iterations": 12, "seed": seed} | more
+        found = engine.rbps_em(OSCILLATOR, series, QUIET, ("omega", "zeta", "sigma_y"), **options)
+        last = OSCILLATOR.theta(found.trace[-1])
+        yield of(found.theta) - of(QUIET), of(last) - of(QUIET), found
+
+
+def test_a_start_is_not_left_for_what_is_far_less_likely():
+    blind = [gain for gain, _, _ in runs(recover=False)]
+    assert min(blind) < -2.0 * FAR_NATS  # iterations as the paper has them
+    found = list(runs())
+    assert min(gain for gain, _, _ in found) > -FAR_NATS
+    assert any("times the particles" in result.message for _, _, result in found)
+
+
+def test_where_more_particles_cannot_be_had_it_says_which_filter_says_what(monkeypatch):
+    monkeypatch.setattr(e_steps, "RETRIES", ())
+    fell = 0
+    for _, last, result in runs():
+        assert ("By the moment filter" in result.message) == (last < -FAR_NATS)
+        fell += last < -FAR_NATS
+    assert fell
+
+
+def test_iterates_that_wandered_off_are_no_estimate():
+    """Of which the last is far less likely than those before it, by both filters."""
+    trace = np.array([QUIET, QUIET, QUIET])
+    trace[2, OSCILLATOR.index("sigma_y")] = 0.1
+    even = np.ones(2)
+    before = engine.Checkpoint(trace, 300.0 * even, 20.0 * even, even, 0.0 * even)
+    options = {"n_particles": 30, "n_iterations": 2, "free": ("omega", "sigma_y")}
+    for method in ("em", "quasi-newton"):
+        found = engine.rbps_em(OSCILLATOR, swung(0), resume=before, method=method, **options)
+        assert found.outcome is Outcome.WANDERED
+        assert not found.outcome.success
+        assert found.message.startswith("Lost: ")
+        np.testing.assert_array_equal(found.theta, QUIET)
+        np.testing.assert_array_equal(found.trace, trace)
