@@ -8,6 +8,7 @@ rivals, and the plainer kinds that its choice contains, are refitted in the mode
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -20,12 +21,14 @@ from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.refits import TOLERANCE, Refit, cost, free_parameters
 from engine.diagnose.search.rounds import Round, settle
 from engine.errors import EngineError
-from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done
+from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
 
 STAGE = "looking back"
 RIVALS = 3  # of each round that are refitted again
-# of each of these refits: where noise is small, thousands of nats are climbed slowly
-ITERATIONS = 25
+ITERATIONS = 25  # of each of these refits
+BUDGET = 300  # iterations of all of them, three times as many as are usual for two effects
+
+Values = Mapping[str, float]
 
 
 def look_back(
@@ -35,38 +38,43 @@ def look_back(
     setting: Setting,
     kept: Kept = NOTHING,
     progress: Progress = lambda stage, share: None,
-) -> tuple[QuasiFit, list[Round]]:
+) -> tuple[QuasiFit, list[Round], tuple[str, ...]]:
     """The final fit and the rounds (all with a choice), each refitted beside the others' choices.
 
+    And the choices that were not weighed so because the BUDGET was spent: their rounds stay as they were found.
     ``progress`` is told of every iteration: as many fits as there are rivals, and one without, make a round.
     """
-    settled = list(rounds)
-    final = settled[-1].refits[0].fit
-    for i, found in enumerate(settled):
+    settled, fits = list(rounds), _Fits(base, series, BUDGET)
+    final, earlier = settled[-1].refits[0].fit, base
+    for i, found in enumerate(rounds):
         effects = [other.refits[0].effect for other in settled]
         before, after = effects[:i], effects[i + 1 :]
         here = kept.within(f"looking back {i + 1}")
         rivals = _rivals(found, [other.name for other in (*before, *after)])
         told = partial(_tell, progress, i / len(settled), 1.0 / len(settled) / (1 + len(rivals)))
+        starts = partial(_starts, final.theta.asdict(), later=after)
+        plain, earlier = starts(earlier.theta.asdict()), found.refits[0].fit
         try:
-            without = _together(base, final, [*before, *after], {}, series, here, partial(told, 0))
+            without = fits.fit([*before, *after], plain, here, partial(told, 0))
         except (EngineError, np.linalg.LinAlgError):
             continue
         again = []  # without outliers: they were no choice, and this filter does not see them
         for j, (effect, own) in enumerate(rivals, 1):
-            # the choice starts where it is beside the others, and so is never lost on the way there
-            start = {} if effect.name == effects[i].name else own
+            if not fits.left:
+                break
             try:
                 among = [*before, effect, *after]
-                fit = _together(base, final, among, start, series, here, partial(told, j))
+                fit = fits.fit(among, starts(own), here, partial(told, j))
             except (EngineError, np.linalg.LinAlgError):
                 continue
             gain = 2.0 * (fit.log_likelihood - without.log_likelihood)
             again.append(Refit(effect, fit, gain, gain - cost(effect, series)))
+        if not fits.left:
+            return final, settled, tuple(effect.name for effect in effects[i:])
         weighed = settle(found.screen, again, series, setting)
         if weighed.refits:
             settled[i], final = weighed, weighed.refits[0].fit
-    return final, settled
+    return final, settled, ()
 
 
 def _tell(progress: Progress, begin: float, width: float, j: int, k: int) -> None:
@@ -74,43 +82,65 @@ def _tell(progress: Progress, begin: float, width: float, j: int, k: int) -> Non
     progress(STAGE, begin + width * (j + share_done(k)))
 
 
-def _rivals(found: Round, taken: Sequence[str]) -> list[tuple[Effect, dict[str, float]]]:
-    """Effects that may be a round's cause, with their own parameters, but those ``taken`` by other rounds.
+def _rivals(found: Round, taken: Sequence[str]) -> list[tuple[Effect, Values]]:
+    """Effects that may be a round's cause, with what it found beside them, but those ``taken`` by other rounds.
 
     The choice, the next best, the unnamed force, and plainer kinds that the choice contains.
     """
     named = [r for r in found.refits if not r.effect.traits.outliers]
     refits = [*named[: 1 + RIVALS], *([found.generic] if found.generic else [])]
-    out = {
-        r.effect.name: (r.effect, {p.name: r.fit.theta[p.name] for p in r.effect.parameters})
-        for r in refits
-    }
+    out = {r.effect.name: (r.effect, r.fit.theta.asdict()) for r in refits}
     chosen = found.refits[0]
     plainer = chosen.effect.traits.contains
     for effect in (score.effect for score in found.screen.scores):
         if effect.kind in plainer and effect.channel == chosen.effect.channel:
-            out.setdefault(effect.name, (effect, {effect.size.name: chosen.size}))
+            like = {**chosen.fit.theta.asdict(), effect.size.name: chosen.size}
+            out.setdefault(effect.name, (effect, like))
     return [rival for name, rival in out.items() if name not in taken]
 
 
-def _together(
-    base: QuasiFit,
-    known: QuasiFit,
-    effects: Sequence[Effect],
-    own: Mapping[str, float],
-    series: Series,
-    kept: Kept,
-    told: Callable[[int], object],
-) -> QuasiFit:
-    """The base model with all effects at once, started at what is known of their parameters."""
-    model = base.model
-    for effect in effects:
-        model = effect.apply(model)
-    values = {**known.theta.asdict(), **own}
-    start = [values.get(p.name, p.default) for p in model.parameters]
-    free = [*base.free, *(name for effect in effects for name in free_parameters(effect))]
-    start_within = np.clip(start, model.lower, model.upper)
-    fitted = partial(
-        quasi_ml, model, series, start_within, free, ITERATIONS, TOLERANCE, callback=told
-    )
-    return kept.fit(model, fitted)
+def _starts(known: Values, own: Values, later: Sequence[Effect]) -> list[Values]:
+    """Where a joint refit may start: at what is ``known`` of all, at its ``own`` round's beside it, and that alone.
+
+    What is known has the little noise that all effects together leave. Without one of them the likelihood is
+    next to nothing there, and it takes dozens of steps to climb out. A round's own refit, without what was
+    found later, is as likely as it was in that round.
+    """
+    beside = {**known, **own}
+    return [{**own, **known}, beside, {**beside, **{e.size.name: 0.0 for e in later}}]
+
+
+@dataclass(eq=False)
+class _Fits:
+    """Fits of a base model with several effects at once, with so many iterations ``left`` for all of them."""
+
+    base: QuasiFit
+    series: Series
+    left: int
+
+    def fit(
+        self,
+        effects: Sequence[Effect],
+        starts: Sequence[Values],
+        kept: Kept,
+        told: Callable[[int], object],
+    ) -> QuasiFit:
+        """One of them, from the likeliest of the starts; one that is cut off counts as given up."""
+        model = self.base.model
+        for effect in effects:
+            model = effect.apply(model)
+        free = [*self.base.free, *(name for effect in effects for name in free_parameters(effect))]
+        rows = [[values.get(p.name, p.default) for p in model.parameters] for values in starts]
+        thetas = np.clip(rows, model.lower, model.upper)
+        most = min(ITERATIONS, self.left)
+
+        def fitted() -> QuasiFit:
+            likeliest = int(np.argmax(log_likelihoods(model, [self.series], thetas)))
+            found = quasi_ml(
+                model, self.series, thetas[likeliest], free, most, TOLERANCE, callback=told
+            )
+            return replace(found, given_up=not found.converged and found.iterations == most)
+
+        found = kept.fit(model, fitted)
+        self.left -= found.iterations
+        return found

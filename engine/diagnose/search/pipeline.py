@@ -125,6 +125,11 @@ def find_causes(
             "the model half as long: it is what the steps get wrong, and no effect of its own. "
             "Likelihoods gained are those of the shorter steps, sizes those of the longer."
         )
+    if found.unweighed:
+        notes.append(
+            f"Not compared with rivals beside all that was found: {', '.join(found.unweighed)}. Fits of "
+            "several effects at once took too many iterations; the rivals are those of the round that found it."
+        )
     against = undetermined([r for r in found.rounds if r.equivalent])
     if against:
         notes.extend(against)

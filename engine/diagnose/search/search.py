@@ -53,7 +53,8 @@ OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once ou
 class Search:
     """All rounds; the last one without refits has no alarm. ``base`` and ``final`` fits.
 
-    ``of_the_steps`` is what a last round would have found, where shorter steps explain it.
+    ``of_the_steps`` is what a last round would have found, where shorter steps explain it; ``unweighed`` are
+    choices that were not weighed beside the effects found after them.
     """
 
     base: QuasiFit
@@ -61,6 +62,7 @@ class Search:
     rounds: tuple[Round, ...]
     alarm_left: bool
     of_the_steps: str = ""
+    unweighed: tuple[str, ...] = ()
 
 
 def search(
@@ -79,7 +81,7 @@ def search(
     """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already."""
     fit, rounds, alarm = base, [], False
     tails: Refit | None = None
-    explained = ""
+    explained, unweighed = "", tuple[str, ...]()
     for k in range(max_effects + 1):
         taken = None if tails is None else tails.effect
         level = alpha if k == 0 else LATER * alpha
@@ -147,13 +149,12 @@ def search(
     named = [found for found in rounds if found.equivalent]
     if tails is None and len(named) > 1 and not explained:  # that would be by the longer steps
         among = part_of(progress, 0.0, LOOKED_BACK)
-        fit, named = look_back(base, named, series, setting, kept, among)
+        fit, named, unweighed = look_back(base, named, series, setting, kept, among)
         rounds[: len(named)] = named
         told = _iterations(progress, STAGE, LOOKED_BACK)
         fit = kept.within("finally").fit(fit.model, partial(_finished, fit, series, told))
-    return Search(
-        base, fit if tails is None else _with_tails(fit, tails), tuple(rounds), alarm, explained
-    )
+    final = fit if tails is None else _with_tails(fit, tails)
+    return Search(base, final, tuple(rounds), alarm, explained, unweighed)
 
 
 def part_of(progress: Progress, begin: float, end: float) -> Progress:

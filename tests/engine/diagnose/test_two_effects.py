@@ -118,6 +118,6 @@ def test_looking_back_loses_nothing_that_was_found(monkeypatch):
     tails = Refit(make_effect("heavy-tails:reading", setting), choice.fit, 1e6, 1e6)
     one = replace(one, refits=(astray, *one.refits[1:], tails))
     monkeypatch.setattr(joint_refit, "ITERATIONS", 1)
-    final, rounds = joint_refit.look_back(base, [one, other], series, setting)
+    final, rounds, _ = joint_refit.look_back(base, [one, other], series, setting)
     assert {r.refits[0].effect.name for r in rounds} == set(names)
     assert final.log_likelihood > search.final.log_likelihood - 0.01
