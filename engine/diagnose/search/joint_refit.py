@@ -100,7 +100,7 @@ def _rivals(found: Round, taken: Sequence[str]) -> list[tuple[Effect, Values]]:
 
 
 def _starts(known: Values, own: Values, later: Sequence[Effect]) -> list[Values]:
-    """Where a joint refit may start: at what is ``known`` of all, at its ``own`` round's beside it, and that alone.
+    """Where a joint refit may start: at what is ``known``, at its ``own`` round's beside that, and that alone.
 
     What is known has the little noise that all effects together leave. Without one of them the likelihood is
     next to nothing there, and it takes dozens of steps to climb out. A round's own refit, without what was
