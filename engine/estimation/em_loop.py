@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -24,17 +24,12 @@ from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, nats_apart, width
+from engine.estimation.wandering import looked_back
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
 from engine.words import held_by_bounds
 
 Callback: TypeAlias = Callable[[Iteration], Any]
-
-CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
-AGAINST = (
-    " By the moment filter the iterates passed parameters that are {:.0f} nats likelier than these; the "
-    "particle filter does not say so. More particles would tell which is right."
-)
 
 
 @dataclass(frozen=True)
@@ -97,8 +92,9 @@ def iterate(
         last = steps.move(log.k, log.trace[-2], log.memory[:-1], steps.least(log.rows[:-1]))
     names = tuple(model.parameter_names[i] for i in indices)
     found = log.result(names, outcome, last)
-    done = log.k > 0 and outcome is not Outcome.DIVERGED
-    return steps.looked_back(found) if done else found
+    if compared is None or likelihood is None or not log.k or outcome is Outcome.DIVERGED:
+        return found
+    return looked_back(found, likelihood.of, compared, loop.seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,30 +180,6 @@ class _Steps:
             return -np.inf
         value, ess = max((row[:2] for row in rows if np.isfinite(row[0])), default=(np.inf, 1.0))
         return np.inf if len(rows) == 1 else value - nats_apart(self.likelihood.rows, ess)
-
-    def looked_back(self, found: EmResult) -> EmResult:
-        """The result, at a theta of its trace that is far likelier than the last by both filters, if any is."""
-        if self.compared is None or self.likelihood is None:
-            return found
-        rows = {0, len(found.trace) - 1, *np.argsort(-found.log_likelihood)[:2].tolist()}
-        passed = [Theta(found.trace[k], found.theta.names) for k in sorted(rows)]
-        *before, end = (self.likelihood.of(theta) for theta in (*passed, found.theta))
-        best = passed[int(np.argmax(before))]
-        fall = max(before) - end
-        if not fall > FAR_NATS:
-            return found
-        there, here = (self._by_particles(theta, self.compared) for theta in (best, found.theta))
-        if there - here < FAR_NATS:
-            return replace(found, message=found.message + AGAINST.format(fall))
-        outcome = Outcome.WANDERED
-        message = found.message.replace(found.outcome.value, outcome.value)
-        return replace(found, theta=best, outcome=outcome, message=message)
-
-    def _by_particles(self, theta: Theta, expect: Expect) -> float:
-        """Median log-likelihood of a few filters."""
-        seeds = np.random.SeedSequence(self.loop.seed, spawn_key=(0,)).spawn(CHECKS)
-        values = [expect(theta, np.random.default_rng(seed)).log_likelihood for seed in seeds]
-        return float(np.median(values))
 
     def _ascend(
         self, k: int, expected: _Expected, memory: Sequence[Memory | None]
