@@ -39,9 +39,16 @@ def headline(cause: Cause) -> str:
     size = estimate(cause.size, cause.standard_error, cause.unit)
     return (
         f"{name} [{cause.effect}]: {size}{when(cause)}, {probability(cause.p_value)}, "
-        f"2 x log-likelihood gained {number(cause.gain)}"
+        f"2 x log-likelihood gained {gained(cause.gain)}"
         + (f" together with {enumerated(list(cause.together))}" if cause.together else "")
     )
+
+
+def gained(gain: float | None) -> str:
+    """2 x log-likelihood gained: what a free run finds may gain none one step ahead, beside process noise."""
+    if gain is None:
+        return ""
+    return number(gain) if gain > 0.0 else "none"
 
 
 def when(cause: Cause) -> str:

@@ -17,6 +17,7 @@ from engine.presentation import over_horizon
 from engine.presentation.cause_sentences import (
     SMALLEST,
     experiment,
+    gained,
     headline,
     looked_for,
     phrased,
@@ -130,8 +131,7 @@ def _cause(d: Diagnosis) -> Iterator[str]:
             state = standing(other, cause.equivalent)
             text = f"{other.effect}: {state} (likeness {number(round(other.likeness, 2))}"
             if other.gain is not None:
-                gained = number(other.gain) if other.gain > 0.0 else "none"
-                text += f", 2 x log-likelihood gained {gained}"
+                text += f", 2 x log-likelihood gained {gained(other.gain)}"
             text += ")"
             if other.difference:
                 text += f"; it {phrased(other.difference)}"

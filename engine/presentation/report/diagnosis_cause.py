@@ -8,7 +8,7 @@ from typing import Any
 
 from engine.diagnose.search.findings import LookAlike
 from engine.presentation import over_horizon
-from engine.presentation.cause_sentences import standing
+from engine.presentation.cause_sentences import gained, standing
 from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
 from engine.presentation.report.comparison import TIME, around
 from engine.presentation.report.html import Html, table, table_of, tag
@@ -92,7 +92,7 @@ def _cause(cause: Document) -> list[object]:
 
 def _gained(cause: Document) -> str:
     others = cause.get("together")
-    return number(cause["gain"]) + (f" together with {', '.join(others)}" if others else "")
+    return gained(cause["gain"]) + (f" together with {', '.join(others)}" if others else "")
 
 
 def two_criteria(asked: Document | None, draw: Drawer) -> list[object]:
@@ -152,18 +152,13 @@ def _look_alikes(cause: Document) -> Html:
         class_ = "good" if o.ruled_out else "warn"
         return tag("span", standing(o, cause["equivalent"]), class_=class_)
 
-    def gained(o: LookAlike) -> str:
-        if o.gain is None:
-            return ""
-        return number(o.gain) if o.gain > 0.0 else "none"
-
     return table_of(
         [LookAlike(**one) for one in cause["look_alikes"]],
         {
             "effect": lambda o: tag("code", o.effect),
             "by these data": told,
             "likeness": lambda o: number(round(o.likeness, 2)),
-            "2 × log-likelihood gained": gained,
+            "2 × log-likelihood gained": lambda o: gained(o.gain),
             "what tells it apart": lambda o: o.difference,
         },
         "words",

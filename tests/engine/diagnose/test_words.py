@@ -166,6 +166,12 @@ def test_a_headline_has_no_size_within_its_error():
     assert "1 +- 0.1 1/s" in headline(cause(("linear:air",)))
 
 
+def test_a_headline_has_no_negative_gain():
+    """The free run may name what gains nothing one step ahead."""
+    assert headline(cause(("linear:air",))).endswith("gained 40")
+    assert headline(replace(cause(("linear:air",)), gain=-3.28)).endswith("gained none")
+
+
 def test_what_the_data_say_of_others_is_no_more_than_they_do():
     """Only what was refitted to its end and lost is ruled out; a refit that was left is behind, and no more."""
     chosen = ("linear:air", "cubic:air")
