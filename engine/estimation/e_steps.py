@@ -34,8 +34,11 @@ from engine.statespace.points import Points
 
 SMOOTHERS = ("exact", "algorithm-3", "linear-cost")
 LOST_SHARE = 0.05  # a filter that collapses at more than this share of its rows is run again ...
-RETRIES = (4, 16)  # ... with this many times the particles ...
-FAR_NATS = 20.0  # ... as is one whose log-likelihood is so far below the moment filter's
+RETRIES = (4, 16)  # ... with this many times the particles
+FAR_NATS = 20.0  # by which one theta is far less likely than another
+# Two log-likelihoods of the particle filter may differ by so much without meaning it, in standard deviations of
+# one, about sqrt(rows / effective sample size)
+SPREADS = 7.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,16 @@ class EStep:
 
 
 Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
+
+
+def nats_apart(rows: int, ess: float) -> float:
+    """Nats by which log-likelihoods of particle filters may differ without meaning it."""
+    return max(FAR_NATS, SPREADS * float(np.sqrt(rows / max(ess, 1.0))))
+
+
+def nats_short(rows: int, ess: float) -> float:
+    """Nats by which that of a particle filter may be below the truth: half its variance is its bias."""
+    return nats_apart(rows, ess) + 0.5 * rows / max(ess, 1.0)
 
 
 @dataclass(frozen=True)
@@ -89,11 +102,12 @@ class ParticleStep:
     ) -> EStep:
         smoothed, log_likelihood, ess, lost, most = [], 0.0, 0.0, 0, 1
         for one in self.all_series:
-            least = -np.inf if moment is None or not self.recover else moment(theta, one) - FAR_NATS
+            wanted = -np.inf if moment is None or not self.recover else moment(theta, one)
             for times in (1, *RETRIES) if self.recover else (1,):
                 filtered = self.run(theta, one, times * self.n_particles, rng)
                 kept = len(filtered.collapsed) <= LOST_SHARE * len(one)
-                if kept and not filtered.log_likelihood < least:
+                short = nats_short(len(one), float(filtered.ess.mean()))
+                if kept and not filtered.log_likelihood < wanted - short:
                     break
             smoothed.append(self.smooth(filtered, one, rng))
             log_likelihood += filtered.log_likelihood

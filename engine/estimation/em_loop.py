@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from engine.errors import ModelError, OptionError, check_count
 from engine.estimation.convergence import WINDOW, has_settled, mean_point
-from engine.estimation.e_steps import FAR_NATS, LOST_SHARE, EStep, Expect
+from engine.estimation.e_steps import FAR_NATS, LOST_SHARE, EStep, Expect, nats_apart
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
-from engine.estimation.quasi_newton import Ascent, Memory, Seen, nats_apart, width
+from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
 from engine.estimation.wandering import looked_back
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike

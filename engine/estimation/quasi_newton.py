@@ -41,9 +41,6 @@ NEAR_ERRORS = 1.5  # a step of so many standard errors begins the averaging
 IMAGE_ERRORS = 5.0  # an image is at most so far from where its E step was made
 ANCHOR_ERRORS = 3.0  # further from where it was computed, the metric is computed again
 NOISY_DECREMENT = 100.0  # below this a step that did not halve it met the noise of the score
-# Two log-likelihoods of the particle filter may differ by so much without meaning it: in nats, and in standard
-# deviations of one, about sqrt(rows / effective sample size).
-WIDE_NATS, WIDE_SPREADS = 20.0, 7.0
 FEW_IMAGES = 4  # show no trend yet
 MIN_IMAGES = 8  # before the mean may settle
 SLACK = 0.1  # of what noise may cost may be trend where there is no noise
@@ -62,7 +59,8 @@ LEAST, MOST = 1e-4, 1.2  # of the complete-data information is in the metric
 class Seen:
     """What an E step at theta told: score (n,), complete-data information (n, n), log-likelihood.
 
-    ``x`` (n,) are the values of the parameters they are taken in; ``wide``: see :func:`nats_apart`.
+    ``x`` (n,) are the values of the parameters they are taken in; ``wide``: see
+    :func:`engine.estimation.e_steps.nats_apart`.
     """
 
     theta: Array
@@ -112,11 +110,6 @@ class Memory:
         value, radius, images, settled = last.tolist()
         metric = metric.reshape(n, n)
         return cls(base, score, metric, value, radius, at, image, int(images), settled > 0.0)
-
-
-def nats_apart(rows: int, ess: float) -> float:
-    """Nats by which log-likelihoods of particle filters may differ without meaning it."""
-    return max(WIDE_NATS, WIDE_SPREADS * float(np.sqrt(rows / max(ess, 1.0))))
 
 
 def width(n: int) -> int:

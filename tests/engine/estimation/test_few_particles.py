@@ -42,6 +42,19 @@ def test_a_filter_that_falls_short_is_run_with_more_particles():
     assert kept > 8 - short
 
 
+def test_the_bias_of_a_long_series_is_no_shortfall():
+    """Half the variance of the log-likelihood, which grows with the rows: more than 20 nats here."""
+    start, rng = OSCILLATOR.theta({"sigma_v": 1.0}), np.random.default_rng(1)
+    series = engine.simulate(
+        OSCILLATOR, start, 3000, rng, np.sin(0.7 * np.arange(3000)), dt=0.3
+    ).series
+    moment = LikelihoodStep(OSCILLATOR, [series]).of
+    step = rbps_step(OSCILLATOR, [series], 10, 2, moment=moment)
+    found = step.compared(start, np.random.default_rng(2))
+    assert found.log_likelihood < moment(start) - FAR_NATS
+    assert found.times == 1
+
+
 def test_enough_particles_are_left_alone():
     rng, start = np.random.default_rng(1), {"sigma_v": 1.0}
     series = engine.simulate(OSCILLATOR, start, 60, rng, PUSH, dt=0.3).series
