@@ -17,9 +17,7 @@ from engine.estimation.outcome import Outcome
 from engine.statespace.base import Theta
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
-LIKELIEST = (
-    2  # iterates by the particle filters of the run are looked at, besides the start and the last
-)
+LIKELIEST = 2  # iterates by their E steps are looked at, besides the start and the last
 AGAINST = (
     " By the moment filter the iterates passed parameters that are {:.0f} nats likelier than these; the "
     "particle filter does not say so. More particles would tell which is right."

@@ -65,13 +65,18 @@ def particle_word(
         if not (np.isfinite(gain) and np.isfinite(error)):
             lost = f"The particle filter ({particles} particles) is lost on one of the models."
             return lost, False
-        text = (
-            f"Log-likelihood gained: {moment:.1f} by the moment filter, {gain:.1f} +- {error:.1f} by the "
-            f"particle filter ({particles} particles, {REPEATS} runs)."
-        )
+        text = _gained(moment, gain, error, particles)
         if not (abs(gain - moment) > MARGIN + 3.0 * error and gain < SHARE * moment):
             return text, False
     return f"{text} They contradict each other, so the cause is not certain.", True
+
+
+def _gained(moment: float, gain: float, error: float, particles: int) -> str:
+    runs = f"({particles} particles, {REPEATS} runs)"
+    text = f"Log-likelihood gained: {moment:.1f} by the moment filter"
+    if error > abs(moment):  # of readings nearly free of noise, by orders of magnitude
+        return f"{text}; the particle filter {runs} scatters by more and does not tell."
+    return f"{text}, {gain:.1f} +- {error:.1f} by the particle filter {runs}."
 
 
 def _particle_gain(

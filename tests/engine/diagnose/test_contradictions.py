@@ -77,6 +77,7 @@ def word(monkeypatch, gains, moment):
         ([(14.0, 0.5)], 20.0, 1, False),  # less, but most of it
         ([(-789.0, 220.0), (600.0, 20.0)], 631.0, 2, False),  # more particles say otherwise
         ([(-789.0, 220.0), (-700.0, 100.0)], 631.0, 2, True),
+        ([(-1.5e50, 1.5e50)], 631.0, 1, False),  # tells nothing
         ([(np.nan, np.nan)], 631.0, 1, False),  # lost: no word at all
     ],
 )
@@ -85,6 +86,14 @@ def test_the_particle_filter_may_contradict(monkeypatch, gains, moment, runs, co
     assert len(seen) == runs
     assert said is contradicts
     assert text
+
+
+def test_a_particle_filter_that_scatters_widely_has_no_figure(monkeypatch):
+    """On readings nearly free of noise it once said -1.5e50 +- 1.5e50, in all digits."""
+    _, text, _ = word(monkeypatch, [(-1.5e50, 1.5e50)], 631.0)
+    assert "631.0" in text
+    assert "does not tell" in text
+    assert "0000" not in text
 
 
 def test_a_contradiction_makes_the_verdict_unknown(monkeypatch):
