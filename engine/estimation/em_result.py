@@ -91,8 +91,8 @@ class EmResult(Shown):
     free : tuple of str
         The parameters that were estimated; the others kept their start.
     theta : Theta
-        The estimate (n_theta,), where ``outcome.success`` is true, else the last iterate, or the likeliest
-        where the last ones wandered off.
+        The estimate (n_theta,), where ``outcome.success`` is true, else the last iterate. It is the likeliest
+        iterate where the last ones wandered off.
     trace : array (K+1, n_theta)
         Parameters after each iteration, the start first.
     log_likelihood : array (K,)

@@ -21,12 +21,12 @@ class Outcome(Enum):
         "larger measurement noise."
     )
     WANDERED = (
-        "Lost: the iterates ended where parameters are far less likely than others they have passed, by "
+        "Wandered off: the iterates ended where parameters are far less likely than others they have passed, by "
         "the moment filter and by the particle filter; the likeliest of those are kept. The particles are "
         "too few to follow this series: use more of them, or hold a larger process noise."
     )
 
     @property
     def success(self) -> bool:
-        """False where the last iterate must not be taken for an estimate."""
-        return self not in (Outcome.DIVERGED, Outcome.COLLAPSED, Outcome.WANDERED)
+        """False where theta must not be taken for an estimate."""
+        return self not in (Outcome.DIVERGED, Outcome.COLLAPSED)
