@@ -21,9 +21,9 @@ class Outcome(Enum):
         "larger measurement noise."
     )
     WANDERED = (
-        "Wandered off: the iterates ended where parameters are far less likely than others they have passed, by "
-        "the moment filter and by the particle filter; the likeliest of those are kept. The particles are "
-        "too few to follow this series: use more of them, or hold a larger process noise."
+        "Wandered off: the iterates ended where parameters are far less likely than others they have "
+        "passed, by the moment filter and by the particle filter; the likeliest of those are kept. The "
+        "particles are too few to follow this series: use more of them, or hold a larger process noise."
     )
 
     @property
