@@ -22,6 +22,7 @@ from engine.diagnose.search.refits import TOLERANCE, Refit, cost, free_parameter
 from engine.diagnose.search.rounds import Round, settle
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
+from engine.statespace.model import Array, MixedModel
 
 STAGE = "looking back"
 RIVALS = 3  # of each round that are refitted again
@@ -41,7 +42,7 @@ def look_back(
 ) -> tuple[QuasiFit, list[Round], tuple[str, ...]]:
     """The final fit and the rounds (all with a choice), each refitted beside the others' choices.
 
-    And the choices that were not weighed so because the BUDGET was spent: their rounds stay as they were found.
+    The third are choices that were not weighed so, because the BUDGET was spent: their rounds stay as found.
     ``progress`` is told of every iteration: as many fits as there are rivals, and one without, make a round.
     """
     settled, fits = list(rounds), _Fits(base, series, BUDGET)
@@ -135,12 +136,29 @@ class _Fits:
         most = min(ITERATIONS, self.left)
 
         def fitted() -> QuasiFit:
-            likeliest = int(np.argmax(log_likelihoods(model, [self.series], thetas)))
-            found = quasi_ml(
-                model, self.series, thetas[likeliest], free, most, TOLERANCE, callback=told
-            )
+            start = _likeliest(model, self.series, thetas)
+            found = quasi_ml(model, self.series, start, free, most, TOLERANCE, callback=told)
             return replace(found, given_up=not found.converged and found.iterations == most)
 
         found = kept.fit(model, fitted)
         self.left -= found.iterations
         return found
+
+
+def _likeliest(model: MixedModel, series: Series, thetas: Array) -> Array:
+    """Of the parameter vectors (K, n_theta); those that the filter cannot follow come last."""
+    try:
+        values = log_likelihoods(model, [series], thetas)
+    except (
+        EngineError,
+        np.linalg.LinAlgError,
+    ):  # at one of them, and the others are none the worse
+        values = np.array([_value(model, series, theta) for theta in thetas])
+    return np.asarray(thetas[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))])
+
+
+def _value(model: MixedModel, series: Series, theta: Array) -> float:
+    try:
+        return float(log_likelihoods(model, [series], theta[None])[0])
+    except (EngineError, np.linalg.LinAlgError):
+        return -np.inf

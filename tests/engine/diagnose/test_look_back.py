@@ -1,5 +1,7 @@
 """Looking back at what was found is bounded, however little noise there is: counted in iterations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,3 +80,22 @@ def test_a_refit_that_was_cut_off_rules_nothing_out(looked_back, monkeypatch):
         assert not any(
             alike.ruled_out for alike in cause_of(one).look_alikes if alike.effect in cut_off
         )
+
+
+def test_a_start_that_cannot_be_followed_comes_last(record):
+    """Whether its likelihood is no number or the model refuses it; then a rival was silently left out."""
+    base, series, _ = record
+
+    def measurement(a, u, t, theta):
+        if np.any(np.asarray(theta.sigma_y) == 0.5):
+            raise ValueError("not this one")
+        return a[:, :1], [[0.0]], [[theta.sigma_y**2]]
+
+    model = replace(base, measurement=measurement)
+    here, likelier, lost, refused = (
+        model.theta({"sigma_y": 0.1, "sigma_v": v}) for v in (1.0, 10.0, 1.0, 1.0)
+    )
+    lost[model.index("sigma_y")], refused[model.index("sigma_y")] = np.nan, 0.5
+    for starts in ((lost, here), (refused, here), (here, refused), (refused, here, likelier)):
+        found = joint_refit._likeliest(model, series, np.array(starts))
+        np.testing.assert_array_equal(found, likelier if len(starts) == 3 else here)
