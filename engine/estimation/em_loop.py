@@ -94,7 +94,7 @@ def iterate(
     found = log.result(names, outcome, last)
     if compared is None or likelihood is None or not log.k or outcome is Outcome.DIVERGED:
         return found
-    return looked_back(found, likelihood.of, compared, loop.seed)
+    return looked_back(found, likelihood.of, compared, likelihood.rows, loop.seed)
 
 
 @dataclass(frozen=True, eq=False)

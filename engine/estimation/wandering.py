@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from engine.estimation.e_steps import FAR_NATS, Expect
+from engine.estimation.e_steps import FAR_NATS, Expect, nats_short
 from engine.estimation.em_result import EmResult
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Theta
@@ -25,30 +25,36 @@ AGAINST = (
 
 
 def looked_back(
-    found: EmResult, moment: Callable[[Theta], float], expect: Expect, seed: int
+    found: EmResult, moment: Callable[[Theta], float], expect: Expect, rows: int, seed: int
 ) -> EmResult:
     """The result, at a theta of its trace that is far likelier than the last by both filters, if any is.
 
-    ``moment`` gives the moment filter's log-likelihood, ``expect`` the particle filter's.
+    ``moment`` gives the moment filter's log-likelihood, ``expect`` the particle filter's of all ``rows``.
     """
     likeliest = np.argsort(-found.log_likelihood)[:LIKELIEST].tolist()
-    rows = sorted({0, len(found.trace) - 1, *likeliest})
-    passed = [Theta(found.trace[k], found.theta.names) for k in rows]
-    *before, end = (moment(theta) for theta in (*passed, found.theta))
-    best = passed[int(np.argmax(before))]
-    fall = max(before) - end
+    passed = [
+        Theta(found.trace[k], found.theta.names)
+        for k in sorted({0, len(found.trace) - 1, *likeliest})
+    ]
+    before = np.array([moment(theta) for theta in passed])
+    k = int(np.argmax(np.where(np.isfinite(before), before, -np.inf)))
+    fall = before[k] - moment(found.theta)
     if not fall > FAR_NATS:
         return found
-    there, here = (_by_particles(theta, expect, seed) for theta in (best, found.theta))
-    if there - here < FAR_NATS:
+    there, short = _by_particles(passed[k], expect, rows, seed)
+    here, _ = _by_particles(found.theta, expect, rows, seed)
+    if there - here >= FAR_NATS:
+        outcome = Outcome.WANDERED
+        message = found.message.replace(found.outcome.value, outcome.value)
+        return replace(found, theta=passed[k], outcome=outcome, message=message)
+    if there < before[k] - short:  # it has lost the series there: its word is none
         return replace(found, message=found.message + AGAINST.format(fall))
-    outcome = Outcome.WANDERED
-    message = found.message.replace(found.outcome.value, outcome.value)
-    return replace(found, theta=best, outcome=outcome, message=message)
+    return found
 
 
-def _by_particles(theta: Theta, expect: Expect, seed: int) -> float:
-    """Median log-likelihood of a few filters."""
+def _by_particles(theta: Theta, expect: Expect, rows: int, seed: int) -> tuple[float, float]:
+    """Median log-likelihood of a few filters, and by how much such filters may fall short."""
     seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(CHECKS)
-    values = [expect(theta, np.random.default_rng(s)).log_likelihood for s in seeds]
-    return float(np.median(values))
+    steps = [expect(theta, np.random.default_rng(s)) for s in seeds]
+    values = np.median([step.log_likelihood for step in steps])
+    return float(values), nats_short(rows, float(np.median([step.ess for step in steps])))

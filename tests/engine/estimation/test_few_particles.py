@@ -109,3 +109,22 @@ def test_iterates_that_wandered_off_are_not_the_estimate():
         assert found.message.startswith("Wandered off: ")
         np.testing.assert_array_equal(found.theta, QUIET)
         np.testing.assert_array_equal(found.trace, trace)
+
+
+def test_a_moment_filter_that_is_wrong_has_no_say():
+    """It takes outliers for a large variance; the particle filter follows both and knows better."""
+    model = engine.with_student_t(get_model("local-level"))
+    rng = np.random.default_rng(0)
+    outlying = np.where(rng.random(150) < 0.08, 10.0, 1.0)
+    series = engine.Series(
+        np.cumsum(0.3 * rng.standard_normal(150)) + outlying * rng.standard_normal(150)
+    )
+    wide, heavy = model.theta([0.1, 8.0, 0.0, 100.0]), model.theta([0.1, 0.4, 0.0, 1.7])
+    of = LikelihoodStep(model, [series]).of
+    assert of(wide) > of(heavy) + FAR_NATS
+    even = np.ones(2)
+    before = engine.Checkpoint(np.array([wide, wide, heavy]), -400.0 * even, even, even, 0.0 * even)
+    found = engine.rbps_em(model, series, resume=before, n_particles=30, n_iterations=2)
+    assert found.outcome is Outcome.ITERATIONS_USED_UP
+    assert "moment filter" not in found.message
+    np.testing.assert_array_equal(found.theta, heavy)
