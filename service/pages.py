@@ -34,7 +34,8 @@ LIST: dict[str, Any] = {
     "statuses": get_args(Status),
     "kinds": get_args(Kind),
     "outcomes": (
-        "nothing", "named", "set", "unknown", "converged", "iterations-used-up", "evaluations-used-up",
+        "nothing", "named", "set", "unknown", "converged", "iterations-used-up", "wandered",
+        "evaluations-used-up",
     ),
     "columns": (
         ("name", "Name"), ("status", "State"), ("model", "Model"), ("data", "Data"),

@@ -142,7 +142,8 @@ def _tell(
 ) -> None:
     """Write the files and print the estimate; then remove a state that nothing can be resumed from."""
     one_run = asked.starts == 1 and not asked.bootstrap
-    more = one_run and document["outcome"] == "iterations-used-up" and "trace" in document
+    open_ended = document["outcome"] in ("iterations-used-up", "wandered")
+    more = one_run and open_ended and "trace" in document
     written = write_outputs(asked, document, recorder)
     if not more:
         recorder.file.remove()
