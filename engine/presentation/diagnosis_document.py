@@ -71,6 +71,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             "equations_before": list(d.model.equations),
             "equations": list(d.extended.equations),
             "theta": d.theta.asdict(),
+            "free": list(d.after.free),
             "standard_errors": _errors(d.after),
             "units": {p.name: p.unit for p in d.extended.parameters},
             "at_bounds": {"before": at_bounds(d.before), "after": at_bounds(d.after)},

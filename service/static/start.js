@@ -124,10 +124,7 @@ async function repeat(id, adopt) {
   if (asked.series.length) data.takeJob(id, asked.series, asked.data ?? []);
   by("job-name").value = asked.name ?? "";
   by("job-tags").value = (asked.tags ?? []).join(", ");
-  const before = asked.parameters.start ?? asked.parameters.values;
-  const added = found ? Object.keys(found.theta).filter((name) => !model.models.get(asked.model.name).parameters.some((p) => p.name === name)) : [];
-  const free = asked.parameters.free ?? null;
-  parameters.fill(found?.theta ?? before, free && [...free, ...added]);
+  parameters.fill(found?.theta ?? asked.parameters.start ?? asked.parameters.values, found?.free ?? asked.parameters.free ?? null);
   const note = by("repeated");
   note.hidden = false;
   note.replaceChildren("Filled in from job ", element("a", { href: `/jobs/${id}` }, id.slice(0, 8)),

@@ -2,10 +2,13 @@
 
 import re
 import shlex
+import shutil
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+
+import engine.data
 
 PAGES = Path(__file__).parents[2] / "service" / "guide" / "pages"
 
@@ -58,3 +61,15 @@ def test_the_fifteen_minutes_end_with_the_drag_that_was_hidden(rbps, tmp_path):
     (likelihood,) = (one for one in comparison.splitlines() if one.startswith("log-likelihood"))
     assert float(likelihood.split()[-1]) > 10.0  # nats that the drag is worth
     assert "no drag" in comparison
+
+
+@pytest.mark.slow
+def test_the_measured_record_in_the_shell(rbps, tmp_path):
+    shutil.copy(Path(engine.data.__file__).parent / "nile.csv", tmp_path)
+    diagnosis, _, stepped, comparison = run_all(rbps, "measured.md", tmp_path)
+    assert "NAMED" in diagnosis
+    assert "time 1899 year" in diagnosis
+    (line,) = (one for one in stepped.splitlines() if one.startswith("step_flow "))
+    assert float(line.split()[1]) == pytest.approx(-248.0, abs=3.0)
+    (likelihood,) = (one for one in comparison.splitlines() if one.startswith("log-likelihood"))
+    assert float(likelihood.split()[-1]) > 8.0  # nats that the step is worth

@@ -257,6 +257,9 @@ def test_diagnose_and_go_on_with_the_extension(visit):
     assert float(page.input_value('tr[data-name="step_flow"] .value')) == pytest.approx(
         -250, abs=40
     )
+    assert page.is_checked('tr[data-name="step_flow"] input[type="checkbox"]')
+    # held as in the diagnosis
+    assert not page.is_checked('tr[data-name="step_flow_time"] input[type="checkbox"]')
     assert page.locator("#channels canvas").count() == 1  # the data need no second upload
     page.click("#options summary")
     page.fill("#estimate-iterations", "3")

@@ -31,12 +31,12 @@ def run(text: str, capsys) -> tuple[dict, str]:
 
 
 def test_all_blocks_are_run_here():
-    """The glider, the drive, the Nile; two of the cart; three of a measured record; saving; an experiment."""
-    assert len(BLOCKS) == 10
+    """Glider, drive, the Nile twice; two of the cart; three of a measured record; saving; an experiment."""
+    assert len(BLOCKS) == 11
 
 
 def test_the_readme_is_short_and_its_links_lead_somewhere():
-    assert len(ONLY_README.splitlines()) <= 160
+    assert len(ONLY_README.splitlines()) <= 180
     for page in (ROOT / "README.md", *PAGES):
         for link in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
             if "://" not in link:
@@ -70,6 +70,11 @@ def test_the_designed_experiment(capsys):
     assert names["design"].probability > 0.95
 
 
+def test_the_measured_record_in_short(capsys):
+    _, printed = run("found.gain.adopt)  # named step:flow True", capsys)
+    assert printed == "named step:flow True\n"
+
+
 def test_the_measured_record(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "service" / "guide" / "pages" / "measured.md").read_text(encoding="utf-8")
@@ -78,9 +83,15 @@ def test_the_measured_record(capsys, tmp_path, monkeypatch):
     for block in blocks:
         exec(compile(block, "measured.md", "exec"), names)
     promised = re.search(r"^# (named step:flow [\d.]+)$", text, re.MULTILINE)[1]
-    assert promised in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert promised in printed
+    assert "True" in printed.split(promised)[1]  # adopted
     assert (tmp_path / "nile.html").is_file()
-    assert "step_flow" in names["stepped"].parameter_names
+    size, error = re.search(r"^# step_flow = (-[\d.]+) \+- (\d+) ", text, re.MULTILINE).groups()
+    stepped = names["stepped"]
+    assert stepped.theta["step_flow"] == pytest.approx(float(size), abs=0.05 * float(error))
+    assert stepped.theta["step_flow_time"] == 1899.0
+    assert f"step_flow = {stepped.theta['step_flow']:.2f} +- {error}" in printed
 
 
 def test_results_are_kept_as_the_guide_says(capsys, tmp_path, monkeypatch):
@@ -170,8 +181,8 @@ def test_commands_of_the_shell_page_exist_with_their_options(tmp_path, monkeypat
     from service.cli.commands import app
 
     monkeypatch.chdir(tmp_path)
-    results = ("free.json", "result.json", "drag.json", "plain.json", "run.json")
-    for name in ("flows.csv", "run.csv", "data.csv", *results):
+    results = ("free.json", "result.json", "drag.json", "plain.json", "step.json", "run.json")
+    for name in ("flows.csv", "nile.csv", "run.csv", "data.csv", *results):
         Path(name).touch()
     root = typer.main.get_command(app)
     text = "\n".join(SHELL).replace("\\\n", " ")

@@ -44,6 +44,8 @@ def test_a_diagnosis_from_post_to_results_and_its_extension_used_at_once(client,
     reference = found["extension"]["model"]
     assert reference["name"] == "linear-2"
     assert "step:y" in reference["with"]
+    added = set(found["extension"]["theta"]) - set(found["base_theta"])
+    assert added & set(found["extension"]["free"]) == {"step_y"}  # its time is held
 
     smooth = {
         "kind": "smooth", "model": reference, "series": [{"y": pushed, "dt": 1.0}],
