@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import random
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -35,6 +36,9 @@ def make_runs(
             (directory / f"{arm.name}{suffix}").unlink(missing_ok=True)
     store = Store(directory, arm, seed)
     missing = [run for run in wanted if run not in store.rows]
+    random.Random(seed).shuffle(
+        missing
+    )  # cells come in turn: what is there when it is stopped is of all
     if missing:
         progress = Progress(arm.name, len(wanted), len(wanted) - len(missing))
         last = time.monotonic()
