@@ -177,7 +177,7 @@ def diagnose(  # noqa: PLR0913
     plain = records.train
     if early is not None:
         done = replace(done, told=EarlyAnswer(early, model, plain, seed))
-    part = plain.part(*rows_searched(model, theta, plain))
+    part = plain.part(*rows_searched(model, theta, free, plain))
     clock.start("fit")
 
     def first(share: float) -> None:

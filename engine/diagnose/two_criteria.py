@@ -86,7 +86,7 @@ def _with_these_steps(
     model: MixedModel, fine: Prepared, theta: ThetaLike, options: Options, clock: Clock, kept: Kept
 ) -> TwoAnswers:
     start, train, notes = theta if fine.theta is None else fine.theta, fine.records.train, []
-    begin, end = rows_searched(model, start, train)
+    begin, end = rows_searched(model, start, options.free, train)
     searched = train if end - begin == len(train) else train.part(begin, end)
     if searched is not train:
         notes.append(

@@ -14,7 +14,7 @@ from engine.statespace.model import MixedModel, ThetaLike
 
 MOST_ROWS = 4000  # of all windows together; steps between samples count, but ...
 MOST_STEPS = 4  # ... up to so many a sample, windows have as many samples
-MOST_WHOLE = 20_000  # rows of a record that is searched whole where its windows tell too little
+MOST_WHOLE = 20_000  # rows of records that are searched whole where parts of them tell too little
 WINDOWS = 4
 WIDE = 0.3  # of the standard deviation of a state over a record
 LONG, STRETCH = 10_000, 3000  # rows from which on the likelihood searches a stretch, and its length
@@ -51,14 +51,24 @@ def telling(
     So it is with a table of which every part of a record visits another entry.
     """
     parts = windows(records)
+    return list(records) if _too_little(model, theta, free, parts, records) else parts
+
+
+def _too_little(
+    model: MixedModel,
+    theta: ThetaLike,
+    free: Sequence[str] | None,
+    parts: Sequence[Series],
+    records: Sequence[Series],
+) -> bool:
+    """Whether the records, where they can be searched whole, tell free parameters that parts of them do not."""
     if parts == list(records) or sum(map(len, records)) > MOST_WHOLE:
-        return parts
-    untold = _silent(model, theta, free, parts) - _silent(model, theta, free, records)
-    return list(records) if untold else parts
+        return False
+    return bool(_silent(model, theta, free, parts) - _silent(model, theta, free, records))
 
 
 def _silent(
-    model: MixedModel, theta: ThetaLike, free: Sequence[str], records: Sequence[Series]
+    model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, records: Sequence[Series]
 ) -> set[str]:
     """Free parameters that do not change the free run of any of the records; none where there is no run."""
     indices = model.free_indices(free)
@@ -82,14 +92,22 @@ def stretch(series: Series, long: int = LONG, rows: int = STRETCH) -> tuple[int,
     return best, best + length
 
 
-def rows_searched(model: MixedModel, theta: ThetaLike, series: Series) -> tuple[int, int]:
+def rows_searched(
+    model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, series: Series
+) -> tuple[int, int]:
     """First row and end of what the likelihood searches: :func:`stretch`, or as many rows from the first on.
 
-    The latter where the model knows where a record begins, which is not where a stretch does.
+    The latter where the model knows where a record begins, which is not where a stretch does. All rows where
+    free parameters are silent on these that the record tells: a search beside values that nothing was
+    estimated of finds what their errors look like.
     """
     begin, end = stretch(series)
+    if end - begin == len(series):
+        return begin, end
     if begin and not _begins_anywhere(model, theta, series.part(0, end - begin)):
-        return 0, end - begin
+        begin, end = 0, end - begin
+    if _too_little(model, theta, free, [series.part(begin, end)], [series]):
+        return 0, len(series)
     return begin, end
 
 

@@ -140,12 +140,12 @@ def test_a_long_record_is_not_searched_where_the_model_knows_nothing_of_its_star
     series = series.replace(u=u)
     begin, end = stretch(series)
     assert begin > 0
-    assert rows_searched(model, None, series) == (0, end - begin)
+    assert rows_searched(model, None, None, series) == (0, end - begin)
     unknown = replace(
         model,
         initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), [0.0, 0.0], 1e4 * np.eye(2)),
     )
-    assert rows_searched(unknown, None, series) == (begin, end)
+    assert rows_searched(unknown, None, None, series) == (begin, end)
 
 
 def test_how_a_record_begins_says_nothing_of_another_one():

@@ -118,13 +118,13 @@ def estimated(data: Data) -> Estimated:
     """As a diagnosis does it: on the rows that the likelihood searches, with as many steps a sample."""
     theta, free = data.options.get("theta"), data.options.get("free")
     model, records = records_of(data.model, data.train, next(iter(data.tests.values())))
-    part = records.train.part(*rows_searched(model, theta, records.train))
+    part = records.train.part(*rows_searched(model, theta, free, records.train))
     fine = prepare(
         model, records, lambda: np.asarray(fit_base(model, part, theta, free).theta), part
     )
     start = theta if fine.theta is None else fine.theta
     train = fine.records.train
-    part = train.part(*rows_searched(model, start, train))
+    part = train.part(*rows_searched(model, start, free, train))
     return Estimated(fit_base(model, part, start, free), part, train, fine.k)
 
 

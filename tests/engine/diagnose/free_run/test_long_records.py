@@ -143,6 +143,15 @@ def test_windows_that_are_silent_on_what_the_record_tells_are_no_picture_of_it()
     assert len(windows.telling(TABLE, None, told, [LONG])) > 1
 
 
+def test_the_likelihood_searches_all_rows_where_some_are_silent_on_what_the_record_tells():
+    longer = Series(np.repeat(np.arange(6.0), 2000), np.full(12_000, 5e-4), dt=1.0)
+    assert windows.rows_searched(TABLE, None, None, longer) == (0, 12_000)
+    assert windows.rows_searched(TABLE, None, ["k0", "k1", "sigma"], longer) == (0, 3000)
+    held = Series(np.zeros(12_000), np.zeros(12_000), dt=1.0)  # where no row tells more than others
+    begin, end = windows.rows_searched(TABLE, None, None, held)
+    assert end - begin == 3000
+
+
 @pytest.mark.slow
 def test_parameters_of_which_the_rows_searched_tell_nothing_keep_their_start():
     start = TABLE.theta({"k4": 2.5, "k5": 3.5})
