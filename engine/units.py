@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 _FACTOR = re.compile(r"\s*(?:(\()|([^\s()/*·^]+))")
@@ -28,6 +29,54 @@ TIMES = re.compile(
 _IN_BRACKETS = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]+(?:\([^()]*\)[^\[\]()]*)*)\s*[\])]\s*")
 
 
+Meaning = tuple[float, Powers]  # size in SI units, powers of them
+_PREFIXES = {
+    "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "h": 100.0, "k": 1e3, "M": 1e6, "G": 1e9,
+}  # fmt: skip
+# A scale of temperature has a zero of its own; C and F may also be a coulomb and a farad.
+_CELSIUS, _FAHRENHEIT = (1.0, {"degC": 1.0}), (1.0, {"degF": 1.0})
+_NEWTON: Powers = {"kg": 1.0, "m": 1.0, "s": -2.0}
+_SYMBOLS: dict[str, tuple[Meaning, ...]] = {
+    "m": ((1.0, {"m": 1.0}),), "g": ((1e-3, {"kg": 1.0}),), "s": ((1.0, {"s": 1.0}),),
+    "A": ((1.0, {"A": 1.0}),), "K": ((1.0, {"K": 1.0}),), "mol": ((1.0, {"mol": 1.0}),),
+    "min": ((60.0, {"s": 1.0}),), "h": ((3600.0, {"s": 1.0}),), "day": ((86400.0, {"s": 1.0}),),
+    "Hz": ((1.0, {"s": -1.0}),), "N": ((1.0, _NEWTON),),
+    "Nm": ((1.0, {"kg": 1.0, "m": 2.0, "s": -2.0}),), "J": ((1.0, {"kg": 1.0, "m": 2.0, "s": -2.0}),),
+    "W": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0}),), "Pa": ((1.0, {"kg": 1.0, "m": -1.0, "s": -2.0}),),
+    "bar": ((1e5, {"kg": 1.0, "m": -1.0, "s": -2.0}),),
+    "V": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0, "A": -1.0}),),
+    "Ohm": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0, "A": -2.0}),),
+    "L": ((1e-3, {"m": 3.0}),), "l": ((1e-3, {"m": 3.0}),),
+    "rad": ((1.0, {}),), "deg": ((math.pi / 180.0, {}),), "rpm": ((math.pi / 30.0, {"s": -1.0}),),
+    "%": ((0.01, {}),),
+    **dict.fromkeys(("degC", "°C", "Celsius"), (_CELSIUS,)),
+    **dict.fromkeys(("degF", "°F", "Fahrenheit"), (_FAHRENHEIT,)),
+    "C": (_CELSIUS, (1.0, {"A": 1.0, "s": 1.0})),
+    "F": (_FAHRENHEIT, (1.0, {"A": 2.0, "s": 4.0, "kg": -1.0, "m": -2.0})),
+}  # fmt: skip
+_PREFIXED = {
+    "m",
+    "g",
+    "s",
+    "A",
+    "K",
+    "mol",
+    "Hz",
+    "N",
+    "Nm",
+    "J",
+    "W",
+    "Pa",
+    "bar",
+    "V",
+    "Ohm",
+    "L",
+    "l",
+    "rad",
+    "F",
+}
+
+
 def clock_of(column: str) -> str:
     """The unit of time that the name of a column tells, ``time [min]``, ``t_ms``, ``year``; "" if none."""
     found = _CLOCK.fullmatch(column.strip())
@@ -52,9 +101,64 @@ def is_per(unit: str, clock: str) -> bool:
     return clock in symbols or (clock == SECOND and "Hz" in symbols)
 
 
+def rate_of(unit: str) -> str:
+    """The unit of time other than the second that something is counted per, as in ``L/min``; "" if none."""
+    below = (symbol for symbol, power in _read(unit)[1].items() if power < 0.0)
+    return next((symbol for symbol in below if symbol != SECOND and symbol in _CLOCKS), "")
+
+
 def alike(one: str, other: str) -> bool:
     """Whether two units are the same up to how they are written."""
     return product(one) == product(other)
+
+
+def differ(one: str, other: str) -> bool:
+    """Whether two units are surely not the same: by their size and kind where both are known, else as written.
+
+    Where only one of them is known nothing is sure.
+    """
+    if alike(one, other):
+        return False
+    own, wanted = meanings(one), meanings(other)
+    if own and wanted:
+        return not any(_equal(a, b) for a in own for b in wanted)
+    return not own and not wanted
+
+
+def meanings(unit: str) -> list[Meaning]:
+    """What a unit may stand for: size in SI units, powers of them; empty where a symbol is not known."""
+    number, powers = _read(unit)
+    found: list[Meaning] = [(number, {})]
+    for symbol, power in powers.items():
+        found = [
+            (size * own_size**power, _times(kinds, own_kinds, power))
+            for size, kinds in found
+            for own_size, own_kinds in _known(symbol)
+        ]
+    return found
+
+
+def _known(symbol: str) -> list[Meaning]:
+    """The meanings of a symbol, with a prefix where it has one."""
+    found = list(_SYMBOLS.get(symbol, ()))
+    if found:
+        return found
+    for prefix, factor in _PREFIXES.items():
+        stem = symbol.removeprefix(prefix)
+        if stem != symbol and stem in _PREFIXED:
+            found += [(factor * size, kinds) for size, kinds in _SYMBOLS[stem]]
+    return found
+
+
+def _times(kinds: Powers, other: Powers, power: float) -> Powers:
+    out = dict(kinds)
+    for kind, exponent in other.items():
+        out[kind] = out.get(kind, 0.0) + power * exponent
+    return {kind: exponent for kind, exponent in out.items() if exponent}
+
+
+def _equal(one: Meaning, other: Meaning) -> bool:
+    return one[1] == other[1] and abs(one[0] - other[0]) <= 1e-6 * abs(one[0])
 
 
 def product(*factors: str | tuple[str, float]) -> str:

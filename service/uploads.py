@@ -19,6 +19,7 @@ from engine.data.files import read_table, series_from
 from engine.data.tables import Table
 from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
+from engine.statespace.model import MixedModel
 from service.columns import match
 from service.problems import Problem, invalid
 from service.schemas import Hold, ModelReference, Request, TimeUnit
@@ -98,11 +99,13 @@ def _read(
     if wanted.file not in files:
         there = ", ".join(files) or "none"
         raise invalid(f"{where}.file", f"no file '{wanted.file}' was uploaded; there are {there}")
-    outputs, inputs = _channels(body.get("model"))
+    model = _model(body.get("model"))
     try:
         table = read_table(files[wanted.file], wanted.file)
-        y, u = _matched(table, wanted, outputs, inputs, where) if outputs else (None, None)
+        y, u = (None, None) if model is None else _matched(table, wanted, model, where)
         series = series_from(table, y, u, wanted.t, wanted.dt, wanted.hold, wanted.time_unit)
+        if model is not None:
+            series.check_units(model)
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
     read = {"y": series.y, "t": series.t.tolist(), "hold": series.hold}
@@ -115,9 +118,10 @@ def _read(
 
 
 def _matched(
-    table: Table, wanted: _FileSeries, outputs: list[str], inputs: list[str], where: str
-) -> tuple[list[str], list[str]]:
-    """Columns of y and u in the order of the model's channels."""
+    table: Table, wanted: _FileSeries, model: MixedModel, where: str
+) -> tuple[dict[str, str], dict[str, str]]:
+    """{channel: column} of y and of u in the order of the model's channels."""
+    outputs, inputs = list(model.outputs), list(model.inputs)
     given = _given(wanted.y, table, outputs, f"{where}.y")
     given |= _given(wanted.u, table, inputs, f"{where}.u")
     found = match(table, outputs, inputs, given, {*wanted.extra, wanted.t or ""})
@@ -132,7 +136,8 @@ def _matched(
                     f"{table.there()}",
                     channel=channel,
                 )
-    return [found[one] for one in outputs], [found[one] for one in inputs if one in found]
+    y, u = ({one: found[one] for one in some if one in found} for some in (outputs, inputs))
+    return y, u
 
 
 def _extra(wanted: _FileSeries, table: Table, where: str) -> dict[str, list[float]]:
@@ -156,16 +161,15 @@ def _extra(wanted: _FileSeries, table: Table, where: str) -> dict[str, list[floa
     return found
 
 
-def _channels(model: Any) -> tuple[list[str], list[str]]:
-    """Outputs and inputs of the request's model; what is wrong with it is told later."""
+def _model(model: Any) -> MixedModel | None:
+    """The request's model; None where something is wrong with it, which is told later."""
     try:
         reference = ModelReference.model_validate(
             {"name": model} if isinstance(model, str) else model
         )
-        found = find_model(reference, Setting)
+        return find_model(reference, Setting)
     except (ValidationError, Problem):
-        return [], []
-    return list(found.outputs), list(found.inputs)
+        return None
 
 
 def _given(

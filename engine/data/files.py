@@ -31,7 +31,7 @@ from engine.arrays import Array
 from engine.data.series import Series
 from engine.data.tables import Table, read_csv, read_mat, read_npz
 from engine.errors import OptionError, SeriesError
-from engine.units import SECOND, TIMES, clock_of
+from engine.units import SECOND, TIMES, clock_of, meanings, named_with_unit
 
 Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
 
@@ -93,6 +93,7 @@ def series_from(
             u_names=u_names,
             hold=hold or table.hold or "zoh",
             time_unit=time_unit or table.time_unit or clock_of(t or "") or SECOND,
+            units=_units(y_names, y_columns) | _units(u_names, u_columns),
         )
     except (SeriesError, OptionError) as error:
         raise SeriesError(f"{table.file}: {error}") from error
@@ -140,6 +141,14 @@ def csv_text(series: Series) -> str:
     for row in table.tolist():
         writer.writerow(["" if value != value else repr(value) for value in row])
     return out.getvalue()
+
+
+def _units(names: Sequence[str] | None, columns: Sequence[str]) -> dict[str, str]:
+    """{channel: unit} where the name of its column tells a unit that is known, ``pressure [bar]``."""
+    told = {
+        name: named_with_unit(column)[1] for name, column in zip(names or (), columns, strict=True)
+    }
+    return {name: unit for name, unit in told.items() if unit and meanings(unit)}
 
 
 def is_channel(name: str, prefix: str) -> bool:

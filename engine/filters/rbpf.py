@@ -17,7 +17,7 @@ from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.kernels import resampling as schemes
 from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
-from engine.statespace.checks import check_start
+from engine.statespace.checks import check_readings, check_start
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import squared
@@ -214,9 +214,10 @@ def rbpf(
             step = Step(model, record, mu, L, own, y[0], u[0], times[0], rng)
             a, z, Z, log_ratio = _first(step, draw)
             h, C, R = model.observation(a, u[0], times[0], record)
-            z, Z, log_w, w, log_sum, ess = weigh(
-                z, Z, log_ratio, h, stacked(C), stacked(R), y[0], even
-            )
+            C, R = stacked(C), stacked(R)
+            if model.na:
+                check_readings(model, C, R)
+            z, Z, log_w, w, log_sum, ess = weigh(z, Z, log_ratio, h, C, R, y[0], even)
         else:
             a, log_q = draw(Step(model, record, mu, L, ancestors, y[t], u[t], times[t], rng))
             a = np.ascontiguousarray(a)

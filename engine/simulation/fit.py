@@ -221,7 +221,7 @@ def fit_simulation(
     tied = problem.names(problem.active[found.tied[:k]])
     parts = [
         _ended(best, len(tried) if stopped else 0),
-        *_remarks(problem.names(problem.silent), tied),
+        *_remarks(problem.names(problem.silent), tied, bool(problem.uncertain.size)),
         held_by_bounds(model.at_bounds(theta, estimated)),
     ]
     return SimulationFit(
@@ -291,10 +291,14 @@ def _ended(best: OptimizeResult, stopped: int) -> str:
     return "All evaluations were used up before convergence."
 
 
-def _remarks(silent: tuple[str, ...], tied: tuple[str, ...]) -> list[str]:
+def _remarks(silent: tuple[str, ...], tied: tuple[str, ...], begun: bool) -> list[str]:
+    """What is to be said of some parameters; ``begun``: first states are among what is estimated."""
     out = []
     if silent:
-        out.append(f"No influence on a noise-free run, left at the start: {', '.join(silent)}.")
+        own = " whose first states are estimated, too" if begun else ""
+        out.append(
+            f"No influence on a noise-free run{own}; left at the start: {', '.join(silent)}."
+        )
     if tied:
         out.append(f"Only determined together, keep one of them fixed: {', '.join(tied)}.")
     return out

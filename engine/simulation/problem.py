@@ -62,8 +62,8 @@ class FreeRunProblem:
         self.scale = output_scale(series)
         given = [max(abs(p.default), p.scale) for p in model.parameters]
         self.sizes: Array = np.maximum(np.abs(np.asarray(theta)), given)
-        mean, self.spread = first_state(model, theta)
-        self.x1 = np.tile(mean, (len(series), 1)) if x1 is None else x1
+        self.mean, self.spread = first_state(model, theta)
+        self.x1 = np.tile(self.mean, (len(series), 1)) if x1 is None else x1
         self.uncertain = np.flatnonzero(self.spread > 0.0)
         self.evaluations = 0
         self.at_once = True  # derivatives along the run, not by differences of runs
@@ -84,10 +84,18 @@ class FreeRunProblem:
 
     def split(self, p: Array) -> tuple[Theta, Array]:
         """Theta and the first states (S, nx)."""
-        theta, x1 = np.array(self.theta), self.x1.copy()
+        theta = np.array(self.theta)
         theta[self.active] = p[: self.active.size]
+        x1 = self.x1 + self._moved(theta)
         x1[:, self.uncertain] = p[self.active.size :].reshape(len(self.series), -1)
         return self.model.theta(theta), x1
+
+    def _moved(self, theta: Array) -> Array:
+        """How far theta (n_theta,) moves first states that are known, and so not found themselves (nx,)."""
+        if (self.spread > 0.0).all():
+            return np.zeros(len(self.spread))
+        mean, _ = first_state(self.model, self.model.theta(theta))
+        return np.where(self.spread > 0.0, 0.0, mean - self.mean)
 
     def bounds(self) -> tuple[Array, Array]:
         """Bounds of p."""
@@ -297,23 +305,43 @@ class FreeRunProblem:
     def _slopes(self, theta: Theta, x: Array, one: Series) -> Array:
         """Derivatives (T, ny, k + m) of a series' outputs along its run x (T, nx)."""
         along = Along(self.model, np.asarray(theta), one, x)
-        return along.by(self.active, self.uncertain, self.steps())[0]
+        beginning = self._beginnings(self._around(theta))
+        return along.by(self.active, self.uncertain, self.steps(), beginning)[0]
+
+    def _around(self, theta: Theta) -> Array:
+        """Theta, and each active parameter a step up and down within its bounds (1 + 2 k, n_theta)."""
+        thetas = np.tile(np.asarray(theta), (2 * self.active.size + 1, 1))
+        for i, (column, h) in enumerate(zip(self.active, self.steps(), strict=True)):
+            thetas[1 + 2 * i, column] = min(theta[column] + h, self.model.upper[column])
+            thetas[2 + 2 * i, column] = max(theta[column] - h, self.model.lower[column])
+        return thetas
+
+    def _reach(self, thetas: Array) -> Array:
+        """From the step down to the step up of each active parameter (k,)."""
+        return np.asarray((thetas[1::2] - thetas[2::2])[np.arange(self.active.size), self.active])
+
+    def _beginnings(self, thetas: Array) -> Array:
+        """Derivatives of the first states (nx, k) by the active parameters, from ``_around``."""
+        if not self.active.size or (self.spread > 0.0).all():
+            return np.zeros((len(self.spread), self.active.size))
+        moved = np.array([self._moved(theta) for theta in thetas[1:]])
+        with np.errstate(all="ignore"):
+            return np.asarray((moved[::2] - moved[1::2]).T / self._reach(thetas))
 
     def _by_differences(self, theta: Theta, x1: Array, one: Series) -> tuple[Array, Array]:
         """The same by central differences of runs; one-sided at a bound, NaN where one is not finite."""
         k, m = self.active.size, self.uncertain.size
-        h = np.concatenate((self.steps(), STEP * self.spread[self.uncertain]))
-        thetas = np.tile(np.asarray(theta), (2 * (k + m) + 1, 1))
-        for i, column in enumerate(self.active):
-            thetas[1 + 2 * i, column] = min(theta[column] + h[i], self.model.upper[column])
-            thetas[2 + 2 * i, column] = max(theta[column] - h[i], self.model.lower[column])
+        h = STEP * self.spread[self.uncertain]
+        around = self._around(theta)
+        thetas = np.concatenate((around, np.tile(around[0], (2 * m, 1))))
         x = np.tile(x1, (len(thetas), 1))
+        moved = np.array([self._moved(other) for other in around])
+        x[: 1 + 2 * k] += moved - moved[0]
         for i, column in enumerate(self.uncertain):
-            x[1 + 2 * (k + i), column] += h[k + i]
-            x[2 + 2 * (k + i), column] -= h[k + i]
+            x[1 + 2 * (k + i), column] += h[i]
+            x[2 + 2 * (k + i), column] -= h[i]
         y, _ = run_rows(self.model, thetas, one, x)
-        up, down = thetas[1 : 1 + 2 * k : 2], thetas[2 : 2 + 2 * k : 2]
-        reach = np.concatenate(((up - down)[np.arange(k), self.active], 2.0 * h[k:]))
+        reach = np.concatenate((self._reach(around), 2.0 * h))
         with np.errstate(all="ignore"):
             dy = np.swapaxes(y[:, 1::2] - y[:, 2::2], 1, 2) / reach
         return y[:, 0], dy

@@ -61,7 +61,11 @@ class Along:
         self.J, self.H = slopes
 
     def by(
-        self, parameters: NDArray[np.intp], states: NDArray[np.intp], steps: Array
+        self,
+        parameters: NDArray[np.intp],
+        states: NDArray[np.intp],
+        steps: Array,
+        beginning: Array | None = None,
     ) -> tuple[Array, Array]:
         """Derivatives of the run's outputs and states.
 
@@ -71,6 +75,8 @@ class Along:
             Indices into theta and into x_1.
         steps : (k,)
             Half the distance over which a parameter's differences are taken, in its unit; shorter at a bound.
+        beginning : (nx, k), optional
+            Derivatives of the first states by the parameters, where they move these.
 
         Returns
         -------
@@ -82,6 +88,7 @@ class Along:
         k = len(parameters)
         ends = [_ends(self.model, self.theta, i, h) for i, h in zip(parameters, steps, strict=True)]
         first = np.zeros((self.model.nx, k + len(states)))
+        first[:, :k] = 0.0 if beginning is None else beginning
         first[states, k + np.arange(len(states))] = 1.0
         with np.errstate(all="ignore"):
             b = _slopes(self.F, self.x[:-1], self.ahead, ends)

@@ -48,6 +48,21 @@ def check_model(model: MixedModel) -> None:
             )
 
 
+def check_readings(model: MixedModel, C: Array, R: Array) -> None:
+    """Raise ModelError where particles alone would have to meet a reading: no noise, no linear state in it.
+
+    C (B, ny, nz), R (B, ny, ny). No particle meets it, or by its draw all do: neither has a likelihood.
+    """
+    exact = (np.diagonal(R, axis1=-2, axis2=-1) <= 0.0).any(axis=0)
+    reached = (C != 0.0).any(axis=(0, 2))
+    for channel, alone in zip(model.outputs, exact & ~reached, strict=True):
+        if alone:
+            raise ModelError(
+                f"model '{model.name}', measurement: R has a zero on its diagonal, of '{channel}', which no "
+                "linear state enters; there a particle filter needs noise, at least the sensor's resolution"
+            )
+
+
 def check_covariance(model: MixedModel, where: str, S: Array) -> None:
     """Raise ModelError unless every finite S is symmetric and non-negative, in whatever units."""
     S = S if S.ndim == 3 else S[None]

@@ -75,6 +75,18 @@ def test_the_service_takes_its_own_example(client, ended):
         client.delete(answer.headers["location"])
 
 
+def test_units_behind_names_are_compared_with_those_of_the_model(client):
+    files = {"file": ("a.csv", "time [year],flow [m^3]\n1871,1120\n1872,1160\n1873,963\n".encode())}
+    request = {"kind": "smooth", "model": "local-level"}
+    answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
+    assert answer.status_code == 422
+    (error,) = answer.json()["errors"]
+    assert (
+        "channel 'flow' is in m^3; model 'local-level' takes y channel 'flow' in 1e8 m^3"
+        in error["message"]
+    )
+
+
 def test_the_hint_is_what_helps(client):
     request = {"kind": "smooth", "model": "local-level"}
     data = text("year,depth,rain").encode()

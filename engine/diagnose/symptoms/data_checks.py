@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
 from engine.statespace.model import Array, MixedModel
-from engine.units import SECOND, is_per
+from engine.units import SECOND, is_per, rate_of
 from engine.words import enumerated, number, percent, with_unit
 
 SHORT_SAMPLES = 100  # samples; and ten per parameter
@@ -77,17 +77,22 @@ def _times(series: Series) -> list[str]:
 
 
 def clock_notes(model: MixedModel, series: Series) -> list[str]:
-    """A note where times are not in seconds and a unit of the model is per second."""
-    if series.time_unit == SECOND:
-        return []
+    """A note where a unit of the model counts time in another unit than the record does."""
+    clock, parameters = series.time_unit, {p.name: p.unit for p in model.parameters}
     channels = {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}
-    units = channels | {p.name: p.unit for p in model.parameters}
-    found = next(((name, unit) for name, unit in units.items() if is_per(unit, SECOND)), None)
-    if found is None:
+    found = {k: unit for k, unit in (channels | parameters).items() if is_per(unit, SECOND)}
+    counted = SECOND
+    if clock == SECOND and found:
         return []
+    if clock == SECOND:  # a channel may well be counted per minute by equations in seconds
+        found = {k: unit for k, unit in parameters.items() if rate_of(unit)}
+        counted = next(map(rate_of, found.values()), "")
+    if not found:
+        return []
+    name, unit = next(iter(found.items()))
     return [
-        f"Times are in {series.time_unit}, and model '{model.name}' has {found[0]} in {found[1]}: its numbers "
-        "are right only if its equations convert, or give the times in s."
+        f"Times are in {clock}, and model '{model.name}' has {name} in {unit}: its numbers "
+        f"are right only if its equations convert, or give the times in {counted}."
     ]
 
 

@@ -1,6 +1,7 @@
 """Units of a series' times and channels: labels that are printed, kept and compared, and change no number."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ import pytest
 import engine
 from engine.data import nile
 from engine.data.files import write_series
+from engine.diagnose.symptoms.data_checks import clock_notes
 from engine.errors import OptionError, SeriesError
-from engine.units import alike, clock_of, frequency_in, is_per, named_with_unit
+from engine.units import alike, clock_of, differ, frequency_in, is_per, named_with_unit
 
 pd = pytest.importorskip("pandas")
 
@@ -233,3 +235,90 @@ def test_times_that_do_not_fit_the_models_units_are_noted():
     assert "omega in rad/s" in note or "1/s" in note
     assert not any("Times are" in one for one in check_data(model, series))
     assert not any("Times are" in n for n in check_data(engine.get_model("local-level"), nile()))
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "apart"),
+    [
+        ("m", "mm", True), ("kW", "W", True), ("degC", "F", True), ("C", "degC", False), ("°C", "degC", False),
+        ("N m", "Nm", False), ("J", "Nm", False), ("km/h", "m/s", True), ("1/s", "Hz", False),
+        ("rpm", "rad/s", True), ("V", "A", True), ("L/min", "m^3/s", True), ("bar", "1e5 Pa", False),
+        ("counts", "ticks", True), ("counts", "V", False), ("measured", "N", False), ("%", "1", True),
+        ("deg", "rad", True),
+    ],
+)  # fmt: skip
+def test_units_that_are_surely_not_the_same(one, other, apart):
+    assert differ(one, other) is differ(other, one) is apart
+
+
+def furnace():
+    return engine.MixedModel(
+        name="furnace",
+        dynamics=lambda a, u, t, dt, th: (
+            [0.9 * a[:, 0] + th.g * u[0]],
+            np.zeros((1, 0)),
+            [[1e-4]],
+        ),
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[0.04]]),
+        initial=lambda th: (engine.Gaussian([20.0], [[4.0]]), [], np.zeros((0, 0))),
+        nonlinear={"inside": "degC"},
+        inputs={"heat": "kW"},
+        outputs={"room": "degC"},
+        parameters=[engine.Parameter("g", 1.0, "degC/kW", (0.0, 50.0))],
+    )
+
+
+@pytest.mark.parametrize(
+    ("head", "wrong"),
+    [
+        ("time [min],heat [kW],room [degC]", None),
+        ("t,heat (measured),room (upper)", None),  # no units
+        ("t,heat [W],room [degC]", "channel 'heat' is in W; model 'furnace' takes u channel 'heat' in kW"),
+        ("t,heat [kW],room [F]", "channel 'room' is in F; model 'furnace' takes y channel 'room' in degC"),
+    ],
+)  # fmt: skip
+def test_units_in_the_head_of_a_file_are_those_of_the_model(head, wrong, tmp_path):
+    (tmp_path / "a.csv").write_text(f"{head}\n" + "".join(f"{k},1,20\n" for k in range(9)))
+    columns = head.split(",")
+    named = engine.Series.read(tmp_path / "a.csv", y={"room": columns[2]}, u={"heat": columns[1]})
+    plain = engine.Series.read(tmp_path / "a.csv", y=[columns[2]], u=[columns[1]])
+    for series in (named, plain):
+        if wrong is None:
+            assert series.check(furnace()) is series
+        else:
+            with pytest.raises(
+                SeriesError, match=wrong.partition(";")[2].strip().replace("(", ".")
+            ):
+                series.check(furnace())
+
+
+def test_channels_called_like_others_of_the_model_are_refused():
+    y = np.ones((9, 2))
+    model = engine.get_model("servo")
+    (own,), (drive,) = model.outputs, model.inputs
+    engine.Series(y[:, 0], y[:, 1], dt=1.0, y_names=["angle"], u_names=["voltage"]).check(model)
+    with pytest.raises(SeriesError, match=f"'{drive}' would be used as '{own}'"):
+        engine.Series(y[:, 0], y[:, 1], dt=1.0, y_names=[drive], u_names=[own]).check(model)
+    two = furnace()
+    two = engine.MixedModel(
+        name="two", dynamics=two.dynamics, initial=two.initial, nonlinear=two.nonlinear, inputs=two.inputs,
+        measurement=lambda a, u, t, th: ([a[:, 0], a[:, 0]], np.zeros((2, 0)), 0.04 * np.eye(2)),
+        outputs={"room": "degC", "y1": "degC"}, parameters=two.parameters,
+    )  # fmt: skip
+    engine.Series(y, y[:, 0], dt=1.0).check(two)  # nobody called them y1 and y2
+    engine.Series(y, y[:, 0], dt=1.0, y_names=["room", "y1"]).check(two)
+    with pytest.raises(SeriesError, match="takes room, y1, in this order, and 'y1' would be used"):
+        engine.Series(y, y[:, 0], dt=1.0, y_names=["y1", "room"]).check(two)
+
+
+@pytest.mark.parametrize(
+    ("unit", "clock", "told"),
+    [
+        ("1/min", "s", "g in 1/min"), ("degC/(kW min)", "s", "times in min"), ("1/min", "min", ""),
+        ("A h", "s", ""), ("1/s", "s", ""), ("1/s", "min", "times in s"), ("1/h", "year", ""),
+    ],
+)  # fmt: skip
+def test_a_model_that_counts_time_in_another_unit(unit, clock, told):
+    model = replace(furnace(), parameters=[engine.Parameter("g", 1.0, unit)])
+    notes = clock_notes(model, engine.Series(np.ones(9), np.ones(9), dt=1.0, time_unit=clock))
+    assert [told in note for note in notes] == ([True] if told else [])

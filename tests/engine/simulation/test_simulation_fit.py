@@ -264,3 +264,45 @@ def test_emps_thinned(measured_data):
     assert fit.theta["Fv"] == pytest.approx(203.5, rel=0.08)
     assert fit.theta["Fc"] == pytest.approx(20.4, rel=0.12)
     assert fit.theta["offset"] == pytest.approx(-3.16, rel=0.1)
+
+
+def decay(variance):
+    """x' = p x from x0, which is known up to ``variance``; one linear state like it beside it."""
+    return MixedModel(
+        name="decay",
+        dynamics=lambda a, u, t, dt, th: ([th.p * a[:, 0], 0.0], [[0.0], [0.5]], 1e-8 * np.eye(2)),
+        measurement=lambda a, u, t, th: ([a[:, 0]], [[1.0]], [[0.0025]]),
+        initial=lambda th: (Gaussian([th.x0], [[variance]]), [2.0 * th.x0], [[0.0]]),
+        nonlinear={"x": "V"},
+        linear={"z": "V"},
+        outputs={"y": "V"},
+        parameters=[Parameter("p", 0.8, "1", (0.0, 1.0)), Parameter("x0", 1.0, "V")],
+    )
+
+
+def test_a_parameter_that_is_the_first_state_is_estimated():
+    k = np.arange(60)
+    y = 3.0 * 0.9**k + 6.0 * 0.5**k + 0.05 * np.random.default_rng(0).normal(size=60)
+    fit = fit_simulation(decay(0.0), Series(y, dt=1.0))
+    assert fit.silent == ()
+    for name, truth in (("p", 0.9), ("x0", 3.0)):
+        assert abs(fit.theta[name] - truth) < 3.0 * fit.standard_errors[name]
+        assert fit.standard_errors[name] < 0.02
+    part = fit_simulation(decay(1.0), Series(y, dt=1.0))  # z starts at 2 x0, x where it likes
+    assert part.theta["x0"] == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_derivatives_know_first_states_that_parameters_place(at_once):
+    model = decay(0.0)
+    series = Series(np.zeros(300), dt=1.0)
+    problem = FreeRunProblem(model, [series], model.theta(), model.free_indices(None))
+    problem.at_once = at_once
+    p = problem.start()
+    _, jacobian = problem.evaluate(p)
+    assert problem.as_whole == [at_once]
+    h = 1e-5
+    for column in range(2):
+        step = h * np.eye(2)[column]
+        slope = (problem.evaluate(p + step)[0] - problem.evaluate(p - step)[0]) / (2.0 * h)
+        assert np.allclose(jacobian[:, column], slope, rtol=1e-5, atol=1e-8)
