@@ -18,6 +18,7 @@ def test_a_reading_without_noise_is_refused_where_particles_alone_would_have_to_
         nonlinear={"a": "m"},
         linear={"z": "m"},
         outputs={"y": "m"},
+        parameters=[],
     )
     series = engine.Series(0.3 * np.random.default_rng(1).normal(size=60), dt=1.0)
     if reached:
