@@ -20,7 +20,7 @@ from engine.estimation.expectation import parameter_scale
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
 from engine.filters.neighbours import Visited
 from engine.filters.sigma_point import free_thetas
-from engine.statespace.model import Array, MixedModel, Theta
+from engine.statespace.model import Array, MixedModel, Theta, stacked
 
 SEARCHED_ROWS = 2000  # of each series, at most, are searched
 CANDIDATES = 96  # points around the start values ...
@@ -31,6 +31,7 @@ RIVAL_NATS = 5.0  # below the highest maximum, another may be the higher one of 
 MOST_MAXIMA = 3  # are compared
 SAME_ERRORS = 1.0  # standard errors that two ends of a search for the same maximum may be apart
 CANDIDATES_SHARE = 0.15  # of the whole search: the points
+DRAWS = 16  # of a_1, on which it is tried where nonlinear states show
 
 
 class WarmStart:
@@ -60,7 +61,13 @@ class WarmStart:
     def __call__(self, theta: Theta) -> list[Theta]:
         """The maxima found, the highest first; none with a ``note``."""
         try:
-            return self.maxima(theta)
+            if not any(_only_noise_sees_them(self.model, theta, one) for one in self.searched):
+                return self.maxima(theta)
+            self.note = (
+                "EM started from the start values: nonlinear states enter noise only, where the moment filter, "
+                "which would search for a better start, does not see them."
+            )
+            return []
         except (ModelError, np.linalg.LinAlgError) as error:
             self.note = (
                 f"EM started from the start values; no better start could be searched for: {error}"
@@ -111,6 +118,29 @@ class WarmStart:
             if near and not any(_same(fit, other, indices) for other in apart):
                 apart.append(fit)
         return [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
+
+
+def _only_noise_sees_them(model: MixedModel, theta: Theta, series: Series) -> bool:
+    """Whether nonlinear states show in covariances alone, as in a stochastic volatility.
+
+    Tried on draws of a_1, at the first row: with moments of a in place of a, y tells nothing of it then.
+    """
+    if not model.na:
+        return False
+    record, rng = model.record(theta), np.random.default_rng(0)
+    a = np.asarray(model.start(record).density.sample(rng, DRAWS), dtype=float)
+    h, C, R = model.observation(a, series.u[0], float(series.t[0]), record)
+    f, A, Q = model.transition(
+        a, series.u_step[0], float(series.t[0]), float(series.steps[0]), record
+    )
+    seen = (h, stacked(C), f[:, model.na :], stacked(A)[:, model.na :])
+    noise = (stacked(R), stacked(Q)[:, model.na :, model.na :])
+    return any(map(_differ, noise)) and not any(map(_differ, seen))
+
+
+def _differ(rows: Array) -> bool:
+    """Whether the values of some draws differ."""
+    return bool((rows != rows[:1]).any())
 
 
 def _told(fit: QuasiFit, theta: Theta, indices: NDArray[np.intp]) -> Theta:
