@@ -13,6 +13,8 @@ Every message names what was wrong, where, and what to do about it. What can be 
 
 from __future__ import annotations
 
+from numbers import Integral
+
 
 class EngineError(ValueError):
     """Base class of errors that the caller can put right; the message says what to do."""
@@ -47,7 +49,7 @@ class OptionError(EngineError):
         self.field = field
 
 
-def check_count(name: str, value: float) -> None:
+def check_count(name: str, value: object) -> None:
     """Raise OptionError unless the argument ``name`` is a positive whole number."""
-    if int(value) != value or value < 1:
-        raise OptionError(f"{name} = {value}; a positive whole number is needed", name)
+    if not isinstance(value, Integral) or int(value) < 1:
+        raise OptionError(f"{name} = {value!r}; a positive whole number is needed", name)

@@ -402,10 +402,14 @@ class Series(Shown):
 
 def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:
     """One series or several, each checked against the model."""
-    all_series = [series] if isinstance(series, Series) else list(series)
+    all_series = [series] if isinstance(series, Series | np.ndarray) else list(series)
     if not all_series:
         raise SeriesError("no series was given; at least one is needed")
     for one in all_series:
+        if not isinstance(one, Series):
+            raise SeriesError(
+                f"the data are of type {type(one).__name__}; a series is needed: engine.Series(y, u, dt=...)"
+            )
         one.check(model)
         if one.time_unit != all_series[0].time_unit:
             raise SeriesError(

@@ -169,9 +169,9 @@ class BaseModel(Shown):
         out = np.array([p.default for p in self.parameters], dtype=float)
         if isinstance(values, Mapping):
             for name, value in values.items():
-                out[self.index(name)] = float(value)
+                out[self.index(name)] = _numbers(value, name, 1)[0]
         elif values is not None:
-            given = np.asarray(values, dtype=float).ravel()
+            given = _numbers(values, "theta")
             if given.size != out.size:
                 raise OptionError(
                     f"theta has {given.size} values; model '{self.name}' has {out.size} parameters: "
@@ -209,9 +209,13 @@ class BaseModel(Shown):
         return tuple(name for name in free if name in stopped)
 
     def free_indices(self, free: Sequence[str] | None) -> NDArray[np.intp]:
-        """Positions of the free parameters; None means all of them."""
+        """Positions of the free parameters; None means all of them. Raises OptionError."""
         if free is None:
             return np.arange(len(self.parameters))
+        if isinstance(free, str):
+            raise OptionError(
+                f"free = '{free}'; a list of names is needed, ['{free}'] of one", "free"
+            )
         return np.array(sorted({self.index(name) for name in free}), dtype=np.intp)
 
     def _view(self) -> View:
@@ -238,3 +242,15 @@ class BaseModel(Shown):
             tables().table(("channel", "name", "unit"), channels),
             tables().table(("parameter", "default", "unit", "from", "to", "meaning"), parameters),
         )
+
+
+def _numbers(values: object, field: str, size: int | None = None) -> NDArray[np.float64]:
+    """Values as numbers (n,), ``size`` of them where that is known. Raises OptionError naming the field."""
+    try:
+        found = np.asarray(values, dtype=float).ravel()
+    except (TypeError, ValueError):
+        found = None
+    if found is None or size not in (None, found.size):
+        wanted = "a number" if size == 1 else "a vector of numbers"
+        raise OptionError(f"{field} = {values!r}; {wanted} is needed", field)
+    return found

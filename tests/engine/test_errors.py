@@ -145,3 +145,23 @@ def test_all_errors_are_engine_errors():
     for error in (ModelError, SeriesError, OptionError):
         assert issubclass(error, EngineError)
         assert issubclass(error, ValueError)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"theta0": {"q": "x"}}, "q = 'x'; a number is needed"),
+        ({"theta0": ["a", "b"]}, r"theta = \['a', 'b'\]; a vector of numbers is needed"),
+        ({"n_particles": 10.5}, "n_particles = 10.5; a positive whole number is needed"),
+        ({"n_particles": "many"}, "n_particles = 'many'; a positive whole number is needed"),
+        ({"free": "q"}, r"free = 'q'; a list of names is needed, \['q'\] of one"),
+    ],
+)
+def test_what_is_no_number_is_no_traceback(given, told):
+    with pytest.raises(OptionError, match=told):
+        rbps_em(get_model("local-level"), Series(np.ones(9)), **given)
+
+
+def test_an_array_is_no_series():
+    with pytest.raises(SeriesError, match="the data are of type ndarray; a series is needed"):
+        rbps_em(get_model("local-level"), np.ones(9))

@@ -76,7 +76,7 @@ def test_the_service_takes_its_own_example(client, ended):
 
 
 def test_units_behind_names_are_compared_with_those_of_the_model(client):
-    files = {"file": ("a.csv", "time [year],flow [m^3]\n1871,1120\n1872,1160\n1873,963\n".encode())}
+    files = {"file": ("a.csv", b"time [year],flow [m^3]\n1871,1120\n1872,1160\n1873,963\n")}
     request = {"kind": "smooth", "model": "local-level"}
     answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
     assert answer.status_code == 422
