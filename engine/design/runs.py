@@ -17,7 +17,7 @@ from engine.estimation.expectation import either_side
 from engine.filters.sigma_point import first_moments
 from engine.kernels.trajectory import carry
 from engine.simulation.free_run import run_rows
-from engine.simulation.steps import Steps, deviations, sizes, tested
+from engine.simulation.steps import Steps, sizes, tested
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.refutation import repeated_if_refuted, times_are_alike
 
@@ -125,8 +125,8 @@ def linearised(
         F = replace(F, split=tested(model, F, before) is None)
         G = replace(G, split=tested(model, G, here) is None)
         ahead, seen = F(before), G(here)
-        moved, noise = np.abs(x - x[:, :1]).max(axis=1), deviations(ahead.Q)
-        each = np.array([sizes(one, np.abs(mean), noise) for one in moved])
+        moved = np.abs(x - x[:, :1]).max(axis=1)
+        each = np.array([sizes(one, np.abs(mean), model.start_sizes) for one in moved])
         J = _flat(F.slopes(before, ahead, np.repeat(each, n - 1, axis=0), central=True), B)
         H = _flat(G.slopes(here, seen, np.repeat(each, n, axis=0), central=True), B)
         p = len(parameters)

@@ -8,25 +8,25 @@ from numba import njit
 from engine.kernels.van_loan import BLOCK, integrals
 
 SHORT = 1e-3  # of what a step moves a state: half the distance over which J is a difference
-LEAST = 1e-7  # of the state's value, below which differences are rounding
+LEAST = 1e-6  # of the state's value, below which differences are rounding
+NEAR = 1e-7  # of a state's size, where it is near zero and at rest; in its unit where it has none
 
 
 @njit(cache=True, error_model="numpy")
-def beside(a, f, Qc, dt):
+def beside(a, f, size, dt):
     """a (M, na) with each state moved up, then down: (2 na M, na), M rows for each state and side.
 
-    By a share of what a step ``dt`` (1 or M,) of the rates f (M, nx) and the noise Qc (1 or M, nx, nx) moves it
-    by, in whatever unit.
+    By a share of what a step ``dt`` (1 or M,) of the rates f (M, nx) moves it by, of its value and of its
+    ``size`` (na,), in whatever unit. Not of the noise, which a run without noise knows nothing of.
     """
     M, na = a.shape
     out = np.empty((2 * na * M, na))
     for i in range(na):
         for k in range(M):
             length = dt[k if len(dt) > 1 else 0]
-            noise = np.sqrt(max(Qc[k if len(Qc) > 1 else 0, i, i], 0.0) * length)
-            h = SHORT * (abs(f[k, i]) * length + noise) + LEAST * abs(a[k, i])
+            h = SHORT * abs(f[k, i]) * length + LEAST * abs(a[k, i]) + NEAR * size[i]
             if not h > 0.0:
-                h = LEAST
+                h = NEAR
             up, down = 2 * i * M + k, (2 * i + 1) * M + k
             for j in range(na):
                 out[up, j] = out[down, j] = a[k, j]

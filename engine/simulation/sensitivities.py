@@ -23,7 +23,6 @@ from engine.kernels.trajectory import carry
 from engine.simulation.steps import (
     Steps,
     Values,
-    deviations,
     observations,
     sizes,
     tested,
@@ -54,7 +53,7 @@ class Along:
             self.ahead, self.seen = self.F(x[:-1]), self.G(x)
             if slopes is None:
                 moved = np.abs(x - x[0]).max(axis=0)
-                size = sizes(moved, np.abs(x[0]), deviations(self.ahead.Q))
+                size = sizes(moved, np.abs(x[0]), model.start_sizes)
                 size = np.tile(size, (len(x), 1))
                 J = self.F.slopes(x[:-1], self.ahead, size[:-1], central=True)
                 slopes = J, self.G.slopes(x, self.seen, size, central=True)

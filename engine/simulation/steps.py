@@ -146,12 +146,6 @@ def sizes(moved: Array, *others: Array) -> Array:
     return size
 
 
-def deviations(Q: Array) -> Array:
-    """Largest standard deviation (nx,) of each state's noise; Q (nx, nx) or (n, nx, nx)."""
-    variances: Array = np.diagonal(Q, axis1=-2, axis2=-1).reshape(-1, Q.shape[-1]).max(axis=0)
-    return np.sqrt(np.maximum(variances, 0.0))
-
-
 def transitions(model: MixedModel, record: Any, series: Series) -> Steps:
     """The steps from all rows of a series but the last."""
     dt = series.dt if series.dt is not None else series.steps

@@ -23,7 +23,7 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.kernels.trajectory import correct
-from engine.simulation.steps import Steps, deviations, near, sizes, tested, transitions
+from engine.simulation.steps import Steps, near, sizes, tested, transitions
 from engine.statespace.model import Array, MixedModel
 
 SHORTEST = 300  # rows from which on it is tried
@@ -85,7 +85,7 @@ def _solve(model: MixedModel, steps: Steps, X: Array, guessed: bool) -> int:
     if at is None:
         return 1
     moved = np.where(np.isfinite(at.value), np.abs(at.value - x1), 0.0).max(axis=0)
-    scale = np.tile(sizes(moved, np.abs(x1), deviations(at.Q)), (n + 1, 1))
+    scale = np.tile(sizes(moved, np.abs(x1), model.start_sizes), (n + 1, 1))
     rounding = np.zeros_like(X)
     J, is_kept = None, False
     longest = max(MOST_ROWS, MOST_NUMBERS // model.nx**2)

@@ -19,8 +19,9 @@ systems: a local linearization approach", Statistica Sinica 2 (1992) 113-135.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -87,7 +88,7 @@ def continuous(
     """
     channels = {key: fields.get(key) or {} for key in ("nonlinear", "linear")}
     na, nz = (len(channels[key]) for key in ("nonlinear", "linear"))
-    dynamics = _Discretized(drift, diffusion, jacobian, na, nz)
+    dynamics = _Discretized(drift, diffusion, jacobian, na, nz, fields)
     return MixedModel(dynamics=dynamics, continuous=True, **fields)
 
 
@@ -120,6 +121,7 @@ class _Discretized:
     jacobian: Matrix | None
     na: int
     nz: int
+    fields: Mapping[str, Any] = field(compare=False, repr=False)
     repeated: _Repeated = field(default_factory=_Repeated, compare=False, repr=False)
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
@@ -129,9 +131,14 @@ class _Discretized:
         Qc = stacked(
             as_matrix(self.diffusion(a.copy(), u, middle, theta), M, nx, nx, "diffusion: Qc")
         )
-        J = self._jacobian(a, f, Qc, u, middle, length, theta)
+        J = self._jacobian(a, f, u, middle, length, theta)
         x, step, Q = step_of(a, f, J, stacked(A), Qc, length)
         return (x, step, Q) if len(Q) > 1 else (x, step[0], Q[0])
+
+    @cached_property
+    def sizes(self) -> Array:
+        """A size (na,) of each nonlinear state; see :attr:`engine.MixedModel.start_sizes`."""
+        return MixedModel(dynamics=self, **self.fields).start_sizes[: self.na]
 
     def _rates(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array]:
         """f (M, nx) and A; in memory of their own, as the function may write into both and into a."""
@@ -141,9 +148,7 @@ class _Discretized:
         A = as_matrix(A, M, nx, self.nz, "drift: A")
         return f.copy(), A.copy()
 
-    def _jacobian(
-        self, a: Array, f: Array, Qc: Array, u: Any, t: Any, dt: Array, theta: Any
-    ) -> Array:
+    def _jacobian(self, a: Array, f: Array, u: Any, t: Any, dt: Array, theta: Any) -> Array:
         """J = df/da, (1 or M, nx, na): of all states and both sides in one call of the drift."""
         M, nx, na = a.shape[0], self.na + self.nz, self.na
         if self.jacobian is not None:
@@ -151,7 +156,7 @@ class _Discretized:
             return stacked(as_matrix(given, M, nx, na, "jacobian: J"))
         if na == 0:
             return np.empty((1, nx, 0))
-        points, times = beside(a, f, Qc, dt), 2 * na
+        points, times = beside(a, f, self.sizes, dt), 2 * na
         u = np.tile(u, times) if np.ndim(u) > 1 else u
         t = np.tile(t, times) if np.ndim(t) > 0 else t
         rates, _ = self._rates(points, u, t, self.repeated(theta, times))

@@ -295,6 +295,23 @@ class MixedModel(BaseModel):
             ) from error
         return Start(density, z1, P1, self.nz)
 
+    @cached_property
+    def start_sizes(self) -> Array:
+        """A size of each state (nx,), in its unit: how uncertain its start is, or where it is; 0 for neither.
+
+        At the default parameters: differences over a share of it depend on no parameter, of noise or else.
+        """
+        try:
+            start = self.start(self.record(self.theta()))
+            mean, cov = (np.array(getattr(start.density, one)) for one in ("mean", "cov"))
+            z, P = start.linear(mean[None])
+        except (AttributeError, TypeError, ValueError, EngineError):  # no moments are told
+            return np.zeros(self.nx)
+        variances = np.concatenate((np.diagonal(cov), np.diagonal(P if P.ndim == 2 else P[0])))
+        spread, value = np.sqrt(np.maximum(variances, 0.0)), np.abs(np.concatenate((mean, z[0])))
+        size = np.where(spread > 0.0, spread, value)
+        return np.where(np.isfinite(size), size, 0.0)
+
 
 @dataclass(frozen=True)
 class Start:

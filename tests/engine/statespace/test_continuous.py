@@ -283,3 +283,32 @@ def test_it_is_pickled_after_use_as_before():
     after = again.transition(a, np.ones(1), 0.0, 0.1, again.records(thetas))
     for one, other in zip(before, after, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("unit", [1e-7, 1.0, 1e7])
+def test_noise_changes_nothing_of_a_step_but_its_noise(unit):
+    """The slopes are differences, and how long these are must not hang on the noise."""
+    curved = {
+        "drift": lambda a, u, t, theta: (
+            [unit * np.cos(40.0 * a[:, 0] / unit), -unit * theta.w2 * np.sin(a[:, 0] / unit)],
+            [[1.0], [-DAMPING]],
+        ),
+        "parameters": (*PARAMETERS, Parameter("q", 1.0)),
+        "diffusion": lambda a, u, t, theta: unit**2 * theta.q * np.eye(2),
+    }
+    model, a = pendulum(unit, **curved), unit * np.array([[0.0], [0.3], [1e-9]])
+    steps = [model.transition(a, [0.0], 0.0, 0.1, model.record([W2, q])) for q in (1e-8, 1e4)]
+    for one, other in zip(*(step[:2] for step in steps), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert (steps[0][2] != steps[1][2]).any()
+
+
+def test_slopes_are_right_at_rest_whatever_the_unit():
+    """Where neither value nor rate tell how far is near: the start's uncertainty does."""
+    for unit in (1e-10, 1.0, 1e10):
+        model = pendulum(unit)
+        a = np.zeros((1, 1))
+        _, A, _ = model.transition(a, np.zeros(1), 0.0, 0.1, model.record([W2]))
+        F = np.array([[0.0, 1.0], [-W2, -DAMPING]])
+        exact, _, _ = engine.discretize(F, None, None, dt=0.1)
+        np.testing.assert_allclose(A.reshape(2, 1), exact[:, 1:], rtol=1e-7)
