@@ -26,16 +26,17 @@ def as_linear(model: MixedModel) -> MixedModel:
 
     last: list[Any] = [None, None]  # theta and its points: asked for at every time step
 
-    def points(theta: Any) -> Array:
+    def probed(theta: Any) -> tuple[Array, Array]:
         if last[0] is not theta:
             last[:] = theta, start_probes(model, theta)
-        return np.asarray(last[1])
+        points, size = last[1]
+        return points, size
 
     def dynamics(a: Array, u: Array, t: float, dt: float, theta: Any) -> tuple[Any, Any, Any]:
-        return transition_matrices(model, theta, u, t, dt, points(theta))
+        return transition_matrices(model, theta, u, t, dt, *probed(theta))
 
     def measurement(a: Array, u: Array, t: float, theta: Any) -> tuple[Any, Any, Any]:
-        return observation_matrices(model, theta, u, t, points(theta))
+        return observation_matrices(model, theta, u, t, probed(theta)[0])
 
     def initial(theta: Any) -> tuple[Gaussian, Any, Any]:
         mean, P = linear_start(model, theta)

@@ -18,6 +18,8 @@ from engine.statespace.model import Array, Gaussian, LinearGaussian, MixedModel,
 from engine.views import Figures, Shown, figures, plots
 
 SAME = 1e-9  # share of its largest value by which what should not depend on a may do so
+LEFT = 1e-7  # of a state's size, and of its way: by what differences leave it may be moved
+PART = 0.382  # of a step: after a whole one, an oscillation may be where it was
 ROUNDING = 1e-12  # of the values from whose difference a slope is taken
 SINGULAR = 1e-13  # eigenvalues of a correlation matrix below this are rounding
 LOG_2PI = float(np.log(2.0 * np.pi))
@@ -61,17 +63,31 @@ class KalmanSmoothed(Shown):
 
 
 def transition_matrices(
-    model: MixedModel, record: Any, u: Array, t: Any, dt: Any, points: Array
+    model: MixedModel,
+    record: Any,
+    u: Array,
+    t: Any,
+    dt: Any,
+    points: Array,
+    size: Array | None = None,
 ) -> LinearGaussian:
     """f (nx,), F (nx, nx), Q (nx, nx) of x' = f + F x + w, w ~ N(0, Q), x = (a, z).
 
-    ``points`` (n, na) of a from :func:`probes`. Raises ModelError where the model is not linear there.
+    ``points`` (n, na) of a from :func:`probes`. Raises ModelError where the model is not linear there. Beside
+    the ``size`` (nx,) of each state, 0 where it has none, what differences leave of a linear ``continuous``
+    model does not count.
     With times of their own, u (nu, M), t (M,) or dt (M,), f and F and what is not common to all are of
     each: f (M, nx), F (M, nx, nx).
     """
     a, u, t, dt = _at_each(points, u, t, dt)
-    at = model.transition(a, u, t, dt, record)
-    return _matrices(model, "fAQ", _by_time(at, len(points)), points)
+    at = _by_time(model.transition(a, u, t, dt, record), len(points))
+    try:
+        return _matrices(model, "fAQ", at, points)
+    except ModelError:
+        if size is None or not model.continuous:
+            raise
+    part = _by_time(model.transition(a, u, t, PART * dt, record), len(points))
+    return _matrices(model, "fAQ", at, points, _left(at, part, points, size))
 
 
 def observation_matrices(
@@ -122,18 +138,62 @@ def _draws(na: int) -> Array:
     return np.random.default_rng(20).standard_normal((2, 2, na))
 
 
-def _matrices(model: MixedModel, names: str, at: LinearGaussian, points: Array) -> LinearGaussian:
-    """Intercept, matrix on x = (a, z) and covariance from the model's values ``at`` the points."""
+def _left(
+    at: LinearGaussian, part: LinearGaussian, points: Array, size: Array
+) -> tuple[Array, Array, Array]:
+    """What differences may leave in value (..., 1, nx), matrix (..., 1, nx, nz), covariance (..., 1, nx, nx).
+
+    So little that it moves no state by more than a share of its ``size`` (nx,), and of how far it moves, as
+    ``part`` of the step tells. An entry alone has no size: it passes through zero as steps grow.
+    """
     value, matrix, cov = at
+    na, nx = points.shape[1], value.shape[-1]
+    sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
+    sd = sd.max(axis=-2) if cov.ndim > 2 else sd
+    size = np.maximum(size, sd)
+    z, moved = size[..., na:], part[0].copy()
+    moved[..., :na] -= points
+    reach = size + np.ptp(value, axis=-2) + _carried(matrix, z)
+    way = np.ptp(moved, axis=-2) + _carried(part[1] - np.eye(nx)[:, na:], z)
+    reach = LEFT * np.minimum(reach, way / PART)
+    per = np.divide(1.0, z, out=np.zeros_like(z), where=z > 0.0)
+    return (
+        reach[..., None, :],
+        (reach[..., :, None] * per[..., None, :])[..., None, :, :],
+        LEFT * (sd[..., :, None] * sd[..., None, :])[..., None, :, :],
+    )
+
+
+def _carried(matrix: Array, z: Array) -> Array:
+    """How far z of this size (..., nz) moves the states (..., nx), at most, by the matrices of all points."""
+    if matrix.ndim == 2:
+        return np.asarray(z @ np.abs(matrix).T)
+    return np.asarray((np.abs(matrix) * z[..., None, None, :]).sum(axis=-1).max(axis=-2))
+
+
+def _matrices(
+    model: MixedModel,
+    names: str,
+    at: LinearGaussian,
+    points: Array,
+    left: tuple[Array, Array, Array] | None = None,
+) -> LinearGaussian:
+    """Intercept, matrix on x = (a, z) and covariance from the model's values ``at`` the points.
+
+    ``left`` is by how much each may differ, besides.
+    """
+    value, matrix, cov = at
+    more: Any = left or (0.0, 0.0, 0.0)
     common = []
-    for name, m in ((names[1], matrix), (names[2], cov)):
+    for name, m, own in ((names[1], matrix, more[1]), (names[2], cov, more[2])):
         if m.ndim > 2:
             first = m[..., 0, :, :]
-            if (np.abs(m - m[..., :1, :, :]) > SAME * np.abs(m).max(axis=-3, keepdims=True)).any():
+            limit = SAME * np.abs(m).max(axis=-3, keepdims=True) + own
+            if (np.abs(m - m[..., :1, :, :]) > limit).any():
                 raise _not_linear(model, f"{name} depends on a")
             m = first
         common.append(m)
-    slope = _slope(value, points)
+    slope = _slope(value, points, more[0])
     if slope is None:
         raise _not_linear(model, f"{names[0]} is not affine in a")
     shared = np.broadcast_to(common[0], (*slope.shape[:-2], *common[0].shape[-2:]))
@@ -141,8 +201,11 @@ def _matrices(model: MixedModel, names: str, at: LinearGaussian, points: Array) 
     return value[..., 0, :] - slope @ points[0], full, common[1]
 
 
-def _slope(value: Array, points: Array) -> Array | None:
-    """J (..., n, na) with value = value_0 + (a - a_0) J' at all points, None where there is none."""
+def _slope(value: Array, points: Array, left: Any = 0.0) -> Array | None:
+    """J (..., n, na) with value = value_0 + (a - a_0) J' at all points, None where there is none.
+
+    Values may be off by ``left``, too.
+    """
     na = points.shape[1]
     moved = points - points[0]
     change = value - value[..., :1, :]
@@ -151,6 +214,7 @@ def _slope(value: Array, points: Array) -> Array | None:
         off = np.abs(change - moved @ Jt)
         limit = SAME * np.abs(change).max(axis=-2, keepdims=True)
         limit = limit + ROUNDING * np.abs(value).max(axis=-2, keepdims=True)
+        limit = limit + left
     return np.swapaxes(Jt, -1, -2) if (off <= limit).all() else None
 
 
@@ -177,11 +241,11 @@ def linear_start(model: MixedModel, record: Any) -> tuple[Array, Array]:
     return np.concatenate([mean, z[0]]), P.reshape(model.nx, model.nx)
 
 
-def start_probes(model: MixedModel, record: Any) -> Array:
-    """The :func:`probes` about p(a_1)."""
-    mean, P = linear_start(model, record)
-    sd = np.sqrt(np.diagonal(P))[: model.na]
-    return probes(mean[: model.na], sd, np.ones(model.na))
+def start_probes(model: MixedModel, record: Any) -> tuple[Array, Array]:
+    """The :func:`probes` about p(a_1), and the size (nx,) of each state there."""
+    (mean, P), na = linear_start(model, record), model.na
+    sd = np.sqrt(np.maximum(np.diagonal(P), 0.0))
+    return probes(mean[:na], sd[:na], np.ones(na)), np.maximum(np.abs(mean), sd)
 
 
 def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> KalmanSmoothed:
@@ -222,8 +286,8 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     for t in range(T):
         u, time = series.u[t], float(series.t[t])
         # linear? asked again at each time, where the filter is
-        far = np.maximum(np.abs(x), np.sqrt(np.maximum(np.diagonal(P), 0.0)))[:na]
-        sizes = np.where(far > 0.0, far, sizes)
+        far = np.maximum(np.abs(x), np.sqrt(np.maximum(np.diagonal(P), 0.0)))
+        sizes = np.where(far[:na] > 0.0, far[:na], sizes)
         x_p[t], P_p[t] = x, P
         there = series.observed[t]
         points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
@@ -244,7 +308,8 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
         if t < T - 1:
             points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
             dt = float(series.steps[t])
-            f, F[t], Q = transition_matrices(model, record, series.u_step[t], time, dt, points)
+            u_step = series.u_step[t]
+            f, F[t], Q = transition_matrices(model, record, u_step, time, dt, points, far)
             x = f + F[t] @ x
             P = F[t] @ P @ F[t].T + Q
     x_s, P_s, M = x_f.copy(), P_f.copy(), np.empty((T - 1, nx, nx))

@@ -7,7 +7,6 @@ import numpy as np
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.filters.kalman import (
-    linear_start,
     observation_matrices,
     start_probes,
     transition_matrices,
@@ -25,9 +24,8 @@ def why_not_linear(model: MixedModel, theta: ThetaLike = None, series: Series | 
     if series is not None:
         u, t, dt = series.u_step[0], float(series.t[0]), float(series.steps[0])
     try:
-        linear_start(model, record)
-        points = start_probes(model, record)
-        transition_matrices(model, record, u, t, dt, points)
+        points, size = start_probes(model, record)
+        transition_matrices(model, record, u, t, dt, points, size)
         observation_matrices(model, record, u, t, points)
     except ModelError as error:
         return str(error)
