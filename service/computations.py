@@ -329,11 +329,12 @@ def _states(
 
 def simulate(job: Prepared, request: SimulateRequest, progress: Progress) -> dict[str, Any]:
     """Outputs and states, without noise or drawn with the model's noise."""
-    model, out = job.model, []
+    model, out, notes = job.model, [], []
     rng = np.random.default_rng(request.options.seed)
     for i, series in enumerate(job.series):
         if request.options.mode == "free-run":
             run: Any = engine.free_run(model, job.theta, series)
+            notes.append(run.note)
         else:
             run = drawn(model, job.theta, series, rng)
         out.append(_run_document(model, series, run))
@@ -342,6 +343,7 @@ def simulate(job: Prepared, request: SimulateRequest, progress: Progress) -> dic
         "model": model_document(model),
         "time_unit": job.time_unit,
         "parameters": job.theta.asdict(),
+        **({"message": said} if (said := max(notes, key=len, default="")) else {}),
         "simulation": {"units": _units(model), "series": out},
     }
 

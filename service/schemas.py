@@ -240,6 +240,14 @@ RunSeconds = Annotated[
     Field(gt=0, allow_inf_nan=False, description="the job fails if it takes longer, s"),
 ]
 Particles = Annotated[int, Field(ge=2)]
+Substeps = Annotated[
+    int,
+    Field(
+        ge=1,
+        le=64,
+        description="steps that differential equations make from one sample to the next",
+    ),
+]
 Trajectories = Annotated[Particles | None, Field(description="null means as many as particles")]
 
 
@@ -266,6 +274,7 @@ class EstimateOptions(_Strict):
     """the best of this many starts is taken"""
     bootstrap: int = Field(default=0, ge=0)
     """standard errors from this many estimations on simulated data"""
+    substeps: Substeps = 1
 
 
 class SmoothOptions(_Strict):
@@ -283,6 +292,7 @@ class SimulateOptions(_Strict):
     samples: int | None = Field(default=None, ge=2)
     """number of samples, where no u gives it"""
     seed: Seed = 0
+    substeps: Substeps = 1
 
 
 class DiagnoseOptions(_Strict):

@@ -31,6 +31,7 @@ from service.schemas import (
     ModelReference,
     Request,
     SeriesIn,
+    SimulateOptions,
     SimulateRequest,
 )
 from service.settings import Settings
@@ -89,14 +90,25 @@ def prepare(request: Request) -> Prepared:
         case _:
             series = _all_series(request.series, model, "series")
     if not isinstance(request, DiagnoseRequest):  # a diagnosis finds its own
-        series = [one.refined(_substeps(request.model)) for one in series]
-        test = [one.refined(_substeps(request.model)) for one in test]
+        k = _substeps(request)
+        if k > 1 and not model.continuous:
+            raise invalid("options.substeps", one_step(model, k))
+        series = [one.refined(k) for one in series]
+        test = [one.refined(k) for one in test]
     return Prepared(request, model, series, theta, free, test)
 
 
-def _substeps(reference: ModelReference) -> int:
-    """Steps a sample that an extended model makes."""
-    return reference.setting.substeps if reference.effects and reference.setting else 1
+def _substeps(request: Request) -> int:
+    """Steps a sample: as many as an extended model makes, or as are asked for, if these are more."""
+    reference = request.model
+    own = reference.setting.substeps if reference.effects and reference.setting else 1
+    asked = request.options
+    return max(own, asked.substeps) if isinstance(asked, EstimateOptions | SimulateOptions) else own
+
+
+def one_step(model: MixedModel, k: int) -> str:
+    """Why it does not make ``k`` steps a sample."""
+    return f"{k}; model '{model.name}' does not declare a real time step and makes one a sample"
 
 
 def load(document: Any) -> Prepared:
@@ -112,7 +124,7 @@ def check_limits(request: Request, settings: Settings) -> None:
         series = [*request.series, *request.test]
     for i, one in enumerate(series):
         rows = max((len(x) for x in (one.y, one.u) if x is not None), default=0)
-        samples += rows * _substeps(request.model)
+        samples += rows * _substeps(request)
         _limit(f"series[{i}]", "samples in all series", samples, settings.max_samples)
     _limit("series", "series", len(request.series), settings.max_series)
     options = request.options.model_dump()
@@ -185,10 +197,7 @@ def _given(reference: ModelReference, model: MixedModel) -> Setting | None:
     if (given := reference.setting) is None:
         return None
     if given.substeps > 1 and not model.continuous:
-        raise invalid(
-            "model.setting.substeps",
-            f"{given.substeps}; model '{model.name}' does not declare a real time step and makes one a sample",
-        )
+        raise invalid("model.setting.substeps", one_step(model, given.substeps))
     span = given.span[0], given.span[1]
     return Setting(
         model, given.scale, span, given.dt, substeps=given.substeps, time_unit=given.time_unit

@@ -17,6 +17,7 @@ from engine.estimation.em_result import Checkpoint as Checkpoint
 from engine.estimation.em_result import EmResult as EmResult
 from engine.estimation.em_result import Iteration as Iteration
 from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.long_steps import about_predictions
 from engine.estimation.quasi_ml import with_scales
 from engine.estimation.quasi_newton import Ascent
 from engine.estimation.start import WarmStart
@@ -141,6 +142,7 @@ def rbps_em(  # noqa: PLR0913
     compared = expect.compared if recover else None
     found = iterate(model, expect, loop, start, likelihood, ascent, compared)
     note = f" {start.note}" if start is not None and start.note else ""
+    note += remark(given, found, all_series)
     return replace(found, model=given, message=found.message + note)
 
 
@@ -208,7 +210,8 @@ def rts_em(
     ascent = _ascent(likelihood, model.free_indices(free), tolerance, True) if newton else None
     expect = rts_step(model, all_series)
     found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent)
-    return replace(found, model=given)
+    message = found.message + remark(given, found, all_series)
+    return replace(found, model=given, message=message)
 
 
 def _is_newton(method: str) -> bool:
@@ -227,6 +230,12 @@ def _ascent(
     worth = np.inf if tolerance is None else WORTH * tolerance
     information = partial(likelihood.information, indices=indices)
     return Ascent(likelihood.model, indices, information, likelihood.rows, worth, exact)
+
+
+def remark(model: MixedModel, found: EmResult, all_series: Sequence[Series]) -> str:
+    """What is to be said of the model's steps at an estimate, after a space; "" where there is none."""
+    said = about_predictions(model, found.theta, all_series) if found.outcome.success else ""
+    return f" {said}" if said else ""
 
 
 def scaled(

@@ -16,7 +16,7 @@ import numpy as np
 from engine.data.series import Series, as_series_list
 from engine.errors import OptionError
 from engine.estimation.e_steps import ParticleStep
-from engine.estimation.em import Checkpoint, EmResult, scaled
+from engine.estimation.em import Checkpoint, EmResult, remark, scaled
 from engine.estimation.em_loop import Callback, Loop, iterate
 from engine.estimation.expectation import expectation
 from engine.estimation.general_em import trajectory_q
@@ -140,7 +140,8 @@ def ps_em(  # noqa: PLR0913
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)
     compared = expect.compared if recover else None
     found = iterate(model, expect, loop, likelihood=likelihood, compared=compared)
-    return replace(found, model=given)
+    note = "" if isinstance(given, NonlinearModel) else remark(given, found, all_series)
+    return replace(found, model=given, message=found.message + note)
 
 
 def _trajectories(

@@ -18,6 +18,7 @@ from scipy.optimize import OptimizeResult
 from engine.data.series import Series, as_series_list
 from engine.simulation.free_run import FreeRun, free_run
 from engine.simulation.problem import FreeRunProblem
+from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
@@ -223,6 +224,7 @@ def fit_simulation(
         _ended(best, len(tried) if stopped else 0),
         *_remarks(problem.names(problem.silent), tied, bool(problem.uncertain.size)),
         held_by_bounds(model.at_bounds(theta, estimated)),
+        about_free_runs(model, theta, listed, x1),
     ]
     return SimulationFit(
         model=model,

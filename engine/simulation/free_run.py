@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +12,7 @@ from scipy.optimize import least_squares
 from engine.data.series import Series
 from engine.errors import OptionError, SeriesError
 from engine.simulation.simulate import check_finite, noise, propagate
+from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.views import Figures, Shown, View, figures, plots, sheet, tables
@@ -59,6 +61,12 @@ class FreeRun(Shown):
         """Root mean square of all residuals, in the outputs' unit."""
         return self.rmse_from(0)
 
+    @cached_property
+    def note(self) -> str:
+        """A sentence where the model's steps are too long for this run; "" where they are not."""
+        x1 = np.concatenate((self.a[:1], self.z[:1]), axis=1)
+        return about_free_runs(self.model, self.theta, [self.series], x1)
+
     def rmse_from(self, row: int) -> float:
         """The same, leaving out the samples before ``row``."""
         return float(np.sqrt(np.nanmean(self.residuals[row:] ** 2)))
@@ -90,6 +98,7 @@ class FreeRun(Shown):
         return sheet(
             f"{self.model.name}: free run over {len(self.series)} samples",
             tables().table(("output", "rms error", "unit"), rows),
+            tables().line(self.note),
         )
 
 

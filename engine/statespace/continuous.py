@@ -1,4 +1,4 @@
-"""Models written as differential equations, made discrete for whatever time step the data have.
+"""Models written as differential equations, made discrete for the time steps of the data.
 
 With x = (a, z), inputs held over a step and E dw dw' = Qc dt,
 
@@ -12,6 +12,7 @@ is linear, and discretised exactly by :func:`engine.discretize` (van Loan). So z
 rate reaches what it is the rate of within the step, and a stiff but stable equation cannot run away. A
 linear model is exact for any dt. Else the error of a run falls as dt^2 where A does not depend on a, as
 dt where it does, and a series may be refined (:meth:`engine.Series.refined`), as a diagnosis does by itself.
+Fits, estimations and free runs say where it should be.
 
 Source: T. Ozaki, "A bridge between nonlinear time series models and nonlinear stochastic dynamical
 systems: a local linearization approach", Statistica Sinica 2 (1992) 113-135.
@@ -42,7 +43,10 @@ def continuous(
     jacobian: Matrix | None = None,
     **fields: Any,
 ) -> MixedModel:
-    """A model given by differential equations, discretised for whatever time step the data have.
+    """A model given by differential equations, discretised for the time steps of the data.
+
+    One step a sample is exact for linear equations. Others may need several: ``series.refined(k)`` makes k, and
+    results say where one is too long.
 
     Parameters
     ----------

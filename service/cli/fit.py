@@ -20,7 +20,7 @@ from service.cli.state import Asked, Recorder
 from service.cli.state_file import StateFile, read
 from service.problems import Problem
 from service.schemas import EstimateOptions, EstimateParameters, EstimateRequest, ModelReference
-from service.validation import Prepared
+from service.validation import Prepared, one_step
 
 
 def fit(asked: Asked, state: Path | None, as_json: bool, quiet: bool) -> None:
@@ -81,7 +81,10 @@ def _prepare(asked: Asked, shown: Meter) -> Prepared:
         parameters=EstimateParameters(),
         options=EstimateOptions.model_validate(asked, from_attributes=True),
     )
-    return Prepared(request, job.model, job.series, job.theta, job.free, job.test)
+    if asked.substeps > 1 and not job.model.continuous:
+        raise wrong(f"--substeps {one_step(job.model, asked.substeps)}")
+    series, test = ([x.refined(asked.substeps) for x in some] for some in (job.series, job.test))
+    return Prepared(request, job.model, series, job.theta, job.free, test)
 
 
 @contextmanager

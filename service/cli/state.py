@@ -37,6 +37,7 @@ class Asked(Experiment):
     intervals: str = "symmetric"
     starts: int = 1
     bootstrap: int = 0
+    substeps: int = 1
 
 
 class Recorder:

@@ -565,6 +565,17 @@ def test_an_exact_method_for_a_model_that_is_not_linear_is_wrong_usage(rbps, tmp
     assert "use quasi-newton" in result.stderr
 
 
+def test_steps_that_are_too_long_are_said_and_may_be_made_shorter(rbps, run, tmp_path):
+    assert rbps("new", "pendulum.py").exit_code == 0
+    command = "simulate -m pendulum.py --excite torque=steps:20:1 -n 60 --dt 0.25 -o coarse.csv"
+    assert rbps(*command.split()).exit_code == 0
+    asked = "fit", "coarse.csv", "-m", "pendulum.py", "--method", "simulation", "--json"
+    assert "with 2 steps a sample the free run changes by" in rbps(*asked).json()["message"]
+    assert "with 2 steps" not in rbps(*asked, "--substeps", 8).json()["message"]
+    refused = rbps("fit", run, "-m", "linear-2", "--substeps", 2)
+    assert refused.exit_code == 2
+
+
 def test_a_column_that_may_hold_the_times_is_pointed_out(rbps, flows, tmp_path):
     """A step of 1 that nobody asked for is said, and with which column it would not be."""
     lines = (tmp_path / flows).read_text().splitlines()

@@ -81,3 +81,41 @@ def test_em_leaves_from_it(client, ended, request_, starts):
         first = found["starts"][0]
         assert first["trace"]["theta"][name][0] == first["start"][name] == least.theta[name]
         assert found["starts"][1]["start"][name] != least.theta[name]
+
+
+def test_it_makes_as_many_steps_a_sample_as_are_asked_for(client, ended, request_):
+    """The oscillator's are exact: nothing changes, and results are at the samples."""
+    _, request = request_
+    more = request | {"options": request["options"] | {"substeps": 4}}
+    plain, fine = (
+        client.get(f"{url}/results").json()
+        for url in (client.post("/jobs", json=one).headers["location"] for one in (request, more))
+        if ended(client, url)["status"] == "successful"
+    )
+    for name, one in plain["estimate"].items():
+        assert fine["estimate"][name]["value"] == pytest.approx(one["value"], rel=1e-4)
+    assert fine["rmse"] == pytest.approx(plain["rmse"], rel=1e-4)
+    (run,), (other,) = (one["simulation"]["series"] for one in (fine, plain))
+    np.testing.assert_allclose(run["t"], other["t"], rtol=1e-12)
+    assert "steps" not in plain["message"]
+
+
+def test_steps_that_are_too_long_are_said_and_those_of_other_models_refused(client, ended):
+    """Tanks that empty within a few steps."""
+    request = {
+        "kind": "simulate",
+        "model": "tanks",
+        "series": [{"u": [4.0] * 20, "dt": 40.0}],
+        "options": {"mode": "free-run"},
+    }
+    url = client.post("/jobs", json=request).headers["location"]
+    job = ended(client, url)
+    assert "The model's steps are too long for these data" in job["message"]
+    assert client.get(f"{url}/results").json()["message"] == job["message"]
+    more = request | {"options": {"mode": "free-run", "substeps": 16}}
+    finer = ended(client, client.post("/jobs", json=more).headers["location"])
+    assert "with 2 steps a sample" not in finer["message"]
+    other = more | {"model": "mixed-4", "series": [{"dt": 1.0}]}
+    answer = client.post("/jobs", json=other | {"options": {"samples": 20, "substeps": 2}})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"] == "options.substeps"

@@ -22,7 +22,8 @@ from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.rounds import MARGIN, Round, settle
 from engine.diagnose.search.substeps import can_be_finer
 from engine.errors import EngineError
-from engine.estimation.quasi_ml import QuasiFit, quasi_ml, whitening
+from engine.estimation.long_steps import apart as predictions_apart
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array, MixedModel
 
@@ -120,7 +121,4 @@ def apart(
 ) -> float:
     """Squared differences of one-step predictions at the samples, in their own scatter, summed."""
     one, two = (moment_filter(m, theta, s) for m, s in ((model, series), (other, finer)))
-    here, there = series.samples, finer.samples
-    root = whitening(one.S[here, 0], series.observed[here])
-    change = np.nan_to_num(one.innovations[here, 0] - two.innovations[there, 0])
-    return float((np.einsum("tij,tj->ti", root, change) ** 2).sum())
+    return predictions_apart(one, series, two, finer)

@@ -21,12 +21,11 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.rates import Points, step
 from engine.diagnose.effects.setting import ON_TIME, Setting, setting_for
 from engine.diagnose.records import Records
-from engine.diagnose.symptoms.runs import noise_free, start_state
+from engine.diagnose.symptoms.runs import start_state
 from engine.errors import EngineError
+from engine.simulation.step_length import FREE_RUN, MOST, change_of_run, run_at_samples
 from engine.statespace.model import Array, MixedModel
 
-MOST = 16  # steps a sample
-FREE_RUN = 0.1  # of its residual: change of the free run that is small enough
 BY_EFFECT = 0.05  # of what an effect does to the outputs: error that is small enough
 MOSTLY = 0.75  # share of the effects of which it must be so small
 STRETCH = 60  # samples over which that is looked at
@@ -166,9 +165,9 @@ def choose(setting: Setting, series: Series, theta: Array) -> int:
         return 1
     part = series.part(0, min(len(series), STRETCH))
     effects = _sized(setting, theta)
-    run, done = _run(model, theta, series, x1), _done(setting, theta, effects, part, x1)
+    run, done = run_at_samples(model, theta, series, x1), _done(setting, theta, effects, part, x1)
     while k < MOST:
-        finer_run = _run(model, theta, series.refined(2 * k), x1)
+        finer_run = run_at_samples(model, theta, series.refined(2 * k), x1)
         finer = _done(setting, theta, effects, part.refined(2 * k), x1)
         if _same_run(series, run, finer_run) and _same_effects(done, finer):
             break
@@ -182,7 +181,7 @@ def is_enough(model: MixedModel, theta: Array, series: Series, k: int) -> bool:
         x1, _ = start_state(model, theta, series.refined(k))
     except (EngineError, np.linalg.LinAlgError):
         return True
-    one, other = (_run(model, theta, series.refined(n), x1) for n in (k, 2 * k))
+    one, other = (run_at_samples(model, theta, series.refined(n), x1) for n in (k, 2 * k))
     return bool(np.isfinite([one, other]).all()) and _same_run(series, one, other)
 
 
@@ -198,15 +197,8 @@ def are_too_long(
     for k in (series.substeps, 2 * series.substeps):
         fine = plain.refined(k)
         extended = extend(model, names, setting_for(model, fine, theta[: len(model.parameters)]))
-        runs.append(_run(extended, theta, fine, x1))
+        runs.append(run_at_samples(extended, theta, fine, x1))
     return bool(np.isfinite(runs).all()) and not _same_run(plain, runs[0], runs[1], MUCH)
-
-
-def _run(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
-    """The noise-free run at the samples (T, ny), not finite where it is lost."""
-    with np.errstate(all="ignore"):
-        y, _ = noise_free(model, theta, series, x1)
-    return np.asarray(y[series.samples])
 
 
 def _done(
@@ -214,21 +206,17 @@ def _done(
 ) -> list[Array]:
     """What each effect, at its size, does to the outputs of the free run."""
     states = list(setting.states)
-    without, out = _run(setting.model, theta, series, x1), []
+    without, out = run_at_samples(setting.model, theta, series, x1), []
     for effect, size in effects:
         extended = effect.apply(setting.model)
         order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
         own = np.array([*theta, size, *effect.probes[0]])
-        out.append(_run(extended, own, series, x1[order]) - without)
+        out.append(run_at_samples(extended, own, series, x1[order]) - without)
     return out
 
 
 def _same_run(series: Series, one: Array, other: Array, share: float = FREE_RUN) -> bool:
-    if not (np.isfinite(one).all() and np.isfinite(other).all()):
-        return True
-    change = np.sqrt(np.mean((other - one) ** 2, axis=0))
-    residual = np.sqrt(np.nanmean((series.y - one) ** 2, axis=0))
-    return bool((change <= share * residual).all())
+    return not change_of_run(series, one, other) > share
 
 
 def _same_effects(one: list[Array], other: list[Array]) -> bool:

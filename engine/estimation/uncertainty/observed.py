@@ -26,6 +26,7 @@ import numpy as np
 from engine.data.series import Series, as_series_list
 from engine.distributions import chi2_quantile, normal_quantile
 from engine.errors import ModelError, NotSettledWarning
+from engine.estimation.long_steps import about_predictions
 from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.score import Score, inside
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
@@ -82,6 +83,9 @@ class StandardErrors:
         its Monte Carlo noise, or where the likelihood draws a parameter away from the bound that holds it.
     warning : str
         A sentence where it is not settled, and the errors are none of an estimate; else "".
+    note : str
+        A sentence where the model's steps are too long for the data: errors then say nothing of what the steps
+        get wrong; else "".
     """
 
     model: MixedModel
@@ -94,6 +98,7 @@ class StandardErrors:
     decrement: float = 0.0
     settled: bool = True
     warning: str = ""
+    note: str = ""
 
     @property
     def values(self) -> Array:
@@ -119,7 +124,7 @@ class StandardErrors:
         ]
         head = ("parameter", "estimate", "standard error", "95 % from", "to", "unit")
         title = f"{self.model.name}: standard errors"
-        return html(title, tables().line(self.warning), tables().table(head, rows))
+        return html(title, tables().line(self._said), tables().table(head, rows))
 
     def __str__(self) -> str:
         low, high = self.interval().T
@@ -131,7 +136,11 @@ class StandardErrors:
                 self.model.parameters, self.theta.tolist(), self.values, low, high, strict=True
             )
         ]
-        return "\n".join([*rows, *([self.warning] if self.warning else [])])
+        return "\n".join([*rows, *([self._said] if self._said else [])])
+
+    @property
+    def _said(self) -> str:
+        return " ".join(one for one in (self.warning, self.note) if one)
 
 
 def standard_errors(
@@ -219,7 +228,17 @@ def standard_errors(
     mean = scores.mean(axis=0)
     error = scores.std(axis=0, ddof=min(len(scores) - 1, 1)) / np.sqrt(len(scores))
     return StandardErrors(
-        model, theta, names, covariance, mean, error, relative, decrement, settled, warning
+        model=model,
+        theta=theta,
+        names=names,
+        covariance=covariance,
+        score=mean,
+        score_error=error,
+        relative_error=relative,
+        decrement=decrement,
+        settled=settled,
+        warning=warning,
+        note=about_predictions(model, theta, all_series),
     )
 
 

@@ -83,6 +83,15 @@ def fit(
             help="Standard errors and intervals from N estimations on simulated data instead.",
         ),
     ] = 0,
+    substeps: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=1,
+            max=64,
+            help="Steps that differential equations make from one sample to the next.",
+        ),
+    ] = 1,
     name: options.Name = "",
     tags: options.Tags = [],  # noqa: B006
     out: options.Out = None,

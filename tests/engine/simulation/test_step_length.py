@@ -1,0 +1,117 @@
+"""Models that make too long a step say so where they are run or fitted, and the advice they give holds."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import engine
+from engine.models.oscillator import MODEL as OSCILLATOR
+from engine.simulation.step_length import about_free_runs, change_of_run, too_long
+
+TOO_LONG = "The model's steps are too long for these data: with 2 steps a sample "
+
+
+def pendulum(**changes):
+    """Swings widely with a period of a second; d and w2 are unknown."""
+    fields = {
+        "name": "pendulum", "kinematic": ["angle"],
+        "nonlinear": {"angle": "rad"}, "linear": {"rate": "rad/s"}, "outputs": {"y": "rad"},
+        "drift": lambda a, u, t, th: ([0.0, -th.w2 * np.sin(a[:, 0])], [[1.0], [-th.d]]),
+        "diffusion": lambda a, u, t, th: np.diag([0.0, th.q]),
+        "measurement": lambda a, u, t, th: ([a[:, 0]], [[0.0]], [[th.r]]),
+        "initial": lambda th: (engine.Gaussian([1.5], [[0.01]]), [0.0], [[0.01]]),
+        "parameters": [
+            engine.Parameter("w2", 38.0, "1/s^2", (0.0, 1e3)), engine.Parameter("d", 0.1, "1/s", (0.0, 5.0)),
+            engine.Parameter("q", 1e-3, "", (1e-12, 10.0)), engine.Parameter("r", 1e-3, "", (1e-8, 1.0)),
+        ],
+    }  # fmt: skip
+    return engine.continuous(**{**fields, **changes})
+
+
+@cache
+def swings(dt=0.1):
+    """By SciPy, with w2 = 40, d = 0.2 and readings to 0.02 rad."""
+    t = np.arange(0.0, 6.0, dt)
+    y = solve_ivp(
+        lambda t, x: [x[1], -40.0 * np.sin(x[0]) - 0.2 * x[1]],
+        (0.0, t[-1]), [1.5, 0.0], t_eval=t, rtol=1e-9, atol=1e-10,
+    ).y[0]  # fmt: skip
+    return engine.Series(y + 0.02 * np.random.default_rng(0).standard_normal(len(t)), dt=dt)
+
+
+def advised(message):
+    assert TOO_LONG in message
+    return int(re.search(r"Use series\.refined\((\d+)\)", message).group(1))
+
+
+def test_a_fit_says_so_and_is_right_with_the_steps_that_it_advises():
+    model, series = pendulum(), swings()
+    coarse = engine.fit_simulation(model, series, n_starts=0)
+    assert coarse.theta["d"] - 0.2 > 10.0 * coarse.standard_errors["d"]
+    assert "the free run changes by " in coarse.message
+    fine = engine.fit_simulation(model, series.refined(advised(coarse.message)), n_starts=0)
+    assert "steps" not in fine.message
+    for name, value in (("w2", 40.0), ("d", 0.2)):
+        assert abs(fine.theta[name] - value) < 4.0 * fine.standard_errors[name]
+
+
+def test_several_records_are_told_by_the_worst():
+    model, both = pendulum(), [swings(0.01), swings(0.1)]
+    x1 = np.tile([1.5, 0.0], (2, 1))
+    theta = model.theta({"w2": 40.0, "d": 0.2})
+    assert about_free_runs(model, theta, both[:1], x1) == ""
+    assert TOO_LONG in about_free_runs(model, theta, both, x1)
+
+
+def test_a_free_run_says_so_with_readings_and_without():
+    model, truth = pendulum(), {"w2": 40.0, "d": 0.2}
+    run = engine.free_run(model, truth, swings())
+    assert advised(run.note) > 1
+    assert "of its error" in run.note
+    assert "too long" in str(run)
+    blind = engine.Series(np.full(60, np.nan), dt=0.1)
+    assert "of its spread" in engine.free_run(model, truth, blind).note
+    assert engine.free_run(model, truth, blind.refined(16)).note == ""
+    wild = engine.Series(np.full(60, np.nan), dt=0.3)
+    told = engine.free_run(model, truth, wild).note
+    assert "Even series.refined(16) does not do" in told or advised(told) == 16
+
+
+def test_what_has_no_shorter_steps_or_needs_none_says_nothing():
+    series = engine.simulate(
+        OSCILLATOR, None, 100, np.random.default_rng(0), u=np.ones(100), dt=0.3
+    ).series
+    assert engine.free_run(OSCILLATOR, None, series).note == ""
+    assert "steps" not in engine.fit_simulation(OSCILLATOR, series, n_starts=0).message
+    mixed = engine.get_model("mixed-4")
+    assert not mixed.continuous
+    series = engine.simulate(mixed, None, 50, np.random.default_rng(0)).series
+    assert engine.free_run(mixed, None, series).note == ""
+
+
+def test_how_many_steps_are_enough():
+    def falling(k):
+        return 4.0 * 0.25 ** np.log2(k)
+
+    assert too_long(falling, 1, 5.0) is None
+    assert too_long(falling, 1, 2.0) == (4.0, 4)  # of a change that is small enough, a part
+    assert too_long(falling, 4, 0.2) == (0.25, 16)
+    assert too_long(lambda k: 1.0, 1, 0.1) == (1.0, 0)
+    assert too_long(lambda k: np.nan, 1, 0.1) is None
+
+
+def test_a_change_is_a_share_of_the_residual_of_its_output():
+    y = np.array([[1.0, np.nan, 3.0], [-1.0, np.nan, 3.0], [1.0, np.nan, 3.0]])
+    one = np.array([[0.0, 0.0, 3.0], [0.0, 1.0, 3.0], [0.0, 2.0, 3.0]])
+    series = engine.Series(y)
+    assert change_of_run(series, one, one + np.array([0.5, 0.0, 0.0])) == pytest.approx(0.5)
+    assert change_of_run(series, one, one + np.array([0.0, 0.1, 0.0])) == pytest.approx(
+        1.0 / one[:, 1].std()
+    )
+    assert change_of_run(series, one, one + np.array([0.0, 1e-10, 0.0])) == 0.0
+    assert np.isnan(change_of_run(series, one, np.full_like(one, np.nan)))
