@@ -36,13 +36,14 @@ below the 0.0063 mm of the reference. Two steps a sample were chosen for what wa
 with one. The direct path beside it is not in the truth: it is worth 0.009 mm where the force is 100 N, about
 what a step gets wrong of a force that goes straight from sample to sample.""",
     "battery": """\
-As documented, with something beside it: the missing pair of R and C (`path:current->voltage`) has 2.53 +- 0.15
-mOhm and 92 +- 9 s, where the README's fit to all rows has 2.44 mOhm and 109 s, and R0 falls from 2.13 to 1.85
-mOhm, which is its value there. Beside it comes a slow drift of the charge or a bent sensor, a set, 4.5e-6 1/s, which
-is not documented. The likelihood searched all rows, as the stretch that it searches otherwise tells nothing of 10
-of the 15 entries of the table. This rule was made after this record had been looked at; before, these entries kept
-their start values, and the answer was `unknown`. From the first states that were fitted the error falls from 36 to
-14 mV, see 4; the table has first states estimated on rows that are not scored, as for all records.""",
+As documented, with something beside it: the missing pair of R and C (`path:current->voltage`) has 2.53 +-
+0.15 mOhm and 92 +- 9 s, where the README's fit to all rows has 2.44 mOhm and 109 s, and R0 falls from 2.13 to
+1.85 mOhm, which is its value there. Beside it comes a slow drift of the charge or a bent sensor, a set,
+4.5e-6 1/s, which is not documented. The likelihood searched all rows, as the stretch that it searches
+otherwise tells nothing of 10 of the 15 entries of the table. This rule was made after this record had been
+looked at; before, these entries kept their start values, and the answer was `unknown`. From the first states
+that were fitted the error falls from 36 to 14 mV, see 4; the table has first states estimated on rows that
+are not scored, as for all records.""",
     "tanks": """\
 As documented: the upper tank overflows into the lower one, the outflow is not a square root, and readings stop;
 the first two as a set, since a record of one experiment does not tell how the surplus is shared and what else
