@@ -91,7 +91,8 @@ def iterate(
     if last is None and log.k:  # all was done before: the last iteration again, for what it said
         last = steps.move(log.k, log.trace[-2], log.memory[:-1], steps.least(log.rows[:-1]))
     names = tuple(model.parameter_names[i] for i in indices)
-    found = log.result(names, outcome, last)
+    ties = "" if last is None or outcome is Outcome.DIVERGED else steps.ties(last)
+    found = log.result(names, outcome, last, ties)
     if compared is None or likelihood is None or not log.k or outcome is Outcome.DIVERGED:
         return found
     return looked_back(found, likelihood.of, compared, likelihood.rows, loop.seed)
@@ -221,6 +222,18 @@ class _Steps:
             found[1],
         )
 
+    def ties(self, last: _Maximized) -> str:
+        """Which of the parameters that it moved are only determined together, in a sentence."""
+        silent = last.not_moved(list(self.indices))
+        moved = np.array([k for k in self.indices if last.at.names[k] not in silent], np.intp)
+        if self.likelihood is None or not moved.size:
+            return ""
+        try:
+            complete = score_of(last.q, last.at, moved, self.likelihood)[1]
+        except ModelError:
+            return ""
+        return self.likelihood.ties(last.at, moved, complete)
+
     def m_step(self, expected: _Expected) -> _Maximized:
         """theta_k = arg max Q; what enters without noise is moved by the likelihood instead."""
         seen, at, q = expected.seen, expected.at, expected.origin.q
@@ -309,7 +322,9 @@ class _Log:
         scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
         return has_settled(trace[:, indices], scale, tolerance)
 
-    def result(self, names: tuple[str, ...], outcome: Outcome, last: _Maximized | None) -> EmResult:
+    def result(
+        self, names: tuple[str, ...], outcome: Outcome, last: _Maximized | None, ties: str
+    ) -> EmResult:
         trace = np.array([np.asarray(row) for row in self.trace])
         log_likelihood, ess, seconds, collapsed = np.array(self.rows).reshape(-1, 4).T
         theta = trace[-1]
@@ -336,6 +351,7 @@ class _Log:
                 f" Not estimated, as the likelihood does not depend on them here or cannot be had: "
                 f"{', '.join(stuck)}. Hold them fixed (free=), or start elsewhere."
             )
+        message = f"{message} {ties}".rstrip()
         estimate = Theta(theta, self.model.parameter_names)
         if outcome is not Outcome.DIVERGED:
             held = held_by_bounds(self.model.at_bounds(estimate, names))

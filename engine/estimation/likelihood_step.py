@@ -20,6 +20,7 @@ from engine.errors import ModelError
 from engine.estimation.maximization import Objective
 from engine.estimation.quasi_ml import derivatives, log_likelihoods, quasi_ml
 from engine.statespace.model import Array, MixedModel, Theta
+from engine.ties import FLAT, flat_directions, ties_in_words
 
 LIKELIHOOD_STEPS = 10  # at most; near the maximum it is one, or none
 
@@ -72,6 +73,18 @@ class LikelihoodStep:
             return None
         return found if np.isfinite(value) else None
 
+    def ties(self, theta: Theta, indices: NDArray[np.intp], complete: Array) -> str:
+        """Which parameters are surely only determined together, in a sentence; empty where none are.
+
+        ``complete`` (n, n) is the complete-data information in the parameters ``indices`` (n,).
+        """
+        found = self.information(np.asarray(theta), indices)
+        if found is None:
+            return ""
+        flat = flat_directions(found)
+        surely = surely_flat(flat, found, complete)[2]
+        return ties_in_words([theta.names[i] for i in indices], flat[:, surely])
+
     def score(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Array, Array]:
         """Gradient (n,) and information (n, n) in the parameters ``indices``. Raises ModelError."""
         value, gradient, information = derivatives(
@@ -84,6 +97,23 @@ class LikelihoodStep:
                 "likelihood, which alone could tell how well it is known, is not finite here"
             )
         return gradient, information
+
+
+def surely_flat(
+    flat: Array, information: Array, complete: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Of directions ``flat`` that the likelihood's information (n, n) does not hold, in its units.
+
+    First the same in the parameters' units (n, m), then the complete-data information (m,) along each if its
+    parameters were independent, then in which (m,) even complete data hold next to nothing. An approximate
+    likelihood may be blind to the others.
+    """
+    held = np.diag(information)
+    most = np.where(held > 0.0, held, np.maximum(np.diag(complete), np.finfo(float).tiny))
+    along = flat / np.sqrt(most)[:, None]
+    scale = (along**2 * np.diag(complete)[:, None]).sum(axis=0)
+    there = np.einsum("ik,ij,jk->k", along, complete, along)
+    return along, scale, np.asarray(there <= FLAT * scale)
 
 
 def score_of(

@@ -27,6 +27,7 @@ from engine.filters.sigma_point import free_thetas, moment_filter
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
+from engine.ties import flat_directions, tied, ties_in_words
 
 DIFFERENCE = 1e-4  # of a parameter's scale, for central differences
 TRIES = 2.0 ** -np.arange(0.0, 9.0, 1.0)  # step lengths
@@ -79,8 +80,23 @@ class QuasiFit:
 
     @property
     def standard_errors(self) -> Array:
-        """Of the free parameters (n,), from the information; inf where there is none."""
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+        """Of the free parameters (n,), from the information; inf where there is none and for the tied."""
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.asarray(np.where(tied(self._flat), np.inf, errors))
+
+    @property
+    def tied(self) -> tuple[str, ...]:
+        """Free parameters that the data only determine together; nothing can be said of one alone."""
+        return tuple(name for name, yes in zip(self.free, tied(self._flat), strict=True) if yes)
+
+    @property
+    def ties(self) -> str:
+        """The same in a sentence, with what to do; empty where there are none."""
+        return ties_in_words(self.free, self._flat)
+
+    @property
+    def _flat(self) -> Array:
+        return flat_directions(self.information)
 
     def log_terms(self, series: Series) -> Array:
         """One-step predictive log-densities (T,) of a series under the fitted model."""

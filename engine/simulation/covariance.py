@@ -2,30 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.statespace.model import Array
+from engine.ties import FLAT, tied
 
-FLAT = 1e-4  # a direction this much weaker than the strongest is lost in the differences
-TIED = 0.05  # share of such a direction from which a parameter is only determined with others
+WEAK = 1e-3  # a direction this much weaker than the strongest is held against its differences' noise,
+CLEAR = 5.0  # which it exceeds by this factor where it is known
 LONGEST = 0.97  # correlation of one row with the next, at most, that decides how many are weighed
 
 
 @dataclass(frozen=True)
 class Determined:
-    """Covariance (n_p, n_p) of p, and which components (n_p,) the data only determine together."""
+    """Covariance (n_p, n_p) of p, and the directions (n_p, m) that the data do not determine."""
 
     covariance: Array
-    tied: NDArray[np.bool_]
+    directions: Array
+
+    @property
+    def tied(self) -> NDArray[np.bool_]:
+        """Which components (n_p,) the data only determine together."""
+        return tied(self.directions)
 
 
 def run_covariance(
-    e: Array, J: Array, record: NDArray[np.intp], row: NDArray[np.intp]
+    e: Array,
+    J: Array,
+    record: NDArray[np.intp],
+    row: NDArray[np.intp],
+    wider: Callable[[], Array] | None = None,
 ) -> Determined:
     """Covariance of least squares with residuals e (n,), derivatives J (n, n_p), of rows of records.
+
+    ``wider`` takes the derivatives by differences over other distances; what they differ by is noise.
 
     (J'J)^-1 S (J'J)^-1 with S = sum over lags of w_k sum_t s_t s_{t+k}', s_t = J_t' e_t the score of a row:
     weights and their number as of Newey and West (1987) and Andrews (1991).
@@ -35,8 +48,12 @@ def run_covariance(
     lengths[lengths == 0.0] = 1.0
     scaled = J / lengths
     _, s, Vt = np.linalg.svd(scaled, full_matrices=False)
-    weak = s < FLAT * s.max(initial=0.0)
-    tied = np.abs(Vt[weak]).max(axis=0, initial=0.0) > TIED
+    strongest = s.max(initial=0.0)
+    weak = s < FLAT * strongest
+    doubtful = ~weak & (s < WEAK * strongest)
+    if wider is not None and doubtful.any():
+        noise = np.linalg.norm((scaled - wider() / lengths) @ Vt.T, axis=0)
+        weak |= doubtful & (s < CLEAR * noise)
     half = Vt[~weak].T / s[~weak]
     bread = half @ half.T
     each = [
@@ -45,7 +62,7 @@ def run_covariance(
     ]
     middle = np.asarray(sum((_long_run(scores) for scores in each), np.zeros((n_p, n_p))))
     covariance = bread @ middle @ bread * (n / max(n - n_p, 1))
-    return Determined(covariance / np.outer(lengths, lengths), tied)
+    return Determined(covariance / np.outer(lengths, lengths), Vt[weak].T)
 
 
 def _scores(values: Array, row: NDArray[np.intp]) -> Array:

@@ -22,6 +22,7 @@ from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
+from engine.ties import ties_in_words
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
 from engine.words import held_by_bounds, tidy
 
@@ -214,7 +215,7 @@ def fit_simulation(
     theta, x1 = problem.split(best.x)
     runs = _runs(model, theta, listed, x1)
     left = np.concatenate([run.residuals[run.series.observed] for run in runs])
-    found = problem.uncertainty(*problem.evaluate(best.x))
+    found = problem.uncertainty(*problem.evaluate(best.x), best.x)
     k = problem.active.size
     covariance = np.zeros((theta.size, theta.size))
     covariance[np.ix_(problem.active, problem.active)] = found.covariance[:k, :k]
@@ -222,7 +223,8 @@ def fit_simulation(
     tied = problem.names(problem.active[found.tied[:k]])
     parts = [
         _ended(best, len(tried) if stopped else 0),
-        *_remarks(problem.names(problem.silent), tied, bool(problem.uncertain.size)),
+        _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
+        ties_in_words(estimated, found.directions),
         held_by_bounds(model.at_bounds(theta, estimated)),
         about_free_runs(model, theta, listed, x1),
     ]
@@ -293,14 +295,9 @@ def _ended(best: OptimizeResult, stopped: int) -> str:
     return "All evaluations were used up before convergence."
 
 
-def _remarks(silent: tuple[str, ...], tied: tuple[str, ...], begun: bool) -> list[str]:
-    """What is to be said of some parameters; ``begun``: first states are among what is estimated."""
-    out = []
-    if silent:
-        own = " whose first states are estimated, too" if begun else ""
-        out.append(
-            f"No influence on a noise-free run{own}; left at the start: {', '.join(silent)}."
-        )
-    if tied:
-        out.append(f"Only determined together, keep one of them fixed: {', '.join(tied)}.")
-    return out
+def _silent_in_words(silent: tuple[str, ...], begun: bool) -> str:
+    """What does not matter to the run; ``begun``: first states are among what is estimated."""
+    if not silent:
+        return ""
+    own = " whose first states are estimated, too" if begun else ""
+    return f"No influence on a noise-free run{own}; left at the start: {', '.join(silent)}."

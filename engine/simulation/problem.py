@@ -27,6 +27,7 @@ from engine.simulation.whole_record import SHORTEST
 from engine.statespace.model import Array, MixedModel, Theta
 
 STEP = 1e-5  # finite-difference step as a share of a parameter's scale
+WIDER = 4.0  # times that: derivatives that differ there by much are noise of the model, as of adaptive steps
 REFINED = 4  # random starts that are followed
 TRIALS = 8  # sizes tried for a parameter of unknown scale
 PRECISE = 1e-7  # relative change of the cost or of p at which the search ends
@@ -66,6 +67,7 @@ class FreeRunProblem:
         self.x1 = np.tile(self.mean, (len(series), 1)) if x1 is None else x1
         self.uncertain = np.flatnonzero(self.spread > 0.0)
         self.evaluations = 0
+        self.step = STEP
         self.at_once = True  # derivatives along the run, not by differences of runs
         self.as_whole = [False] * len(series)  # whether those of the last evaluation were
         self.runs = list(runs or [None] * len(series))  # the last of each, to begin with
@@ -141,7 +143,7 @@ class FreeRunProblem:
 
     def steps(self) -> Array:
         """Finite-difference steps of the active parameters."""
-        return np.asarray(STEP * self.sizes[self.active])
+        return np.asarray(self.step * self.sizes[self.active])
 
     def descend(
         self,
@@ -192,14 +194,14 @@ class FreeRunProblem:
     def scales(self) -> Array:
         """Typical size of each component of p: of the parameters, and of the first states."""
         return np.concatenate(
-            (self.steps() / STEP, np.tile(self.spread[self.uncertain], len(self.series)))
+            (self.sizes[self.active], np.tile(self.spread[self.uncertain], len(self.series)))
         )
 
     def starts(self, n: int, rng: np.random.Generator) -> list[Array]:
         """theta0, and the best of n random vectors around it."""
         first, k = self.start(), self.active.size
         draws = np.tile(first, (n + 1, 1))
-        typical = self.steps() / STEP
+        typical = self.sizes[self.active]
         factor = np.exp(0.7 * rng.standard_normal((n, k)))
         shift = 0.1 * typical * rng.standard_normal((n, k)) * (first[:k] == 0.0)
         low, high = self.bounds()
@@ -331,7 +333,7 @@ class FreeRunProblem:
     def _by_differences(self, theta: Theta, x1: Array, one: Series) -> tuple[Array, Array]:
         """The same by central differences of runs; one-sided at a bound, NaN where one is not finite."""
         k, m = self.active.size, self.uncertain.size
-        h = STEP * self.spread[self.uncertain]
+        h = self.step * self.spread[self.uncertain]
         around = self._around(theta)
         thetas = np.concatenate((around, np.tile(around[0], (2 * m, 1))))
         x = np.tile(x1, (len(thetas), 1))
@@ -353,7 +355,7 @@ class FreeRunProblem:
         first rows of each record, which share ``LOOKED_AT``.
         """
         theta, x1 = self.split(self.start())
-        h = np.concatenate((self.steps(), STEP * self.spread[self.uncertain]))
+        h = np.concatenate((self.steps(), self.step * self.spread[self.uncertain]))
         k, m, begin, every = self.active.size, self.uncertain.size, 0, sum(map(len, self.series))
         for s, one in enumerate(self.series):
             own = jacobian[begin : begin + int(one.observed.sum())]
@@ -374,8 +376,21 @@ class FreeRunProblem:
                 return False
         return True
 
-    def uncertainty(self, e: Array, J: Array) -> Determined:
-        """Covariance of p from residuals (n,) and their derivatives (n, n_p) there."""
+    def uncertainty(self, e: Array, J: Array, p: Array | None = None) -> Determined:
+        """Covariance of p from residuals (n,) and their derivatives (n, n_p) there.
+
+        Given p, derivatives in weak directions are held against those over wider steps.
+        """
+        wider = None if p is None else lambda: self._over_wider_steps(p)
         places = [np.nonzero(one.observed)[0] for one in self.series]
         record = np.repeat(np.arange(len(places)), [len(rows) for rows in places])
-        return run_covariance(e, J, record, np.concatenate(places))
+        return run_covariance(e, J, record, np.concatenate(places), wider)
+
+    def _over_wider_steps(self, p: Array) -> Array:
+        """Derivatives (n, n_p) of the residuals at p by differences over WIDER times the steps."""
+        last, evaluations = self._last, self.evaluations
+        self.step, self._last = WIDER * STEP, None
+        try:
+            return self.evaluate(p)[1]
+        finally:
+            self.step, self._last, self.evaluations = STEP, last, evaluations

@@ -154,7 +154,8 @@ def likelihood_intervals(  # noqa: PLR0913
     OptionError
         The level is not between 0 and 1.
     ModelError
-        The data hold no information on a parameter, or the likelihood is not finite near the estimate.
+        The data hold no information on a parameter or only determine some together, or the likelihood is not
+        finite near the estimate.
     """
     if not 0.0 < level < 1.0:
         raise OptionError(f"level = {level:g}; a number between 0 and 1 is needed", "level")
@@ -165,6 +166,8 @@ def likelihood_intervals(  # noqa: PLR0913
             errors = standard_errors(
                 model, theta, series, free, n_particles, n_trajectories, seed=seed, exact=exact
             )
+    if errors.tied:
+        raise ModelError(f"there are no intervals: {errors.warning}")
     all_series = as_series_list(series, model)
     indices = np.array([model.index(name) for name in errors.names], dtype=np.intp)
     score = Score.of(model, theta, all_series, indices, n_particles, n_trajectories, exact)

@@ -28,8 +28,10 @@ from engine.distributions import chi2_quantile, normal_quantile
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.long_steps import about_predictions
 from engine.estimation.quasi_newton import bounded
-from engine.estimation.uncertainty.score import Score, inside
+from engine.estimation.uncertainty.score import Score, inside, shift_within
+from engine.estimation.uncertainty.ties import undetermined
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.ties import ties_in_words, tied, to_hold
 from engine.views import html, tables
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates
@@ -68,7 +70,8 @@ class StandardErrors:
     names : tuple of str
         The n free parameters that are not at a bound.
     covariance : array (n, n)
-        Covariance C of the named parameters, in their units.
+        Covariance C of the named parameters, in their units. Where some are ``tied`` it is that with as many
+        of them held as must be, whose rows are zero.
     score : array (n,)
         Derivatives s of the log-likelihood, which are zero at the maximum up to ``score_error``.
     score_error : array (n,)
@@ -82,10 +85,13 @@ class StandardErrors:
         Whether theta is a maximum of the likelihood. False where the decrement exceeds a quarter by more than
         its Monte Carlo noise, or where the likelihood draws a parameter away from the bound that holds it.
     warning : str
-        A sentence where it is not settled, and the errors are none of an estimate; else "".
+        What is to be known of the errors: that it is not settled, and they are none of an estimate; which
+        parameters are tied. Else "".
     note : str
         A sentence where the model's steps are too long for the data: errors then say nothing of what the steps
         get wrong; else "".
+    tied : tuple of str
+        Parameters that the data only determine together; nothing can be said of one alone.
     """
 
     model: MixedModel
@@ -99,16 +105,18 @@ class StandardErrors:
     settled: bool = True
     warning: str = ""
     note: str = ""
+    tied: tuple[str, ...] = ()
 
     @property
     def values(self) -> Array:
-        """Standard error of each parameter of the model (n_theta,); NaN for those held fixed."""
+        """Standard error of each parameter (n_theta,); NaN for those held fixed, infinite for those tied."""
         out = np.full(len(self.model.parameters), np.nan)
         out[[self.model.index(name) for name in self.names]] = np.sqrt(np.diag(self.covariance))
+        out[[self.model.index(name) for name in self.tied]] = np.inf
         return out
 
     def interval(self, level: float = 0.95) -> Array:
-        """Symmetric confidence intervals (n_theta, 2), NaN for parameters held fixed."""
+        """Symmetric confidence intervals (n_theta, 2), NaN for parameters held fixed, infinite for those tied."""
         half = float(normal_quantile(0.5 + level / 2.0)) * self.values
         return np.stack([np.asarray(self.theta) - half, np.asarray(self.theta) + half], axis=1)
 
@@ -119,7 +127,7 @@ class StandardErrors:
         rows = [
             (p.name, value, error, low, high, p.unit)
             if np.isfinite(error)
-            else (p.name, value, "held", "", "", p.unit)
+            else (p.name, value, self._remark(p.name), "", "", p.unit)
             for p, (value, error, (low, high)) in zip(self.model.parameters, numbers, strict=True)
         ]
         head = ("parameter", "estimate", "standard error", "95 % from", "to", "unit")
@@ -131,7 +139,7 @@ class StandardErrors:
         rows = [
             f"{p.name} = {value:.5g} +- {error:.2g} {p.unit}, 95 %: {a:.4g} to {b:.4g}"
             if np.isfinite(error)
-            else f"{p.name} = {value:.5g} {p.unit}, held"
+            else f"{p.name} = {value:.5g} {p.unit}, {self._remark(p.name)}"
             for p, value, error, a, b in zip(
                 self.model.parameters, self.theta.tolist(), self.values, low, high, strict=True
             )
@@ -141,6 +149,9 @@ class StandardErrors:
     @property
     def _said(self) -> str:
         return " ".join(one for one in (self.warning, self.note) if one)
+
+    def _remark(self, name: str) -> str:
+        return "tied to others" if name in self.tied else "held"
 
 
 def standard_errors(
@@ -157,7 +168,8 @@ def standard_errors(
     """Standard errors at an estimate; observed information by differences of the score.
 
     A free parameter at one of its bounds is held there. Where theta is no maximum of the likelihood the
-    result is not ``settled``, and a NotSettledWarning is given.
+    result is not ``settled``, and a NotSettledWarning is given. Parameters that the data only determine
+    together are ``tied``: their errors are infinite, and ``warning`` names them.
 
     Parameters
     ----------
@@ -217,9 +229,14 @@ def standard_errors(
             f"the data hold no information on {', '.join(silent)} at this theta; hold it fixed "
             "(free=) or choose other data"
         )
-    covariance, relative = (_guessed(score, H, seeds) if guessing else None) or _differences(
+    directions = undetermined(score, H, seed)
+    kept = np.delete(np.arange(len(names)), to_hold(directions))
+    score, H = replace(score, indices=score.indices[kept]), H[np.ix_(kept, kept)]
+    known, known_relative = (_guessed(score, H, seeds) if guessing else None) or _differences(
         score, H, np.random.SeedSequence(seed).spawn(most)
     )
+    covariance, relative = np.zeros((len(names), len(names))), np.zeros(len(names))
+    covariance[np.ix_(kept, kept)], relative[kept] = known, known_relative
     decrement, noise = _decrement(covariance, scores)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
@@ -237,8 +254,9 @@ def standard_errors(
         relative_error=relative,
         decrement=decrement,
         settled=settled,
-        warning=warning,
+        warning=" ".join(part for part in (warning, ties_in_words(names, directions)) if part),
         note=about_predictions(model, theta, all_series),
+        tied=tuple(name for name, yes in zip(names, tied(directions), strict=True) if yes),
     )
 
 
@@ -317,20 +335,11 @@ def _whitened_information(score: Score, L: Array, which: np.random.SeedSequence)
     for k in range(n):
         ends, lengths = [], []
         for sign in (-1.0, 1.0):
-            length = _within(x, sign * L[:, k], *score.bounds)
+            length = shift_within(x, sign * L[:, k], *score.bounds, REACH_ERRORS)
             ends.append(score.at(x + sign * length * L[:, k], which)[0])
             lengths.append(length)
         G[:, k] = L.T @ (ends[0] - ends[1]) / sum(lengths)
     return 0.5 * (G + G.T)
-
-
-def _within(x: Array, step: Array, lower: Array, upper: Array) -> float:
-    """The largest share (at most REACH_ERRORS) of a step that stays well within the bounds."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.where(
-            step > 0.0, (upper - x) / step, np.where(step < 0.0, (lower - x) / step, np.inf)
-        )
-    return float(min(REACH_ERRORS, 0.9 * room.min()))
 
 
 def _root(S: Array) -> Array:

@@ -96,6 +96,15 @@ def _remembered(moment: Callable[[Theta, Series], float]) -> Callable[[Theta, Se
     return remembered
 
 
+def shift_within(x: Array, step: Array, lower: Array, upper: Array, most: float) -> float:
+    """The largest share (at most ``most``) of a step from x (n,) that stays well within the bounds."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(
+            step > 0.0, (upper - x) / step, np.where(step < 0.0, (lower - x) / step, np.inf)
+        )
+    return float(min(most, 0.9 * room.min()))
+
+
 def inside(model: MixedModel, theta: Theta, free: Sequence[str] | None) -> NDArray[np.intp]:
     """Positions of the free parameters that are not at one of their bounds."""
     indices = model.free_indices(free)
