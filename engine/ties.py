@@ -57,7 +57,7 @@ def ties_in_words(names: Sequence[str], directions: Array) -> str:
     out = []
     for k in range(groups):
         own = where[of == k]
-        count = int(round(float((directions[own] ** 2).sum())))
+        count = round(float((directions[own] ** 2).sum()))
         out.append(_in_words([names[i] for i in own if i < len(names)], max(count, 1)))
     return " ".join(sentence for sentence in out if sentence)
 

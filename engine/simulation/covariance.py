@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from engine.statespace.model import Array
 from engine.ties import FLAT, tied
 
-WEAK = 1e-3  # a direction this much weaker than the strongest is held against its differences' noise,
+WEAK = (
+    1e-3  # a direction this much weaker than the strongest is held against its differences' noise,
+)
 CLEAR = 5.0  # which it exceeds by this factor where it is known
 LONGEST = 0.97  # correlation of one row with the next, at most, that decides how many are weighed
 

@@ -31,7 +31,7 @@ from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.score import Score, inside, shift_within
 from engine.estimation.uncertainty.ties import undetermined
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
-from engine.ties import ties_in_words, tied, to_hold
+from engine.ties import tied, ties_in_words, to_hold
 from engine.views import html, tables
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates
@@ -116,7 +116,7 @@ class StandardErrors:
         return out
 
     def interval(self, level: float = 0.95) -> Array:
-        """Symmetric confidence intervals (n_theta, 2), NaN for parameters held fixed, infinite for those tied."""
+        """Symmetric confidence intervals (n_theta, 2); NaN for parameters held, infinite for those tied."""
         half = float(normal_quantile(0.5 + level / 2.0)) * self.values
         return np.stack([np.asarray(self.theta) - half, np.asarray(self.theta) + half], axis=1)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
 import engine
 from engine import Gaussian, MixedModel, Parameter, Series
-from engine.errors import ModelError
+from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.quasi_ml import quasi_ml
 from engine.ties import flat_directions, tied, ties_in_words, to_hold
 
@@ -57,7 +59,10 @@ SERIES = record(PRODUCT)
 # c x is seen: another unit of x is another c, b and q, though no function has only their product
 UNIT = first_order(
     lambda x, u, th: (0.8 * x + th.b * u[0], th.q),
-    [Parameter(name, value, "", (1e-6, 9.0)) for name, value in (("b", 0.5), ("c", 0.8), ("q", 0.01))],
+    [
+        Parameter(name, value, "", (1e-6, 9.0))
+        for name, value in (("b", 0.5), ("c", 0.8), ("q", 0.01))
+    ],
     seen=lambda x, th: np.tanh(th.c * x),
 )
 
@@ -120,7 +125,9 @@ def test_estimations_say_so(method):
 
 def test_the_unit_of_a_hidden_state_is_found_with_particles():
     series = record(UNIT)
-    found = engine.standard_errors(UNIT, quasi_ml(UNIT, series).theta, series)
+    with warnings.catch_warnings():  # the moment filter's maximum is not theirs
+        warnings.simplefilter("ignore", NotSettledWarning)
+        found = engine.standard_errors(UNIT, quasi_ml(UNIT, series).theta, series)
     assert found.tied == ("b", "c", "q")
 
 
@@ -128,7 +135,8 @@ def test_what_only_particles_see_is_not_refused():
     """To the moment filter the readings' variance is one number, to which both parameters contribute."""
     series = engine.simulate(VOLATILITY, None, 200, np.random.default_rng(1)).series
     assert quasi_ml(VOLATILITY, series, max_iterations=0).tied == ("phi", "mu")
-    with pytest.warns() if False else np.errstate():
+    with warnings.catch_warnings():  # theta is not its maximum
+        warnings.simplefilter("ignore", NotSettledWarning)
         found = engine.standard_errors(VOLATILITY, None, series, n_particles=50)
     assert found.tied == ()
     assert np.isfinite(found.values).all()
@@ -141,7 +149,7 @@ NEAR = first_order(
 )
 
 
-@pytest.mark.parametrize(("apart", "correlation"), [(0.1, 0.99), (0.02, 0.9995), (1e-3, 0.9999995)])
+@pytest.mark.parametrize(("apart", "correlation"), [(0.1, 0.98), (0.02, 0.999), (1e-3, 0.999998)])
 def test_strongly_correlated_parameters_keep_their_errors(apart, correlation):
     """Two inputs that are nearly one: the errors are large, and right."""
     series = record(NEAR, 300, apart=apart)
