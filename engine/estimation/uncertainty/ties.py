@@ -21,9 +21,8 @@ from engine.ties import flat_directions
 
 REACH = 1.0  # length of differences, in the standard errors that complete data would leave
 SEEN_ERRORS = 3.0  # Monte Carlo errors by which information that particles see is above zero ...
-SEEN_SHARE = (
-    0.003  # ... and of the complete-data information, as the score bends along the direction
-)
+# ... and of the complete-data one: the score bends along the direction, as theta is not quite the maximum
+SEEN_SHARE = 0.015
 LITTLE = 0.03  # of it, at most, is there with 2 Monte Carlo errors where there is said to be none
 REPLICATES = 16  # smoothers that this takes at either end of each direction
 
