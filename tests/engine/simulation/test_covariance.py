@@ -1,4 +1,4 @@
-"""Weak directions of a free run's derivatives: what differences over other distances do not confirm is noise."""
+"""Weak directions of a free run's derivatives: what wider differences do not confirm is noise."""
 
 from __future__ import annotations
 
