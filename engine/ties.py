@@ -29,7 +29,7 @@ def flat_directions(information: Array) -> Array:
     known = diagonal > 0.0
     d = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(information * d[:, None] * d)
-    return np.asarray(vectors[:, values < FLAT**2 * values.max(initial=0.0)])
+    return np.asarray(vectors[:, values < FLAT**2 * values.max(initial=1.0)])
 
 
 def tied(directions: Array) -> NDArray[np.bool_]:
@@ -54,19 +54,16 @@ def ties_in_words(names: Sequence[str], directions: Array) -> str:
     where = np.flatnonzero(tied(directions))
     together = np.abs(shares @ shares.T) > TIED**2
     groups, of = connected_components(together, directed=False)
-    out = []
+    out, lost = [], []
     for k in range(groups):
         own = where[of == k]
-        count = round(float((directions[own] ** 2).sum()))
-        out.append(_in_words([names[i] for i in own if i < len(names)], max(count, 1)))
-    return " ".join(sentence for sentence in out if sentence)
-
-
-def _in_words(names: Sequence[str], count: int) -> str:
-    listed = ", ".join(names)
-    if not names:
-        return ""
-    if count < len(names):
-        how_many = "one" if count == 1 else str(count)
-        return f"Only determined together, keep {how_many} of them fixed: {listed}."
-    return f"Not determined by these data, keep fixed: {listed}."
+        count = max(round(float((directions[own] ** 2).sum())), 1)
+        found = [names[i] for i in own if i < len(names)]
+        if found and count < len(found):
+            many = "one" if count == 1 else str(count)
+            out.append(f"Only determined together, keep {many} of them fixed: {', '.join(found)}.")
+        else:
+            lost += found
+    if lost:
+        out.append(f"Not determined by these data, keep fixed: {', '.join(lost)}.")
+    return " ".join(out)

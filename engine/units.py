@@ -30,14 +30,16 @@ _IN_BRACKETS = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]+(?:\([^()]*\)[^\[\]()]*)
 
 
 Meaning = tuple[float, Powers]  # size in SI units, powers of them
+_DEGREES = re.compile(r"\bdeg\.?\s+([CF])\b")
 _PREFIXES = {
     "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "h": 100.0, "k": 1e3, "M": 1e6, "G": 1e9,
 }  # fmt: skip
-# A scale of temperature has a zero of its own; C and F may also be a coulomb and a farad.
+# C and F may also be a coulomb and a farad, g what things weigh, and turns a minute are written 1/min, too.
 _CELSIUS, _FAHRENHEIT = (1.0, {"degC": 1.0}), (1.0, {"degF": 1.0})
 _NEWTON: Powers = {"kg": 1.0, "m": 1.0, "s": -2.0}
 _SYMBOLS: dict[str, tuple[Meaning, ...]] = {
-    "m": ((1.0, {"m": 1.0}),), "g": ((1e-3, {"kg": 1.0}),), "s": ((1.0, {"s": 1.0}),),
+    "m": ((1.0, {"m": 1.0}),), "s": ((1.0, {"s": 1.0}),),
+    "g": ((1e-3, {"kg": 1.0}), (9.80665, {"m": 1.0, "s": -2.0})),
     "A": ((1.0, {"A": 1.0}),), "K": ((1.0, {"K": 1.0}),), "mol": ((1.0, {"mol": 1.0}),),
     "min": ((60.0, {"s": 1.0}),), "h": ((3600.0, {"s": 1.0}),), "day": ((86400.0, {"s": 1.0}),),
     "Hz": ((1.0, {"s": -1.0}),), "N": ((1.0, _NEWTON),),
@@ -47,7 +49,8 @@ _SYMBOLS: dict[str, tuple[Meaning, ...]] = {
     "V": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0, "A": -1.0}),),
     "Ohm": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0, "A": -2.0}),),
     "L": ((1e-3, {"m": 3.0}),), "l": ((1e-3, {"m": 3.0}),),
-    "rad": ((1.0, {}),), "deg": ((math.pi / 180.0, {}),), "rpm": ((math.pi / 30.0, {"s": -1.0}),),
+    "rad": ((1.0, {}),), "deg": ((math.pi / 180.0, {}),),
+    "rpm": ((math.pi / 30.0, {"s": -1.0}), (1.0 / 60.0, {"s": -1.0})),
     "%": ((0.01, {}),),
     **dict.fromkeys(("degC", "°C", "Celsius"), (_CELSIUS,)),
     **dict.fromkeys(("degF", "°F", "Fahrenheit"), (_FAHRENHEIT,)),
@@ -55,26 +58,8 @@ _SYMBOLS: dict[str, tuple[Meaning, ...]] = {
     "F": (_FAHRENHEIT, (1.0, {"A": 2.0, "s": 4.0, "kg": -1.0, "m": -2.0})),
 }  # fmt: skip
 _PREFIXED = {
-    "m",
-    "g",
-    "s",
-    "A",
-    "K",
-    "mol",
-    "Hz",
-    "N",
-    "Nm",
-    "J",
-    "W",
-    "Pa",
-    "bar",
-    "V",
-    "Ohm",
-    "L",
-    "l",
-    "rad",
-    "F",
-}
+    "m", "g", "s", "A", "K", "mol", "Hz", "N", "Nm", "J", "W", "Pa", "bar", "V", "Ohm", "L", "l", "rad", "F",
+}  # fmt: skip
 
 
 def clock_of(column: str) -> str:
@@ -127,7 +112,7 @@ def differ(one: str, other: str) -> bool:
 
 def meanings(unit: str) -> list[Meaning]:
     """What a unit may stand for: size in SI units, powers of them; empty where a symbol is not known."""
-    number, powers = _read(unit)
+    number, powers = _read(_DEGREES.sub(r"deg\1", unit))
     found: list[Meaning] = [(number, {})]
     for symbol, power in powers.items():
         found = [

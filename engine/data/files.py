@@ -144,11 +144,18 @@ def csv_text(series: Series) -> str:
 
 
 def _units(names: Sequence[str] | None, columns: Sequence[str]) -> dict[str, str]:
-    """{channel: unit} where the name of its column tells a unit that is known, ``pressure [bar]``."""
-    told = {
-        name: named_with_unit(column)[1] for name, column in zip(names or (), columns, strict=True)
-    }
-    return {name: unit for name, unit in told.items() if unit and meanings(unit)}
+    """{channel: unit} where the name of its column tells a unit that is known, ``pressure [bar]``.
+
+    An index is none, ``y[0]``, and round brackets may hold other things, so that a letter in them says nothing.
+    """
+    out = {}
+    for name, column in zip(names or (), columns, strict=True):
+        unit = named_with_unit(column)[1]
+        told = any(map(str.isalpha, unit)) or unit == "%"
+        plain = column.rstrip().endswith(")") and len(unit) == 1
+        if told and not plain and meanings(unit):
+            out[name] = unit
+    return out
 
 
 def is_channel(name: str, prefix: str) -> bool:

@@ -61,7 +61,7 @@ class WarmStart:
     def __call__(self, theta: Theta) -> list[Theta]:
         """The maxima found, the highest first; none with a ``note``."""
         try:
-            if not any(_only_noise_sees_them(self.model, theta, one) for one in self.searched):
+            if not all(_only_noise_sees_them(self.model, theta, one) for one in self.searched):
                 return self.maxima(theta)
             self.note = (
                 "EM started from the start values: nonlinear states enter noise only, where the moment filter, "
@@ -123,19 +123,27 @@ class WarmStart:
 def _only_noise_sees_them(model: MixedModel, theta: Theta, series: Series) -> bool:
     """Whether nonlinear states show in covariances alone, as in a stochastic volatility.
 
-    Tried on draws of a_1, at the first row: with moments of a in place of a, y tells nothing of it then.
+    Tried on draws of a_1, at rows of little and of much input: with moments of a in place of a, y tells
+    nothing of it then.
     """
     if not model.na:
         return False
     record, rng = model.record(theta), np.random.default_rng(0)
     a = np.asarray(model.start(record).density.sample(rng, DRAWS), dtype=float)
-    h, C, R = model.observation(a, series.u[0], float(series.t[0]), record)
-    f, A, Q = model.transition(
-        a, series.u_step[0], float(series.t[0]), float(series.steps[0]), record
-    )
-    seen = (h, stacked(C), f[:, model.na :], stacked(A)[:, model.na :])
-    noise = (stacked(R), stacked(Q)[:, model.na :, model.na :])
-    return any(map(_differ, noise)) and not any(map(_differ, seen))
+    noisy = False
+    for row in {
+        0,
+        len(series) // 2,
+        len(series) - 2,
+        *np.abs(series.u_step).argmax(axis=0).tolist(),
+    }:
+        t = float(series.t[row])
+        h, C, R = model.observation(a, series.u[row], t, record)
+        f, A, Q = model.transition(a, series.u_step[row], t, float(series.steps[row]), record)
+        if any(map(_differ, (h, stacked(C), f[:, model.na :], stacked(A)[:, model.na :]))):
+            return False
+        noisy = noisy or any(map(_differ, (stacked(R), stacked(Q)[:, model.na :, model.na :])))
+    return noisy
 
 
 def _differ(rows: Array) -> bool:

@@ -216,7 +216,7 @@ def rbpf(
             h, C, R = model.observation(a, u[0], times[0], record)
             C, R = stacked(C), stacked(R)
             if model.na:
-                check_readings(model, C, R)
+                check_readings(model, C, R, y)
             z, Z, log_w, w, log_sum, ess = weigh(z, Z, log_ratio, h, C, R, y[0], even)
         else:
             a, log_q = draw(Step(model, record, mu, L, ancestors, y[t], u[t], times[t], rng))

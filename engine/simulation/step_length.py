@@ -21,7 +21,9 @@ MOST = 16  # steps a sample
 FREE_RUN = 0.1  # of its residual: change of the free run that is small enough
 UNSEEN = 0.1  # of how a run varies: its residual, where nothing was measured
 SURELY = 0.3  # of a change that is small enough: advice is to hold after another estimation
-ROUNDING = 1e-8  # of how a run varies: a change that is none
+ROUNDING = 1e-8  # of how a run varies: a change that is none ...
+LAST_DIGITS = 1e-12  # ... and of how far it is from zero
+NO_NOISE = 1e-4  # of how a run varies: a residual below that is taken for so much
 
 
 def run_at_samples(model: MixedModel, theta: Array, series: Series, x1: Array) -> Array:
@@ -44,9 +46,10 @@ def change_of_run(series: Series, one: Array, other: Array) -> float:
     n = seen.sum(axis=0)
     change, varies = np.sqrt(np.mean((other - one) ** 2, axis=0)), one.std(axis=0)
     residual = np.sqrt((left**2).sum(axis=0) / np.maximum(n, 1))
-    residual = np.where(n > 0, residual, UNSEEN * varies)
+    residual = np.where(n > 0, np.maximum(residual, NO_NOISE * varies), UNSEEN * varies)
+    none = np.maximum(ROUNDING * varies, LAST_DIGITS * np.abs(one).max(axis=0, initial=0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = np.where(change > ROUNDING * varies, change / residual, 0.0)
+        shares = np.where(change > none, change / residual, 0.0)
     return float(shares.max(initial=0.0))
 
 

@@ -48,14 +48,16 @@ def check_model(model: MixedModel) -> None:
             )
 
 
-def check_readings(model: MixedModel, C: Array, R: Array) -> None:
+def check_readings(model: MixedModel, C: Array, R: Array, y: Array) -> None:
     """Raise ModelError where particles alone would have to meet a reading: no noise, no linear state in it.
 
-    C (B, ny, nz), R (B, ny, ny). No particle meets it, or by its draw all do: neither has a likelihood.
+    C (B, ny, nz), R (B, ny, ny), y (T, ny). No particle meets it, or by its draw all do: neither has a
+    likelihood.
     """
-    exact = (np.diagonal(R, axis1=-2, axis2=-1) <= 0.0).any(axis=0)
+    exact = (np.diagonal(R, axis1=-2, axis2=-1) <= 0.0).all(axis=0)
     reached = (C != 0.0).any(axis=(0, 2))
-    for channel, alone in zip(model.outputs, exact & ~reached, strict=True):
+    read = ~np.isnan(y).all(axis=0)
+    for channel, alone in zip(model.outputs, exact & ~reached & read, strict=True):
         if alone:
             raise ModelError(
                 f"model '{model.name}', measurement: R has a zero on its diagonal, of '{channel}', which no "

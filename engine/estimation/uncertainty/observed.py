@@ -232,11 +232,12 @@ def standard_errors(
     directions = undetermined(score, H, seed)
     kept = np.delete(np.arange(len(names)), to_hold(directions))
     score, H = replace(score, indices=score.indices[kept]), H[np.ix_(kept, kept)]
-    known, known_relative = (_guessed(score, H, seeds) if guessing else None) or _differences(
-        score, H, np.random.SeedSequence(seed).spawn(most)
-    )
     covariance, relative = np.zeros((len(names), len(names))), np.zeros(len(names))
-    covariance[np.ix_(kept, kept)], relative[kept] = known, known_relative
+    if kept.size:
+        known, known_relative = (_guessed(score, H, seeds) if guessing else None) or _differences(
+            score, H, np.random.SeedSequence(seed).spawn(most)
+        )
+        covariance[np.ix_(kept, kept)], relative[kept] = known, known_relative
     decrement, noise = _decrement(covariance, scores)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)

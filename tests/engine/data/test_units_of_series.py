@@ -244,7 +244,7 @@ def test_times_that_do_not_fit_the_models_units_are_noted():
         ("N m", "Nm", False), ("J", "Nm", False), ("km/h", "m/s", True), ("1/s", "Hz", False),
         ("rpm", "rad/s", True), ("V", "A", True), ("L/min", "m^3/s", True), ("bar", "1e5 Pa", False),
         ("counts", "ticks", True), ("counts", "V", False), ("measured", "N", False), ("%", "1", True),
-        ("deg", "rad", True),
+        ("deg", "rad", True), ("rpm", "1/min", False), ("deg C", "degC", False), ("g", "m/s^2", True),
     ],
 )  # fmt: skip
 def test_units_that_are_surely_not_the_same(one, other, apart):
@@ -273,6 +273,8 @@ def furnace():
     [
         ("time [min],heat [kW],room [degC]", None),
         ("t,heat (measured),room (upper)", None),  # no units
+        ("t,u[0],y[0]", None),
+        ("t,motor (A),room (V)", None),
         ("t,heat [W],room [degC]", "channel 'heat' is in W; model 'furnace' takes u channel 'heat' in kW"),
         ("t,heat [kW],room [F]", "channel 'room' is in F; model 'furnace' takes y channel 'room' in degC"),
     ],

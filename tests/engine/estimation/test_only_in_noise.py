@@ -1,5 +1,7 @@
 """Nonlinear states that show in the readings' noise only: the moment filter does not choose where EM starts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,3 +56,19 @@ def test_a_variance_is_not_left_on_its_bound():
     found = engine.rbps_em(volatility(0.0), returns(), n_iterations=25, method="em", seed=5)
     assert found.theta["phi"] > 0.7
     assert found.theta["s2"] > 0.01
+
+
+def test_states_that_an_input_at_rest_hides_at_first_are_seen():
+    model = volatility(0.0)
+    seen = replace(
+        model,
+        inputs={"u": ""},
+        measurement=lambda a, u, t, th: (
+            [a[:, 0] * u[0]],
+            np.zeros((1, 0)),
+            np.exp(a[:, 0])[:, None, None],
+        ),
+    )
+    u = np.r_[np.zeros(40), np.ones(20)]
+    series = engine.Series(returns(60).y, u, dt=1.0)
+    assert WarmStart(seen, [series], seen.free_indices(None))(seen.theta())

@@ -200,5 +200,31 @@ def test_directions_are_free_of_units(units):
 def test_a_series_without_input_determines_no_gain():
     quiet = Series(SERIES.y, np.zeros(len(SERIES)), dt=1.0)
     assert quasi_ml(PRODUCT, quiet, max_iterations=1).ties == (
-        "Not determined by these data, keep fixed: b1. Not determined by these data, keep fixed: b2."
+        "Not determined by these data, keep fixed: b1, b2."
     )
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_where_no_free_parameter_is_determined_none_has_an_error(exact):
+    """Complete data hold much of a state that no reading shows, these hold nothing."""
+    unseen = MixedModel(
+        name="unseen",
+        dynamics=lambda a, u, t, dt, th: (
+            [0.0, 0.0],
+            np.array([[0.8, 0.0], [0.0, th.k2]]),
+            np.diag([0.1, th.q2]),
+        ),
+        measurement=lambda a, u, t, th: ([0.0], [[1.0, 0.0]], [[0.1]]),
+        initial=lambda th: (Gaussian([], np.zeros((0, 0))), [0.0, 0.0], np.eye(2)),
+        linear={"seen": "", "unseen": ""},
+        outputs={"y": ""},
+        parameters=[Parameter("k2", 0.5, "", (-1.0, 1.0)), Parameter("q2", 0.2, "", (1e-3, 5.0))],
+    )
+    series = Series(np.random.default_rng(0).normal(size=60), dt=1.0)
+    for free in (["k2"], ["k2", "q2"]):
+        found = engine.standard_errors(unseen, None, series, free, n_particles=30, exact=exact)
+        assert found.tied == tuple(free)
+        assert np.isinf(found.values[: len(free)]).all()
+        assert found.warning.endswith(
+            f"Not determined by these data, keep fixed: {', '.join(free)}."
+        )

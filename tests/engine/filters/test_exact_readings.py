@@ -34,3 +34,18 @@ def test_a_reading_without_noise_is_refused_where_particles_alone_would_have_to_
             ModelError, match="R has a zero on its diagonal, of 'y', which no linear state"
         ):
             run(model, None, series, 50, np.random.default_rng(0))
+
+
+def test_a_channel_that_is_never_read_needs_no_noise():
+    model = engine.MixedModel(
+        name="beside",
+        dynamics=lambda a, u, t, dt, th: ([0.9 * a[:, 0]], np.zeros((1, 0)), [[0.01]]),
+        measurement=lambda a, u, t, th: ([a[:, 0]] * 2, np.zeros((2, 0)), np.diag([0.1, 0.0])),
+        initial=lambda th: (engine.Gaussian([0.0], [[0.1]]), [], np.zeros((0, 0))),
+        nonlinear={"a": "m"},
+        outputs={"y": "m", "beside": "m"},
+        parameters=[],
+    )
+    y = np.column_stack([np.zeros(20), np.full(20, np.nan)])
+    filtered = engine.rbpf(model, None, engine.Series(y, dt=1.0), 50, np.random.default_rng(0))
+    assert np.isfinite(filtered.log_likelihood)

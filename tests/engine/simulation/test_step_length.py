@@ -115,3 +115,12 @@ def test_a_change_is_a_share_of_the_residual_of_its_output():
     )
     assert change_of_run(series, one, one + np.array([0.0, 1e-10, 0.0])) == 0.0
     assert np.isnan(change_of_run(series, one, np.full_like(one, np.nan)))
+
+
+def test_an_output_at_rest_and_data_without_noise_change_nothing():
+    k = np.arange(200)
+    one = np.column_stack([np.sin(0.1 * k), np.full(200, 293.15)])
+    other = one + np.column_stack([1e-7 * np.cos(0.1 * k), 1e-13 * k])
+    exact = engine.Series(one, dt=1.0)
+    assert change_of_run(exact, one, other) < 0.01
+    assert change_of_run(exact, one, one + 0.01 * np.sin(0.3 * k)[:, None] * [1.0, 0.0]) > 10.0
