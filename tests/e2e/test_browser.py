@@ -702,6 +702,9 @@ def test_the_simulation_is_fitted_first(visit, tmp_path):
     page.select_option("#estimate-method", "simulation")
     for name in ("iterations", "particles", "starts", "bootstrap", "first"):
         assert page.is_hidden(f"#estimate-{name}"), name
+    page.fill("#estimate-substeps", "2")
+    page.click("#as-request summary")
+    assert '"substeps": 2' in page.inner_text("#request-text")
     page.click("#go")
     page.wait_for_url("**/jobs/*")
     page.wait_for_selector("#status.successful")

@@ -167,7 +167,9 @@ def likelihood_intervals(  # noqa: PLR0913
                 model, theta, series, free, n_particles, n_trajectories, seed=seed, exact=exact
             )
     if errors.tied:
-        raise ModelError(f"there are no intervals: {errors.warning}")
+        raise ModelError(
+            f"intervals by the likelihood need parameters that the data determine. {errors.warning}"
+        )
     all_series = as_series_list(series, model)
     indices = np.array([model.index(name) for name in errors.names], dtype=np.intp)
     score = Score.of(model, theta, all_series, indices, n_particles, n_trajectories, exact)
