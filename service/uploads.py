@@ -15,6 +15,7 @@ import numpy as np
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from engine.data.channels import check_units
 from engine.data.files import read_table, series_from
 from engine.data.tables import Table
 from engine.diagnose.effects.setting import Setting
@@ -105,7 +106,7 @@ def _read(
         y, u = (None, None) if model is None else _matched(table, wanted, model, where)
         series = series_from(table, y, u, wanted.t, wanted.dt, wanted.hold, wanted.time_unit)
         if model is not None:
-            series.check_units(model)
+            check_units(series, model)
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
     read = {"y": series.y, "t": series.t.tolist(), "hold": series.hold}

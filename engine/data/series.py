@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
+from engine.data.channels import check_channels, default_names
 from engine.data.clock import index_of, seconds
 from engine.errors import OptionError, SeriesError
-from engine.units import SECOND, differ
+from engine.units import SECOND
 from engine.views import Shown, View, frame, sheet, tables
 
 if TYPE_CHECKING:
@@ -314,48 +315,10 @@ class Series(Shown):
         Channels are taken in their order, whatever their names, but for names of the model's own channels:
         these belong where the model has them. Raises SeriesError.
         """
-        for got_names, names, what in (
-            (self.y_names, model.outputs, "y"),
-            (self.u_names, model.inputs, "u"),
-        ):
-            if len(got_names) != len(names):
-                raise SeriesError(
-                    f"{what} has {len(got_names)} channels; model '{model.name}' needs {len(names)}"
-                    f" ({', '.join(names) or 'none'})"
-                )
-            self._check_order(got_names, model, what)
-        self.check_units(model)
+        check_channels(self, model)
         if measured and not self.observed.any():
             raise SeriesError("every value of y is missing; at least one measurement is needed")
         return self
-
-    def check_units(self, model: BaseModel) -> None:
-        """Raise SeriesError where a channel's unit is surely not that of the model's, see :func:`differ`."""
-        for got_names, names, what in (
-            (self.y_names, model.outputs, "y"),
-            (self.u_names, model.inputs, "u"),
-        ):
-            for own, placed in zip(got_names, names, strict=False):
-                channel = own if own in names else placed
-                unit = names[channel]
-                if own in self.units and unit and differ(self.units[own], unit):
-                    raise SeriesError(
-                        f"channel '{own}' is in {self.units[own] or '1'}; model '{model.name}' takes {what} "
-                        f"channel '{channel}' in {unit}: convert the values, or leave the unit away"
-                    )
-
-    @staticmethod
-    def _check_order(got: tuple[str, ...], model: BaseModel, what: str) -> None:
-        """Whether what is called like a channel of the model is that channel. Raises SeriesError."""
-        own, other = (model.outputs, model.inputs) if what == "y" else (model.inputs, model.outputs)
-        if got == _names(None, len(got), what):
-            return  # nobody called them so
-        for name, channel in zip(got, own, strict=True):
-            if name != channel and (name in own or name in other):
-                raise SeriesError(
-                    f"{what} has channels {', '.join(got)}; model '{model.name}' takes {', '.join(own)}, in "
-                    f"this order, and '{name}' would be used as '{channel}': reorder the columns or rename them"
-                )
 
     def _view(self) -> View:
         clock = self.time_unit
@@ -433,7 +396,7 @@ def _columns(values: ArrayLike, name: str) -> Array:
 
 def _names(names: Sequence[str] | None, n: int, prefix: str) -> tuple[str, ...]:
     if names is None:
-        return tuple(f"{prefix}{i + 1}" if n > 1 else prefix for i in range(n))
+        return default_names(n, prefix)
     if len(names) != n:
         raise SeriesError(f"{len(names)} names were given for {n} channels of {prefix}")
     return tuple(names)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.channels import check_units
 from engine.data.files import read_table, series_from
 from engine.data.series import Series
 from engine.data.tables import Table
@@ -73,7 +74,9 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
     some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
     try:
         found = series_from(table, [some], u, *columns.clock)
-        return found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)
+        inputs = found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)
+        check_units(inputs, model)
+        return inputs
     except SeriesError as error:
         raise wrong(str(error)) from None
 

@@ -234,3 +234,12 @@ def test_figures_without_matplotlib_are_refused_before_the_work(rbps, folder, mo
         result = rbps(*command, *LEVEL, "--plot", "figures")
         assert result.exit_code == 2
         assert "pip install 'rbps[plot]'" in result.stderr
+
+
+def test_inputs_in_another_unit_are_refused(rbps, folder):
+    rows = "".join(f"{0.02 * k:g},{k % 3}\n" for k in range(20))
+    for unit in ("V", "mV"):
+        (folder / f"{unit}.csv").write_text(f"t,drive [{unit}]\n{rows}")
+        result = rbps("simulate", "-m", "servo", "--inputs", f"{unit}.csv", "-o", "run.csv")
+        assert result.exit_code == (0 if unit == "V" else 2)
+    assert "channel 'drive' is in mV; model 'servo' takes u channel 'drive' in V" in result.stderr

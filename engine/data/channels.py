@@ -1,0 +1,64 @@
+"""Whether the channels of a series are those of a model: their number, names, order and units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from engine.errors import SeriesError
+from engine.units import differ
+
+if TYPE_CHECKING:
+    from engine.data.series import Series
+    from engine.statespace.base import BaseModel
+
+
+def default_names(n: int, prefix: str) -> tuple[str, ...]:
+    """Names of n channels that nobody named: y, or y1, y2, ..."""
+    return tuple(f"{prefix}{i + 1}" if n > 1 else prefix for i in range(n))
+
+
+def check_channels(series: Series, model: BaseModel) -> None:
+    """Raise SeriesError unless the channels are the model's, in their order.
+
+    Names are free, but for those of the model's own channels: these belong where the model has them.
+    """
+    for names, own, what in _kinds(series, model):
+        if len(names) != len(own):
+            raise SeriesError(
+                f"{what} has {len(names)} channels; model '{model.name}' needs {len(own)}"
+                f" ({', '.join(own) or 'none'})"
+            )
+        if names == default_names(len(names), what):
+            continue
+        for name, channel in zip(names, own, strict=True):
+            if name != channel and name in {**model.outputs, **model.inputs}:
+                raise SeriesError(
+                    f"{what} has channels {', '.join(names)}; model '{model.name}' takes {', '.join(own)}, in "
+                    f"this order, and '{name}' would be used as '{channel}': reorder the columns or rename them"
+                )
+    check_units(series, model)
+
+
+def check_units(series: Series, model: BaseModel) -> None:
+    """Raise SeriesError where a channel's unit is surely not that of the model, see :func:`differ`.
+
+    The series may lack channels; those that have the model's names are told by these.
+    """
+    for names, own, what in _kinds(series, model):
+        for name, placed in zip(names, own, strict=False):
+            channel = name if name in own else placed
+            unit = own[channel]
+            if name in series.units and unit and differ(series.units[name], unit):
+                raise SeriesError(
+                    f"channel '{name}' is in {series.units[name] or '1'}; model '{model.name}' takes {what} "
+                    f"channel '{channel}' in {unit}: convert the values, or leave the unit away"
+                )
+
+
+def _kinds(
+    series: Series, model: BaseModel
+) -> Iterator[tuple[tuple[str, ...], Mapping[str, str], str]]:
+    """Names in the series, {channel: unit} of the model, and what they are, of outputs and of inputs."""
+    yield series.y_names, model.outputs, "y"
+    yield series.u_names, model.inputs, "u"
