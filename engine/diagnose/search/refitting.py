@@ -9,17 +9,18 @@ from functools import cache, partial
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.screening.screening import TAILS_ALARM, Progress
 from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.refits import Refit, cost, refit, taken_up, way_of
+from engine.diagnose.search.refits import Refit, Way, cost, refit, taken_up, way_of
 from engine.diagnose.search.rounds import Round, settle
 from engine.distributions import chi2_isf
 from engine.errors import EngineError
-from engine.estimation.quasi_ml import QuasiFit
+from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.statespace.model import Array
 
 REFITS = 12  # effects refitted in a round
@@ -108,8 +109,74 @@ def refit_best(
         found = _made(partial(kept.refit, fit.model, score.effect, once))
         if found is not None:
             refits.append(found)
-    refits = without_one_of_many(followed(refits, series, fit, progress, kept), series)
-    return settle(seen, refits, series, setting)
+    refits = followed(refits, series, fit, progress, kept)
+    refits = _beside_look_alikes(refits, fit, series, seen, way, progress, kept)
+    return settle(seen, without_one_of_many(refits, series), series, setting)
+
+
+def _beside_look_alikes(
+    refits: Sequence[Refit],
+    fit: QuasiFit,
+    series: Series,
+    seen: Screen,
+    way: Way,
+    progress: Progress,
+    kept: Kept,
+) -> list[Refit]:
+    """The refits, and those of what looks like the one that leads, whatever the screen saw of it.
+
+    The screen sees the slope at no effect: of a kink, and of a step that noise has swallowed, hardly anything.
+    A look-alike that takes the lead is asked for its own.
+    """
+    refits, asked = list(refits), {r.effect.name for r in refits}
+    while True:
+        named = [r for r in refits if not r.effect.traits.unnamed]
+        leading = max(named, key=lambda r: r.score, default=None)
+        if leading is None or leading.effect.traits.outliers or not leading.score > 0.0:
+            return refits
+        alike = [s for s in seen.scores if s.effect.name not in asked and s.statistic > 0.0]
+        alike = [s for s in alike if _look_alikes(s.effect, leading.effect)]
+        if not alike:
+            return refits
+        asked |= {score.effect.name for score in alike}
+        for score in alike:
+            once = partial(_from_the_leading, leading, fit, series, score, way)
+            found = _made(partial(kept.refit, fit.model, score.effect, once))
+            refits += [] if found is None else [found]
+        refits = followed(refits, series, fit, progress, kept)
+
+
+def _look_alikes(one: Effect, other: Effect) -> bool:
+    """Whether either says so, or both are steps."""
+    if one.traits.unnamed or one.traits.outliers:
+        return False
+    steps = one.traits.course is other.traits.course is Course.STEP
+    return steps or one.kind in other.look_alikes or other.kind in one.look_alikes
+
+
+def _from_the_leading(
+    leading: Refit, fit: QuasiFit, series: Series, score: Score, way: Way
+) -> Refit:
+    """A refit that may start at the time and with the noise of the one that leads, too."""
+    further = None
+    if score.effect.sought and leading.effect.sought:
+        further = _at_the_time_of(leading, fit, series, score)
+    return refit(fit, series, score, leading.score, further, way)
+
+
+def _at_the_time_of(
+    leading: Refit, fit: QuasiFit, series: Series, score: Score
+) -> Array | None:
+    """Theta (n,) with the effect at the time of another, and of the size that is likeliest there."""
+    effect = score.effect
+    model, n = effect.apply(fit.model), len(fit.theta)
+    theta = model.theta([*np.asarray(leading.fit.theta)[:n], 0.0, *score.at])
+    when = float(leading.fit.theta[leading.effect.sought[0]])
+    theta = model.theta(theta.asdict() | {effect.sought[0]: when})
+    try:
+        return np.asarray(quasi_ml(model, series, theta, [effect.size.name]).theta)
+    except (EngineError, np.linalg.LinAlgError):
+        return None
 
 
 def without_one_of_many(refits: Sequence[Refit], series: Series) -> list[Refit]:
