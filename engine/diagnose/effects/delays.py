@@ -138,7 +138,8 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
         channel,
         "input",
         f"delay of the input {channel}",
-        f"{channel} -> {channel}_t + {name} / d ({channel}_(t-d) - {channel}_t),  d = {name}_samples",
+        f"{channel} -> {channel}_t + {name} / d ({channel}_(t-d) - {channel}_t),  d = {name}_samples; "
+        f"{channel}_(t-{name}) where that is longer",
         (
             Parameter(name, 0.0, "samples", (0.0, float(latest)), "mean delay"),
             Parameter(f"{name}_samples", 1.0, "samples", (1.0, float(latest)), "latest part"),
@@ -183,10 +184,25 @@ def _adds(setting: Setting, model: MixedModel, channel: str) -> bool:
     return True
 
 
-def _parts(own: Any, depth: int) -> Array:
-    """What share comes k = 1, 2, ... samples late, (M or 1, depth): size / d at k = d, linear between."""
+def _parts(own: Any, depth: int, begin: Any = 0.0, end: Any = 1.0) -> Array:
+    """What share of a step comes k = 1, 2, ... samples late, (M or 1, depth).
+
+    The step is that part of a sample; numbers or (M,). What comes later than the rest comes first in a sample:
+    in its first s / d the input of d samples before; of a delay s > d that of floor(s) + 1, then of floor(s).
+    """
     size, late = np.reshape(own[0], (-1, 1)), np.reshape(own[1], (-1, 1))
-    shares: Array = size / late * np.maximum(1.0 - np.abs(late - np.arange(1, depth + 1)), 0.0)
+    begin, end = np.reshape(begin, (-1, 1)), np.reshape(end, (-1, 1))
+    whole = np.floor(size)
+    beyond = size > late
+    later, earlier = np.where(beyond, whole + 1.0, late), np.where(beyond, whole, 0.0)
+    first = np.where(beyond, size - whole, size / late)  # of the sample
+    done = np.clip((first - begin) / (end - begin), 0.0, 1.0)
+    k = np.arange(1, depth + 1)
+
+    def at(d: Array) -> Array:
+        return np.maximum(1.0 - np.abs(d - k), 0.0)  # linear between whole numbers
+
+    shares: Array = done * at(later) + (1.0 - done) * at(earlier)
     return shares
 
 
@@ -207,9 +223,9 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         more = with_input(u, index, u[index] + scale)
         return np.asarray((function(a, more, *at)[0] - here) / scale)
 
-    def moved(f: Array, A: Array, g: Array, u: Any, own: Any) -> None:
+    def moved(f: Array, A: Array, g: Array, u: Any, parts: Array) -> None:
         """Puts g sum w_k (u_(t-k) - u_t) into the first rows of f + A z, in place."""
-        parts, rows = _parts(own, depth), g.shape[1]
+        rows = g.shape[1]
         f[:, :rows] -= g * np.reshape(parts.sum(axis=1) * u[index], (-1, 1))
         A[..., :rows, nz:] = g[:, :, None] * parts[:, None, :]
 
@@ -221,7 +237,7 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         ends = setting.at_sample(t + dt)
         f, A, Q = beside(step, M, _blocks(ends, shift, hold), 0.0)
         A = np.broadcast_to(A, (M, *A.shape[-2:])).copy()
-        moved(f, A, g, u, own)
+        moved(f, A, g, u, _parts(own, depth, *setting.part_of_sample(t, dt)))
         f[:, model.nx] += ends * u[index]
         return f, A, Q
 
@@ -232,7 +248,7 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         C = np.concatenate([C, np.zeros((*C.shape[:-1], depth))], axis=-1)
         if g.any():
             h, C = h.copy(), np.broadcast_to(C, (len(a), *C.shape[-2:])).copy()
-            moved(h, C, g, u, own)
+            moved(h, C, g, u, _parts(own, depth))
         return h, C, R
 
     states = _register(setting, channel, depth)
@@ -250,18 +266,19 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
     split, index, depth = Split(model), list(model.inputs).index(channel), LONGEST_BY_MEMORY
     variance = float(setting.scale.get(channel, 0.0)) ** 2
 
-    def driven(last: Array, u: Any, own: Any) -> Any:
-        late = (_parts(own, depth).T * (last - u[index])).sum(axis=0)
+    def driven(last: Array, u: Any, parts: Array) -> Any:
+        late = (parts.T * (last - u[index])).sum(axis=0)
         return with_input(u, index, u[index] + late)
 
     def step(a: Array, last: Array, u: Any, t: Any, dt: Any, record: Any, own: Any) -> WithMemory:
-        f, A, Q = model.transition(a, driven(last, u, own), t, dt, record)
+        parts = _parts(own, depth, *setting.part_of_sample(t, dt))
+        f, A, Q = model.transition(a, driven(last, u, parts), t, dt, record)
         now = np.broadcast_to(u[index], (1, len(a)))
         shifted = np.concatenate([now, last[:-1]])
         return f, A, Q, np.where(setting.at_sample(t + dt), shifted, last)
 
     def observe(a: Array, last: Array, u: Any, t: Any, record: Any, own: Any) -> LinearGaussian:
-        return model.observation(a, driven(last, u, own), t, record)
+        return model.observation(a, driven(last, u, _parts(own, depth)), t, record)
 
     def begin(own: Any) -> tuple[float, float]:
         return float(own[2]), variance

@@ -164,9 +164,7 @@ def _from_the_leading(
     return refit(fit, series, score, leading.score, further, way)
 
 
-def _at_the_time_of(
-    leading: Refit, fit: QuasiFit, series: Series, score: Score
-) -> Array | None:
+def _at_the_time_of(leading: Refit, fit: QuasiFit, series: Series, score: Score) -> Array | None:
     """Theta (n,) with the effect at the time of another, and of the size that is likeliest there."""
     effect = score.effect
     model, n = effect.apply(fit.model), len(fit.theta)

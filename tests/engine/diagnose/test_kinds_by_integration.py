@@ -326,6 +326,25 @@ def test_a_dead_time_of_many_samples_is_that_of_the_input(model, late):
     np.testing.assert_allclose(y, by_hand, atol=1e-9)
 
 
+@pytest.mark.parametrize("late", [0.3, 1.7, 3.1])
+@pytest.mark.parametrize("model", [DRIVE, bent_drive()], ids=["adds", "bent"])
+def test_a_dead_time_of_parts_of_a_sample_acts_within_the_sample(model, late):
+    force, k = smooth(np.random.default_rng(8), 60), 10
+    coarse = engine.Series(np.zeros(60), force, dt=DT)
+    series = coarse.refined(k)
+    setting = setting_for(model, series, np.asarray(model.theta()))
+    own = {"delay_force": late, "delay_force_before": 0.5}
+    extended = extend(model, ["delay:force"], setting)
+    before = {name: 0.5 for name in [*extended.nonlinear, *extended.linear] if "last" in name}
+    y, _ = run(model, "delay:force", own, series, before, setting)
+    steps = round(late * k)
+    u = np.repeat(force, k)
+    shifted = np.append(np.full(steps, 0.5), u)[: len(series)]
+    fine = engine.Series(np.zeros(len(series)), shifted, dt=DT / k)
+    by_hand, _ = noise_free(model, np.asarray(model.theta()), fine, np.zeros(2))
+    np.testing.assert_allclose(y, by_hand, atol=1e-9)
+
+
 def test_cogging_repeats_itself_within_the_way_that_was_travelled():
     """With a longer period it would be any bend with an offset."""
     model = engine.get_model("oscillator")
