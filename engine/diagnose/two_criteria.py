@@ -2,8 +2,8 @@
 
 How many steps a sample a model needs is known of the model as given. Where the free run finds a cause for
 which they are too long, what it would find beside that may be the error of the steps, and the causes are
-looked for again with twice as many; a few times also where they decide between names that the likelihood has
-for it. An answer of the free run that is lost by that stays the one with fewer.
+looked for again with as many as that one needs; with twice as many also where they decide between names that
+the likelihood has. An answer of the free run that is lost by that stays the one with fewer.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.records import Records
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.pipeline import Causes, Clock, find_causes
-from engine.diagnose.search.substeps import Prepared, are_too_long
+from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
 from engine.statespace.model import MixedModel, ThetaLike
 from engine.words import enumerated
 
@@ -57,8 +57,21 @@ class TwoAnswers:
     def coarse(self) -> bool:
         """Whether shorter steps may say something else."""
         by_likelihood = self.causes.coarse and not self.asked.decides and self.fine.k < ENOUGH
-        by_free_run = self.asked.search is not None and self.asked.search.coarse
-        return self.fine.finer and (by_likelihood or by_free_run)
+        return self.fine.finer and (by_likelihood or self._coarse_for_free_run)
+
+    @property
+    def steps(self) -> int:
+        """How many steps a sample to go on with."""
+        search = self.asked.search
+        if search is None or not search.coarse:
+            return 2 * self.fine.k
+        fit = search.final
+        at, record = np.asarray(fit.theta), fit.records[0]
+        return steps_for(self.causes.base.model, fit.names, at, record, fit.x1[0])
+
+    @property
+    def _coarse_for_free_run(self) -> bool:
+        return self.asked.search is not None and self.asked.search.coarse
 
 
 def ask_both(
@@ -73,7 +86,7 @@ def ask_both(
     """Both answers; ``fine`` are the ``records`` with as many steps a sample as the model as given needs."""
     found = _with_these_steps(model, fine, theta, options, clock, kept)
     while found.coarse:
-        fine = fine.with_shorter_steps(records)
+        fine = fine.with_shorter_steps(records, found.steps)
         own = kept.apart(f"{fine.k} steps a sample")
         again = _with_these_steps(model, fine, theta, options, clock, own)
         if found.of_free_run and not again.of_free_run:

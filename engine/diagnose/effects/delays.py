@@ -157,30 +157,48 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
 
 
 def _adds(setting: Setting, model: MixedModel, channel: str) -> bool:
-    """Whether f and h are affine in an input, and A, Q, C, R do not depend on it, on the record."""
+    """Whether f and h are affine in an input, and A, Q, C, R do not depend on it, on the record.
+
+    But for rounding, as of slopes that were differenced.
+    """
     index, step = list(model.inputs).index(channel), setting.size(channel)
     points, theta = setting.points(model)
     record = model.record(theta)
+    size_z = points.scale[model.na :]
     with np.errstate(all="ignore"):
         for x, u, t, dt in zip(points.x, points.u, points.t, points.dt, strict=True):
-            ways = []
+            at, ways = (x[None, : model.na],), []
             for way in (0.0, step, -step, 0.3 * step):
                 moved = u.copy()
                 moved[index] += way
-                at = (x[None, : model.na], moved, float(t))
+                here = (*at, moved, float(t))
                 ways.append(
-                    [*model.transition(*at, float(dt), record), *model.observation(*at, record)]
+                    (model.transition(*here, float(dt), record), model.observation(*here, record))
                 )
-            for i, (here, up, down, some) in enumerate(zip(*ways, strict=True)):
-                change = up - here
-                if i in (0, 3):
-                    bent = np.maximum(
-                        np.abs(down - here + change), np.abs(some - here - 0.3 * change)
-                    )
-                    if (bent > AFFINE * (np.abs(change) + np.abs(here))).any():
-                        return False
-                elif change.any() or (down - here).any():
+            for parts in zip(*ways, strict=True):
+                if not _is_affine(*parts, size_z):
                     return False
+    return True
+
+
+def _is_affine(here: Any, up: Any, down: Any, some: Any, size_z: Array) -> bool:
+    """Whether f of these (f, A, Q), at 0, 1, -1 and 0.3 of a change, lies on a line, and A and Q stay.
+
+    ``size_z`` (nz,) are sizes of the linear states, which tell what of A matters.
+    """
+    f, A, Q = (np.asarray(part) for part in here)
+    change = up[0] - f
+    bent = np.maximum(np.abs(down[0] - f + change), np.abs(some[0] - f - 0.3 * change))
+    if (bent > AFFINE * (np.abs(change) + np.abs(f))).any():
+        return False
+    moved = np.abs(A) @ size_z + np.abs(f) + np.abs(change)
+    noise = np.sqrt(np.abs(np.diagonal(Q, axis1=-2, axis2=-1)))
+    limits = AFFINE * moved, AFFINE * noise[..., :, None] * noise[..., None, :]
+    for other in (up, down):
+        if (np.abs(other[1] - A) @ size_z > limits[0]).any():
+            return False
+        if (np.abs(other[2] - Q) > limits[1]).any():
+            return False
     return True
 
 

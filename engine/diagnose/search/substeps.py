@@ -56,9 +56,8 @@ class Prepared:
     theta: Array | None = None
     finer: bool = False
 
-    def with_shorter_steps(self, given: Records) -> Prepared:
-        """The records ``given`` with twice as many steps a sample, as what was found needs them."""
-        k = 2 * self.k
+    def with_shorter_steps(self, given: Records, k: int) -> Prepared:
+        """The records ``given`` with ``k`` steps a sample, as what was found needs them."""
         text = f"The model makes {k} steps a sample: of what was found, fewer get too much wrong."
         return replace(self, records=given.refined(k), k=k, notes=(text,), finer=k < MOST)
 
@@ -199,6 +198,19 @@ def are_too_long(
         extended = extend(model, names, setting_for(model, fine, theta[: len(model.parameters)]))
         runs.append(run_at_samples(extended, theta, fine, x1))
     return bool(np.isfinite(runs).all()) and not _same_run(plain, runs[0], runs[1], MUCH)
+
+
+def steps_for(
+    model: MixedModel, names: Sequence[str], theta: Array, series: Series, x1: Array
+) -> int:
+    """How many steps a sample a model with effects needs where those of the series are too long.
+
+    At least twice as many; arguments as of :func:`are_too_long`.
+    """
+    k, plain = 2 * series.substeps, series.held(series.hold)
+    while k < MOST and are_too_long(model, names, theta, plain.refined(k), x1):
+        k *= 2
+    return k
 
 
 def _done(

@@ -326,6 +326,22 @@ def test_a_dead_time_of_many_samples_is_that_of_the_input(model, late):
     np.testing.assert_allclose(y, by_hand, atol=1e-9)
 
 
+def test_an_input_that_adds_may_be_late_by_many_samples_though_slopes_are_rounded():
+    """The rounding of differenced slopes changes with the input; late inputs are linear states all the same."""
+
+    def dynamics(a, u, t, dt, theta):
+        f, A, Q = DRIVE.dynamics(a, u, t, dt, theta)
+        return f, np.asarray(A) * (1.0 + 1e-12 * np.sin(1e6 * u[0])), Q
+
+    series = engine.Series(np.zeros(60), smooth(np.random.default_rng(3), 60), dt=DT)
+    exact, rounded = (
+        extend(m, ["delay:force"], setting_for(m, series, np.asarray(m.theta())))
+        for m in (DRIVE, replace(DRIVE, dynamics=dynamics))
+    )
+    assert list(rounded.linear) == list(exact.linear)
+    assert list(rounded.nonlinear) == list(DRIVE.nonlinear)
+
+
 @pytest.mark.parametrize("late", [0.3, 1.7, 3.1])
 @pytest.mark.parametrize("model", [DRIVE, bent_drive()], ids=["adds", "bent"])
 def test_a_dead_time_of_parts_of_a_sample_acts_within_the_sample(model, late):
