@@ -82,12 +82,12 @@ def series_from(
     if t is None and dt is None and table.dt is None:
         t = next((name for name in table.groups if TIMES.fullmatch(name)), None)
     times = None if t is None else _stacked(table, "t", _lookup(table, "t", t))[:, 0]
-    step = dt if dt is not None else table.dt
+    step = dt if dt is not None or times is not None else table.dt
     try:
         return Series(
             _stacked(table, "y", y_columns),
             _stacked(table, "u", u_columns) if u_columns else None,
-            dt=1.0 if step is None else float(step),
+            dt=None if step is None else float(step),
             t=times,
             y_names=y_names,
             u_names=u_names,

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 
 HOLDS = ("zoh", "foh", "past")  # what an input does between its samples
+SAME_STEP = 1e-3  # of a step: how far apart times and a step given beside them may be
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +138,7 @@ class Series(Shown):
         set_(self, "y", y_)
         set_(self, "u", u_)
         set_(self, "extra", extra_)
-        set_(self, "t", _times(t, 1.0 if dt is None else dt, T))
+        set_(self, "t", _times(t, dt, T))
         set_(self, "substeps", int(substeps))
         set_(self, "hold", hold)
         set_(self, "time_unit", time_unit.strip())
@@ -411,8 +412,9 @@ def _own_names(values: Any) -> tuple[str, ...] | None:
     return None if name is None else (str(name),)
 
 
-def _times(t: Any, dt: float, T: int) -> Array:
+def _times(t: Any, dt: float | None, T: int) -> Array:
     if t is None:
+        dt = 1.0 if dt is None else dt
         if not (np.isfinite(dt) and dt > 0):
             raise SeriesError(f"dt = {dt}; a positive time step is needed")
         return float(dt) * np.arange(T, dtype=np.float64)
@@ -427,4 +429,14 @@ def _times(t: Any, dt: float, T: int) -> Array:
         row = int(bad[0]) + 1
         kind = "repeats" if times[row] == times[row - 1] else "decreases"
         raise SeriesError(f"t {kind} at row {row} ({times[row]:g}); time must increase")
+    if dt is not None:
+        rounding = 4.0 * np.finfo(float).eps * np.abs(times).max()
+        steps = np.diff(times)
+        bad = np.flatnonzero(~np.isclose(steps, dt, rtol=SAME_STEP, atol=rounding))
+        if bad.size:
+            row = bad[0] + 1
+            raise SeriesError(
+                f"t and dt are both given and differ: from row {row - 1} to row {row} t goes on by "
+                f"{steps[row - 1]:g}, and dt = {dt:g}; give one of them"
+            )
     return times

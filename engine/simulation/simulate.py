@@ -65,7 +65,7 @@ def simulate(
     n_samples: int,
     rng: np.random.Generator,
     u: ArrayLike | None = None,
-    dt: float = 1.0,
+    dt: float | None = None,
     t: ArrayLike | None = None,
     hold: str = "zoh",
     time_unit: str = SECOND,
@@ -86,8 +86,8 @@ def simulate(
         Source of all random numbers.
     u : array (T, nu) or (T,), optional
         Inputs, in the units that the model declares; needed where it has inputs.
-    dt : float
-        Time step in ``time_unit``, where ``t`` is not given.
+    dt : float, optional
+        Time step in ``time_unit``, where ``t`` is not given; 1 by default.
     t : array (T,), optional
         Increasing times of the samples, in ``time_unit``.
     hold : str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -175,17 +175,18 @@ def _adds(setting: Setting, model: MixedModel, channel: str) -> bool:
                 ways.append(
                     (model.transition(*here, float(dt), record), model.observation(*here, record))
                 )
-            for parts in zip(*ways, strict=True):
-                if not _is_affine(*parts, size_z):
-                    return False
+            steps, readings = zip(*ways, strict=True)
+            if not (_is_affine(steps, size_z) and _is_affine(readings, size_z)):
+                return False
     return True
 
 
-def _is_affine(here: Any, up: Any, down: Any, some: Any, size_z: Array) -> bool:
+def _is_affine(moments: Sequence[LinearGaussian], size_z: Array) -> bool:
     """Whether f of these (f, A, Q), at 0, 1, -1 and 0.3 of a change, lies on a line, and A and Q stay.
 
     ``size_z`` (nz,) are sizes of the linear states, which tell what of A matters.
     """
+    here, up, down, some = moments
     f, A, Q = (np.asarray(part) for part in here)
     change = up[0] - f
     bent = np.maximum(np.abs(down[0] - f + change), np.abs(some[0] - f - 0.3 * change))
