@@ -13,7 +13,13 @@ from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.records import Records
 from engine.diagnose.screening.time_scan import grid
 from engine.diagnose.search import substeps
-from engine.diagnose.search.substeps import are_too_long, is_consistent, is_enough, prepare
+from engine.diagnose.search.substeps import (
+    are_too_long,
+    is_consistent,
+    is_enough,
+    prepare,
+    steps_for,
+)
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter
 from tests.engine.plain_models import heated, pendulum
@@ -262,6 +268,8 @@ def test_steps_may_be_short_enough_for_a_model_and_too_long_for_what_it_lacks():
         for k in (1, 2, 16)
     ]
     assert told == [True, True, False]
+    k = steps_for(model, ["boucwen:rate"], values, series, np.array([0.2, 0.0, 0.0]))
+    assert 2 < k <= 16  # at once, not by twice as many again and again
     assert not are_too_long(model, [], theta, series, np.array([0.2, 0.0]))
 
 

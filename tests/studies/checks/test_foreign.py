@@ -14,6 +14,7 @@ from scipy.linalg import expm
 
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.search.pipeline import find_causes
 from engine.filters.sigma_point import moment_filter
 from tests.studies.foreign import alike, cells, figures, report, runs, sizes
 from tests.studies.foreign.drawing import series_of
@@ -350,3 +351,26 @@ def test_a_crash_is_a_row(short, monkeypatch):
     assert (found["verdict"], found["twin"]) == ("crash", "crash")
     assert "KeyError" in str(found["note"])
     assert set(found) == {"system", "level", "hidden", *runs.BLANK}
+
+
+@pytest.mark.parametrize(
+    ("name", "run", "kinds"),
+    [
+        ("vehicle:wind@fine", 162, ["step", "parameter-step", "pulse"]),
+        pytest.param(
+            "tanks:clip@ordinary",
+            170,
+            ["saturation-sensor", "overflow", "pulse", "step", "harmonic", "parameter-step"],
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_look_alike_of_which_the_screen_sees_hardly_anything_is_named(name, run, kinds):
+    """Noise has swallowed the one, the other is a kink; a step of a parameter and an overflow led, alone."""
+    cell = cells.cell_of(name)
+    train, _, _ = series_of(cell, sizes.size_of(cell), [runs.JUDGED, 19, 2, run])
+    base, free = cell.plan.base(cell.level), cell.plan.free(cell.level)
+    found = find_causes(base, train, None, effects=kinds, free=free, seed=run).search.rounds[0]
+    seen = {score.effect.name: score.statistic for score in found.screen.scores}
+    assert [refit.effect.name for refit in found.equivalent] == [cell.hidden]
+    assert seen[cell.hidden] < 0.4 * max(seen.values())
