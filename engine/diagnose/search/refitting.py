@@ -16,7 +16,15 @@ from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.screening.screening import TAILS_ALARM, Progress
 from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.refits import Refit, Way, cost, refit, taken_up, way_of
+from engine.diagnose.search.refits import (
+    Refit,
+    Way,
+    cost,
+    further_parameters,
+    refit,
+    taken_up,
+    way_of,
+)
 from engine.diagnose.search.rounds import Round, settle
 from engine.distributions import chi2_isf
 from engine.errors import EngineError
@@ -126,7 +134,7 @@ def _beside_look_alikes(
     """The refits, and those of what looks like the one that leads, whatever the screen saw of it.
 
     The screen sees the slope at no effect: of a kink, and of a step that noise has swallowed, hardly anything.
-    A look-alike that takes the lead is asked for its own.
+    Of an effect that has a size only it sees enough. A look-alike that takes the lead is asked for its own.
     """
     refits, asked = list(refits), {r.effect.name for r in refits}
     while True:
@@ -147,8 +155,8 @@ def _beside_look_alikes(
 
 
 def _look_alikes(one: Effect, other: Effect) -> bool:
-    """Whether either says so, or both are steps."""
-    if one.traits.unnamed or one.traits.outliers:
+    """Whether either says so, or both are steps; ``one`` has more than a size."""
+    if one.traits.unnamed or one.traits.outliers or not further_parameters(one):
         return False
     steps = one.traits.course is other.traits.course is Course.STEP
     return steps or one.kind in other.look_alikes or other.kind in one.look_alikes
