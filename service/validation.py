@@ -58,7 +58,10 @@ class Prepared:
 
 def prepare(request: Request) -> Prepared:
     """Check a request against its model. Raises Problem 422."""
-    model = find_model(request.model, lambda model: _times(request, model))
+    k = (
+        1 if isinstance(request, DiagnoseRequest) else _substeps(request)
+    )  # a diagnosis finds its own
+    model = find_model(_of_steps(request.model, k), lambda model: _times(request, model, k))
     parameters = request.parameters
     free: list[str] | None = None
     if isinstance(parameters, FixedParameters):
@@ -89,12 +92,10 @@ def prepare(request: Request) -> Prepared:
             series = _inputs(request, model)
         case _:
             series = _all_series(request.series, model, "series")
-    if not isinstance(request, DiagnoseRequest):  # a diagnosis finds its own
-        k = _substeps(request)
-        if k > 1 and not model.continuous:
-            raise invalid("options.substeps", one_step(model, k))
-        series = [one.refined(k) for one in series]
-        test = [one.refined(k) for one in test]
+    if k > 1 and not model.continuous:
+        raise invalid("options.substeps", one_step(model, k))
+    series = [one.refined(k) for one in series]
+    test = [one.refined(k) for one in test]
     return Prepared(request, model, series, theta, free, test)
 
 
@@ -104,6 +105,14 @@ def _substeps(request: Request) -> int:
     own = reference.setting.substeps if reference.effects and reference.setting else 1
     asked = request.options
     return max(own, asked.substeps) if isinstance(asked, EstimateOptions | SimulateOptions) else own
+
+
+def _of_steps(reference: ModelReference, k: int) -> ModelReference:
+    """The reference, its effects made for ``k`` steps a sample."""
+    if reference.setting is None or not reference.effects:
+        return reference
+    setting = reference.setting.model_copy(update={"substeps": k})
+    return reference.model_copy(update={"setting": setting})
 
 
 def one_step(model: MixedModel, k: int) -> str:
@@ -204,20 +213,20 @@ def _given(reference: ModelReference, model: MixedModel) -> Setting | None:
     )
 
 
-def _times(request: Request, model: MixedModel) -> Setting | None:
-    """The same from the first series' times."""
+def _times(request: Request, model: MixedModel, k: int) -> Setting | None:
+    """The same from the first series' times, for ``k`` steps a sample."""
     one: SeriesIn | InputIn = request.series[0] if request.series else InputIn()
     n = max((len(x) for x in (one.y, one.u, one.t) if x is not None), default=0)
     if n < 2:
         return None
     if one.t is None:
         dt = one.dt or 1.0
-        return Setting(model, {}, (0.0, dt * (n - 1)), dt, time_unit=one.time_unit)
+        return Setting(model, {}, (0.0, dt * (n - 1)), dt, substeps=k, time_unit=one.time_unit)
     steps = np.diff(one.t)
     if not (np.isfinite(one.t).all() and (steps > 0.0).all()):
         return None  # the series is refused next, with the row
-    span = one.t[0], one.t[-1]
-    return Setting(model, {}, span, float(np.median(steps)), time_unit=one.time_unit)
+    span, dt = (one.t[0], one.t[-1]), float(np.median(steps))
+    return Setting(model, {}, span, dt, substeps=k, time_unit=one.time_unit)
 
 
 def check_method(options: EstimateOptions) -> None:
@@ -279,7 +288,7 @@ def _series(one: SeriesIn, model: MixedModel, where: str) -> Series:
             t=one.t,
             y_names=tuple(model.outputs),
             u_names=tuple(model.inputs),
-            dt=1.0 if one.dt is None else one.dt,
+            dt=one.dt,
             extra=np.column_stack(list(extra.values())) if extra else None,
             extra_names=tuple(extra) or None,
             hold=one.hold,

@@ -317,6 +317,13 @@ class Series(Shown):
         these belong where the model has them. Raises SeriesError.
         """
         check_channels(self, model)
+        counted = getattr(model, "steps_counted", 0)
+        if counted not in (0, self.substeps):
+            raise SeriesError(
+                f"model '{model.name}' remembers samples of {counted} steps each, and the series makes "
+                f"{self.substeps} steps a sample: put its delay or lag in for this series, "
+                "extend(model, effects, setting_for(model, series, theta))"
+            )
         if measured and not self.observed.any():
             raise SeriesError("every value of y is missing; at least one measurement is needed")
         return self

@@ -24,7 +24,7 @@ from engine.errors import SeriesError
 # Comments at the head of a CSV.
 HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
-MISSING = frozenset(("", "nan", "null", "na", "n/a", "none", "-"))
+MISSING = frozenset(("", "nan", "null", "na", "n/a", "#n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
 LARGEST_BYTES = 4 << 30  # an .npz may unpack to, and memory for reading a .mat
 MAT_TO_NPZ = Path(__file__).with_name("mat_to_npz.py")  # a program of its own

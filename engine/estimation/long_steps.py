@@ -19,9 +19,9 @@ FELT = 4.0  # squared differences of predictions, in their scatter: no estimate 
 def about_predictions(model: MixedModel, theta: Array, all_series: Sequence[Series]) -> str:
     """A sentence where steps are too long for the predictions of the moment filter; "" where they are not.
 
-    Of models that are ``continuous``: others have no shorter steps.
+    Of models that are ``continuous``: others have no shorter steps. None is said of those that count them.
     """
-    if not model.continuous:
+    if not model.continuous or model.steps_counted:
         return ""
     theta, measured = np.asarray(theta), sum(int(one.observed.sum()) for one in all_series)
     known: dict[tuple[int, int], tuple[MomentFiltered, Series]] = {}

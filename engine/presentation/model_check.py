@@ -54,7 +54,10 @@ def model_check(model: MixedModel) -> list[str]:
 def _method(model: MixedModel) -> str:
     why = why_not_linear(model)
     if not why:
-        return "Linear and Gaussian: the method rts-em is exact and the fastest."
+        return (
+            "Linear and Gaussian where it was looked at, with inputs of 0, 1 and -1: there the method rts-em "
+            "is exact and the fastest; on data it says where it is not."
+        )
     reason = why.partition("Gaussian: ")[2] or why
     return (
         f"Not linear and Gaussian ({reason}), so particles are needed: the methods quasi-newton and rbps-em "

@@ -92,9 +92,9 @@ def about_free_runs(
 ) -> str:
     """A sentence where steps are too long for free runs from x1 (S, nx); "" where they are not.
 
-    Of models that are ``continuous``: others have no shorter steps.
+    Of models that are ``continuous``: others have no shorter steps. None is said of those that count them.
     """
-    if not model.continuous:
+    if not model.continuous or model.steps_counted:
         return ""
     runs: dict[tuple[int, int], Array] = {}
 

@@ -164,6 +164,9 @@ class MixedModel(BaseModel):
     continuous : bool
         Whether the model may be stepped more finely than the data: two half-steps agree with one, A and Q
         included, up to the order of the scheme. This is checked when a diagnosis uses it.
+    steps_counted : int
+        Steps from one sample to the next for which its memory of samples was made, as that of a delay is; only
+        series with as many (:meth:`engine.Series.refined`) can be used. 0 where it counts none.
 
     Raises
     ------
@@ -186,6 +189,7 @@ class MixedModel(BaseModel):
     kinematic: Sequence[str] = ()
     reference: Mapping[str, float] = field(default_factory=dict)
     continuous: bool = False
+    steps_counted: int = 0
 
     def __post_init__(self) -> None:
         for name in ("parameters", "equations", "kinematic"):

@@ -134,7 +134,13 @@ def _of(wanted: Asked, bounds: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
             raise wrong(f"--cause {name}: the diagnosis weighed {', '.join(causes)}")
     for name, value in designs.between_samples(diagnosis).items():
         bounds.setdefault(name, value)
-    model = references.model_of(wanted.model or asked["model"]["name"])
+    name = asked["model"]["name"]
+    if not wanted.model and name not in engine.model_names():
+        raise wrong(
+            f"{wanted.diagnosis}: it is of model '{name}', which is not registered; say where it is with "
+            "--model path/to/file.py"
+        )
+    model = references.model_of(wanted.model or name)
     with about(str(wanted.diagnosis)):
         model = validation.extended(model, ModelReference.model_validate(asked["model"]))
     return model, {

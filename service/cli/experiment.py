@@ -47,15 +47,18 @@ class Experiment(Run):
     name: str = ""
     tags: list[str] = field(default_factory=list)
 
-    def job(self, shown: Meter, extra: Sequence[str] = ()) -> Job:
-        """The model and the data, read from their files; what was read as what is shown."""
+    def job(self, shown: Meter, extra: Sequence[str] = (), substeps: int = 1) -> Job:
+        """The model and the data, read from their files; what was read as what is shown.
+
+        With so many steps a sample, for which effects that count them are made.
+        """
         base = model_of(self.model)
         columns = Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
         every = []
         for name in (*self.data, *self.test):
             series, said = series_of(Path(name), base, columns)
             shown.note(said)
-            every.append(series)
+            every.append(series.refined(substeps) if base.continuous else series)
         model = with_effects(base, self.effects, every[0])
         theta = theta_of(model, self.start, self.fixed)
         free = free_of(model, self.free, list(self.fixed))

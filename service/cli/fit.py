@@ -72,7 +72,7 @@ def _work(
 
 def _prepare(asked: Asked, shown: Meter) -> Prepared:
     """All that can be wrong is found here."""
-    job = asked.job(shown)
+    job = asked.job(shown, substeps=asked.substeps)
     if asked.method == "rts-em" and (why := why_not_linear(job.model, job.theta, job.series[0])):
         raise wrong(f"--method rts-em: {why}; use quasi-newton")
     request = EstimateRequest.model_construct(
@@ -83,8 +83,7 @@ def _prepare(asked: Asked, shown: Meter) -> Prepared:
     )
     if asked.substeps > 1 and not job.model.continuous:
         raise wrong(f"--substeps {one_step(job.model, asked.substeps)}")
-    series, test = ([x.refined(asked.substeps) for x in some] for some in (job.series, job.test))
-    return Prepared(request, job.model, series, job.theta, job.free, test)
+    return Prepared(request, job.model, job.series, job.theta, job.free, job.test)
 
 
 @contextmanager

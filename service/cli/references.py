@@ -45,5 +45,6 @@ def with_effects(model: MixedModel, effects: Sequence[str], series: Series | Non
 
 def setting_of(model: MixedModel, series: Series) -> Setting:
     """What effects need to know of the data that they are made for."""
-    span = (float(series.t[0]), float(series.t[-1]))
-    return Setting(model, {}, span, float(series.steps[0]), time_unit=series.time_unit)
+    t, k = series.t, series.substeps
+    span, clock = (float(t[0]), float(t[-1])), series.time_unit
+    return Setting(model, {}, span, float(t[k] - t[0]), substeps=k, time_unit=clock)

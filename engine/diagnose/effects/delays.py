@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -114,7 +115,8 @@ def _late_reading(
         return h, C, R
 
     states = _register(setting, channel, depth)
-    return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
+    late = add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
+    return replace(late, steps_counted=setting.substeps)
 
 
 def _blocks(now: Any, shift: Array, hold: Array) -> Array:
@@ -271,7 +273,8 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         return h, C, R
 
     states = _register(setting, channel, depth)
-    return add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
+    late = add_linear_states(model, split, states, dynamics, begin, measurement=measurement)
+    return replace(late, steps_counted=setting.substeps)
 
 
 def _register(setting: Setting, channel: str, depth: int) -> dict[str, str]:
@@ -303,7 +306,8 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
         return float(own[2]), variance
 
     states = _register(setting, channel, depth)
-    return add_memory(model, split, states, step, begin, observe)
+    late = add_memory(model, split, states, step, begin, observe)
+    return replace(late, steps_counted=setting.substeps)
 
 
 def _delay(setting: Setting, channel: str, name: str) -> Effect:

@@ -58,7 +58,7 @@ def hide(
         raise OptionError(f"'{unknown.pop()}' is no parameter of {', '.join(effects)}", "values")
     start: dict[str, Any] = {**model.theta(theta).asdict(), **own}
     blank = np.zeros((n_samples, extended.ny))
-    frame = Series(blank, u, dt=dt, hold=hold, time_unit=time_unit).check(extended)
+    frame = Series(blank, u, dt=dt, hold=hold, time_unit=time_unit).check(model)
     run = _sampled(extended, start, frame, rng, fine)
     if not changes:
         return run

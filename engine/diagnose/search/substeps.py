@@ -46,7 +46,8 @@ MUCH = 0.5  # of the free run's residual: change by which the steps are what it 
 class Prepared:
     """The records to work on, ``k`` steps a sample, what there is to say about it, and the base's theta.
 
-    ``theta`` is None for a model that was not looked at, as it does not declare ``continuous``. ``finer`` is
+    ``theta`` is None for a model that was not looked at, as it does not declare ``continuous`` or counts steps.
+    ``finer`` is
     whether more steps mean anything.
     """
 
@@ -74,7 +75,7 @@ def prepare(
     is looked at. A lag or a delay counts samples, so all records, tests too, must be sampled at one common
     step; else one step a sample is kept.
     """
-    if not model.continuous:
+    if not model.continuous or model.steps_counted:
         return Prepared(records)
     if not all(_regular(records.main, one) for one in records.every):
         text = "Samples are not at one common step: the model makes one step a sample."
@@ -96,7 +97,7 @@ def prepare(
 def can_be_finer(setting: Setting, series: Series, theta: Array) -> bool:
     """Whether more steps a sample mean anything: a model whose dt is a real one, samples at one common step."""
     model = setting.model
-    if not model.continuous or series.dt is None:
+    if not model.continuous or model.steps_counted or series.dt is None:
         return False
     return is_consistent(model, theta, _points(setting))
 

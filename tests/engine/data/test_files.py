@@ -57,10 +57,10 @@ def test_channels_by_list_and_by_mapping():
     np.testing.assert_array_equal(listed.y, [[3, 2], [6, 5]])
     assert listed.y_names == ("other", "level")
     np.testing.assert_array_equal(listed.t, [10, 12])
-    mapped = read_series_bytes(text, "a.csv", y={"y1": "level"}, u={"drive": "pump"}, dt=4.0)
+    mapped = read_series_bytes(text, "a.csv", y={"y1": "level"}, u={"drive": "pump"}, dt=2.0)
     assert mapped.y_names == ("y1",)
     assert mapped.u_names == ("drive",)
-    assert mapped.dt == 4.0  # a given dt wins over the column of times
+    assert mapped.dt == 2.0
 
 
 @pytest.mark.parametrize("cell", ["", " ", "NaN", "nan", "null", "NA", "None", "-"])
@@ -332,3 +332,16 @@ def test_a_file_that_crashes_scipy_s_reader_crashes_nobody_else(
     monkeypatch.setattr("engine.data.tables.MAT_TO_NPZ", crashing)
     with pytest.raises(SeriesError, match=words):
         read_series_bytes(FILES["a.mat"], "a.mat")
+
+
+def test_a_step_beside_a_column_of_times_must_be_their_step():
+    """Once it was taken and the times were not: a frequency twice as large, "converged"."""
+    regular, gaps = b"t,y\n0,1\n0.02,2\n0.04,3\n", b"t,y\n0,1\n0.02,2\n0.06,3\n"
+    assert read_series_bytes(regular, "a.csv", dt=0.02).dt == 0.02
+    for data in (regular, gaps):
+        with pytest.raises(SeriesError, match=r"a\.csv: t and dt are both given and differ"):
+            read_series_bytes(data, "a.csv", dt=0.05)
+    t = np.array([0.0, 0.02, 0.06])
+    for data, name in ((npz(y=t, t=t, Ts=0.02), "a.npz"), (mat(y=t, t=t, Ts=0.02), "a.mat")):
+        with pytest.raises(SeriesError, match="give one of them"):
+            read_series_bytes(data, name)

@@ -20,6 +20,7 @@ from engine.diagnose.search.substeps import (
     prepare,
     steps_for,
 )
+from engine.errors import SeriesError
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter
 from tests.engine.plain_models import heated, pendulum
@@ -175,6 +176,25 @@ def test_what_counts_samples_counts_them_on_a_refined_series_too(own):
     within = 0.1 * abs(change) if channel == "velocity" else 1e-3
     assert abs(change) > 1.0
     assert values[1] == pytest.approx(values[0], abs=within)
+
+
+def test_a_model_that_counts_samples_takes_series_of_its_own_steps_only():
+    """Once a delay of three samples was one of three steps, a fourth of it, and others paid for it."""
+    model, series = engine.get_model("oscillator"), swings()
+    theta = np.asarray(model.theta())
+    own = {"delay_y": 1.0, "delay_y_samples": 3.0}
+    late = extend(model, ["delay:y"], setting_for(model, series, theta))
+    at = late.theta(own)
+    with pytest.raises(SeriesError, match="4 steps a sample"):
+        engine.free_run(late, at, series.refined(4))
+    finer = extend(model, ["delay:y"], setting_for(model, series.refined(4), theta))
+    with pytest.raises(SeriesError, match="remembers samples of 4 steps"):
+        engine.free_run(finer, at, series)
+    runs = [engine.free_run(late, at, series), engine.free_run(finer, at, series.refined(4))]
+    np.testing.assert_allclose(runs[1].y[::4], runs[0].y, atol=1e-6 * np.std(runs[0].y))
+    told = engine.fit_simulation(late, series, at, free=["delay_y"], n_starts=0)
+    assert "too long" not in told.message
+    assert prepare(late, Records(series), lambda: np.asarray(at)).k == 1
 
 
 @pytest.mark.parametrize("linear", [False, True], ids=["nonlinear", "linear"])

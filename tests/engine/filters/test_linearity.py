@@ -87,3 +87,32 @@ def test_its_check_and_its_em_agree():
 def test_one_that_bends_by_a_hundred_thousandth_is_refused(dt, bend, unit):
     with pytest.raises(ModelError, match="not linear Gaussian"):
         kalman_smoother(oscillator(unit=unit, **bend), None, readings(dt, unit))
+
+
+def valve(switched=False):
+    """A level behind a valve, or one whose leak opens late."""
+
+    def dynamics(a, u, t, dt, theta):
+        moved = 0.1 * u[0] * np.sqrt(np.abs(3.0 - a)) - (t > 20.0) * switched * a**3
+        return 0.9 * a + moved, np.zeros((1, 0)), [[0.1]]
+
+    return engine.MixedModel(
+        name="valve",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: (a, np.zeros((1, 0)), [[0.01]]),
+        initial=lambda theta: (engine.Gaussian([0.0], [[1.0]]), [], np.zeros((0, 0))),
+        nonlinear={"level": "m"},
+        inputs={"valve": "1"},
+        outputs={"gauge": "m"},
+        parameters=[],
+    )
+
+
+def test_a_model_that_bends_only_with_its_input_is_not_linear():
+    assert "f is not affine in a" in why_not_linear(valve())
+
+
+@pytest.mark.parametrize(("switched", "linear"), [(False, True), (True, False)])
+def test_all_of_a_record_is_asked(switched, linear):
+    series = engine.Series(np.zeros(100), np.zeros(100), dt=0.5)
+    assert (not why_not_linear(valve(switched), None, series)) is linear
