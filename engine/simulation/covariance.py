@@ -68,9 +68,13 @@ def run_covariance(
 
 
 def _scores(values: Array, row: NDArray[np.intp]) -> Array:
-    """Sums (T, n_p) of the values (n, n_p) of each row; zero where nothing was measured."""
-    out = np.zeros((int(row.max(initial=-1)) + 1, values.shape[1]))
-    np.add.at(out, row, values)
+    """Sums (T, n_p) of the values (n, n_p) of each row that has any.
+
+    Rows without a reading, as steps between samples are, would hide that errors are correlated.
+    """
+    rows, place = np.unique(row, return_inverse=True)
+    out = np.zeros((len(rows), values.shape[1]))
+    np.add.at(out, place, values)
     return out
 
 

@@ -96,7 +96,7 @@ class FreeRun(Shown):
             for name, value in self.rmse_by_output.items()
         ]
         return sheet(
-            f"{self.model.name}: free run over {len(self.series)} samples",
+            f"{self.model.name}: free run over {len(self.series.samples)} samples",
             tables().table(("output", "rms error", "unit"), rows),
             tables().line(self.note),
         )

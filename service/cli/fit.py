@@ -160,7 +160,7 @@ def _tell(
 
 def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any]) -> list[str]:
     """The estimate for people."""
-    samples = sum(map(len, series))
+    samples = sum(len(one.samples) for one in series)
     how = (
         f"{document['trace']['iteration'][-1]} iterations" if "trace" in document else "simulation"
     )

@@ -120,7 +120,7 @@ def against_predictions(
     for f in _fits(model, series, np.where(known, y, np.nan), lower, upper, expected):
         e = settled[:, list(model.outputs).index(f.output)]
         seen = np.isfinite(e)
-        error = newey_west(np.where(seen, e - f.bias, 0.0), int(seen.sum()))
+        error = newey_west(e[seen] - f.bias, int(seen.sum()))
         fits.append(replace(f, bias_error=error))
     return Comparison(y, lower, upper, tuple(fits), tuple(regions))
 

@@ -116,7 +116,7 @@ def _region(
     e = errors.e
     mean = float(e[inside].mean())
     if errors.drawn is None:
-        inner = np.where(inside, e - mean, 0.0)
+        inner = np.where(inside, e - mean, 0.0)[seen]
         # the larger: negative correlations are often chance
         error = max(newey_west(inner, int(inside.sum()), lags) for lags in (0, None))
         score = mean / error if error > 0.0 else 0.0

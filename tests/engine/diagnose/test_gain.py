@@ -22,6 +22,16 @@ def test_rows_that_are_not_held_out_do_not_count():
     assert (mean, error) == (pytest.approx(0.7), pytest.approx(1.0 / np.sqrt(3.0)))
 
 
+def test_steps_between_samples_hide_no_correlation():
+    """Once every second row was nothing, and a standard error half as large as it was."""
+    rng = np.random.default_rng(2)
+    d = np.convolve(rng.standard_normal(204), np.ones(5), "valid")
+    rows = rng.random(200) < 0.9
+    finer, marked = np.zeros(4 * 200), np.zeros(4 * 200, dtype=bool)
+    finer[::4], marked[::4] = d, rows
+    np.testing.assert_allclose(diebold_mariano(finer, marked), diebold_mariano(d, rows))
+
+
 @pytest.mark.parametrize(
     ("d", "p"), [([0.25, 0.25, 0.25], 0.0), ([-0.25, -0.25, -0.25], 1.0), ([0.0, 0.0, 0.0], 0.5)]
 )

@@ -72,6 +72,21 @@ def test_standard_errors_are_the_spread_where_residuals_are_correlated():
         assert 0.7 < stated / found.std(ddof=1) < 1.4  # 30 fits: the spread is known to 13 %
 
 
+@pytest.mark.parametrize("between", ["steps", "unmeasured rows"])
+def test_errors_are_the_same_with_rows_between_those_that_were_measured(between):
+    """The exact oscillator; from one row to the next nothing is correlated where only each fourth is read."""
+    rng = np.random.default_rng(8)
+    u = np.repeat(rng.normal(size=30), 10)
+    plain = simulate(OSCILLATOR, None, 300, rng, u=u, dt=0.08).series
+    finer = plain.refined(4)
+    if between != "steps":
+        finer = Series(finer.y, finer.u, dt=0.02)
+    fits = [fit_simulation(OSCILLATOR, one, n_starts=0) for one in (plain, finer)]
+    for name in fits[0].estimated:
+        errors = [fit.standard_errors[name] for fit in fits]
+        assert errors[1] == pytest.approx(errors[0], rel=0.01)
+
+
 def test_rows_in_another_order_of_records_have_the_same_errors():
     drawn = [tanks(1, 200).series, tanks(2, 150).series]
     fits = [fit_simulation(TANKS, some, n_starts=0) for some in (drawn, drawn[::-1])]
