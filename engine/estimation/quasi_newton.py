@@ -181,6 +181,8 @@ class Ascent:
             here = replace(here, images=1, image=self._image(here))
             return here.image, here
         longest = _length(d, here.metric)
+        if not longest > 0.0:  # all are held at bounds
+            return here.base, here
         return self._within(here.base, d * min(1.0, here.radius / longest)), here
 
     def _average(self, seen: Seen, before: Sequence[Memory]) -> tuple[Array, Memory] | None:

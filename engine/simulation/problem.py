@@ -180,16 +180,20 @@ class FreeRunProblem:
         start = np.clip(start, low, high)
         if not np.isfinite(residuals(start)).all():
             raise ModelError(f"model '{self.model.name}': the run from these values runs away")
-        return least_squares(
-            residuals,
-            start,
-            jacobian,
-            bounds=(low, high),
-            x_scale=self.scales(),
+        # in units of the typical sizes: a start closer than 1e-10 to a bound, in whatever unit, is moved off it
+        size = self.scales()
+        found = least_squares(
+            lambda x: residuals(size * x),
+            start / size,
+            lambda x: jacobian(size * x) * size,
+            bounds=(low / size, high / size),
             ftol=precise,
             xtol=precise,
             max_nfev=evaluations,
         )
+        found.x = np.clip(size * found.x, low, high)
+        found.jac, found.grad = found.jac / size, found.grad / size
+        return found
 
     def scales(self) -> Array:
         """Typical size of each component of p: of the parameters, and of the first states."""

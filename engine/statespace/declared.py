@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from keyword import iskeyword
 from typing import Any
 
 from engine.errors import ModelError
@@ -30,9 +31,10 @@ def check_declared(
         raise ModelError(f"model '{name}' uses the channel name '{doubled[0]}' twice")
     known = [p.name for p in parameters]
     for p in parameters:
-        if not p.name.isidentifier() or p.name.startswith("_"):
+        if not p.name.isidentifier() or p.name.startswith("_") or iskeyword(p.name):
             raise ModelError(
-                f"model '{name}': the parameter name '{p.name}' is not a Python identifier"
+                f"model '{name}': the parameter name '{p.name}' cannot be used: a Python identifier is needed "
+                "that is no keyword and does not begin with an underscore"
             )
         if known.count(p.name) > 1:
             raise ModelError(f"model '{name}' has two parameters named '{p.name}'")
