@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
 from engine.data.channels import check_channels, default_names
-from engine.data.clock import index_of, seconds
+from engine.data.clock import index_of, times_in
 from engine.errors import OptionError, SeriesError
 from engine.units import SECOND
 from engine.views import Shown, View, frame, sheet, tables
@@ -40,8 +40,8 @@ class Series(Shown):
     dt : float, optional
         Time step of a regularly sampled series, in ``time_unit``; 1 where nothing says when rows were measured.
     t : array (T,), optional
-        Increasing time stamps, one per row, instead of ``dt``, in ``time_unit``. Dates become seconds from the
-        first of them.
+        Increasing time stamps, one per row, instead of ``dt``, in ``time_unit``. Dates are counted from the
+        first of them, in this unit, too.
     y_names, u_names : sequence of str, optional
         Names of the columns of y and u; y1, y2, ... and u1, u2, ... by default.
     extra : array (T, n), optional
@@ -138,7 +138,7 @@ class Series(Shown):
         set_(self, "y", y_)
         set_(self, "u", u_)
         set_(self, "extra", extra_)
-        set_(self, "t", _times(t, dt, T))
+        set_(self, "t", _times(t, dt, T, time_unit.strip()))
         set_(self, "substeps", int(substeps))
         set_(self, "hold", hold)
         set_(self, "time_unit", time_unit.strip())
@@ -419,13 +419,13 @@ def _own_names(values: Any) -> tuple[str, ...] | None:
     return None if name is None else (str(name),)
 
 
-def _times(t: Any, dt: float | None, T: int) -> Array:
+def _times(t: Any, dt: float | None, T: int, unit: str) -> Array:
     if t is None:
         dt = 1.0 if dt is None else dt
         if not (np.isfinite(dt) and dt > 0):
             raise SeriesError(f"dt = {dt}; a positive time step is needed")
         return float(dt) * np.arange(T, dtype=np.float64)
-    times = seconds(t)
+    times = times_in(t, unit)
     if times.size != T:
         raise SeriesError(f"t has {times.size} time stamps and y has {T} rows")
     bad = np.flatnonzero(~np.isfinite(times))

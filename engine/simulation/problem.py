@@ -192,7 +192,6 @@ class FreeRunProblem:
             max_nfev=evaluations,
         )
         found.x = np.clip(size * found.x, low, high)
-        found.jac, found.grad = found.jac / size, found.grad / size
         return found
 
     def scales(self) -> Array:

@@ -31,3 +31,14 @@ def test_times_and_a_step_that_do_not_agree_are_refused():
 def test_times_may_be_given_beside_the_step_that_they_have(begin):
     t = begin + 0.01 * np.arange(50)
     np.testing.assert_array_equal(Series(np.zeros(50), t=t, dt=0.01).t, t)
+
+
+@pytest.mark.parametrize(("unit", "step"), [("s", 1800.0), ("min", 30.0), ("h", 0.5)])
+def test_dates_are_counted_in_the_unit_of_the_series(unit, step):
+    """Once they were seconds that were called hours."""
+    t = np.datetime64("2024-01-01") + 30 * np.arange(4) * np.timedelta64(1, "m")
+    for times in (t, t - t[0], t.astype(object)):
+        series = Series(np.zeros(4), t=times, time_unit=unit)
+        np.testing.assert_allclose(series.t, step * np.arange(4))
+    with pytest.raises(SeriesError, match="not known how many seconds"):
+        Series(np.zeros(4), t=t, time_unit="year")
