@@ -182,10 +182,17 @@ class FreeRunProblem:
             raise ModelError(f"model '{self.model.name}': the run from these values runs away")
         # in units of the typical sizes: a start closer than 1e-10 to a bound, in whatever unit, is moved off it
         size = self.scales()
+
+        def scaled(x: Array) -> Array:
+            return residuals(size * x)
+
+        def slopes(x: Array) -> Array:
+            return jacobian(size * x) * size
+
         found = least_squares(
-            lambda x: residuals(size * x),
+            scaled,
             start / size,
-            lambda x: jacobian(size * x) * size,
+            slopes,
             bounds=(low / size, high / size),
             ftol=precise,
             xtol=precise,
