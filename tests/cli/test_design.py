@@ -92,8 +92,9 @@ def test_from_a_diagnosis(rbps, tmp_path, record):
     wrong = rbps("design", "found.json", "--cause", "cubic:velocity", *own[:-1])
     assert wrong.exit_code == 2
     assert "the diagnosis weighed" in wrong.stderr
-    text = (tmp_path / "found.json").read_text().replace('"name": "oscillator"', '"name": "mine"')
-    (tmp_path / "of-mine.json").write_text(text)
+    document = json.loads((tmp_path / "found.json").read_text())
+    document["diagnosis"]["next"]["model"]["name"] = "mine"
+    (tmp_path / "of-mine.json").write_text(json.dumps(document))
     wrong = rbps("design", "of-mine.json", *own[:-1])
     assert wrong.exit_code == 2
     assert "it is of model 'mine', which is not registered; say where it is" in wrong.stderr
