@@ -13,6 +13,8 @@ from engine.errors import SeriesError
 from engine.units import meanings
 
 SECOND = np.timedelta64(1, "s")
+# Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
+SAME_STEP, JITTER = 1e-3, 0.1
 
 
 def times_in(times: Any, unit: str) -> Array:
@@ -45,6 +47,50 @@ def _seconds_of(unit: str) -> float:
             "numbers, or a time_unit such as s, min, h or day"
         )
     return sizes[0]
+
+
+def times_of(t: Any, dt: float | None, T: int, unit: str) -> Array:
+    """Times (T,) of rows: ``t``, as :func:`times_in` takes it, or else from 0 at the step ``dt``, 1 by default.
+
+    Given both, t counts and must have that step: on average, and nearly each. Raises SeriesError.
+    """
+    if t is None:
+        dt = 1.0 if dt is None else dt
+        if not (np.isfinite(dt) and dt > 0):
+            raise SeriesError(f"dt = {dt}; a positive time step is needed")
+        return float(dt) * np.arange(T, dtype=np.float64)
+    times = times_in(t, unit)
+    if times.size != T:
+        raise SeriesError(f"t has {times.size} time stamps and y has {T} rows")
+    bad = np.flatnonzero(~np.isfinite(times))
+    if bad.size:
+        raise SeriesError(f"t is not finite at row {bad[0]}")
+    bad = np.flatnonzero(np.diff(times) <= 0)
+    if bad.size:
+        row = int(bad[0]) + 1
+        kind = "repeats" if times[row] == times[row - 1] else "decreases"
+        raise SeriesError(f"t {kind} at row {row} ({times[row]:g}); time must increase")
+    if dt is not None:
+        _check_step(times, dt)
+    return times
+
+
+def _check_step(times: Array, dt: float) -> None:
+    steps = np.diff(times)
+    rounding = 4.0 * np.finfo(float).eps * np.abs(times).max()
+    bad = np.flatnonzero(np.abs(steps - dt) > JITTER * dt + rounding)
+    if bad.size:
+        row = int(bad[0])
+        raise SeriesError(
+            f"t and dt are both given and differ: from row {row} to row {row + 1} t goes on by {steps[row]:g}, "
+            f"and dt = {dt:g}; give one of them"
+        )
+    mean = float(times[-1] - times[0]) / len(steps)
+    if abs(mean - dt) > (SAME_STEP + 2.0 * JITTER / len(steps)) * dt + rounding:
+        raise SeriesError(
+            f"t and dt are both given and differ: t goes on by {mean:g} on average, and dt = {dt:g}; give one "
+            "of them"
+        )
 
 
 def index_of(tables: Iterable[Any]) -> Any:

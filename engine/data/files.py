@@ -8,7 +8,7 @@ Which columns are which channels:
 - ``t`` names the column of time stamps; left out, a column named ``t`` or ``time`` is used, also with a unit of
   time behind it (``t [h]``, ``time_min``, ``t_s``);
 - ``dt`` is the time step where no column has the times; in .mat and .npz a scalar named ``dt`` or ``Ts`` is.
-  Given beside times it must be their step;
+  Given beside times it must be their step, but that of a file where ``t`` is named;
 - ``time_unit`` says what times count (see :class:`engine.Series`); left out, what the file says: a text
   ``time_unit`` in .mat and .npz, a line ``# time unit: min`` at the head of a CSV, or the name of the column of
   times, such as ``time [min]`` or ``year``; else seconds;
@@ -80,10 +80,10 @@ def series_from(
     """The series that columns of a table make, see :func:`read_series`."""
     y_names, y_columns = _channels(table, y, "y")
     u_names, u_columns = _channels(table, u, "u")
+    step = dt if dt is not None or t is not None else table.dt
     if t is None:
         t = next((name for name in table.groups if TIMES.fullmatch(name)), None)
     times = None if t is None else _stacked(table, "t", _lookup(table, "t", t))[:, 0]
-    step = dt if dt is not None else table.dt
     try:
         return Series(
             _stacked(table, "y", y_columns),

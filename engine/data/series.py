@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
 from engine.data.channels import check_channels, default_names
-from engine.data.clock import index_of, times_in
+from engine.data.clock import index_of, times_of
 from engine.errors import OptionError, SeriesError
 from engine.units import SECOND
 from engine.views import Shown, View, frame, sheet, tables
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 HOLDS = ("zoh", "foh", "past")  # what an input does between its samples
-SAME_STEP = 1e-3  # of a step: how far apart times and a step given beside them may be
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +137,7 @@ class Series(Shown):
         set_(self, "y", y_)
         set_(self, "u", u_)
         set_(self, "extra", extra_)
-        set_(self, "t", _times(t, dt, T, time_unit.strip()))
+        set_(self, "t", times_of(t, dt, T, time_unit.strip()))
         set_(self, "substeps", int(substeps))
         set_(self, "hold", hold)
         set_(self, "time_unit", time_unit.strip())
@@ -417,33 +416,3 @@ def _own_names(values: Any) -> tuple[str, ...] | None:
         return tuple(map(str, columns))
     name = getattr(values, "name", None) if hasattr(values, "index") else None
     return None if name is None else (str(name),)
-
-
-def _times(t: Any, dt: float | None, T: int, unit: str) -> Array:
-    if t is None:
-        dt = 1.0 if dt is None else dt
-        if not (np.isfinite(dt) and dt > 0):
-            raise SeriesError(f"dt = {dt}; a positive time step is needed")
-        return float(dt) * np.arange(T, dtype=np.float64)
-    times = times_in(t, unit)
-    if times.size != T:
-        raise SeriesError(f"t has {times.size} time stamps and y has {T} rows")
-    bad = np.flatnonzero(~np.isfinite(times))
-    if bad.size:
-        raise SeriesError(f"t is not finite at row {bad[0]}")
-    bad = np.flatnonzero(np.diff(times) <= 0)
-    if bad.size:
-        row = int(bad[0]) + 1
-        kind = "repeats" if times[row] == times[row - 1] else "decreases"
-        raise SeriesError(f"t {kind} at row {row} ({times[row]:g}); time must increase")
-    if dt is not None:
-        rounding = 4.0 * np.finfo(float).eps * np.abs(times).max()
-        steps = np.diff(times)
-        bad = np.flatnonzero(~np.isclose(steps, dt, rtol=SAME_STEP, atol=rounding))
-        if bad.size:
-            row = bad[0] + 1
-            raise SeriesError(
-                f"t and dt are both given and differ: from row {row - 1} to row {row} t goes on by "
-                f"{steps[row - 1]:g}, and dt = {dt:g}; give one of them"
-            )
-    return times

@@ -271,9 +271,8 @@ def diebold_mariano(d: Array, rows: NDArray[np.bool_]) -> tuple[float, float, fl
         return float("nan"), float("nan"), 0.5
     mean = float(d[rows].mean())
     marked = np.flatnonzero(rows)
-    apart = int(
-        np.gcd.reduce(np.diff(marked))
-    )  # rows between, of steps within a sample, are nothing that d follows
+    apart = int(np.gcd.reduce(np.diff(marked)))
+    # rows between, of steps within a sample, would hide that d is correlated
     deviations = np.where(rows, d - mean, 0.0)[marked[0] :: apart]
     error = newey_west(deviations, n, lags_for(deviations)) * float(np.sqrt(n / (n - 1.0)))
     if not error > 0.0:

@@ -47,8 +47,7 @@ class Prepared:
     """The records to work on, ``k`` steps a sample, what there is to say about it, and the base's theta.
 
     ``theta`` is None for a model that was not looked at, as it does not declare ``continuous`` or counts steps.
-    ``finer`` is
-    whether more steps mean anything.
+    ``finer`` is whether more steps mean anything.
     """
 
     records: Records
@@ -176,7 +175,12 @@ def choose(setting: Setting, series: Series, theta: Array) -> int:
 
 
 def is_enough(model: MixedModel, theta: Array, series: Series, k: int) -> bool:
-    """Whether the free run of an extended model with k steps a sample is that with twice as many."""
+    """Whether the free run of an extended model with k steps a sample is that with twice as many.
+
+    Of one that counts them nothing can be said: it was made for k.
+    """
+    if model.steps_counted:
+        return True
     try:
         x1, _ = start_state(model, theta, series.refined(k))
     except (EngineError, np.linalg.LinAlgError):

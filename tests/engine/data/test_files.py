@@ -345,3 +345,4 @@ def test_a_step_beside_a_column_of_times_must_be_their_step():
     for data, name in ((npz(y=t, t=t, Ts=0.02), "a.npz"), (mat(y=t, t=t, Ts=0.02), "a.mat")):
         with pytest.raises(SeriesError, match="give one of them"):
             read_series_bytes(data, name)
+        np.testing.assert_array_equal(read_series_bytes(data, name, t="t").t, t)

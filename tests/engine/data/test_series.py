@@ -25,6 +25,13 @@ def test_times_and_a_step_that_do_not_agree_are_refused():
         Series(np.zeros(4), t=[0.0, 0.1, 0.4, 0.5], dt=0.1)
     with pytest.raises(SeriesError, match="give one of them"):
         Series(np.zeros(4), t=[0.0, 60.0, 120.0, 180.0], dt=1.0)  # seconds, minutes
+    with pytest.raises(SeriesError, match="on average"):
+        Series(np.zeros(1000), t=1.02 * np.arange(1000), dt=1.0)
+
+
+def test_a_logger_may_round_the_times_that_it_writes_beside_its_step():
+    t = np.round(np.arange(300) / 30.0, 3)
+    np.testing.assert_array_equal(Series(np.zeros(300), t=t, dt=1.0 / 30.0).t, t)
 
 
 @pytest.mark.parametrize("begin", [0.0, 1.7e9])
