@@ -11,7 +11,7 @@ import argparse
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -154,8 +154,14 @@ def base_of(window: Window) -> Base:
     """The base that was prepared."""
     row = rows()[window.name]
     model, _ = model_of(window, row["effects"].split())
-    theta = model.theta(json.loads(row["theta"]))
-    return Base(window, model, series_of(window), theta, free_of(window, model))
+    found: list[float] = json.loads(row["theta"])
+    model = model.with_parameters(  # an effect's bounds depend on where its base stood when it was found
+        [
+            replace(p, bounds=(min(p.bounds[0], x), max(p.bounds[1], x)))
+            for p, x in zip(model.parameters, found, strict=True)
+        ]
+    )
+    return Base(window, model, series_of(window), model.theta(found), free_of(window, model))
 
 
 def main(arguments: list[str] | None = None) -> None:
