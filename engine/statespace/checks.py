@@ -12,7 +12,9 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.errors import EngineError, ModelError
+from engine.statespace.compare import Result, differ, sizes_of
 from engine.statespace.model import Array, Gaussian, MixedModel
+from engine.statespace.trial import UNREPEATED, UnrepeatedError
 
 TRIED_DRAWS = 3  # draws of a_1 tried at once: enough to tell (M, n) from (n,)
 TRIED_ROWS = 8  # rows of a series on which functions are tried
@@ -119,6 +121,7 @@ def _check_first(model: MixedModel, record: object, what: str) -> Array:
         if log_p.shape != (TRIED_DRAWS,):
             raise ModelError(f"log p(a_1) has shape {log_p.shape}; ({TRIED_DRAWS},) is needed")
         z, P = start.linear(a)
+        _check_repeated(model, record, (a, log_p, z, P))
     except EngineError as error:
         text = str(error)
         raise ModelError(
@@ -136,6 +139,15 @@ def _check_first(model: MixedModel, record: object, what: str) -> Array:
     _check_finite(model, "initial: P1", P, what)
     check_covariance(model, "initial: P1", P)
     return a
+
+
+def _check_repeated(model: MixedModel, record: object, known: Result) -> None:
+    """Raise UnrepeatedError where ``initial`` gives another first state the second time."""
+    start = model.start(record)
+    a = np.asarray(start.density.sample(np.random.default_rng(0), TRIED_DRAWS), dtype=float)
+    again = (a, np.asarray(start.density.log_density(a)), *start.linear(a))
+    if differ(known, again, sizes_of(known), True):
+        raise UnrepeatedError(f"initial: {UNREPEATED}")
 
 
 def _check_finite(model: MixedModel, where: str, value: Array, what: str) -> None:

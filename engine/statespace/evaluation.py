@@ -11,6 +11,8 @@ else, it is decided which calls a function takes:
   at other times, whose number fits no matrix by chance. The 16th, 256th, 4096th, ... call is looked
   at again, and briefly the first of every pass over a record and calls whose inputs or times go beyond
   those of the calls before, or differ by more among their rows.
+- A call that is looked at thoroughly is made twice: a function that draws random numbers, or remembers
+  its calls, is refused.
 - A function that fails is called for each time and parameter vector by itself from then on, which is
   slower and always right. Where results were handed out before the failure was seen, what was made
   of them is made again: see :mod:`engine.statespace.refutation`.
@@ -43,7 +45,7 @@ from engine.statespace.refutation import (
     looks_at_times,
 )
 from engine.statespace.rows import Array, Indices, Kind, Rows, regular_input
-from engine.statespace.trial import Regular, Trial, is_numeric
+from engine.statespace.trial import Regular, Trial, UnrepeatedError, is_numeric
 
 INPUT, TIME = 1, 2  # positions of u and t among the arguments of dynamics and of measurement
 ENGINE = str(Path(__file__).parents[1])  # this package's own files
@@ -213,6 +215,8 @@ class ModelFunction:
                 together = self._trial.agreeing(rows, kind, thorough, verdict.calls)
             else:
                 together = self._regular(*rows.fresh())
+        except UnrepeatedError as error:
+            self._fail(ModelError(f"{self.name}: {error}"), rows)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
             return self._otherwise(rows, kind, verdict, error)
         if together is None:

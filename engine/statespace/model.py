@@ -70,6 +70,8 @@ class Density(Protocol):
         """Evaluate at a (M, na) -> (M,)."""
 
 
+FIRST = "the density of a_1, such as engine.Gaussian(mean, cov), z_{1|0} and P_{1|0} are needed"
+
 # f, A, Q of N(f + A z, Q) at M points, a step; likewise h, C, R, a reading
 LinearGaussian: TypeAlias = tuple[Array, Array, Array]
 
@@ -288,7 +290,7 @@ class MixedModel(BaseModel):
         Raises ModelError naming the model where the user's function fails.
         """
         try:
-            density, z1, P1 = self.initial(theta)
+            given = self.initial(theta)
         except EngineError:
             raise
         except Exception as error:
@@ -297,7 +299,11 @@ class MixedModel(BaseModel):
                 placed=True,
                 numeric=isinstance(error, (ArithmeticError, ValueError)),
             ) from error
-        return Start(density, z1, P1, self.nz)
+        if not isinstance(given, tuple | list) or len(given) != 3:
+            raise ModelError(f"initial returned {_told(given)}; {FIRST}")
+        if not hasattr(given[0], "sample"):
+            raise ModelError(f"initial returned {_told(given[0])} as the density of a_1; {FIRST}")
+        return Start(*given, self.nz)
 
     @cached_property
     def start_sizes(self) -> Array:
@@ -315,6 +321,11 @@ class MixedModel(BaseModel):
         spread, value = np.sqrt(np.maximum(variances, 0.0)), np.abs(np.concatenate((mean, z[0])))
         size = np.where(spread > 0.0, spread, value)
         return np.where(np.isfinite(size), size, 0.0)
+
+
+def _told(value: object) -> str:
+    of = f" of {len(value)}" if isinstance(value, tuple | list) else ""
+    return f"{type(value).__name__}{of}"
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,16 @@ SEEN = 60  # states of earlier looks that are mixed with those of a new one
 COMPANY = 30  # rows that are called together in a brief look
 NUMBERS = (23, 29, 31, 37, 41, 43, 47, 53, 59, 61)  # of scattered rows: a size no matrix has
 SPREADS = (0.1, 0.01)  # tried one after the other where a model has no values farther out
+UNREPEATED = (
+    "called again with the same arguments it returns something else. What it returns may depend on nothing but "
+    "its arguments: leave random numbers to the noise, whose size is Q, R or P1, and make what is remembered from "
+    "the last call a state"
+)
 NUMERIC = (ArithmeticError, ValueError)  # what a calculation may meet at a trial of its parameters
+
+
+class UnrepeatedError(ModelError):
+    """A function draws random numbers, or remembers what it did."""
 
 
 class Trial:
@@ -55,6 +64,7 @@ class Trial:
             if not thorough:
                 agrees = self._agrees_briefly(rows, kind, together, ends, rng)
                 return together if agrees else None
+            self._repeat(rows, together)
             order = rng.permutation(M)
             singles = self._singles(rows, kind, [*ends, *order[:MORE]])
             agrees = self._like(rows, kind, together, order, singles)
@@ -91,8 +101,15 @@ class Trial:
         raw = self._regular(*rows.fresh())
         self.tried_single = True
         together = copies(raw)
+        self._repeat(rows, together)
         self._see_reuse(rows, raw, together)
         return together
+
+    def _repeat(self, rows: Rows, known: Result) -> None:
+        """The same call once more. Raises UnrepeatedError where it gives something else."""
+        again = copies(self._regular(*rows.fresh()))
+        if differ(known, again, sizes_of(known), True):
+            raise UnrepeatedError(UNREPEATED)
 
     def _see_reuse(self, rows: Rows, raw: Result, known: Result) -> None:
         """Whether a call with slightly other arguments writes into what was returned before."""

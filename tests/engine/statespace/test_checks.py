@@ -145,7 +145,7 @@ def test_measurement(value, place, message):
         ([[-0.5]], 2, "initial: P1 has the negative eigenvalue -0.5"),
         (np.eye(2), 2, r"initial: P1 has shape \(2, 2\)"),
         (lambda P: lambda a: np.zeros((2, 2)), 2, r"initial: P1 has shape \(2, 2\)"),
-        (None, 0, "initial raised AttributeError"),
+        (None, 0, "initial returned NoneType as the density of a_1"),
     ],
 )
 def test_initial(value, place, message):

@@ -632,6 +632,9 @@ def test_functions_are_checked_on_the_inputs_of_the_record():
             (Gaussian([0.0], [[1.0]]), lambda a: a[9], [[1.0]]),
             r"z1 or P1 as a function .* IndexError",
         ),
+        ((Gaussian([0.0], [[1.0]]), [0.0]), "initial returned tuple of 2; the density of a_1, such"),
+        (None, "initial returned NoneType; the density"),
+        ((([0.0], [[1.0]]), [0.0], [[1.0]]), "returned tuple of 2 as the density of a_1; the dens"),
     ],
 )
 def test_a_wrong_first_state_is_refused(initial, message):
@@ -717,3 +720,42 @@ def test_inputs_within_those_of_before_are_not_looked_at_each_time():
     for k in range(1000):
         model.transition(a, rng.uniform(-1.0, 1.0, (1, 20)), float(k), 1.0, record)
     assert len(calls) < 1500
+
+
+# ---- functions that are none: what they return depends on more than their arguments -------------------------
+
+
+def unrepeatable(where):
+    """The user's model with noise drawn in a function, or with a memory of its calls."""
+    good, rng, last = user_model(), np.random.default_rng(0), [0.0]
+
+    def remembered(x):
+        last[0] = 0.9 * last[0] + 0.1
+        return x + last[0]
+
+    change = remembered if where == "memory" else lambda x: x + 0.1 * rng.standard_normal()
+
+    def dynamics(a, u, t, dt, theta):
+        f, A, Q = good.dynamics(a, u, t, dt, theta)
+        return [change(f[0]), f[1]], A, Q
+
+    def measurement(a, u, t, theta):
+        h, C, R = good.measurement(a, u, t, theta)
+        return [change(h[0])], C, R
+
+    def initial(theta):
+        density, z, P = good.initial(theta)
+        return density, change(np.asarray(z)), P
+
+    if where == "measurement":
+        return replace(good, measurement=measurement)
+    return replace(good, initial=initial) if where == "initial" else replace(good, dynamics=dynamics)
+
+
+@pytest.mark.parametrize("use", USES)
+@pytest.mark.parametrize("where", ["dynamics", "memory", "measurement", "initial"])
+def test_a_function_that_draws_or_remembers_is_refused(where, use):
+    model = unrepeatable(where)
+    name = "dynamics" if where == "memory" else where
+    with pytest.raises(ModelError, match=f"{name}: called again with the same arg.*Q, R or P1"):
+        USES[use](model, drawn(user_model()))
