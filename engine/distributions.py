@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, gammaincinv, ndtr, ndtri, stdtr
+from scipy.special import chdtrc, chdtri, gammaincinv, ndtr, ndtri, stdtr, stdtrit
 
 from engine.arrays import Array
 
@@ -48,6 +48,11 @@ def normal_quantile(p: Values) -> Array:
 def student_sf(value: float, degrees: float) -> float:
     """P(t(degrees) > value)."""
     return float(stdtr(degrees, -value))
+
+
+def student_quantile(p: float, degrees: float) -> float:
+    """The value below which t(degrees) is with probability p."""
+    return float(stdtrit(degrees, p))
 
 
 def kurtosis_z(values: Array) -> float:

@@ -206,7 +206,7 @@ def rts_em(
     all_series = as_series_list(series, model)
     given, model = model, scaled(model, all_series, theta0, free, resume)
     loop = Loop(theta0, free, n_iterations, 0, callback, resume, m_step, tolerance)
-    likelihood = LikelihoodStep(model, all_series, "the exact", worth=1e-8)
+    likelihood = LikelihoodStep(model, all_series, exact=True, worth=1e-8)
     ascent = _ascent(likelihood, model.free_indices(free), tolerance, True) if newton else None
     expect = rts_step(model, all_series)
     found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent)

@@ -24,7 +24,7 @@ from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
-from engine.estimation.wandering import looked_back
+from engine.estimation.wandering import looked_ahead, looked_back
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
 from engine.words import held_by_bounds
@@ -93,6 +93,9 @@ def iterate(
     names = tuple(model.parameter_names[i] for i in indices)
     ties = "" if last is None or outcome is Outcome.DIVERGED else steps.ties(last)
     found = log.result(names, outcome, last, ties)
+    by_em = bool(log.memory) and log.memory[-1] is None
+    if outcome is Outcome.CONVERGED is found.outcome and by_em and likelihood is not None:
+        found = looked_ahead(found, likelihood, compared or expect, loop.seed)
     if compared is None or likelihood is None or not log.k or outcome is Outcome.DIVERGED:
         return found
     return looked_back(found, likelihood.of, compared, likelihood.rows, loop.seed)

@@ -29,14 +29,18 @@ LIKELIHOOD_STEPS = 10  # at most; near the maximum it is one, or none
 class LikelihoodStep:
     """Scoring on the moment filter's likelihood, which is exact where ``model`` is linear in all states.
 
-    ``whose`` says whose likelihood it is, in words; an expected gain below ``worth`` (nats) is no reason for
-    a step.
+    ``exact`` says so; an expected gain below ``worth`` (nats) is no reason for a step.
     """
 
     model: MixedModel
     all_series: Sequence[Series]
-    whose: str = "the moment filter's"
+    exact: bool = False
     worth: float = 1e-4
+
+    @property
+    def whose(self) -> str:
+        """Whose likelihood it is, in words."""
+        return "the exact" if self.exact else "the moment filter's"
 
     def __call__(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Theta, NDArray[np.bool_]]:
         """Theta after steps in the parameters ``indices`` (n,), and which of them could not be moved.
@@ -51,6 +55,16 @@ class LikelihoodStep:
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)
+
+    def ahead(self, theta: Theta, free: Sequence[str]) -> tuple[Theta, float]:
+        """A likelier point that scoring in the ``free`` parameters reaches, and by how much (nats)."""
+        here = self.of(theta)
+        try:
+            found = quasi_ml(self.model, self.all_series, theta, free, LIKELIHOOD_STEPS, self.worth)
+        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return theta, 0.0
+        gain = found.log_likelihood - here
+        return found.theta, gain if np.isfinite(gain) else 0.0
 
     @property
     def rows(self) -> int:

@@ -10,6 +10,10 @@ class Outcome(Enum):
 
     CONVERGED = "Converged: the last iterates show no trend beyond their Monte Carlo noise."
     ITERATIONS_USED_UP = "Iterations used up before the iterates settled: allow more of them."
+    STALLED = (
+        "Standing still short of the maximum: with so little noise the steps of EM are too small to be seen, "
+        "while the likelihood still rises. Use method='quasi-newton' with a warm start, or start closer."
+    )
     STOPPED_BY_CALLER = "Stopped by the caller before the iterates settled."
     DIVERGED = (
         "Diverged: the filter or the parameters are no longer finite. Start closer, tighten the "

@@ -239,8 +239,8 @@ class Ascent:
         return out
 
 
-def bounded(information: Array, complete: Array) -> Array | None:
-    """The information (n, n) between LEAST and MOST times the complete-data one; None where it has none.
+def bounded(information: Array, complete: Array, least: float = LEAST) -> Array | None:
+    """The information (n, n) between ``least`` and MOST times the complete-data one; None where it has none.
 
     What the data hold of the parameters is less than they would with all states known; a metric that says
     otherwise is wrong, and would make steps shorter than EM's.
@@ -258,7 +258,7 @@ def bounded(information: Array, complete: Array) -> Array | None:
         half = np.linalg.solve(L, information[square] / scale[:, None] / scale)
         values, vectors = np.linalg.eigh(np.linalg.solve(L, half.T))
         root = scale[:, None] * (L @ vectors)
-        out[square] = (root * np.clip(values, LEAST, MOST)) @ root.T
+        out[square] = (root * np.clip(values, least, MOST)) @ root.T
     return out
 
 

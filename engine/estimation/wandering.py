@@ -1,7 +1,9 @@
-"""Iterates that wandered off: few particles can lead EM from a good start to a bad end, and call it settled.
+"""Iterates that ended where they should not.
 
-The moment filter tells at next to no cost how likely the end is beside what was passed before. It is an
-approximation, so where it says that the end is far less likely, the particle filter is asked, too.
+Few particles can lead EM from a good start to a bad end, and call it settled; with next to no noise its steps are
+so short that they seem settled anywhere. The moment filter tells at next to no cost how likely the end is
+beside what was passed before, and whether a maximum lies ahead. It is an approximation, so where it says that
+the end is far less likely, the particle filter is asked, too.
 """
 
 from __future__ import annotations
@@ -13,11 +15,13 @@ import numpy as np
 
 from engine.estimation.e_steps import FAR_NATS, Expect, nats_short
 from engine.estimation.em_result import EmResult
+from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Theta
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
 LIKELIEST = 2  # iterates by their E steps are looked at, besides the start and the last
+EXACT_NATS = 0.5  # by which a point ahead is likelier where the likelihood is exact
 AGAINST = (
     " By the moment filter the iterates passed parameters that are {:.0f} nats likelier than these; the "
     "particle filter does not say so. More particles would tell which is right."
@@ -50,6 +54,26 @@ def looked_back(
     if there < before[k] - short:  # it has lost the series there: its word is none
         return replace(found, message=found.message + AGAINST.format(fall))
     return found
+
+
+def looked_ahead(
+    found: EmResult, likelihood: LikelihoodStep, expect: Expect, seed: int
+) -> EmResult:
+    """The settled result, said to stand still where a point far likelier by both filters lies ahead.
+
+    ``expect`` gives the particle filter's log-likelihood, which is not asked where ``likelihood`` is exact.
+    """
+    there, gain = likelihood.ahead(found.theta, found.free)
+    if not gain > (EXACT_NATS if likelihood.exact else FAR_NATS):
+        return found
+    if not likelihood.exact:
+        here, _ = _by_particles(found.theta, expect, likelihood.rows, seed)
+        gain = _by_particles(there, expect, likelihood.rows, seed)[0] - here
+        if not gain > FAR_NATS:
+            return found
+    outcome = Outcome.STALLED
+    said = f"{outcome.value} {gain:.3g} nats were seen ahead."
+    return replace(found, outcome=outcome, message=found.message.replace(found.outcome.value, said))
 
 
 def _by_particles(theta: Theta, expect: Expect, rows: int, seed: int) -> tuple[float, float]:

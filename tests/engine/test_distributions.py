@@ -28,6 +28,7 @@ def test_normal():
 def test_student(degrees):
     found = [own.student_sf(value, degrees) for value in VALUES]
     np.testing.assert_array_equal(found, stats.t.sf(VALUES, degrees))
+    assert own.student_quantile(0.975, degrees) == pytest.approx(stats.t.ppf(0.975, degrees))
 
 
 @pytest.mark.parametrize("n", [20, 57, 400])

@@ -24,7 +24,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from engine.data.series import Series, as_series_list
-from engine.distributions import chi2_quantile, normal_quantile
+from engine.distributions import normal_quantile, student_quantile
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.long_steps import about_predictions
 from engine.estimation.quasi_newton import bounded
@@ -45,6 +45,11 @@ SETTLED_ERRORS = 0.5
 FEW_REPLICATES = 4  # where the moment filter's information is a good guess,
 GOOD_GUESS = (0.4, 2.5)  # which it is where particles see so many times as much
 TRUSTED = 0.1  # relative error that it has at least
+NEXT_TO_NOTHING = (
+    1e-10  # of the complete-data information, held by the data where there is hardly any noise
+)
+DROWNED = 0.25  # variance of whitened differences from which on they tell nothing of the guess ...
+SURELY_OFF = 30.0  # ... unless they are off by so many times that
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
 
@@ -274,7 +279,11 @@ def _differences(
             break  # with little noise the data hold a millionth of the complete-data information
     every = np.array([_whitened_information(score, L, which) for which in seeds])
     refined = L @ _root(_inverse(every.mean(axis=0)))
-    return refined @ refined.T, _jackknife(L, every)
+    relative = _jackknife(L, every)
+    if len(every) > 1:  # an inverse kept above FLOOR hides how much of it is noise
+        noise = float(np.sqrt(every.var(axis=0, ddof=1).mean() / len(every)))
+        relative = np.maximum(relative, 0.5 * noise)
+    return refined @ refined.T, relative
 
 
 def _guessed(
@@ -282,14 +291,17 @@ def _guessed(
 ) -> tuple[Array, Array] | None:
     """The same from the moment filter's information and what differences add; None where it is no guide."""
     found = score.likelihood.information(np.asarray(score.theta), score.indices)
-    guess = None if found is None else bounded(found, complete)
+    guess = None if found is None else bounded(found, complete, NEXT_TO_NOTHING)
     if guess is None:
         return None
     L = _root(np.asarray(np.linalg.inv(guess)))
     G = np.array([_whitened_information(score, L, which) for which in seeds])
     off, n = G.mean(axis=0) - np.eye(len(L)), len(seeds)
     noise = float(G.var(axis=0, ddof=1).mean() / n)
-    error = max(float((off**2).mean()) - noise, TRUSTED**2)
+    deviation = float((off**2).mean())
+    if noise > DROWNED and deviation < SURELY_OFF * noise:
+        return L @ L.T, np.full(len(L), TRUSTED)  # with little noise it is all but exact
+    error = max(deviation - noise, TRUSTED**2)
     share = error / (error + noise)  # of a deviation that is believed
     believed = np.eye(len(L)) + share * (G - np.eye(len(L)))
     values = np.linalg.eigvalsh(believed.mean(axis=0))
@@ -307,7 +319,7 @@ def _decrement(covariance: Array, scores: Array) -> tuple[float, float]:
         return decrement, 0.0
     variance = (scores - mean).T @ (scores - mean) / (R - 1) / R
     # a sum of squares with this mean has its largest quantiles where it is a single square
-    return decrement, float(np.trace(covariance @ variance) * chi2_quantile(0.95, 1))
+    return decrement, float(np.trace(covariance @ variance) * student_quantile(0.975, R - 1) ** 2)
 
 
 def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:

@@ -51,8 +51,7 @@ class Score:
     ) -> Score:
         """With the default particle smoother, or the exact one (linear Gaussian models)."""
         model = with_scales(model, all_series, theta, indices)
-        whose = "the exact" if exact else "the moment filter's"
-        likelihood = LikelihoodStep(model, all_series, whose)
+        likelihood = LikelihoodStep(model, all_series, exact)
         if exact:
             return cls(model, theta, indices, rts_step(model, all_series), True, likelihood)
         moment = _remembered(likelihood.of)

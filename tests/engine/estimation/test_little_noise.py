@@ -54,6 +54,28 @@ def test_exact_standard_errors_are_the_curvature_however_little_the_noise(q):
     assert stated.values[0] == pytest.approx(by_hand, rel=0.01)
 
 
+@pytest.mark.parametrize("q", [1e-4, 1e-6, 1e-8, 1e-10])
+def test_particles_standard_errors_are_the_curvature_however_little_the_noise(q):
+    """Differences of their scores drown in noise there; the moment filter's information does not."""
+    model, series = lag(q), record()
+    theta = engine.rts_em(model, series, {"tau": 0.4056}, method="quasi-newton").theta
+    exact = engine.standard_errors(model, theta, series, exact=True).values[0]
+    stated = engine.standard_errors(model, theta, series, n_particles=50, n_trajectories=50)
+    assert stated.values[0] == pytest.approx(exact, rel=0.2)
+
+
+@pytest.mark.parametrize("estimate", [engine.rbps_em, engine.rts_em])
+def test_em_that_stands_still_does_not_say_it_converged(estimate):
+    """Its steps are shorter than any tolerance where the likelihood still rises by thousands of nats."""
+    options = {"warm_start": False, "n_particles": 20} if estimate is engine.rbps_em else {}
+    found = estimate(lag(1e-12), record(), {"tau": 1.0}, method="em", tolerance=1e-3, **options)
+    assert found.outcome.name == "STALLED"
+    assert "Standing still" in found.message
+    assert "nats were seen ahead" in found.message
+    settled = estimate(lag(1e-2), record(), {"tau": 0.5}, method="em", tolerance=1e-3, **options)
+    assert settled.outcome.name == "CONVERGED"
+
+
 def van_der_pol(unit):
     """x'' = mu (1 - x^2) x' - x + u, mu in this unit."""
     return engine.continuous(

@@ -176,14 +176,14 @@ def test_the_error_of_the_score_is_that_of_a_mean(R, best):
 
 
 def test_settled_is_within_half_a_standard_error(top):
-    """And the limit grows with the noise of the score: 0.25 + 3.84 times its variance in those errors."""
+    """And the limit grows with the noise of the score: 0.25 + its squared t quantile times its variance in those errors."""
     variance = np.array([[4.0]])
     decrement, noise = observed._decrement(variance, np.array([[0.3]]))
     assert (decrement, noise) == (pytest.approx(0.36), 0.0)
     scores = np.array([[0.1], [0.5]])
     decrement, noise = observed._decrement(variance, scores)
     assert decrement == pytest.approx(0.36)
-    assert noise == pytest.approx(4.0 * (0.08 / 2.0) * 3.8415, rel=1e-4)
+    assert noise == pytest.approx(4.0 * (0.08 / 2.0) * 12.7062**2, rel=1e-4)
     sd = engine.standard_errors(MODEL, top, LONG, exact=True).values[0]
     assert engine.standard_errors(MODEL, top["theta"] + 0.4 * sd, LONG, exact=True).settled
     with pytest.warns(NotSettledWarning) as told:

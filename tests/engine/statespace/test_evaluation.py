@@ -632,7 +632,10 @@ def test_functions_are_checked_on_the_inputs_of_the_record():
             (Gaussian([0.0], [[1.0]]), lambda a: a[9], [[1.0]]),
             r"z1 or P1 as a function .* IndexError",
         ),
-        ((Gaussian([0.0], [[1.0]]), [0.0]), "initial returned tuple of 2; the density of a_1, such"),
+        (
+            (Gaussian([0.0], [[1.0]]), [0.0]),
+            "initial returned tuple of 2; the density of a_1, such",
+        ),
         (None, "initial returned NoneType; the density"),
         ((([0.0], [[1.0]]), [0.0], [[1.0]]), "returned tuple of 2 as the density of a_1; the dens"),
     ],
@@ -749,7 +752,9 @@ def unrepeatable(where):
 
     if where == "measurement":
         return replace(good, measurement=measurement)
-    return replace(good, initial=initial) if where == "initial" else replace(good, dynamics=dynamics)
+    return (
+        replace(good, initial=initial) if where == "initial" else replace(good, dynamics=dynamics)
+    )
 
 
 @pytest.mark.parametrize("use", USES)

@@ -2,7 +2,8 @@
 
 ``python -m tests.studies.plasmodes.windows`` makes ``bases.csv``: of every window the model as given is
 diagnosed, extended by what is found, and diagnosed again, until nothing is found. A window where something
-always is has no base and is not used.
+always is has no base and is not used, nor one that takes more than two effects, which are patches on another
+cause.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose import diagnose, extend
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.search.verdict import PATCHES
 from engine.errors import EngineError
 from engine.statespace.model import MixedModel, Theta
 from tests.studies.measured.records import RECORDS, Data
@@ -145,7 +147,11 @@ def rows() -> dict[str, dict[str, str]]:
 
 def usable(record: str) -> list[Window]:
     """The windows of a record that have a base."""
-    ready = [name for name, row in rows().items() if row["verdict"] == "nothing"]
+    ready = [
+        name
+        for name, row in rows().items()
+        if row["verdict"] == "nothing" and len(row["effects"].split()) <= PATCHES
+    ]
     return [w for w in WINDOWS if w.record == record and w.name in ready]
 
 
