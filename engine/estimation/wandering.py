@@ -1,9 +1,9 @@
 """Iterates that ended where they should not.
 
-Few particles can lead EM from a good start to a bad end, and call it settled; with next to no noise its steps are
-so short that they seem settled anywhere. The moment filter tells at next to no cost how likely the end is
-beside what was passed before, and whether a maximum lies ahead. It is an approximation, so where it says that
-the end is far less likely, the particle filter is asked, too.
+Few particles can lead EM from a good start to a bad end, and call it settled; with next to no noise its
+steps are so short that they seem settled anywhere. The moment filter tells at next to no cost how likely
+the end is beside what was passed before, and whether a maximum lies ahead. It is an approximation, so
+where it says that the end is far less likely, the particle filter is asked, too.
 """
 
 from __future__ import annotations

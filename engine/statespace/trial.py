@@ -30,9 +30,9 @@ COMPANY = 30  # rows that are called together in a brief look
 NUMBERS = (23, 29, 31, 37, 41, 43, 47, 53, 59, 61)  # of scattered rows: a size no matrix has
 SPREADS = (0.1, 0.01)  # tried one after the other where a model has no values farther out
 UNREPEATED = (
-    "called again with the same arguments it returns something else. What it returns may depend on nothing but "
-    "its arguments: leave random numbers to the noise, whose size is Q, R or P1, and make what is remembered from "
-    "the last call a state"
+    "called again with the same arguments it returns something else. What it returns may depend on "
+    "nothing but its arguments: leave random numbers to the noise, whose size is Q, R or P1, and make what "
+    "is remembered from the last call a state"
 )
 NUMERIC = (ArithmeticError, ValueError)  # what a calculation may meet at a trial of its parameters
 

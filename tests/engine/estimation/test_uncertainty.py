@@ -176,7 +176,7 @@ def test_the_error_of_the_score_is_that_of_a_mean(R, best):
 
 
 def test_settled_is_within_half_a_standard_error(top):
-    """And the limit grows with the noise of the score: 0.25 + its squared t quantile times its variance in those errors."""
+    """And the limit grows with the noise of the score: 0.25 + t^2 times its variance in those errors."""
     variance = np.array([[4.0]])
     decrement, noise = observed._decrement(variance, np.array([[0.3]]))
     assert (decrement, noise) == (pytest.approx(0.36), 0.0)
