@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.traits import Course
 from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.free_run_fits.candidates import FAMILIES
@@ -136,11 +138,11 @@ class HeldOut:
     def _promised(self, search: Search, gain: Gain) -> float:
         """Nats that held-out rows should gain if those searched did not by chance; 0 where that is no promise.
 
-        Each parameter gains half a nat where it is fitted and loses as much elsewhere (Akaike 1974). Noise and
-        what comes with time need not be the same there.
+        Each parameter gains half a nat where it is fitted and loses as much elsewhere (Akaike 1974). Noise need
+        not be the same there, and what comes with time only among the rows searched; never a pulse.
         """
         effects = [r.refits[0].effect for r in search.rounds if r.equivalent]
-        if not all(effect.family in FAMILIES for effect in effects):
+        if not all(_is_promise(effect, gain.among) for effect in effects):
             return 0.0
         gained = search.final.log_likelihood - search.base.log_likelihood
         further = len(search.final.free) - len(search.base.free)
@@ -155,3 +157,9 @@ class HeldOut:
         text, contradicts = particle_word(before, after, moment, self.searched, self.seed)
         # outliers were judged by a filter of their own
         return text, contradicts and not has_tails(search)
+
+
+def _is_promise(effect: Effect, among: bool) -> bool:
+    """Whether an effect found on rows says what others gain; ``among``: they lie among these."""
+    lasting = effect.family == "time" and effect.traits.course is not Course.PULSE
+    return effect.family in FAMILIES or (among and lasting)

@@ -43,8 +43,8 @@ class Gain:
 
     ``log_density`` is the sum of d_t, ``per_sample`` its mean +- ``standard_error``; ``p_value`` of no gain
     (one-sided), ``p_loss`` of no loss. ``decision`` says whether they call for the extension
-    (see :mod:`engine.diagnose.gain.adoption`). For pictures: times ``t``, readings ``y``, free runs ``before``
-    and ``after`` (n, ny), differences ``d`` (n,).
+    (see :mod:`engine.diagnose.gain.adoption`). ``among``: the rows lie among those fitted to. For pictures:
+    times ``t``, readings ``y``, free runs ``before`` and ``after`` (n, ny), differences ``d`` (n,).
     """
 
     how: str
@@ -62,6 +62,7 @@ class Gain:
     before: Array | None = field(default=None, repr=False)
     after: Array | None = field(default=None, repr=False)
     d: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    among: bool = False
 
     @property
     def adopt(self) -> bool:
@@ -150,7 +151,7 @@ def measure_gain_interleaved(
     how = "every fifth block, left out of the fit"
     if len(trials) > 1:
         how = "blocks, each left out of a fit in turn"
-    return gain_of(base, [score(trials, series, 0)], how, seed)
+    return replace(gain_of(base, [score(trials, series, 0)], how, seed), among=True)
 
 
 def without(fit: QuasiFit, effects: Sequence[Effect]) -> QuasiFit:

@@ -166,7 +166,7 @@ PUTS: dict[str, Put] = {
         Put(("delay:{y}",), False, _late, 0.2, 10.0, samples=True),
         Put(("slow-sensor:{y}", "lag:{y}"), False, _slow, 0.2, 20.0, samples=True),
         Put(("play:{y}",), False, _play),
-        Put(("heavy-tails:{y}",), False, _outliers, noise=True, over_time=True),
+        Put(("heavy-tails:{y}",), False, _outliers, most=20.0, noise=True, over_time=True),
         Put(("input-offset:{u}",), True, _less),
         Put(("delay:{u}",), True, _early, 0.2, 10.0, samples=True),
         Put(("input-deadzone:{u}",), True, _beyond_dead_zone, most=1.0),

@@ -10,13 +10,15 @@ the free run decides, e are its errors, Gamma has the first states too, and
 
     share = d' M d / (d' M d + e' e).
 
-Of scatter, which moves no innovation in the mean, LR is 2 x the log-likelihood that it costs the base.
+Of scatter, which moves no innovation in the mean, LR is that of a mixture of two normals against one, the scale
+of the noise being free in both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -31,12 +33,14 @@ from engine.estimation.quasi_ml import neighbours, quasi_ml, whitening
 from engine.filters.neighbours import filter_neighbours
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array
-from tests.studies.plasmodes.planted import Place, Put, put_in
+from tests.studies.plasmodes.planted import OUTLYING, Place, Put, put_in
 from tests.studies.plasmodes.windows import Base
 
 RATIOS = (40.0, 100.0)  # of the likelihood, fixed beforehand
 SHARES = (0.5, 0.8)  # of the free run's squared error, likewise
 IMITATED = 0.02  # of d' d: with less of it left beside Gamma, parameters imitate the effect
+NARROWER = np.geomspace(0.2, 1.0, 30)  # of the standard deviation, that of most innovations ...
+WIDER = np.geomspace(2.0, 50.0, 20)  # ... and of these that of those hit
 CLOSE = 0.02  # of the logarithm of what is wanted
 TRIALS = 30
 MOST_STEP = 4.0  # by which a size changes in a trial
@@ -105,16 +109,28 @@ def _errors(fit: Fitted, series: Series) -> Array:
 
 
 def _by_likelihood(base: Base) -> Measure:
+    """Of scatter: what a mixture of two normals gains over one, both with noise of the size that fits."""
+
     def of(series: Series) -> float:
         f = moment_filter(base.model, np.asarray(base.theta)[None], series)
-        return float(f.log_likelihood[0])
+        root = whitening(f.S[:, 0], series.observed)
+        z = np.einsum("tij,tj->ti", root, np.nan_to_num(f.innovations[:, 0]))[series.observed]
+        scales = np.sqrt(np.mean(z**2)) * NARROWER[:, None, None]
+        mixture = (1.0 - OUTLYING) * _normal(z, scales)
+        mixture = mixture + OUTLYING * _normal(z, scales * WIDER[:, None])
+        best = np.log(mixture).sum(axis=-1).max()
+        return float(2.0 * (best - np.log(_normal(z, np.sqrt(np.mean(z**2)))).sum()))
 
     before = of(base.series)
 
     def measure(changed: Series) -> Strength:
-        return Strength(2.0 * (before - of(changed)), 1.0)
+        return Strength(of(changed) - before, 1.0)
 
     return measure
+
+
+def _normal(z: Array, sd: Any) -> Array:
+    return np.asarray(np.exp(-0.5 * (z / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi)))
 
 
 def _part(own: Array, d: Array) -> float:
