@@ -99,7 +99,7 @@ def test_a_record_that_may_be_shipped_gives_rows() -> None:
     assert "delay:{y}" not in names  # there is nothing but noise to delay
     taken = {window.first for window, name, _ in there if name == "step:{y}"}
     assert taken == {28}  # the other window begins before the step of 1899, which its model has
-    run = next(i for i, (_, name, k) in enumerate(there) if name == "harmonic:{y}" and k == 0)
+    run = next(i for i, (_, name, k) in enumerate(there) if name == "heavy-tails:{y}" and k == 0)
     row = work("nile", 0, run)
     assert row["counts"] == "hidden"
     assert row["strength"] == pytest.approx(40.0, rel=0.1)

@@ -1,12 +1,11 @@
 """How large: by the projected likelihood ratio, or by the share of the free run's error.
 
-With e the standardised innovations of the base, d what the effect adds to them, Gamma their derivatives by
-the parameters and M = I - Gamma Gamma^+,
+    LR = 2 (max_theta log p(y without the effect) - max_theta log p(y with it))
 
-    LR = d' M d,
-
-the likelihood ratio that is expected of the true extension, whatever the noise of this record is. Where
-the free run decides, e are its errors, Gamma has the first states too, and
+of the base, which is what the effect costs it after all its parameters, those of its noise among them, have
+taken what they can; for small effects it is d' M d with d what the effect adds to standardised innovations,
+Gamma their derivatives by the parameters and M = I - Gamma Gamma^+. Where the free run decides, e are its
+errors, Gamma has the first states too, and
 
     share = d' M d / (d' M d + e' e).
 
@@ -41,7 +40,7 @@ SHARES = (0.5, 0.8)  # of the free run's squared error, likewise
 IMITATED = 0.02  # of d' d: with less of it left beside Gamma, parameters imitate the effect
 NARROWER = np.geomspace(0.2, 1.0, 30)  # of the standard deviation, that of most innovations ...
 WIDER = np.geomspace(2.0, 50.0, 20)  # ... and of these that of those hit
-CLOSE = 0.02  # of the logarithm of what is wanted
+CLOSE = 0.1  # of the logarithm of what is wanted
 TRIALS = 30
 MOST_STEP = 4.0  # by which a size changes in a trial
 
@@ -79,7 +78,10 @@ def _by_innovations(base: Base) -> Measure:
         d = np.where(seen, np.nan_to_num(after) - before, 0.0)
         d = np.einsum("tij,tj->ti", root, d).ravel()
         own = d - basis @ (basis.T @ d)
-        return Strength(float(own @ own), _part(own, d))
+        known = series.replace(y=np.where(seen, series.y, np.nan))
+        there = moment_filter(model, theta[None], known).log_likelihood[0]
+        left = quasi_ml(model, changed, theta, base.free).log_likelihood
+        return Strength(2.0 * float(there - left), _part(own, d))
 
     return measure
 
