@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
 from engine.data.series import Series, as_series_list
@@ -30,6 +31,7 @@ LOWER_BOUNDS = (
     "Standard errors allow for errors of the run that are correlated over time, but not for process noise "
     "that the parameters absorb: read them as lower bounds. Maximum likelihood (rbps_em) gives others."
 )
+ROUNDS = 3  # of fits, where parameters turn out to matter that did not at the start
 SHORT = 12  # evaluations that each start gets before the best one is followed to its end
 
 
@@ -200,18 +202,14 @@ def fit_simulation(
     listed = as_series_list(series, model)
     for one in listed:
         check_start(model, model.theta(theta0), one)
-    problem = FreeRunProblem(model, listed, model.theta(theta0), model.free_indices(free))
-    problem.look_for_silent()
-    starts = problem.starts(n_starts, np.random.default_rng(seed))
-    tried, stopped = [], False
-    for k, start in enumerate(starts, 1):
-        tried.append(problem.descend(start, SHORT))
-        if stopped := _stops(callback, k, len(starts) + 1):
+    theta, indices = model.theta(theta0), model.free_indices(free)
+    for _ in range(ROUNDS):  # what changes nothing at the start may where the fit ends
+        problem, best, stopped = _fitted(
+            FreeRunProblem(model, listed, theta, indices), n_starts, seed, max_evaluations, callback
+        )
+        if stopped or not _speaks(problem, best, indices):
             break
-    best = min(tried, key=lambda end: float(end.cost))
-    if not stopped:
-        best = problem.descend(best.x, max_evaluations)
-        _stops(callback, len(starts) + 1, len(starts) + 1)
+        theta = problem.split(best.x)[0]
     theta, x1 = problem.split(best.x)
     runs = _runs(model, theta, listed, x1)
     left = np.concatenate([run.residuals[run.series.observed] for run in runs])
@@ -222,7 +220,7 @@ def fit_simulation(
     estimated = problem.names(problem.active)
     tied = problem.names(problem.active[found.tied[:k]])
     parts = [
-        _ended(best, len(tried) if stopped else 0),
+        _ended(best, stopped),
         _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
         ties_in_words(estimated, found.directions),
         held_by_bounds(model.at_bounds(theta, estimated)),
@@ -244,6 +242,37 @@ def fit_simulation(
         success=bool(best.status > 0) and not stopped,
         message=" ".join(part for part in parts if part),
     )
+
+
+def _fitted(
+    problem: FreeRunProblem,
+    n_starts: int,
+    seed: int,
+    evaluations: int,
+    callback: Callable[[int, int], object] | None,
+) -> tuple[FreeRunProblem, OptimizeResult, int]:
+    """The problem and the best of its starts, followed to its end, unless stopped after so many of them."""
+    problem.look_for_silent()
+    starts = problem.starts(n_starts, np.random.default_rng(seed))
+    tried = []
+    for k, start in enumerate(starts, 1):
+        tried.append(problem.descend(start, SHORT))
+        if _stops(callback, k, len(starts) + 1):
+            return problem, min(tried, key=lambda end: float(end.cost)), len(tried)
+    best = min(tried, key=lambda end: float(end.cost))
+    best = problem.descend(best.x, evaluations)
+    _stops(callback, len(starts) + 1, len(starts) + 1)
+    return problem, best, 0
+
+
+def _speaks(problem: FreeRunProblem, best: OptimizeResult, free: NDArray[np.intp]) -> bool:
+    """Whether parameters that changed nothing at the start do where the fit has ended."""
+    if not problem.silent.size:
+        return False
+    theta, x1 = problem.split(best.x)
+    there = FreeRunProblem(problem.model, problem.series, theta, free, x1)
+    there.look_for_silent()
+    return there.silent.size < problem.silent.size
 
 
 def with_runs(

@@ -79,7 +79,8 @@ def said_of(substeps: int, what: str, change: float, enough: int) -> str:
     advice = (
         f"Use series.refined({enough}), in jobs and the shell the option substeps"
         if enough
-        else f"Even series.refined({MOST}) does not do: sample faster"
+        else f"Even series.refined({MOST}) does not do: sample faster, or make nonlinear states of "
+        "linear ones that are multiplied by what depends on a"
     )
     return (
         f"The model's steps are too long for these data: with {2 * substeps} steps a sample "

@@ -355,3 +355,33 @@ def test_derivatives_know_first_states_that_parameters_place(at_once):
         step = h * np.eye(2)[column]
         slope = (problem.evaluate(p + step)[0] - problem.evaluate(p - step)[0]) / (2.0 * h)
         assert np.allclose(jacobian[:, column], slope, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("k", [1.0, 1.5])
+def test_a_parameter_that_says_nothing_at_the_start_is_fitted_where_it_does(k):
+    """At k = 1 nothing moves, whatever the time constant is; it was left there, "Converged"."""
+    model = MixedModel(
+        name="valve",
+        dynamics=lambda a, u, t, dt, th: (
+            [a[:, 0] + dt / th.tau * (np.sqrt(np.maximum(th.k - 1.0, 0.0)) * u[0] - a[:, 0])],
+            np.zeros((1, 0)),
+            [[1e-6]],
+        ),
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[1e-4]]),
+        initial=lambda th: (Gaussian([0.0], [[0.0]]), [], np.zeros((0, 0))),
+        nonlinear={"q": "l/s"},
+        inputs={"u": "l/s"},
+        outputs={"y": "l/s"},
+        parameters=[
+            Parameter("k", k, "", (0.0, 10.0)),
+            Parameter("tau", 0.8, "s", (0.1, 10.0)),
+        ],
+    )
+    rng = np.random.default_rng(0)
+    u, x, y = np.repeat(rng.normal(size=40), 10), 0.0, []
+    for value in u:
+        y.append(x + 0.01 * rng.normal())
+        x += 0.1 / 1.5 * (value - x)
+    fit = fit_simulation(model, Series(y, u, dt=0.1))
+    assert fit.silent == ()
+    np.testing.assert_allclose(fit.theta, [2.0, 1.5], rtol=0.02)
