@@ -20,12 +20,16 @@ from engine.statespace.refutation import repeated_if_refuted
 @repeated_if_refuted
 @np.errstate(all="ignore")
 def outlier_log_terms(
-    model: MixedModel, theta: Array, series: Series, channel: str, shares: Array, ratios: Array
+    model: MixedModel, thetas: Array, series: Series, channel: str, shares: Array, ratios: Array
 ) -> Array:
-    """log p(y_t | y_{1:t-1}) (T, K) for K pairs of share and ratio of the outliers in ``channel``."""
+    """log p(y_t | y_{1:t-1}) (T, K) for K pairs of share and ratio of the outliers in ``channel``.
+
+    ``thetas`` (n_theta,) is the same for all pairs, or (K, n_theta) each pair's own.
+    """
     K, T = len(shares), len(series)
-    run = FilterSteps(model, Thetas(model, np.repeat(theta[None], 2 * K, axis=0)), series)
-    record = model.record(theta)
+    each = np.broadcast_to(thetas, (K, np.shape(thetas)[-1]))
+    run = FilterSteps(model, Thetas(model, np.concatenate([each, each])), series)
+    record = model.records(each)
     at_output = channel in model.outputs
     names = list(model.outputs) if at_output else [*model.nonlinear, *model.linear]
     factor = np.ones((K, len(names)))

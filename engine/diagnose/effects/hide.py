@@ -58,7 +58,8 @@ def hide(
         raise OptionError(f"'{unknown.pop()}' is no parameter of {', '.join(effects)}", "values")
     start: dict[str, Any] = {**model.theta(theta).asdict(), **own}
     blank = np.zeros((n_samples, extended.ny))
-    frame = Series(blank, u, dt=dt, hold=hold, time_unit=time_unit).check(model)
+    uncounted = replace(extended, steps_counted=0)  # its steps are made further down
+    frame = Series(blank, u, dt=dt, hold=hold, time_unit=time_unit).check(uncounted)
     run = _sampled(extended, start, frame, rng, fine)
     if not changes:
         return run

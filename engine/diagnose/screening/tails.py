@@ -3,21 +3,24 @@
 Outliers do not move the moments of a Gaussian filter's predictions, so the score of
 :mod:`engine.diagnose.screening.screen` does not see them. Their test is the kurtosis of the one-step errors,
 after the probability integral transform where predictions are mixtures (a RBPF's are), with the
-normal approximation of Anscombe and Glynn (1983). The extended model's noise is a scale mixture; a grid of
-share and ratio replaces the maximum of its likelihood.
+normal approximation of Anscombe and Glynn (1983). The extended model's noise is a scale mixture, whose
+likelihood is climbed from the best of a grid of share and ratio.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from scipy.special import ndtr, ndtri
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.screening.screen import Test
 from engine.distributions import kurtosis_z, normal_sf
-from engine.estimation.quasi_ml import QuasiFit
+from engine.estimation.quasi_ml import DIFFERENCE, QuasiFit, neighbours
 from engine.filters.gaussian_sum import outlier_log_terms
 from engine.filters.rbpf import Filtered, rbpf
 from engine.filters.sigma_point import MomentPath, moment_path
@@ -28,6 +31,9 @@ PARTICLES = 200
 SHARES = (0.003, 0.01, 0.03, 0.1)
 RATIOS = (3.0, 5.0, 10.0)
 USUAL = 10.0  # ratio at which the kurtosis is read as a share
+MOST_RATIO, SHARE_MOST = 1e4, 0.3
+STEPS = 12  # uphill from the best of the grid
+LOST = 1e300  # a value that no step is taken to
 LEAST = 20  # values without which a kurtosis means nothing
 
 
@@ -115,11 +121,72 @@ def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
 
 
 def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Array]:
-    """2 (log-likelihood gained) by outliers and the extended theta, over the grid of share and ratio."""
-    shares, ratios = (x.ravel() for x in np.meshgrid(SHARES, RATIOS))
-    theta = np.asarray(fit.theta)
-    terms = outlier_log_terms(fit.model, theta, series, effect.channel, shares, ratios)
-    total = terms.sum(axis=0)
-    best = int(np.argmax(np.where(np.isfinite(total), total, -np.inf)))
-    gain = 2.0 * (float(total[best]) - fit.log_likelihood)
-    return gain, np.concatenate([theta, [shares[best], ratios[best]]])
+    """2 (log-likelihood gained) by outliers and the extended theta: from the best of a grid uphill.
+
+    The usual noise shrinks where outliers made it seem large, so the model's own parameters move, too.
+    """
+    ratios = np.outer(RATIOS, _sizes(fit, effect, series)).ravel()
+    pairs = np.array([(a, b) for a in SHARES for b in np.unique(np.minimum(ratios, MOST_RATIO))])
+    theta, names = np.asarray(fit.theta), effect.channel
+
+    def value(thetas: Array, own: Array) -> Array:
+        terms = outlier_log_terms(fit.model, thetas, series, names, *own.T)
+        total = terms.sum(axis=0)
+        return np.where(np.isfinite(total), total, -np.inf)
+
+    total = value(theta, pairs)
+    best = int(np.argmax(total))
+    found, theta, own = _uphill(fit, value, float(total[best]), pairs[best])
+    return 2.0 * (found - fit.log_likelihood), np.concatenate([theta, own])
+
+
+def _sizes(fit: QuasiFit, effect: Effect, series: Series) -> Array:
+    """Of the noise, and of what is seen of it, beside which outliers show however little the noise is."""
+    model, path = fit.model, moment_path(fit.model, np.asarray(fit.theta), series)
+    record, t = model.record(fit.theta), int(np.argmax(series.observed.any(axis=1)))
+    a = path.filtered[t, : model.na][None]
+    u, time, dt = series.u[t], float(series.t[t]), float(series.steps[min(t, len(series) - 2)])
+    if effect.channel in model.outputs:
+        i = list(model.outputs).index(effect.channel)
+        noise, seen = model.observation(a, u, time, record)[2], path.S[:, i, i]
+    else:
+        i = [*model.nonlinear, *model.linear].index(effect.channel)
+        noise = model.transition(a, series.u_step[t], time, dt, record)[2]
+        seen = np.einsum("tj,tjk,tk->t", path.K[:, i], path.S, path.K[:, i])
+    own = float(stacked(noise)[0, i, i])
+    wider = np.sqrt(np.median(seen) / own) if own > 0.0 else 1.0
+    return np.array([1.0, max(wider, 1.0)]) if np.isfinite(wider) else np.ones(1)
+
+
+def _uphill(
+    fit: QuasiFit, value: Callable[[Array, Array], Array], best: float, own: Array
+) -> tuple[float, Array, Array]:
+    """The largest value near the fit's theta and ``own`` (share, ratio), with these: a few BFGS steps."""
+    model, theta = fit.model, np.asarray(fit.theta)
+    indices = model.free_indices(fit.free)
+    _, distances = neighbours(model, theta, indices)
+    size = distances / (2.0 * DIFFERENCE)
+    ends = np.log([(SHARES[0], SHARE_MOST), (RATIOS[0], MOST_RATIO)])
+
+    def points(x: Array) -> tuple[Array, Array]:
+        thetas = np.tile(theta, (len(x), 1))
+        thetas[:, indices] = np.clip(
+            theta[indices] + size * x[:, :-2], model.lower[indices], model.upper[indices]
+        )
+        return thetas, np.exp(np.clip(x[:, -2:], *ends.T))
+
+    def slope(x: Array) -> tuple[float, Array]:
+        step = DIFFERENCE * np.eye(len(x))
+        values = value(*points(np.concatenate([x[None], x + step, x - step])))
+        n = len(x)
+        g = (values[1 : n + 1] - values[n + 1 :]) / (2.0 * DIFFERENCE)
+        if not np.isfinite(values).all():
+            return LOST, np.zeros(n)
+        return -float(values[0]), -g
+
+    start = np.concatenate([np.zeros(len(indices)), np.log(own)])
+    end = minimize(slope, start, jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
+    if not -float(end.fun) > best:
+        return best, theta, own
+    thetas, owns = points(end.x[None])
+    return -float(end.fun), thetas[0], owns[0]

@@ -239,8 +239,9 @@ def _worth_refitting(seen: Screen, series: Series, asked: Iterable[str]) -> list
     first, most = _with_ties(values, AT_LEAST), _with_ties(values, most)
     chosen = [s for i, s in enumerate(named[:most]) if i < first or values[i] >= WORTH * best]
     chosen += [s for s in seen.scores if s.effect.name in asked and s not in chosen]
-    tails = [s for s in seen.scores if s.effect.traits.outliers and s.p_value < TAILS_ALARM]
-    chosen += [s for s in tails if s not in chosen]
+    tails = [s for s in seen.scores if s.effect.traits.outliers]
+    if any(s.p_value < TAILS_ALARM for s in tails):  # which noise it is, their test cannot tell
+        chosen += [s for s in tails if s not in chosen]
     return chosen + [s for s in seen.scores if s.effect.traits.unnamed and s.statistic > 0.0][:2]
 
 

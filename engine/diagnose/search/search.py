@@ -144,7 +144,8 @@ def search(
         tails, alarm = found.refits[0], False
         if tails.effect.family != "noise" or tails.effect.channel not in model.outputs:
             break
-        series = without_outliers(fit, series, tails.effect.channel, seed)
+        usual = replace(fit, theta=fit.model.theta(tails.fit.theta[: len(fit.theta)]))
+        series = without_outliers(usual, series, tails.effect.channel, seed)
         fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))
     named = [found for found in rounds if found.equivalent]
     if tails is None and len(named) > 1 and not explained:  # that would be by the longer steps

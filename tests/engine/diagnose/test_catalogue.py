@@ -123,6 +123,14 @@ def sought(quick=()):
     return [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in quick)) for kind in kinds]
 
 
+@pytest.mark.parametrize("kind", sorted(set(CASES) - BY_NAME_ONLY))
+def test_every_kind_can_be_hidden(kind):
+    model, series, name = case(kind, seed=5)
+    assert make_effect(name, Setting(model)).name == name
+    assert series.check(model).observed.all()
+    assert np.ptp(series.y) > 0.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", sought(QUICK))
 def test_a_hidden_effect_is_found_among_its_look_alikes(kind):

@@ -66,3 +66,31 @@ def test_missing_values_are_passed_over():
     terms = outlier_log_terms(DRIVE, THETA, gap, "reading", np.array([0.1]), np.array([5.0]))
     assert np.isfinite(terms).all()
     np.testing.assert_allclose(terms[100:140], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("share_of_noise", [0.5, 1e-4])
+def test_outliers_gain_what_they_do_with_noise_of_the_right_size(share_of_noise):
+    """They make the noise seem large, or that of the process where the sensor's is next to nothing."""
+    level = engine.get_model("local-level")
+    values = {"level": 1000.0, "q": 1500.0, "r": 15000.0 * share_of_noise}
+    true = level.theta({k: v for k, v in values.items() if k in level.parameter_names})
+    rng = np.random.default_rng(5)
+    y = engine.simulate(level, true, 300, rng).series.y.copy()
+    hit = rng.choice(300, 12, replace=False)
+    y[hit, 0] += 800.0 * rng.standard_normal(12)
+    series = engine.Series(y, dt=1.0)
+    fit = quasi_ml(level, series, true)
+    setting = Setting(level)
+    output = next(iter(level.outputs))
+    gain, theta = fit_tails(fit, make_effect(f"heavy-tails:{output}", setting), series)
+    ratio = max(800.0 / np.sqrt(true["r"]), 1.0)
+    shares, ratios = np.array([0.04]), np.array([ratio])
+    known = outlier_log_terms(level, np.asarray(true), series, output, shares, ratios).sum()
+    assert gain >= 0.9 * 2.0 * (known - fit.log_likelihood)
+    assert gain > 60.0
+    state = next(iter({**level.nonlinear, **level.linear}))
+    other, _ = fit_tails(fit, make_effect(f"heavy-tails:{state}", setting), series)
+    assert gain > other + 10.0
+    own = theta[: len(fit.theta)]
+    at_own = outlier_log_terms(level, own, series, output, theta[-2:-1], theta[-1:]).sum()
+    assert 2.0 * (at_own - fit.log_likelihood) == pytest.approx(gain, abs=1e-6)
