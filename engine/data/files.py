@@ -5,8 +5,8 @@ Which columns are which channels:
 - ``y`` and ``u`` are lists of column names, or mappings {model channel: column};
 - left out, they are all columns named y or u, alone or followed by something that is not a letter
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
-- ``t`` names the column of time stamps; left out, a column named ``t`` or ``time`` is used, also with a unit of
-  time behind it (``t [h]``, ``time_min``, ``t_s``);
+- ``t`` names the column of time stamps, numbers or dates such as ``2024-03-01 13:45:00``; left out, a column
+  named ``t`` or ``time`` is used, also with a unit of time behind it (``t [h]``, ``time_min``, ``t_s``);
 - ``dt`` is the time step where no column has the times; in .mat and .npz a scalar named ``dt`` or ``Ts`` is.
   Given beside times it must be their step, but that of a file where ``t`` is named;
 - ``time_unit`` says what times count (see :class:`engine.Series`); left out, what the file says: a text
@@ -83,7 +83,7 @@ def series_from(
     step = dt if dt is not None or t is not None else table.dt
     if t is None:
         t = next((name for name in table.groups if TIMES.fullmatch(name)), None)
-    times = None if t is None else _stacked(table, "t", _lookup(table, "t", t))[:, 0]
+    times = None if t is None else table.times(_lookup(table, "t", t)[0])
     try:
         return Series(
             _stacked(table, "y", y_columns),

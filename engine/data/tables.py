@@ -14,6 +14,7 @@ import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from engine.errors import SeriesError
 # Comments at the head of a CSV.
 HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
+DATED = re.compile(r"\d+([./-])\d+\1\d+")  # how a date begins, in whatever order
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "#n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
 LARGEST_BYTES = 4 << 30  # an .npz may unpack to, and memory for reading a .mat
@@ -62,6 +64,22 @@ class Table:
         except ValueError:
             return np.array([self._number(name, i, cell) for i, cell in enumerate(values)])
 
+    def times(self, name: str) -> Array | list[datetime]:
+        """A column of times (T,): numbers, or dates as ISO 8601 writes them."""
+        values = self.columns[name]
+        if isinstance(values, np.ndarray) or _date(next(filter(str.strip, values), "")) is None:
+            return self.column(name)
+        found = [_date(cell) for cell in values]
+        for i, (one, cell) in enumerate(zip(found, values, strict=True)):
+            if one is None:
+                raise SeriesError(
+                    f"{self._place(name, i)}: '{cell.strip()[:40]}' is not a date such as 2024-03-01 13:45:00"
+                )
+        return [one for one in found if one is not None]
+
+    def _place(self, name: str, row: int) -> str:
+        return f"{self.file}, line {self.lines[row]}, column '{name}'"
+
     def _number(self, name: str, row: int, cell: str) -> float:
         text = cell.strip()
         if text.lower() in MISSING:
@@ -71,10 +89,9 @@ class Table:
         hint = ""
         if text.count(",") == 1 and _is_number(text.replace(",", ".")):
             hint = "; it has a decimal comma, write a decimal point"
-        raise SeriesError(
-            f"{self.file}, line {self.lines[row]}, column '{name}': '{text[:40]}' is not a "
-            f"number{hint}"
-        )
+        elif DATED.match(text):
+            hint = "; dates of a column of times are read as 2024-03-01 13:45:00"
+        raise SeriesError(f"{self._place(name, row)}: '{text[:40]}' is not a number{hint}")
 
     def there(self) -> str:
         """What the file holds, for errors."""
@@ -263,6 +280,14 @@ def _ragged(row: list[str], names: list[str], file: str, line: int) -> SeriesErr
     return SeriesError(
         f"{file}, line {line}: {len(row)} cells for {len(names)} columns ({', '.join(names)}){hint}"
     )
+
+
+def _date(text: str) -> datetime | None:
+    """A date such as 2024-03-01 or 2024-03-01T13:45:00+01:00, None where it is none, or a number."""
+    try:
+        return None if _is_number(text) else datetime.fromisoformat(text.strip())
+    except ValueError:
+        return None
 
 
 def _is_number(text: str) -> bool:

@@ -29,6 +29,7 @@ from engine.diagnose import LEAST
 from engine.diagnose.diagnosis import Diagnosis
 from engine.diagnose.search.checkpoint import Parts
 from engine.errors import OptionError, check_count
+from engine.randomness import check_seed
 from engine.statespace.model import MixedModel, ThetaLike
 from engine.units import SECOND
 
@@ -105,6 +106,7 @@ def design_experiment(
     """
     check_count("inputs", inputs)
     asked = asked_of(diagnosis, bounds, length, causes, theta, free, anew=anew)
+    check_seed(seed)
     return asked.designed(int(inputs), seed, callback)
 
 

@@ -52,6 +52,7 @@ from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError, SeriesError
+from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
 
 __all__ = [
@@ -148,6 +149,7 @@ def diagnose(  # noqa: PLR0913
         An option is not known or out of its range; ``field`` names it.
     """
     _check_options(alpha, max_effects, effects)
+    check_seed(seed)
     if bootstrap < 0:
         raise OptionError(f"bootstrap = {bootstrap}; 0 or more is needed", "bootstrap")
     as_given = model

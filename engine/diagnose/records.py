@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from engine.data.series import Series, as_series_list
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.errors import SeriesError
@@ -55,6 +57,8 @@ def records_of(
 ) -> tuple[MixedModel, Records]:
     """The records, and the model with extra channels of theirs as inputs. Raises SeriesError."""
     given = as_series_list(series, model)
+    wanted = isinstance(test, Series) or bool(test)
+    tests = as_series_list(test, model) if test is not None and wanted else []
     names = given[0].extra_names
     for k, one in enumerate(given):
         if one.extra_names != names:
@@ -63,9 +67,32 @@ def records_of(
                 f"{', '.join(names) or 'none'}; all records need the same"
             )
     model = with_inputs(model, names)
-    tests = [test] if isinstance(test, Series) else list(test or ())
     longest = max(range(len(given)), key=lambda k: (len(given[k]), -k))
+    _check_apart([*given, *tests], len(given))
     main, *others = (one.with_extra_inputs() for one in [given.pop(longest), *given])
     return model, Records(
         main, tuple(others), tuple(one.with_extra_inputs().check(model) for one in tests)
     )
+
+
+def _check_apart(every: Sequence[Series], n: int) -> None:
+    """Raise SeriesError where one of the records, of which the first ``n`` are fitted, is another once more."""
+    for j, one in enumerate(every):
+        for k, other in enumerate(every[:j]):
+            if not _same(one, other):
+                continue
+            if j < n or k >= n:
+                what, first = ("records", 0) if j < n else ("tests", n)
+                raise SeriesError(
+                    f"{what} {k - first} and {j - first} are the same: give each once"
+                )
+            raise SeriesError(
+                f"test is record {k}, which the model is fitted to: give data that it has not seen, or none, "
+                "and the last fifth of the longest record is held out"
+            )
+
+
+def _same(one: Series, other: Series) -> bool:
+    """Whether readings and inputs are the same numbers."""
+    pairs = ((one.y, other.y), (one.u, other.u))
+    return all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)

@@ -26,6 +26,7 @@ from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
 from engine.estimation.wandering import looked_ahead, looked_back
 from engine.filters.sigma_point import free_thetas
+from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
 from engine.words import held_by_bounds
 
@@ -66,6 +67,7 @@ def iterate(
     """
     n = loop.n_iterations
     check_count("n_iterations", n)
+    check_seed(loop.seed)
     check_m_step(loop.m_step)
     indices = model.free_indices(loop.free)
     log = _Log(model, loop, len(indices) if ascent is not None else 0)

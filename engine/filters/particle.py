@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.filters.proposals import Proposal
 from engine.filters.rbpf import Filtered, rbpf
+from engine.randomness import Rng, generator
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.promotion import as_nonlinear
 from engine.views import Shown
@@ -93,7 +94,7 @@ def particle_filter(
     theta: ThetaLike,
     series: Series,
     n_particles: int,
-    rng: np.random.Generator,
+    rng: Rng,
     proposal: str | Proposal = "bootstrap",
     resampling: str = "multinomial",
     ess_threshold: float = 1.0,
@@ -113,8 +114,8 @@ def particle_filter(
         The data: y (T, ny) with NaN where missing, u (T, nu), times.
     n_particles : int
         Number of particles M.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
     proposal : str or callable
         Density that new particles are drawn from, as for :func:`rbpf`; the report's is ``bootstrap``.
     resampling : str
@@ -136,6 +137,7 @@ def particle_filter(
     ModelError
         A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
+    rng = generator(rng)
     full = as_nonlinear(model)
     filtered = rbpf(full, theta, series, n_particles, rng, proposal, resampling, ess_threshold)
     return ParticleFiltered(model, filtered)

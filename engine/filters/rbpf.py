@@ -17,6 +17,7 @@ from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.kernels import resampling as schemes
 from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
+from engine.randomness import Rng, generator
 from engine.statespace.checks import check_readings, check_start
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.statespace.refutation import repeated_if_refuted
@@ -152,7 +153,7 @@ def rbpf(
     theta: ThetaLike,
     series: Series,
     n_particles: int,
-    rng: np.random.Generator,
+    rng: Rng,
     proposal: str | Proposal = "adapted",
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
@@ -171,8 +172,8 @@ def rbpf(
         The data: y (T, ny) with NaN where missing, u (T, nu), times.
     n_particles : int
         Number of particles M.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
     proposal : str or callable
         Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function
         of a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
@@ -195,6 +196,7 @@ def rbpf(
     ModelError
         A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
+    rng = generator(rng)
     theta = model.theta(theta)
     check_start(model, theta, series.check(model))
     scheme = check_options(n_particles, resampling, ess_threshold)

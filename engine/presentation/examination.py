@@ -22,6 +22,7 @@ from engine.filters.rbpf import rbpf
 from engine.json_values import plain
 from engine.presentation.held_out import held_out
 from engine.presentation.report import write_report
+from engine.randomness import check_seed
 from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.rb_ffbsi import rb_ffbsi
 from engine.statespace.base import BaseModel
@@ -101,6 +102,7 @@ def examine(
             f"model '{model.name}' is no mixed model; there is nothing to smooth it by"
         )
     all_series = as_series_list(series, model)
+    check_seed(seed)
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     states = [
         smoothed(model, found.theta, one, n_particles, n_particles, rng) for one in all_series

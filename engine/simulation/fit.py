@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
 from engine.data.series import Series, as_series_list
+from engine.randomness import check_seed
 from engine.simulation.free_run import FreeRun, free_run
 from engine.simulation.problem import FreeRunProblem
 from engine.simulation.step_length import about_free_runs
@@ -199,6 +200,7 @@ def fit_simulation(
         Channels or units are not the model's, or nothing was measured; names the channel.
     """
     began = time.perf_counter()
+    check_seed(seed)
     listed = as_series_list(series, model)
     for one in listed:
         check_start(model, model.theta(theta0), one)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from engine.data.series import Series
 from engine.errors import ModelError, OptionError
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
+from engine.randomness import Rng, generator
 from engine.simulation.steps import observations
 from engine.simulation.whole_record import whole_record
 from engine.statespace.checks import check_start
@@ -63,7 +64,7 @@ def simulate(
     model: MixedModel,
     theta: ThetaLike,
     n_samples: int,
-    rng: np.random.Generator,
+    rng: Rng,
     u: ArrayLike | None = None,
     dt: float | None = None,
     t: ArrayLike | None = None,
@@ -82,8 +83,8 @@ def simulate(
         Parameters: all as (n_theta,), some by name, or None for the model's defaults.
     n_samples : int
         Number of samples T, at least 2.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
     u : array (T, nu) or (T,), optional
         Inputs, in the units that the model declares; needed where it has inputs.
     dt : float, optional
@@ -107,6 +108,7 @@ def simulate(
     OptionError
         Inputs are missing, or there are too few samples.
     """
+    rng = generator(rng)
     if n_samples < 2:
         raise OptionError(f"n_samples = {n_samples}; at least 2 are needed", "n_samples")
     if u is None and model.nu:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.filters.particle import ParticleFiltered
+from engine.randomness import Rng, generator
 from engine.smoothers.moments import Moments
 from engine.smoothers.rb_ffbsi import rb_ffbsi
 from engine.statespace.model import Array
@@ -61,9 +62,7 @@ class ParticleSmoothed(Shown):
         return np.asarray(self.trajectories.std(axis=1))
 
 
-def ffbsi(
-    filtered: ParticleFiltered, n_trajectories: int, rng: np.random.Generator
-) -> ParticleSmoothed:
+def ffbsi(filtered: ParticleFiltered, n_trajectories: int, rng: Rng) -> ParticleSmoothed:
     """Draw trajectories of x by backward simulation (Godsill, Doucet, West 2004).
 
     Parameters
@@ -72,8 +71,8 @@ def ffbsi(
         A pass of :func:`particle_filter`.
     n_trajectories : int
         Number of trajectories N that are drawn, each of weight 1/N.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
 
     Returns
     -------
@@ -85,5 +84,6 @@ def ffbsi(
     OptionError
         ``n_trajectories`` is no positive whole number.
     """
+    rng = generator(rng)
     draws = rb_ffbsi(filtered.filtered, n_trajectories, rng)
     return ParticleSmoothed(filtered, draws.a, draws.index)

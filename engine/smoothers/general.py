@@ -12,6 +12,7 @@ from engine.errors import SeriesError, check_count
 from engine.filters.rbpf import COLLAPSED, check_options
 from engine.kernels import resampling as schemes
 from engine.kernels.categorical import pick_each
+from engine.randomness import Rng, generator
 from engine.statespace.base import Theta, ThetaLike
 from engine.statespace.general import NonlinearModel, check_general
 from engine.statespace.model import Array
@@ -50,7 +51,7 @@ def filter_general(
     theta: ThetaLike,
     series: Series,
     n_particles: int,
-    rng: np.random.Generator,
+    rng: Rng,
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
 ) -> GeneralFiltered:
@@ -69,8 +70,8 @@ def filter_general(
         The data: y (T, ny) with NaN where missing, u (T, nu), times.
     n_particles : int
         Number of particles M.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float
@@ -90,6 +91,7 @@ def filter_general(
     ModelError
         A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
+    rng = generator(rng)
     theta = model.theta(theta)
     check_rows(series.check(model))
     check_general(model, theta, series)
@@ -122,9 +124,7 @@ def filter_general(
     )
 
 
-def smooth_general(
-    filtered: GeneralFiltered, n_trajectories: int, rng: np.random.Generator
-) -> Array:
+def smooth_general(filtered: GeneralFiltered, n_trajectories: int, rng: Rng) -> Array:
     """Draw trajectories of a general model by backward simulation, O(M N) per step.
 
     Parameters
@@ -133,8 +133,8 @@ def smooth_general(
         A pass of :func:`filter_general`.
     n_trajectories : int
         Number of trajectories N that are drawn, each of weight 1/N.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
 
     Returns
     -------
@@ -146,6 +146,7 @@ def smooth_general(
     OptionError
         ``n_trajectories`` is no positive whole number.
     """
+    rng = generator(rng)
     check_count("n_trajectories", n_trajectories)
     model, series, x = filtered.model, filtered.series, filtered.x
     T, N, record = len(x), n_trajectories, model.record(filtered.theta)

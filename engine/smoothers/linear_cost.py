@@ -14,6 +14,7 @@ from engine.errors import OptionError, check_count
 from engine.filters.rbpf import Filtered
 from engine.kernels.linear_cost import backward_linear
 from engine.kernels.resampling import stratified
+from engine.randomness import Rng, generator
 from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.rb_ffbsi import Smoothed
 
@@ -31,7 +32,7 @@ class Cost:
 def rb_ffbsi_linear(
     filtered: Filtered,
     n_trajectories: int,
-    rng: np.random.Generator,
+    rng: Rng,
     method: str = "mcmc",
     moves: int = 3,
     tries: int | None = None,
@@ -45,8 +46,8 @@ def rb_ffbsi_linear(
         A pass of :func:`rbpf`.
     n_trajectories : int
         Number of trajectories N that are drawn, each of weight 1/N.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
     method : str
         ``mcmc``: Markov chain Monte Carlo moves at a fixed cost; a trajectory may keep to the filter's
         genealogy where hardly any candidate is accepted. ``rejection``: draws exactly as the full weights
@@ -68,6 +69,7 @@ def rb_ffbsi_linear(
     OptionError
         An option is not known or out of its range; ``field`` names it.
     """
+    rng = generator(rng)
     return backward_draws(filtered, n_trajectories, rng, method, moves, tries, condition)[0]
 
 

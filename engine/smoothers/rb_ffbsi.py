@@ -11,6 +11,7 @@ from engine.errors import check_count
 from engine.filters.rbpf import Filtered
 from engine.kernels.backward import backward_simulation
 from engine.kernels.resampling import stratified
+from engine.randomness import Rng, generator
 from engine.statespace.model import Array
 from engine.statespace.points import Points
 from engine.views import Figures, Shown, View, figures, plots, sheet, tables
@@ -114,7 +115,7 @@ class Smoothed(Shown):
 def rb_ffbsi(
     filtered: Filtered,
     n_trajectories: int,
-    rng: np.random.Generator,
+    rng: Rng,
     joint: bool = False,
 ) -> Smoothed:
     """Draw backward trajectories; report, Algorithm 3.
@@ -129,8 +130,8 @@ def rb_ffbsi(
         A pass of :func:`rbpf`.
     n_trajectories : int
         Number of trajectories N that are drawn, each of weight 1/N.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
     joint : bool
         Whether drawn z~ are chained into whole trajectories of (a, z) from the joint smoothing density, which
         converge to exact draws as the number of particles grows.
@@ -145,6 +146,7 @@ def rb_ffbsi(
     OptionError
         ``n_trajectories`` is no positive whole number.
     """
+    rng = generator(rng)
     check_count("n_trajectories", n_trajectories)
     T, N, nz = len(filtered.a), n_trajectories, filtered.z.shape[2]
     index, z, P, M, draws = backward_simulation(

@@ -26,6 +26,7 @@ from engine.kernels.categorical import pick_each
 from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import log_normal_common, psd_cholesky_many
 from engine.kernels.rts import gains, log_pairs
+from engine.randomness import Rng, generator
 from engine.smoothers.rb_ffbsi import Smoothed
 from engine.statespace.model import Array, LinearGaussian, MixedModel, ThetaLike, stacked
 from engine.statespace.shapes import squared, through
@@ -112,7 +113,7 @@ def rbpf_special(
     theta: ThetaLike,
     series: Series,
     n_particles: int,
-    rng: np.random.Generator,
+    rng: Rng,
     resampling: str = "systematic",
     ess_threshold: float = 0.5,
 ) -> SpecialFiltered:
@@ -128,8 +129,8 @@ def rbpf_special(
         The data: y (T, ny) with NaN where missing, u (T, nu), times.
     n_particles : int
         Number of particles M.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
     resampling : str
         ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
     ess_threshold : float
@@ -149,6 +150,7 @@ def rbpf_special(
     ModelError
         A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
+    rng = generator(rng)
     model = case.model
     theta = model.theta(theta)
     series.check(model)
@@ -190,7 +192,7 @@ def rbpf_special(
 
 
 def rb_ffbsi_special(
-    filtered: SpecialFiltered, n_trajectories: int, rng: np.random.Generator, joint: bool = False
+    filtered: SpecialFiltered, n_trajectories: int, rng: Rng, joint: bool = False
 ) -> Smoothed:
     """Draw backward trajectories, z smoothed in RTS form; report, eqs. (66)-(68).
 
@@ -202,8 +204,8 @@ def rb_ffbsi_special(
         A pass of :func:`rbpf_special`.
     n_trajectories : int
         Number of trajectories N that are drawn, each of weight 1/N.
-    rng : numpy.random.Generator
-        Source of all random numbers.
+    rng : numpy.random.Generator or int
+        Source of all random numbers, or the seed of one.
     joint : bool
         Whether drawn z~ are chained into whole trajectories of (a, z), as for :func:`rb_ffbsi`.
 
@@ -217,6 +219,7 @@ def rb_ffbsi_special(
     OptionError
         ``n_trajectories`` is no positive whole number.
     """
+    rng = generator(rng)
     check_count("n_trajectories", n_trajectories)
     case, series = filtered.case, filtered.series
     record = case.model.record(filtered.theta)

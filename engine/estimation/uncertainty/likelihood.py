@@ -40,6 +40,7 @@ from engine.distributions import chi2_quantile
 from engine.errors import ModelError, NotSettledWarning, OptionError
 from engine.estimation.uncertainty.observed import StandardErrors, standard_errors
 from engine.estimation.uncertainty.score import Score
+from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.views import Shown, View, sheet, tables
 
@@ -159,6 +160,7 @@ def likelihood_intervals(  # noqa: PLR0913
     """
     if not 0.0 < level < 1.0:
         raise OptionError(f"level = {level:g}; a number between 0 and 1 is needed", "level")
+    check_seed(seed)
     theta = model.theta(theta)
     if errors is None:
         with warnings.catch_warnings():  # an interval finds the maximum for itself

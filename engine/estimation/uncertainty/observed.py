@@ -30,6 +30,7 @@ from engine.estimation.long_steps import about_predictions
 from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.score import Score, inside, shift_within
 from engine.estimation.uncertainty.ties import undetermined
+from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.ties import tied, ties_in_words, to_hold
 from engine.views import html, tables
@@ -209,6 +210,7 @@ def standard_errors(
     ModelError
         The data hold no information on a parameter.
     """
+    check_seed(seed)
     found = None
     if isinstance(theta, Estimate):
         found, theta = theta, theta.theta

@@ -346,3 +346,35 @@ def test_a_step_beside_a_column_of_times_must_be_their_step():
         with pytest.raises(SeriesError, match="give one of them"):
             read_series_bytes(data, name)
         np.testing.assert_array_equal(read_series_bytes(data, name, t="t").t, t)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "step"),
+    [
+        (["2024-03-30 22:00", "2024-03-30 23:00", "2024-03-31 00:00"], 3600.0),
+        (["2024-03-30", "2024-03-31", "2024-04-01"], 86400.0),
+        (["2024-01-01T00:00:00.000Z", "2024-01-01T00:00:00.500Z", "2024-01-01T00:00:01Z"], 0.5),
+        (["2024-03-31T01:00+01:00", "2024-03-31T03:00+02:00", "2024-03-31T04:00+02:00"], 3600.0),
+    ],
+)
+def test_a_logger_writes_dates(tmp_path, stamps, step):
+    path = tmp_path / "logged.csv"
+    path.write_text("t,y\n" + "".join(f"{one},{k}\n" for k, one in enumerate(stamps)))
+    series = read_series(path)
+    np.testing.assert_allclose(series.t, step * np.arange(3), rtol=1e-12)
+    hours = read_series(path, time_unit="h")
+    np.testing.assert_allclose(hours.t, step / 3600.0 * np.arange(3), rtol=1e-12)
+
+
+def test_a_date_that_is_none_is_named_with_its_line(tmp_path):
+    path = tmp_path / "logged.csv"
+    path.write_text("t,y\n2024-03-30 22:00,1\n30.03.2024 23:00,2\n")
+    with pytest.raises(
+        SeriesError, match=r"line 3, column 't': '30.03.2024 23:00' is not a date such"
+    ):
+        read_series(path)
+    path.write_text("t,y\n30.03.2024 22:00,1\n")
+    with pytest.raises(
+        SeriesError, match=r"line 2, column 't': '30.03.2024 22:00' is not a number"
+    ):
+        read_series(path)

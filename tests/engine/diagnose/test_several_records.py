@@ -94,3 +94,17 @@ def test_records_need_the_same_channels(parts):
         ask([parts[0], odd])
     with pytest.raises(SeriesError, match="no series"):
         ask([])
+
+
+@pytest.mark.parametrize(
+    ("series", "test", "message"),
+    [
+        (lambda a, b: [a, b, a], None, "records 0 and 2 are the same"),
+        (lambda a, b: a, lambda a, b: [b, b], "tests 0 and 1 are the same"),
+        (lambda a, b: [b, a], lambda a, b: a, "test is record 1, which the model is fitted to"),
+    ],
+)
+def test_a_record_counts_once(series, test, message):
+    a, b = record(60, 1), record(60, 2)
+    with pytest.raises(SeriesError, match=message):
+        ask(series(a, b), None if test is None else test(a, b))
