@@ -127,10 +127,10 @@ def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Arr
     """
     ratios = np.outer(RATIOS, _sizes(fit, effect, series)).ravel()
     pairs = np.array([(a, b) for a in SHARES for b in np.unique(np.minimum(ratios, MOST_RATIO))])
-    theta, names = np.asarray(fit.theta), effect.channel
+    theta, channel = np.asarray(fit.theta), effect.channel
 
     def value(thetas: Array, own: Array) -> Array:
-        terms = outlier_log_terms(fit.model, thetas, series, names, *own.T)
+        terms = outlier_log_terms(fit.model, thetas, series, channel, *own.T)
         total = terms.sum(axis=0)
         return np.where(np.isfinite(total), total, -np.inf)
 
