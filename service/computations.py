@@ -172,7 +172,7 @@ def fit(
         "ess": found.ess.tolist(),
         "seconds": found.seconds.tolist(),
         "free": list(found.free),
-        "outcome": found.outcome.name.lower().replace("_", "-"),
+        "outcome": found.outcome.word,
         "success": found.outcome.success,
         "message": found.message + note,
     }

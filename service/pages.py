@@ -34,7 +34,8 @@ LIST: dict[str, Any] = {
     "statuses": get_args(Status),
     "kinds": get_args(Kind),
     "outcomes": (
-        "nothing", "named", "set", "unknown", "converged", "iterations-used-up", "wandered",
+        "nothing", "named", "set", "unknown",
+        *(one.word for one in engine.Outcome if one.success and one is not engine.Outcome.STOPPED_BY_CALLER),
         "evaluations-used-up",
     ),
     "columns": (

@@ -31,6 +31,11 @@ class Outcome(Enum):
     )
 
     @property
+    def word(self) -> str:
+        """How documents and pages write it."""
+        return self.name.lower().replace("_", "-")
+
+    @property
     def success(self) -> bool:
         """False where theta must not be taken for an estimate."""
         return self not in (Outcome.DIVERGED, Outcome.COLLAPSED)

@@ -111,7 +111,7 @@ def examine(
         **estimation_document(
             model, found.theta, found.free, all_series, states, (errors, intervals), seed
         ),
-        "outcome": found.outcome.name.lower().replace("_", "-"),
+        "outcome": found.outcome.word,
         "message": found.message,
         "trace": trace_document(model.parameter_names, vars(found)),
     }
