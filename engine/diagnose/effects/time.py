@@ -80,9 +80,11 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
     unit = setting.unit(channel) if at_output else setting.rate(channel)
     lowest, highest = 0.5 / max(setting.length, setting.dt), 0.5 / setting.dt
     bounds, per_time = setting.limits(lowest, highest), frequency_in(setting.time_unit)
+    # counted from afar, as years are, the phase would turn many times where the frequency moves by little
+    middle = 0.5 * (setting.span[0] + setting.span[1])
 
     def term(v: Any, own: Sequence[Any]) -> Any:
-        angle = 2.0 * np.pi * own[2] * v.t
+        angle = 2.0 * np.pi * own[2] * (v.t - own[3])
         return own[0] * np.cos(angle) + own[1] * np.sin(angle)
 
     def extend(model: MixedModel) -> MixedModel:
@@ -93,14 +95,17 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
         channel,
         "time",
         f"harmonic {'in the reading' if at_output else 'force on'} {channel}",
-        f"{channel} = ... + {'' if at_output else 'dt * '}({name} cos(2 pi f t) + {name}_sine sin(2 pi f t))",
+        f"{channel} = ... + {'' if at_output else 'dt * '}({name} cos(2 pi f s) + {name}_sine sin(2 pi f s)), "
+        f"s = t - {name}_origin",
         (
             Parameter(name, 0.0, unit, description="amplitude of the cosine"),
             Parameter(f"{name}_sine", 0.0, unit, description="amplitude of the sine"),
             Parameter(f"{name}_frequency", 10.0 * lowest, per_time, bounds, "frequency"),
+            setting.time(f"{name}_origin", middle, what="from when its phase counts"),
         ),
         extend,
-        probes=((0.0, 10.0 * lowest),),
+        probes=((0.0, 10.0 * lowest, middle),),
+        held=(f"{name}_origin",),
         look_alikes={"pole": "a lightly damped missing mode rings, a harmonic does not decay"},
         traits=Traits(Course.HARMONIC, swallowed=True),
     )

@@ -96,9 +96,10 @@ def _gates(
     if effect.traits.course is Course.HARMONIC:
         tries = len(points)
         points = points[best_frequencies(path, series, b, e, points, PEAKS)]
-        angle = 2.0 * np.pi * points * t
+        origin = effect.probes[0][-1]
+        angle = 2.0 * np.pi * points * (t - origin)
         both = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(series), -1)
-        return [(0.0, float(f)) for f in points], both, tries
+        return [(0.0, float(f), origin) for f in points], both, tries
     return [(float(tau),) for tau in points], (t >= points).astype(float), 1
 
 

@@ -63,8 +63,8 @@ RATES = [
     ("pulse:speed", [0.6, 2.5, 0.1], lambda x, t: 0.6 * (t == 2.5)),
     (
         "harmonic:speed",
-        [0.6, 0.2, 0.4],
-        lambda x, t: 0.6 * np.cos(0.8 * np.pi * t) + 0.2 * np.sin(0.8 * np.pi * t),
+        [0.6, 0.2, 0.4, 0.3],
+        lambda x, t: 0.6 * np.cos(0.8 * np.pi * (t - 0.3)) + 0.2 * np.sin(0.8 * np.pi * (t - 0.3)),
     ),
 ]
 
@@ -115,8 +115,8 @@ READINGS = [
     ("pulse:reading", [0.6, 2.5, 0.1], lambda y, t: 0.6 * (t == 2.5)),
     (
         "harmonic:reading",
-        [0.6, 0.2, 0.4],
-        lambda y, t: 0.6 * np.cos(0.8 * np.pi * t) + 0.2 * np.sin(0.8 * np.pi * t),
+        [0.6, 0.2, 0.4, 0.3],
+        lambda y, t: 0.6 * np.cos(0.8 * np.pi * (t - 0.3)) + 0.2 * np.sin(0.8 * np.pi * (t - 0.3)),
     ),
     ("gain:reading", [0.5, 0.3], lambda y, t: 0.5 * (y - 0.3)),
     ("cubic-sensor:reading", [0.2, 0.3], lambda y, t: 0.2 * (y - 0.3) ** 3),
