@@ -157,9 +157,9 @@ def rts_em(
     *,
     m_step: str = "scoring",
     tolerance: float | None = 1e-6,
-    method: str = "em",
+    method: str = "quasi-newton",
 ) -> EmResult:
-    """Estimate a linear Gaussian model by exact EM (RTS-EM of the paper, section V).
+    """Estimate a linear Gaussian model by the exact smoother (RTS-EM of the paper, section V).
 
     There are no random numbers.
 
@@ -186,7 +186,7 @@ def rts_em(
         Share of a parameter's size by which iterates may still move once they have settled; None uses all
         iterations.
     method : str
-        ``em``, or ``quasi-newton`` as for :func:`rbps_em`.
+        ``quasi-newton``, or ``em`` as in the paper, as for :func:`rbps_em`.
 
     Returns
     -------

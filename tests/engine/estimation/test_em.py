@@ -28,7 +28,7 @@ def same_bits(one, other):
 def test_agrees_with_exact_em_on_linear_2():
     """Within 0.002; the Monte Carlo error of the averaged iterates is about 0.0003 here."""
     series = SERIES.part(0, 100)
-    exact = rts_em(MODEL, series, theta0=[0.3], n_iterations=300)
+    exact = rts_em(MODEL, series, theta0=[0.3], n_iterations=300, method="em")
     found = rbps_em(MODEL, series, theta0=[0.3], n_particles=25, n_iterations=200, method="em")
     assert exact.outcome is Outcome.CONVERGED
     assert found.outcome is Outcome.CONVERGED
@@ -41,11 +41,11 @@ def test_agrees_with_exact_em_on_linear_2():
 
 def test_exact_em_ends_once_it_has_settled_and_not_before():
     series = SERIES.part(0, 30)
-    found = rts_em(MODEL, series, theta0=[0.3], tolerance=1e-2, n_iterations=50)
+    found = rts_em(MODEL, series, theta0=[0.3], tolerance=1e-2, n_iterations=50, method="em")
     assert found.outcome is Outcome.CONVERGED
     assert len(found.log_likelihood) < 45
     assert found.theta[0] == pytest.approx(found.trace[-20:].mean())
-    few = rts_em(MODEL, series, theta0=[0.3], tolerance=1e-2, n_iterations=3)
+    few = rts_em(MODEL, series, theta0=[0.3], tolerance=1e-2, n_iterations=3, method="em")
     assert few.outcome is Outcome.ITERATIONS_USED_UP
     assert few.theta[0] == few.trace[-1, 0]
 
@@ -142,7 +142,7 @@ def test_iterates_keep_to_the_bounds():
 @pytest.mark.parametrize("smoother", ["exact", "algorithm-3"])
 @pytest.mark.parametrize("resampling", ["multinomial", "residual"])
 def test_all_smoothers_and_schemes_run_to_the_same_place(smoother, resampling):
-    exact = rts_em(MODEL, SERIES, n_iterations=5, tolerance=None)
+    exact = rts_em(MODEL, SERIES, n_iterations=5, tolerance=None, method="em")
     found = rbps_em(
         MODEL,
         SERIES,

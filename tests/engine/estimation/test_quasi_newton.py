@@ -125,7 +125,7 @@ def test_a_trend_shortens_the_window():
 @pytest.mark.parametrize("start", [0.3, 0.02])
 def test_the_exact_smoother_reaches_the_maximum_of_the_exact_likelihood(start):
     series = simulate(LINEAR, None, 200, np.random.default_rng(1)).series
-    slow = rts_em(LINEAR, series, [start], n_iterations=3000, tolerance=1e-9)
+    slow = rts_em(LINEAR, series, [start], n_iterations=3000, tolerance=1e-9, method="em")
     fast = rts_em(LINEAR, series, [start], method="quasi-newton")
     assert fast.outcome is Outcome.CONVERGED
     assert len(fast.log_likelihood) <= 15

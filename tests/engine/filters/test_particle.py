@@ -101,7 +101,7 @@ def test_joint_start_that_depends_on_a() -> None:
 
 def test_ps_em_approaches_exact_em(series: engine.Series) -> None:
     """One EM step from the same theta is the exact one within the Monte Carlo error."""
-    exact = engine.rts_em(LINEAR, series, {"theta": 0.3}, n_iterations=1)
+    exact = engine.rts_em(LINEAR, series, {"theta": 0.3}, n_iterations=1, method="em")
     steps = [
         ps_em(
             LINEAR,

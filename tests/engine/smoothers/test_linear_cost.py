@@ -130,7 +130,7 @@ def test_options_are_checked() -> None:
 def test_em_with_linear_cost() -> None:
     """One EM step is that of the full sampler within its Monte Carlo error."""
     series = engine.simulate(LINEAR, None, 60, np.random.default_rng(1)).series
-    exact = engine.rts_em(LINEAR, series, {"theta": 0.4}, n_iterations=1).theta[0]
+    exact = engine.rts_em(LINEAR, series, {"theta": 0.4}, n_iterations=1, method="em").theta[0]
     steps = [
         engine.rbps_em(
             LINEAR,
