@@ -123,7 +123,7 @@ def main() -> None:
         longer = engine.simulate(model, None, 300, np.random.default_rng(1)).series
         exact = float("nan")
         if model.name != "mixed-4":
-            run = engine.rts_em(model, longer, free=[parameter], n_iterations=80)
+            run = engine.rts_em(model, longer, free=[parameter], n_iterations=80, method="em")
             exact = run.theta[parameter]
         for M in SIZES:
             for smoother in ("algorithm-3", "exact"):

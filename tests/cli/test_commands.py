@@ -246,20 +246,21 @@ def test_fit_writes_what_is_asked_for(rbps, flows, tmp_path):
 
 
 def test_more_iterations_after_they_were_used_up(rbps, flows, tmp_path):
-    options = (flows, "-m", "local-level", "--method", "rts-em", "--no-standard-errors", "--json")
-    whole = rbps("fit", *options, "-n", "7").json()
+    exact = ("-m", "local-level", "--method", "rts-em", "--set", "q=50")
+    options = (flows, *exact, "--no-standard-errors", "--json")
+    whole = rbps("fit", *options, "-n", "4").json()
     (tmp_path / ".rbps" / "flows.state").unlink()
-    assert rbps("fit", *options, "-n", "3", "-o", "three.json").exit_code == 0
-    more = rbps("fit", "--resume", ".rbps/three.state", "-n", "7", "--json").json()
+    assert rbps("fit", *options, "-n", "2", "-o", "two.json").exit_code == 0
+    more = rbps("fit", "--resume", ".rbps/two.state", "-n", "4", "--json").json()
     assert more["trace"]["theta"] == whole["trace"]["theta"]
     assert more["log_likelihood"] == whole["log_likelihood"]
     assert (
-        json.loads((tmp_path / "three.json").read_text())["trace"]["theta"]
+        json.loads((tmp_path / "two.json").read_text())["trace"]["theta"]
         == (whole["trace"]["theta"])
     )
-    less = rbps("fit", "--resume", ".rbps/three.state", "-n", "2")
+    less = rbps("fit", "--resume", ".rbps/two.state", "-n", "1")
     assert less.exit_code == 2
-    assert "--iterations 2: 7 are done already" in less.stderr
+    assert "--iterations 1: 4 are done already" in less.stderr
 
 
 def test_an_earlier_state_is_kept(rbps, flows, tmp_path):

@@ -35,7 +35,7 @@ METHODS: dict[str, Callable[..., EmResult]] = {
     "rbps-varied": varied_em,
     "ps": ps_em,
     "ps-guarded": guarded_ps_em,
-    "rts": rts_em,
+    "rts": partial(rts_em, method="em"),
 }
 PAPER: dict[str, Mapping[str, Any]] = {
     "rbps": {
