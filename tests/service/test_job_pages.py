@@ -104,8 +104,9 @@ def test_report_in_parts(client, url, ended):
     chart = parts["charts"][0]
     trace = client.get(f"{url}/results").json()["trace"]
     assert chart["title"] == "theta"
-    assert chart["x"] == trace["iteration"]
-    assert chart["series"][-1]["y"] == trace["theta"]["theta"]
+    n = len(trace["iteration"])  # another start may have taken more
+    assert chart["x"][:n] == trace["iteration"]
+    assert chart["series"][-1]["y"][:n] == trace["theta"]["theta"]
     assert chart["series"][0]["band"] is not None  # the bootstrap's interval
     # the page allows no style and no script within it
     assert not re.search(r"<script|<style|\sstyle=|\son\w+=", html)

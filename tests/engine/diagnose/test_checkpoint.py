@@ -131,7 +131,7 @@ def test_what_was_kept_of_another_diagnosis_is_refused(kept):
     faster = engine.MixedModel(**{**vars_of(LEVEL), "measurement": twice})
     for model, series, more, what in (
         (LEVEL, other, {}, "another series"),
-        (LEVEL, flows, {"test": flows}, "another test series"),
+        (LEVEL, flows, {"test": flows.part(50, 100)}, "another test series"),
         (LEVEL, flows, {"seed": 2}, "other options"),
         (LEVEL, flows, {"effects": ["step", "pulse"]}, "other options"),
         (LEVEL, flows, {"theta": {LEVEL.parameter_names[0]: 1.0}}, "other options"),
