@@ -391,7 +391,11 @@ def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[
 
 def _columns(values: ArrayLike, name: str) -> Array:
     try:
+        if np.iscomplexobj(values):
+            raise ValueError("they are complex")
         array = np.array(values, dtype=float)
+        if isinstance(values, np.ma.MaskedArray):  # NumPy keeps what is behind the mask
+            array[np.ma.getmaskarray(values)] = np.nan
     except (TypeError, ValueError) as error:
         raise SeriesError(f"{name} is not a table of numbers (T, n{name}): {error}") from error
     if array.ndim == 1:

@@ -12,7 +12,7 @@ class Outcome(Enum):
     ITERATIONS_USED_UP = "Iterations used up before the iterates settled: allow more of them."
     STALLED = (
         "Standing still short of the maximum: with so little noise the steps of EM are too small to be seen, "
-        "while the likelihood still rises. Use method='quasi-newton' with a warm start, or start closer."
+        "while the likelihood still rises. Use method='quasi-newton', or start closer."
     )
     STOPPED_BY_CALLER = "Stopped by the caller before the iterates settled."
     DIVERGED = (

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
 from engine.data.series import Series, as_series_list
+from engine.errors import SeriesError
 from engine.randomness import check_seed
 from engine.simulation.free_run import FreeRun, free_run
 from engine.simulation.problem import FreeRunProblem
@@ -197,7 +198,8 @@ def fit_simulation(
     ModelError
         The run from every start is not finite.
     SeriesError
-        Channels or units are not the model's, or nothing was measured; names the channel.
+        Channels or units are not the model's, or nothing was measured; names the channel. Or no more readings
+        than parameters and first states.
     """
     began = time.perf_counter()
     check_seed(seed)
@@ -255,6 +257,7 @@ def _fitted(
 ) -> tuple[FreeRunProblem, OptimizeResult, int]:
     """The problem and the best of its starts, followed to its end, unless stopped after so many of them."""
     problem.look_for_silent()
+    _check_enough(problem)
     starts = problem.starts(n_starts, np.random.default_rng(seed))
     tried = []
     for k, start in enumerate(starts, 1):
@@ -265,6 +268,17 @@ def _fitted(
     best = problem.descend(best.x, evaluations)
     _stops(callback, len(starts) + 1, len(starts) + 1)
     return problem, best, 0
+
+
+def _check_enough(problem: FreeRunProblem) -> None:
+    """Raise SeriesError where the readings are no more than what is to be found: any errors would be none."""
+    parameters, first = problem.active.size, len(problem.series) * problem.uncertain.size
+    readings = sum(int(one.observed.sum()) for one in problem.series)
+    if readings <= parameters + first:
+        raise SeriesError(
+            f"{readings} readings do not tell {parameters} parameters and {first} first states: give more "
+            "data, or hold parameters fixed (free=)"
+        )
 
 
 def _speaks(problem: FreeRunProblem, best: OptimizeResult, free: NDArray[np.intp]) -> bool:

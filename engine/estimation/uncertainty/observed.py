@@ -45,10 +45,13 @@ REPLICATES = 8
 SETTLED_ERRORS = 0.5
 FEW_REPLICATES = 4  # where the moment filter's information is a good guess,
 GOOD_GUESS = (0.4, 2.5)  # which it is where particles see so many times as much
-TRUSTED = 0.1  # relative error that it has at least
-NEXT_TO_NOTHING = (
-    1e-10  # of the complete-data information, held by the data where there is hardly any noise
+UNCHECKED = (
+    "These errors are the moment filter's alone: scores by particles are too noisy here to check them (more "
+    "n_particles and n_trajectories would)."
 )
+TRUSTED = 0.1  # relative error that it has at least
+# Of the complete-data information, held by the data where there is hardly any noise.
+NEXT_TO_NOTHING = 1e-10
 DROWNED = 0.25  # variance of whitened differences from which on they tell nothing of the guess ...
 SURELY_OFF = 30.0  # ... unless they are off by so many times that
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
@@ -92,8 +95,8 @@ class StandardErrors:
         Whether theta is a maximum of the likelihood. False where the decrement exceeds a quarter by more than
         its Monte Carlo noise, or where the likelihood draws a parameter away from the bound that holds it.
     warning : str
-        What is to be known of the errors: that it is not settled, and they are none of an estimate; which
-        parameters are tied. Else "".
+        What is to be known of the errors: that it is not settled, and they are none of an estimate; that
+        particles could not check them; which parameters are tied. Else "".
     note : str
         A sentence where the model's steps are too long for the data: errors then say nothing of what the steps
         get wrong; else "".
@@ -241,10 +244,11 @@ def standard_errors(
     kept = np.delete(np.arange(len(names)), to_hold(directions))
     score, H = replace(score, indices=score.indices[kept]), H[np.ix_(kept, kept)]
     covariance, relative = np.zeros((len(names), len(names))), np.zeros(len(names))
+    said = ""
     if kept.size:
-        known, known_relative = (_guessed(score, H, seeds) if guessing else None) or _differences(
-            score, H, np.random.SeedSequence(seed).spawn(most)
-        )
+        known, known_relative, said = (
+            _guessed(score, H, seeds) if guessing else None
+        ) or _differences(score, H, np.random.SeedSequence(seed).spawn(most))
         covariance[np.ix_(kept, kept)], relative[kept] = known, known_relative
     decrement, noise = _decrement(covariance, scores)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
@@ -263,7 +267,9 @@ def standard_errors(
         relative_error=relative,
         decrement=decrement,
         settled=settled,
-        warning=" ".join(part for part in (warning, ties_in_words(names, directions)) if part),
+        warning=" ".join(
+            part for part in (warning, said, ties_in_words(names, directions)) if part
+        ),
         note=about_predictions(model, theta, all_series),
         tied=tuple(name for name, yes in zip(names, tied(directions), strict=True) if yes),
     )
@@ -271,8 +277,8 @@ def standard_errors(
 
 def _differences(
     score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence]
-) -> tuple[Array, Array]:
-    """Covariance (n, n) and relative errors (n,) from differences of the score alone."""
+) -> tuple[Array, Array, str]:
+    """Covariance (n, n) and relative errors (n,) from differences of the score alone, and no remark."""
     L = _root(np.asarray(np.linalg.inv(complete / GUESS)))
     for k in range(MOST_ROUNDS - 1):
         G = _whitened_information(score, L, seeds[0])
@@ -285,13 +291,16 @@ def _differences(
     if len(every) > 1:  # an inverse kept above FLOOR hides how much of it is noise
         noise = float(np.sqrt(every.var(axis=0, ddof=1).mean() / len(every)))
         relative = np.maximum(relative, 0.5 * noise)
-    return refined @ refined.T, relative
+    return refined @ refined.T, relative, ""
 
 
 def _guessed(
     score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence]
-) -> tuple[Array, Array] | None:
-    """The same from the moment filter's information and what differences add; None where it is no guide."""
+) -> tuple[Array, Array, str] | None:
+    """The same from the moment filter's information and what differences add; None where it is no guide.
+
+    With a remark where differences, which drown in noise, do not check it.
+    """
     found = score.likelihood.information(np.asarray(score.theta), score.indices)
     guess = None if found is None else bounded(found, complete, NEXT_TO_NOTHING)
     if guess is None:
@@ -302,7 +311,7 @@ def _guessed(
     noise = float(G.var(axis=0, ddof=1).mean() / n)
     deviation = float((off**2).mean())
     if noise > DROWNED and deviation < SURELY_OFF * noise:
-        return L @ L.T, np.full(len(L), TRUSTED)  # with little noise it is all but exact
+        return L @ L.T, np.full(len(L), TRUSTED), UNCHECKED
     error = max(deviation - noise, TRUSTED**2)
     share = error / (error + noise)  # of a deviation that is believed
     believed = np.eye(len(L)) + share * (G - np.eye(len(L)))
@@ -310,7 +319,7 @@ def _guessed(
     if values[0] < GOOD_GUESS[0] or values[-1] > GOOD_GUESS[1]:
         return None
     refined = L @ _root(_inverse(believed.mean(axis=0)))
-    return refined @ refined.T, _jackknife(L, believed)
+    return refined @ refined.T, _jackknife(L, believed), ""
 
 
 def _decrement(covariance: Array, scores: Array) -> tuple[float, float]:

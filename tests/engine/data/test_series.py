@@ -49,3 +49,15 @@ def test_dates_are_counted_in_the_unit_of_the_series(unit, step):
         np.testing.assert_allclose(series.t, step * np.arange(4))
     with pytest.raises(SeriesError, match="not known how many seconds"):
         Series(np.zeros(4), t=t, time_unit="year")
+
+
+def test_what_is_masked_is_missing():
+    y = np.ma.masked_equal([[1.0], [-999.0], [3.0]], -999.0)
+    np.testing.assert_array_equal(Series(y).y, [[1.0], [np.nan], [3.0]])
+    with pytest.raises(SeriesError, match="u"):
+        Series([1.0, 2.0, 3.0], y)
+
+
+def test_complex_numbers_are_no_readings():
+    with pytest.raises(SeriesError, match=r"y is not a table of numbers .* complex"):
+        Series(np.array([1.0 + 1j, 2.0, 3.0]))

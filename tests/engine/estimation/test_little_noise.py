@@ -62,6 +62,7 @@ def test_particles_standard_errors_are_the_curvature_however_little_the_noise(q)
     exact = engine.standard_errors(model, theta, series, exact=True).values[0]
     stated = engine.standard_errors(model, theta, series, n_particles=50, n_trajectories=50)
     assert stated.values[0] == pytest.approx(exact, rel=0.2)
+    assert ("too noisy here to check" in stated.warning) == (q < 1e-5)
 
 
 @pytest.mark.parametrize("estimate", [engine.rbps_em, engine.rts_em])

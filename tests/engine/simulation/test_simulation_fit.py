@@ -385,3 +385,11 @@ def test_a_parameter_that_says_nothing_at_the_start_is_fitted_where_it_does(k):
     fit = fit_simulation(model, Series(y, u, dt=0.1))
     assert fit.silent == ()
     np.testing.assert_allclose(fit.theta, [2.0, 1.5], rtol=0.02)
+
+
+@pytest.mark.parametrize("rows", [2, 5, 6])
+def test_as_many_readings_as_unknowns_tell_nothing(rows):
+    """They were fitted to 1e-8, with standard errors to match."""
+    series = simulate(OSCILLATOR, None, 40, 0, u=np.ones(40), dt=0.05).series
+    with pytest.raises(SeriesError, match=r"readings do not tell . parameters and . first states"):
+        fit_simulation(OSCILLATOR, series.part(0, rows).masked(np.arange(rows) >= 4))

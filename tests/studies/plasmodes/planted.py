@@ -131,9 +131,8 @@ def _outliers(x: Array, t: Array, size: float, place: Place) -> Array:
     seen = np.flatnonzero(np.isfinite(x))
     hit = rng.choice(seen, int(np.ceil(OUTLYING * len(seen))), replace=False)
     y = np.array(x)
-    way = rng.choice(
-        [-1.0, 1.0], len(hit)
-    )  # of normal sizes one alone would be seen, and be a pulse
+    # of normal sizes one alone would be seen, and be a pulse
+    way = rng.choice([-1.0, 1.0], len(hit))
     y[hit] += size * way * rng.uniform(0.7, 1.3, len(hit))
     return y
 
