@@ -94,6 +94,11 @@ class ParticleStep:
         """The same by filters that do not fall short of the moment filter, as far as more particles help."""
         return self._step(theta, rng, self.moment)
 
+    def log_likelihood(self, theta: Theta, times: int, rng: np.random.Generator) -> float:
+        """Of all series, by filters of ``times`` as many particles."""
+        n = times * self.n_particles
+        return float(sum(self.run(theta, s, n, rng).log_likelihood for s in self.all_series))
+
     def _step(
         self,
         theta: Theta,

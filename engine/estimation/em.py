@@ -90,8 +90,9 @@ def rbps_em(  # noqa: PLR0913
         ``algorithm-3``: those of the report, eqs. (61), whose P and M keep the bias of Approximation 2.
         ``linear-cost``: as ``exact``, with trajectories drawn by Markov chain Monte Carlo moves in O(M).
     recover : bool
-        Run a filter that collapsed, or fell far short of the moment filter, again with more particles (the
-        papers do not).
+        Run a filter that collapsed, or fell far short of the moment filter, again with more particles, and end
+        at a point that the moment filter finds ahead where the particle filter finds it likelier, too (the papers
+        do neither).
     m_step : str
         How the M step maximises Q: ``scoring`` by Fisher scoring, ``bfgs`` by quasi-Newton steps.
     tolerance : float, optional
@@ -139,8 +140,8 @@ def rbps_em(  # noqa: PLR0913
     start = WarmStart(model, all_series, indices) if warm_start else None
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
     ascent = _ascent(likelihood, indices, tolerance) if newton else None
-    compared = expect.compared if recover else None
-    found = iterate(model, expect, loop, start, likelihood, ascent, compared)
+    particles = expect if recover else None
+    found = iterate(model, expect, loop, start, likelihood, ascent, particles)
     note = f" {start.note}" if start is not None and start.note else ""
     note += remark(given, found, all_series)
     return replace(found, model=given, message=found.message + note)

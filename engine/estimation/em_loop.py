@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from engine.errors import ModelError, OptionError, check_count
 from engine.estimation.convergence import WINDOW, has_settled, mean_point
-from engine.estimation.e_steps import FAR_NATS, LOST_SHARE, EStep, Expect, nats_apart
+from engine.estimation.e_steps import FAR_NATS, LOST_SHARE, EStep, Expect, ParticleStep, nats_apart
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
-from engine.estimation.wandering import looked_ahead, looked_back
+from engine.estimation.wandering import looked_ahead, looked_back, moved_ahead
 from engine.filters.sigma_point import free_thetas
 from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
@@ -57,15 +57,15 @@ def iterate(
     better_starts: Callable[[Theta], Sequence[Theta]] | None = None,
     likelihood: LikelihoodStep | None = None,
     ascent: Ascent | None = None,
-    compared: Expect | None = None,
+    particles: ParticleStep | None = None,
 ) -> EmResult:
     """Algorithm 1 of the paper: E step, M step, settled?
 
     ``better_starts`` may name points; the first iteration leaves from one that is far more likely;
     ``likelihood`` moves the parameters to which the Q-function is no guide. ``ascent`` replaces the M step
-    where it can. ``compared`` is the E step that takes more particles where few have lost the series.
+    where it can. ``particles`` are ``expect`` where more of them may be taken, as few may lose the series.
     """
-    n = loop.n_iterations
+    n, compared = loop.n_iterations, None if particles is None else particles.compared
     check_count("n_iterations", n)
     check_seed(loop.seed)
     check_m_step(loop.m_step)
@@ -95,12 +95,15 @@ def iterate(
     names = tuple(model.parameter_names[i] for i in indices)
     ties = "" if last is None or outcome is Outcome.DIVERGED else steps.ties(last)
     found = log.result(names, outcome, last, ties)
-    by_em = bool(log.memory) and log.memory[-1] is None
-    if outcome is Outcome.CONVERGED is found.outcome and by_em and likelihood is not None:
-        found = looked_ahead(found, likelihood, compared or expect, loop.seed)
-    if compared is None or likelihood is None or not log.k or outcome is Outcome.DIVERGED:
+    if likelihood is None or not log.k or outcome is Outcome.DIVERGED:
         return found
-    return looked_back(found, likelihood.of, compared, likelihood.rows, loop.seed)
+    if ascent is not None and particles is not None and log.had_a_chance(found.outcome):
+        found = moved_ahead(found, likelihood, particles, loop.seed)
+    elif outcome is Outcome.CONVERGED is found.outcome and log.memory[-1] is None:
+        found = looked_ahead(found, likelihood, particles, loop.seed)
+    if particles is None:
+        return found
+    return looked_back(found, likelihood.of, particles, likelihood.rows, loop.seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,6 +329,11 @@ class _Log:
         theta = np.asarray(self.theta)
         scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
         return has_settled(trace[:, indices], scale, tolerance)
+
+    def had_a_chance(self, outcome: Outcome) -> bool:
+        """Whether the iterates have settled, or were given enough iterations for it."""
+        enough = self.loop.tolerance is not None and self.k >= 2 * WINDOW
+        return outcome is Outcome.CONVERGED or (outcome is Outcome.ITERATIONS_USED_UP and enough)
 
     def result(
         self, names: tuple[str, ...], outcome: Outcome, last: _Maximized | None, ties: str

@@ -92,7 +92,8 @@ class EmResult(Shown):
         The parameters that were estimated; the others kept their start.
     theta : Theta
         The estimate (n_theta,), where ``outcome.success`` is true, else the last iterate. It is the likeliest
-        iterate where the last ones wandered off.
+        iterate where the last ones wandered off, and a point beside the trace where both filters find that
+        likelier; ``message`` says so.
     trace : array (K+1, n_theta)
         Parameters after each iteration, the start first.
     log_likelihood : array (K,)

@@ -56,11 +56,16 @@ class LikelihoodStep:
             return theta, np.ones(len(indices), dtype=bool)
         return found.theta, ~(np.diag(found.information) > 0.0)
 
-    def ahead(self, theta: Theta, free: Sequence[str]) -> tuple[Theta, float]:
-        """A likelier point that scoring in the ``free`` parameters reaches, and by how much (nats)."""
-        here = self.of(theta)
+    def ahead(
+        self, theta: Theta, free: Sequence[str], worth: float | None = None
+    ) -> tuple[Theta, float]:
+        """A likelier point that scoring in the ``free`` parameters reaches, and by how much (nats).
+
+        Steps expected to gain less than ``worth`` are not made.
+        """
+        here, worth = self.of(theta), self.worth if worth is None else worth
         try:
-            found = quasi_ml(self.model, self.all_series, theta, free, LIKELIHOOD_STEPS, self.worth)
+            found = quasi_ml(self.model, self.all_series, theta, free, LIKELIHOOD_STEPS, worth)
         except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             return theta, 0.0
         gain = found.log_likelihood - here

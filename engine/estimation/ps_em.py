@@ -138,8 +138,8 @@ def ps_em(  # noqa: PLR0913
     expect = ParticleStep(all_series, run, smooth, objective, n_particles, recover, moment)
     chosen = m_step or ("scoring" if likelihood else "bfgs")
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)
-    compared = expect.compared if recover else None
-    found = iterate(model, expect, loop, likelihood=likelihood, compared=compared)
+    particles = expect if recover else None
+    found = iterate(model, expect, loop, likelihood=likelihood, particles=particles)
     note = "" if isinstance(given, NonlinearModel) else remark(given, found, all_series)
     return replace(found, model=given, message=found.message + note)
 

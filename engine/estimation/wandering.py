@@ -13,15 +13,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from engine.estimation.e_steps import FAR_NATS, Expect, nats_short
+from engine.estimation.e_steps import FAR_NATS, RETRIES, ParticleStep, nats_short
 from engine.estimation.em_result import EmResult
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Theta
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
+LIKELIER = 1.0  # nats by which another point must be likelier for an estimate to move there
+SURE = 3.0  # standard errors of a difference of log-likelihoods
 LIKELIEST = 2  # iterates by their E steps are looked at, besides the start and the last
 EXACT_NATS = 0.5  # by which a point ahead is likelier where the likelihood is exact
+MOVED = (
+    " The particles' own steps ended {:.2g} nats below a point that the moment filter found from there; it is the "
+    "estimate, as the particle filter, too, finds it likelier by {:.2g} +- {:.1g} nats."
+)
+UNTOLD = (
+    " By the moment filter a point ahead is {:.2g} nats likelier than the estimate; particle filters of {} "
+    "particles cannot tell ({:.2g} +- {:.1g} nats). More particles would."
+)
 AGAINST = (
     " By the moment filter the iterates passed parameters that are {:.0f} nats likelier than these; the "
     "particle filter does not say so. More particles would tell which is right."
@@ -29,11 +39,15 @@ AGAINST = (
 
 
 def looked_back(
-    found: EmResult, moment: Callable[[Theta], float], expect: Expect, rows: int, seed: int
+    found: EmResult,
+    moment: Callable[[Theta], float],
+    particles: ParticleStep,
+    rows: int,
+    seed: int,
 ) -> EmResult:
     """The result, at a theta of its trace that is far likelier than the last by both filters, if any is.
 
-    ``moment`` gives the moment filter's log-likelihood, ``expect`` the particle filter's of all ``rows``.
+    ``moment`` gives the moment filter's log-likelihood, ``particles`` the particle filter's of all ``rows``.
     """
     likeliest = np.argsort(-found.log_likelihood)[:LIKELIEST].tolist()
     passed = [
@@ -45,8 +59,8 @@ def looked_back(
     fall = before[k] - moment(found.theta)
     if not fall > FAR_NATS:
         return found
-    there, short = _by_particles(passed[k], expect, rows, seed)
-    here, _ = _by_particles(found.theta, expect, rows, seed)
+    there, short = _by_particles(passed[k], particles, rows, seed)
+    here, _ = _by_particles(found.theta, particles, rows, seed)
     if there - here >= FAR_NATS:
         outcome = Outcome.WANDERED
         message = found.message.replace(found.outcome.value, outcome.value)
@@ -57,18 +71,18 @@ def looked_back(
 
 
 def looked_ahead(
-    found: EmResult, likelihood: LikelihoodStep, expect: Expect, seed: int
+    found: EmResult, likelihood: LikelihoodStep, particles: ParticleStep | None, seed: int
 ) -> EmResult:
     """The settled result, said to stand still where a point far likelier by both filters lies ahead.
 
-    ``expect`` gives the particle filter's log-likelihood, which is not asked where ``likelihood`` is exact.
+    ``particles`` are not asked where ``likelihood`` is exact.
     """
     there, gain = likelihood.ahead(found.theta, found.free)
     if not gain > (EXACT_NATS if likelihood.exact else FAR_NATS):
         return found
-    if not likelihood.exact:
-        here, _ = _by_particles(found.theta, expect, likelihood.rows, seed)
-        gain = _by_particles(there, expect, likelihood.rows, seed)[0] - here
+    if particles is not None and not likelihood.exact:
+        here, _ = _by_particles(found.theta, particles, likelihood.rows, seed)
+        gain = _by_particles(there, particles, likelihood.rows, seed)[0] - here
         if not gain > FAR_NATS:
             return found
     outcome = Outcome.STALLED
@@ -76,9 +90,55 @@ def looked_ahead(
     return replace(found, outcome=outcome, message=found.message.replace(found.outcome.value, said))
 
 
-def _by_particles(theta: Theta, expect: Expect, rows: int, seed: int) -> tuple[float, float]:
+def moved_ahead(
+    found: EmResult, likelihood: LikelihoodStep, particles: ParticleStep, seed: int
+) -> EmResult:
+    """The settled result, at a point that the moment filter finds from there if it is likelier by both filters.
+
+    Scores of few particles are far off where there is next to no process noise, and steps by them may settle
+    where they should not.
+    """
+    there, ahead = likelihood.ahead(found.theta, found.free, LIKELIER / 2.0)
+    if not ahead > LIKELIER:
+        return found
+    gain, error, n = _gain(found.theta, there, particles, seed)
+    if gain > max(LIKELIER, SURE * error):
+        return replace(found, theta=there, message=found.message + MOVED.format(ahead, gain, error))
+    if gain + SURE * error > ahead:
+        return replace(found, message=found.message + UNTOLD.format(ahead, n, gain, error))
+    return found
+
+
+def _gain(
+    here: Theta, there: Theta, particles: ParticleStep, seed: int
+) -> tuple[float, float, int]:
+    """By how many nats one theta is likelier than another, the standard error of that, and by how many particles.
+
+    As many particles are taken, in a few steps, as it takes to tell.
+    """
+    seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(2 * CHECKS)
+    for times in (1, *RETRIES):
+        values = np.array(
+            [
+                particles.log_likelihood(theta, times, np.random.default_rng(s))
+                for theta, some in ((here, seeds[:CHECKS]), (there, seeds[CHECKS:]))
+                for s in some
+            ]
+        ).reshape(2, CHECKS)
+        spread = values.var(axis=1, ddof=1)
+        gain = float(np.diff(values.mean(axis=1))[0])
+        # half the variance of such a log-likelihood is its bias
+        error = float(np.sqrt(spread.sum() / CHECKS) + abs(np.diff(spread)[0]) / 2.0)
+        if not abs(gain - LIKELIER) < SURE * error:
+            break
+    return gain, error, times * particles.n_particles
+
+
+def _by_particles(
+    theta: Theta, particles: ParticleStep, rows: int, seed: int
+) -> tuple[float, float]:
     """Median log-likelihood of a few filters, and by how much such filters may fall short."""
     seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(CHECKS)
-    steps = [expect(theta, np.random.default_rng(s)) for s in seeds]
+    steps = [particles.compared(theta, np.random.default_rng(s)) for s in seeds]
     values = np.median([step.log_likelihood for step in steps])
     return float(values), nats_short(rows, float(np.median([step.ess for step in steps])))

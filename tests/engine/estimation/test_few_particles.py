@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import engine
 from engine import Outcome, get_model
 from engine.estimation import e_steps
 from engine.estimation.e_steps import FAR_NATS, rbps_step
 from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.quasi_ml import quasi_ml
+from engine.estimation.wandering import moved_ahead
 
 OSCILLATOR = get_model("oscillator")
 QUIET = OSCILLATOR.theta({"sigma_v": 1e-6, "sigma_y": 1e-3})
@@ -128,3 +131,35 @@ def test_a_moment_filter_that_is_wrong_has_no_say():
     assert found.outcome is Outcome.ITERATIONS_USED_UP
     assert "moment filter" not in found.message
     np.testing.assert_array_equal(found.theta, heavy)
+
+
+@pytest.mark.parametrize("seed", [3, 6])
+def test_an_estimate_moves_to_what_both_filters_find_likelier(seed):
+    """The scores of few particles are far off with next to no process noise; the moment filter is exact here."""
+    series, free = swung(seed), ("omega", "zeta", "sigma_y")
+    of = LikelihoodStep(OSCILLATOR, [series]).of
+    most = quasi_ml(OSCILLATOR, series, QUIET, free).log_likelihood
+    found = engine.rbps_em(OSCILLATOR, series, QUIET, free, n_particles=20, seed=seed)
+    assert of(OSCILLATOR.theta(found.trace[-1])) < most - 1.0
+    assert of(found.theta) > most - 0.5
+    assert "ended 1" in found.message  # a dozen nats below
+    assert "point that the moment filter found" in found.message
+
+
+def test_an_estimate_stays_where_only_the_moment_filter_wants_to_go():
+    """It takes outliers for a large variance, and would move to it from the particles' estimate."""
+    model = engine.with_student_t(get_model("local-level"))
+    rng = np.random.default_rng(0)
+    outlying = np.where(rng.random(150) < 0.08, 10.0, 1.0)
+    series = engine.Series(
+        np.cumsum(0.3 * rng.standard_normal(150)) + outlying * rng.standard_normal(150)
+    )
+    heavy = model.theta([0.1, 0.4, 0.0, 1.7])
+    likelihood = LikelihoodStep(model, [series])
+    assert likelihood.ahead(heavy, model.parameter_names)[1] > FAR_NATS
+    at = engine.EmResult(
+        model, model.parameter_names, heavy, np.array([heavy]), *np.zeros((4, 0)),
+        Outcome.CONVERGED, Outcome.CONVERGED.value,
+    )  # fmt: skip
+    found = moved_ahead(at, likelihood, rbps_step(model, [series], 30, 30), 0)
+    assert found is at
