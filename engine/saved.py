@@ -135,10 +135,7 @@ def _content(found: Kept) -> tuple[str, dict[str, Any]]:
             "z1": found.z1.tolist(),
             "covariance": found.covariance.tolist(),
             **{name: list(getattr(found, name)) for name in ("estimated", "silent", "tied")},
-            **{
-                n: getattr(found, n)
-                for n in ("rmse", "evaluations", "seconds", "success", "message")
-            },
+            **{n: getattr(found, n) for n in ("evaluations", "seconds", "success", "message")},
         }
     if isinstance(found, Diagnosis) and found.asked is not None:
         asked = found.asked

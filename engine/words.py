@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -91,6 +91,13 @@ def enumerated(parts: list[str], last: str = "and") -> str:
     if len(parts) < 2:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+
+
+def errors_in_words(errors: Mapping[str, float | None], units: Mapping[str, str]) -> str:
+    """``0.2 mm``, of several outputs ``0.2 mm of position and 31 kPa of pressure``."""
+    several = len(errors) > 1
+    said = {name: with_unit(value, units.get(name, "")) for name, value in errors.items()}
+    return enumerated([f"{text} of {name}" if several else text for name, text in said.items()])
 
 
 def held_by_bounds(names: Sequence[str]) -> str:

@@ -12,7 +12,6 @@ import numpy as np
 
 import engine
 from engine.data.series import Series
-from engine.diagnose.symptoms.data_checks import clock_notes
 from engine.errors import ModelError, NotSettledWarning, OptionError
 from engine.estimation.uncertainty import LikelihoodIntervals, StandardErrors
 from engine.presentation.examination import (
@@ -28,6 +27,7 @@ from engine.simulation.fit import LOWER_BOUNDS
 from engine.statespace.model import Array, MixedModel, Theta
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
+from service.strict_json import finite
 from service.validation import Prepared
 
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
@@ -124,9 +124,10 @@ def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) 
         "method": "simulation",
         "estimate": estimate,
         "outcome": "converged" if found.success else "evaluations-used-up",
-        "message": " ".join([found.message, *clock_notes(model, job.series[0])]),
+        "message": found.message,
         "warning": LOWER_BOUNDS,
-        "rmse": found.rmse,
+        "rmse": finite(found.rmse),
+        "rmse_by_output": {name: finite(value) for name, value in found.rmse_by_output.items()},
         **_held_out(job, found.theta),
         "simulation": {
             "units": _units(model),
@@ -190,7 +191,7 @@ def describe(
     rng = stream(options.seed, 0)
     progress.step(done, "smoothing the states at the estimate")
     states = _states(job, theta, n, options.trajectories or n, rng, options.method)
-    message = " ".join([found["message"], *clock_notes(model, job.series[0])])
+    message = found["message"]
     likelihood = log_likelihood(job, theta, n, rng, options.method)
     if not (likelihood["spread"] or 0.0) < WIDE_NATS:
         message += (
@@ -358,7 +359,8 @@ def _run_document(model: MixedModel, series: Series, run: Any) -> dict[str, Any]
     }
     if series.observed.any():
         document["measured"] = _columns(series.y[at], tuple(model.outputs))
-        document["rmse"] = float(np.sqrt(np.nanmean((series.y - run.y) ** 2)))
+        document["rmse"] = finite(run.rmse)
+        document["rmse_by_output"] = {k: finite(value) for k, value in run.rmse_by_output.items()}
     return document
 
 

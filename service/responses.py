@@ -298,7 +298,9 @@ class Simulated(_Out):
     measured: dict[str, list[float | None]] | None = None
     """what y is compared with, where something was measured"""
     rmse: float | None = None
-    """against the measured y, where there is one"""
+    """against the measured y, where there is one; null where outputs have several units"""
+    rmse_by_output: dict[str, float | None] | None = None
+    """the same of each output, in its unit"""
 
 
 class SimulationOut(_Out):
@@ -330,7 +332,9 @@ class Results(_Out):
     method: str | None = None
     """`simulation` where least squares on the simulation was used, else null"""
     rmse: float | None = None
-    """root mean square error of a fit of the simulation"""
+    """root mean square error of a fit of the simulation; null where outputs have several units"""
+    rmse_by_output: dict[str, float | None] | None = None
+    """the same of each output, in its unit"""
     outcome: str | None = None
     message: str | None = None
     warning: str | None = None

@@ -22,6 +22,7 @@ from engine.estimation.quasi_ml import with_scales
 from engine.estimation.quasi_newton import Ascent
 from engine.estimation.start import WarmStart
 from engine.filters.proposals import Proposal
+from engine.statespace.clock import about_clock
 from engine.statespace.model import MixedModel, ThetaLike
 
 METHODS = ("quasi-newton", "em")
@@ -91,8 +92,8 @@ def rbps_em(  # noqa: PLR0913
         ``linear-cost``: as ``exact``, with trajectories drawn by Markov chain Monte Carlo moves in O(M).
     recover : bool
         Run a filter that collapsed, or fell far short of the moment filter, again with more particles, and end
-        at a point that the moment filter finds ahead where the particle filter finds it likelier, too (the papers
-        do neither).
+        at a point that the moment filter finds ahead where the particle filter finds it likelier, too (the
+        papers do neither).
     m_step : str
         How the M step maximises Q: ``scoring`` by Fisher scoring, ``bfgs`` by quasi-Newton steps.
     tolerance : float, optional
@@ -234,9 +235,9 @@ def _ascent(
 
 
 def remark(model: MixedModel, found: EmResult, all_series: Sequence[Series]) -> str:
-    """What is to be said of the model's steps at an estimate, after a space; "" where there is none."""
-    said = about_predictions(model, found.theta, all_series) if found.outcome.success else ""
-    return f" {said}" if said else ""
+    """What is to be said of the model's clock and steps at an estimate, each after a space."""
+    steps = about_predictions(model, found.theta, all_series) if found.outcome.success else ""
+    return "".join(f" {said}" for said in (about_clock(model, all_series), steps) if said)
 
 
 def scaled(

@@ -25,8 +25,8 @@ SURE = 3.0  # standard errors of a difference of log-likelihoods
 LIKELIEST = 2  # iterates by their E steps are looked at, besides the start and the last
 EXACT_NATS = 0.5  # by which a point ahead is likelier where the likelihood is exact
 MOVED = (
-    " The particles' own steps ended {:.2g} nats below a point that the moment filter found from there; it is the "
-    "estimate, as the particle filter, too, finds it likelier by {:.2g} +- {:.1g} nats."
+    " The particles' own steps ended {:.2g} nats below a point that the moment filter found from there; it is "
+    "the estimate, as the particle filter, too, finds it likelier by {:.2g} +- {:.1g} nats."
 )
 UNTOLD = (
     " By the moment filter a point ahead is {:.2g} nats likelier than the estimate; particle filters of {} "
@@ -112,7 +112,7 @@ def moved_ahead(
 def _gain(
     here: Theta, there: Theta, particles: ParticleStep, seed: int
 ) -> tuple[float, float, int]:
-    """By how many nats one theta is likelier than another, the standard error of that, and by how many particles.
+    """By how many nats one theta is likelier than another, the standard error, and by how many particles.
 
     As many particles are taken, in a few steps, as it takes to tell.
     """

@@ -19,15 +19,22 @@ from scipy.optimize import OptimizeResult
 from engine.data.series import Series, as_series_list
 from engine.errors import SeriesError
 from engine.randomness import check_seed
-from engine.simulation.free_run import FreeRun, free_run
+from engine.simulation.free_run import (
+    FreeRun,
+    free_run,
+    root_mean_square,
+    root_mean_squares,
+    spread,
+)
 from engine.simulation.problem import FreeRunProblem
 from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
+from engine.statespace.clock import about_clock
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.ties import ties_in_words
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
-from engine.words import held_by_bounds, tidy
+from engine.words import errors_in_words, held_by_bounds, tidy
 
 LOWER_BOUNDS = (
     "Standard errors allow for errors of the run that are correlated over time, but not for process noise "
@@ -47,8 +54,6 @@ class SimulationFit(Shown):
         The model that was fitted.
     theta : Theta
         Every parameter: the estimated ones, and the others at their start.
-    rmse : float
-        Root mean square of all residuals, in the outputs' unit.
     runs : list of FreeRun
         The simulation of each of the S series, with ``y`` (T, ny) and the states.
     a1 : array (S, na)
@@ -77,7 +82,6 @@ class SimulationFit(Shown):
 
     model: MixedModel
     theta: Theta
-    rmse: float
     runs: list[FreeRun]
     a1: Array
     z1: Array
@@ -94,6 +98,22 @@ class SimulationFit(Shown):
     def residuals(self) -> list[Array]:
         """Measured minus simulated (T, ny) of each series, NaN where nothing was measured."""
         return [run.residuals for run in self.runs]
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of all residuals, in the outputs' unit; NaN where they have several units."""
+        return root_mean_square(self.model, np.concatenate(self.residuals))
+
+    @property
+    def rmse_by_output(self) -> dict[str, float]:
+        """Root mean square of the residuals of each output, in its unit; NaN where none was measured."""
+        return root_mean_squares(self.model, np.concatenate(self.residuals))
+
+    @property
+    def nrmse(self) -> float:
+        """Root mean square of all residuals, each as a share of its output's standard deviation: of no unit."""
+        scale = spread([run.series for run in self.runs])
+        return float(np.sqrt(np.nanmean((np.concatenate(self.residuals) / scale) ** 2)))
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -136,7 +156,8 @@ class SimulationFit(Shown):
             for p, value in zip(self.model.parameters, self.theta.tolist(), strict=True)
         ]
         return sheet(
-            f"{self.model.name}: simulation-error fit, rms error {self.rmse:.4g}",
+            f"{self.model.name}: simulation-error fit, rms error "
+            + errors_in_words(self.rmse_by_output, self.model.outputs),
             tables().line(self.message),
             tables().table(("parameter", "estimate", "standard error", "unit"), rows),
             tables().line(LOWER_BOUNDS),
@@ -216,7 +237,6 @@ def fit_simulation(
         theta = problem.split(best.x)[0]
     theta, x1 = problem.split(best.x)
     runs = _runs(model, theta, listed, x1)
-    left = np.concatenate([run.residuals[run.series.observed] for run in runs])
     found = problem.uncertainty(*problem.evaluate(best.x), best.x)
     k = problem.active.size
     covariance = np.zeros((theta.size, theta.size))
@@ -228,12 +248,12 @@ def fit_simulation(
         _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
         ties_in_words(estimated, found.directions),
         held_by_bounds(model.at_bounds(theta, estimated)),
+        about_clock(model, listed),
         about_free_runs(model, theta, listed, x1),
     ]
     return SimulationFit(
         model=model,
         theta=theta,
-        rmse=float(np.sqrt(np.mean(left**2))),
         runs=runs,
         a1=x1[:, : model.na],
         z1=x1[:, model.na :],
@@ -302,7 +322,7 @@ def with_runs(
         for name, n in (("a1", model.na), ("z1", model.nz))
     )
     other: dict[str, Any] = {name: tuple(content[name]) for name in ("estimated", "silent", "tied")}
-    for name in ("rmse", "evaluations", "seconds", "success", "message"):
+    for name in ("evaluations", "seconds", "success", "message"):
         other[name] = content[name]
     return SimulationFit(
         model=model,

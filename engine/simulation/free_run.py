@@ -15,6 +15,7 @@ from engine.simulation.simulate import check_finite, noise, propagate
 from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.units import alike
 from engine.views import Figures, Shown, View, figures, plots, sheet, tables
 from engine.words import tidy
 
@@ -58,7 +59,7 @@ class FreeRun(Shown):
 
     @property
     def rmse(self) -> float:
-        """Root mean square of all residuals, in the outputs' unit."""
+        """Root mean square of all residuals, in the outputs' unit; NaN where they have several units."""
         return self.rmse_from(0)
 
     @cached_property
@@ -69,15 +70,12 @@ class FreeRun(Shown):
 
     def rmse_from(self, row: int) -> float:
         """The same, leaving out the samples before ``row``."""
-        return float(np.sqrt(np.nanmean(self.residuals[row:] ** 2)))
+        return root_mean_square(self.model, self.residuals[row:])
 
     @property
     def rmse_by_output(self) -> dict[str, float]:
-        """Root mean square of the residuals of each output; NaN where none was measured."""
-        squares = self.residuals**2
-        n = self.series.observed.sum(axis=0)
-        means = np.nansum(squares, axis=0) / np.where(n, n, np.nan)
-        return dict(zip(self.model.outputs, np.sqrt(means).tolist(), strict=True))
+        """Root mean square of the residuals of each output, in its unit; NaN where none was measured."""
+        return root_mean_squares(self.model, self.residuals)
 
     def plot(self) -> Figures:
         """``outputs`` against the data with the bands there are, and ``states``; extra ``plot``."""
@@ -100,6 +98,21 @@ class FreeRun(Shown):
             tables().table(("output", "rms error", "unit"), rows),
             tables().line(self.note),
         )
+
+
+def root_mean_square(model: MixedModel, residuals: Array) -> float:
+    """Of all residuals (T, ny), NaN where nothing was measured or where outputs have several units."""
+    first, *others = model.outputs.values()
+    if not all(alike(first, unit) for unit in others) or np.isnan(residuals).all():
+        return np.nan
+    return float(np.sqrt(np.nanmean(residuals**2)))
+
+
+def root_mean_squares(model: MixedModel, residuals: Array) -> dict[str, float]:
+    """Of the residuals (T, ny) of each output, in its unit; NaN where none was measured."""
+    n = np.isfinite(residuals).sum(axis=0)
+    means = np.nansum(residuals**2, axis=0) / np.where(n, n, np.nan)
+    return dict(zip(model.outputs, np.sqrt(means).tolist(), strict=True))
 
 
 def free_run(
@@ -235,9 +248,11 @@ def _fit_first_state(
 
 def output_scale(series: list[Series]) -> Array:
     """One number per output to weigh residuals by: its standard deviation; 1 for one output."""
-    ny = series[0].y.shape[1]
-    if ny == 1:
-        return np.ones(1)
+    return np.ones(1) if series[0].y.shape[1] == 1 else spread(series)
+
+
+def spread(series: list[Series]) -> Array:
+    """Standard deviation (ny,) of each output over all series; 1 where it does not move."""
     y = np.concatenate([one.y for one in series])
     seen = ~np.isnan(y)
     n = np.maximum(seen.sum(axis=0), 1)

@@ -184,10 +184,8 @@ def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any])
         lines.append(
             f"log-likelihood {likelihood['value']:.2f}" + (f" +- {error:.2f}" if error else "")
         )
-    if "rmse" in document:
-        units = set(model.outputs.values())
-        unit = units.pop() if len(units) == 1 else ""
-        lines.append(f"simulation wrong by {words.with_unit(document['rmse'], unit)} rms")
+    if errors := document.get("rmse_by_output"):
+        lines.append(f"simulation wrong by {words.errors_in_words(errors, model.outputs)} rms")
     for o in (document.get("held_out") or {}).get("outputs", ()):
         error = words.with_unit(o["rmse"], o["unit"])
         lines.append(f"on held-out data the simulation of {o['output']} is wrong by {error} rms")

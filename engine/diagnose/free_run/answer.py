@@ -168,7 +168,7 @@ def best_runs(
         tried.append(
             fit_simulation(model, records, start, free, n_starts=STARTS, seed=seed, callback=tell)
         )
-    best = min(tried, key=lambda found: found.rmse)
+    best = min(tried, key=lambda found: found.nrmse)
     x1 = np.concatenate((best.a1, best.z1), axis=1)
     return fit_runs(model, records, best.theta, free, x1)
 

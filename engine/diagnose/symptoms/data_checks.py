@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
+from engine.statespace.clock import about_clock
 from engine.statespace.model import Array, MixedModel
-from engine.units import SECOND, is_per, rate_of
 from engine.words import enumerated, number, percent, with_unit
 
 SHORT_SAMPLES = 100  # samples; and ten per parameter
@@ -24,7 +24,9 @@ MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviat
 
 def check_data(model: MixedModel, series: Series) -> tuple[str, ...]:
     """Notes on a series as data for a model, in words with units; empty where nothing is odd."""
-    notes = [*_length(model, series), *_times(series), *clock_notes(model, series)]
+    notes = [*_length(model, series), *_times(series)]
+    if told := about_clock(model, [series]):
+        notes.append(told)
     for column, (name, unit) in enumerate(model.outputs.items()):
         y = series.y[:, column]
         seen = ~np.isnan(y)
@@ -74,26 +76,6 @@ def _times(series: Series) -> list[str]:
     if steps[longest] > 5.0 * middle:
         text += f", the longest after t = {number(float(series.t[longest]), 6)} {series.time_unit}"
     return [f"{text}; spectra are not shown."]
-
-
-def clock_notes(model: MixedModel, series: Series) -> list[str]:
-    """A note where a unit of the model counts time in another unit than the record does."""
-    clock, parameters = series.time_unit, {p.name: p.unit for p in model.parameters}
-    channels = {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}
-    found = {k: unit for k, unit in (channels | parameters).items() if is_per(unit, SECOND)}
-    counted = SECOND
-    if clock == SECOND and found:
-        return []
-    if clock == SECOND:  # a channel may well be counted per minute by equations in seconds
-        found = {k: unit for k, unit in parameters.items() if rate_of(unit)}
-        counted = next(map(rate_of, found.values()), "")
-    if not found:
-        return []
-    name, unit = next(iter(found.items()))
-    return [
-        f"Times are in {clock}, and model '{model.name}' has {name} in {unit}: its numbers "
-        f"are right only if its equations convert, or give the times in {counted}."
-    ]
 
 
 def _gaps(name: str, seen: NDArray[np.bool_], series: Series) -> list[str]:

@@ -32,7 +32,7 @@ from engine.presentation.report.parts import (
     pretty,
     section,
 )
-from engine.words import fit_quality, number
+from engine.words import errors_in_words, fit_quality, number
 
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
 FEW_STARTS = 7  # starts beside the one taken whose curves are drawn each
@@ -78,8 +78,9 @@ def _simulated(document: Document, draw: Drawer) -> list[Section]:
     simulation = document.get("simulation") or {"series": ()}
     parts: list[Section] = []
     for i, series in enumerate(simulation["series"]):
-        rmse = series.get("rmse")
-        said = "" if rmse is None else tag("p", f"Wrong by {number(rmse)} rms against the data.")
+        errors = series.get("rmse_by_output")
+        wrong = errors_in_words(errors, simulation["units"]) if errors else ""
+        said = tag("p", f"Wrong by {wrong} rms against the data.") if wrong else ""
         charts = [simulated_charts(series, simulation["units"], k) for k in ("y", "states")]
         shown = grid(chain(*charts), draw)
         parts += _numbered("series", "Simulation", i, simulation, said, shown)

@@ -9,8 +9,8 @@ import pytest
 import engine
 from engine.data import nile
 from engine.data.files import write_series
-from engine.diagnose.symptoms.data_checks import clock_notes
 from engine.errors import OptionError, SeriesError
+from engine.statespace.clock import about_clock
 from engine.units import alike, clock_of, differ, frequency_in, is_per, named_with_unit
 
 pd = pytest.importorskip("pandas")
@@ -322,5 +322,14 @@ def test_channels_called_like_others_of_the_model_are_refused():
 )  # fmt: skip
 def test_a_model_that_counts_time_in_another_unit(unit, clock, told):
     model = replace(furnace(), parameters=[engine.Parameter("g", 1.0, unit)])
-    notes = clock_notes(model, engine.Series(np.ones(9), np.ones(9), dt=1.0, time_unit=clock))
-    assert [told in note for note in notes] == ([True] if told else [])
+    series = engine.Series(np.arange(9.0), np.ones(9), dt=1.0, time_unit=clock)
+    said = about_clock(model, [series])
+    assert told in said
+    assert bool(told) == bool(said)
+    fits = (
+        engine.fit_simulation(model, series, n_starts=0),
+        engine.rbps_em(model, series, n_iterations=1),
+    )
+    for fitted in fits:
+        assert said in fitted.message
+        assert ("Times are in" in fitted.message) == bool(said)

@@ -135,7 +135,7 @@ def test_a_moment_filter_that_is_wrong_has_no_say():
 
 @pytest.mark.parametrize("seed", [3, 6])
 def test_an_estimate_moves_to_what_both_filters_find_likelier(seed):
-    """The scores of few particles are far off with next to no process noise; the moment filter is exact here."""
+    """The scores of few particles are far off with next to no process noise; the moment filter is exact."""
     series, free = swung(seed), ("omega", "zeta", "sigma_y")
     of = LikelihoodStep(OSCILLATOR, [series]).of
     most = quasi_ml(OSCILLATOR, series, QUIET, free).log_likelihood

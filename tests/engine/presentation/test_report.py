@@ -214,12 +214,13 @@ def test_states_and_simulations():
             "units": {"y": "V", "a": ""},
             "series": [
                 axis | {"y": {"y": [1, 2, 3]}, "states": {"a": [0, 1, 0]}, "rmse": 0.25,
+                        "rmse_by_output": {"y": 0.25},
                         "measured": {"y": [1.0, None, 2.5]}},
             ],
         }
     }  # fmt: skip
     page = check_alone(report_html(simulated))
-    assert "Wrong by 0.25" in page.text
+    assert "Wrong by 0.25 V rms" in page.text
     assert "measured" in page.all("svg")[0]["aria-label"]
     with pytest.raises(OptionError, match="no estimate"):
         report_html({"message": "none"})

@@ -9,6 +9,7 @@ import pytest
 
 from engine.data.files import read_series
 from engine.data.series import Series
+from engine.diagnose.free_run.answer import best_runs
 from engine.errors import ModelError, OptionError, SeriesError
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.models.local_level import MODEL as LEVEL
@@ -393,3 +394,51 @@ def test_as_many_readings_as_unknowns_tell_nothing(rows):
     series = simulate(OSCILLATOR, None, 40, 0, u=np.ones(40), dt=0.05).series
     with pytest.raises(SeriesError, match=r"readings do not tell . parameters and . first states"):
         fit_simulation(OSCILLATOR, series.part(0, rows).masked(np.arange(rows) >= 4))
+
+
+def two_outputs(force=1.0):
+    """A spring of which a position and a force are read; the latter in so many newtons."""
+    return MixedModel(
+        name="spring",
+        dynamics=lambda a, u, t, dt, th: ([0.0], [[th.phi]], [[0.0]]),
+        measurement=lambda a, u, t, th: (
+            [0.0, 0.0],
+            [[th.scale], [th.k / force]],
+            np.diag([1e-4, 0.04 / force**2]),
+        ),
+        initial=lambda th: (Gaussian([], np.zeros((0, 0))), [1.0], [[0.0]]),
+        linear={"x": "m"},
+        outputs={"position": "m", "force": "N" if force == 1.0 else "kN"},
+        parameters=[
+            Parameter("phi", 0.9, "", (0.0, 1.0)),
+            Parameter("scale", 1.0, ""),
+            Parameter("k", 5.0, "N/m"),
+        ],
+    )
+
+
+def swinging(force=1.0):
+    rng = np.random.default_rng(3)
+    y = 0.95 ** np.arange(60)[:, None] * [1.0, 5.0] + rng.standard_normal((60, 2)) * [0.01, 0.2]
+    return Series(y * [1.0, 1.0 / force])
+
+
+def test_errors_of_outputs_in_different_units_are_not_thrown_together():
+    fit = fit_simulation(two_outputs(), swinging(), free=["phi"])
+    assert np.isnan(fit.rmse)  # a metre is not a newton
+    assert np.isnan(fit.runs[0].rmse)
+    expected = np.sqrt(np.mean(fit.residuals[0] ** 2, axis=0))
+    assert list(fit.rmse_by_output.values()) == pytest.approx(expected)
+    assert f"rms error {expected[0]:.3g} m of position and {expected[1]:.3g} N of force" in str(fit)
+    other = fit_simulation(two_outputs(1e3), swinging(1e3), free=["phi"])
+    assert other.nrmse == pytest.approx(fit.nrmse, rel=1e-6)
+    assert other.theta["phi"] == pytest.approx(fit.theta["phi"], rel=1e-6)
+
+
+def test_the_best_of_several_starts_is_the_same_in_every_unit():
+    """The channel with the smallest unit decided alone which one a diagnosis went on from."""
+    for force in (1.0, 1e3, 1e-3):
+        model = two_outputs(force)
+        starts = [model.theta({"k": 6.5}), model.theta({"scale": 1.5})]
+        found = best_runs(model, [swinging(force)], starts, ["phi"], 0)
+        assert found.theta["k"] == 6.5
