@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -91,6 +92,12 @@ def enumerated(parts: list[str], last: str = "and") -> str:
     if len(parts) < 2:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """`` (did you mean 'delay'?)`` of a word that is not among the known ones; "" where none is near."""
+    near = get_close_matches(word.partition(":")[0], list(known), 1)
+    return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 def errors_in_words(errors: Mapping[str, float | None], units: Mapping[str, str]) -> str:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from datetime import UTC
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
 
 from engine.arrays import Array
 from engine.errors import SeriesError
-from engine.units import meanings
+from engine.units import clock_of, meanings
 
 SECOND = np.timedelta64(1, "s")
 # Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
@@ -20,11 +20,13 @@ SAME_STEP, JITTER = 1e-3, 0.1
 def times_in(times: Any, unit: str) -> Array:
     """Time stamps (T,) in a unit; dates count from the first of them, durations are as long as they are.
 
-    ``times`` holds numbers, which are in the unit, or dates: datetime64, datetime objects, or an index of
-    dates, with a time zone or without. A missing date is NaN. Raises SeriesError for anything else, and for
-    dates in a unit of which it is not known how long it is.
+    ``times`` holds numbers, which are in the unit, or dates: datetime64, datetime objects, text as ISO 8601 has
+    it, or an index of dates, with a time zone or without. A missing date is NaN. Raises SeriesError for
+    anything else, and for dates in a unit of which it is not known how long it is.
     """
     array = np.asarray(times)
+    if array.dtype.kind in "UO" and array.size and all(isinstance(x, str) for x in array.ravel()):
+        array = np.array([date_of(text) or text for text in array.ravel()], dtype=object)
     if array.dtype.kind == "O" and array.size and all(map(_is_date, array.ravel())):
         array = np.array([_utc(one) for one in array.ravel()], dtype="datetime64[ns]")
     if array.dtype.kind == "M":
@@ -40,7 +42,8 @@ def times_in(times: Any, unit: str) -> Array:
 
 def _seconds_of(unit: str) -> float:
     """How long a unit of time is. Raises SeriesError where that is not known."""
-    sizes = [size for size, powers in meanings(unit) if powers == {"s": 1.0}]
+    known = meanings(clock_of(unit) or unit)  # hours are h
+    sizes = [size for size, powers in known if powers == {"s": 1.0}]
     if not sizes:
         raise SeriesError(
             f"t are dates and time_unit is '{unit}', of which it is not known how many seconds it has: give "
@@ -55,7 +58,7 @@ def times_of(t: Any, dt: float | None, T: int, unit: str) -> Array:
     Given both, t counts and must have that step: on average, and nearly each. Raises SeriesError.
     """
     if t is None:
-        dt = 1.0 if dt is None else dt
+        dt = 1.0 if dt is None else _step_in(dt, unit)
         if not (np.isfinite(dt) and dt > 0):
             raise SeriesError(f"dt = {dt}; a positive time step is needed")
         return float(dt) * np.arange(T, dtype=np.float64)
@@ -71,8 +74,34 @@ def times_of(t: Any, dt: float | None, T: int, unit: str) -> Array:
         kind = "repeats" if times[row] == times[row - 1] else "decreases"
         raise SeriesError(f"t {kind} at row {row} ({times[row]:g}); time must increase")
     if dt is not None:
-        _check_step(times, dt)
+        _check_step(times, _step_in(dt, unit))
     return times
+
+
+def _step_in(dt: Any, unit: str) -> float:
+    """A time step in a unit: a number, or a duration such as timedelta. Raises SeriesError."""
+    if isinstance(dt, timedelta | np.timedelta64):
+        return float(times_in(np.array([dt], dtype="timedelta64[ns]"), unit)[0])
+    if isinstance(dt, str) or np.ndim(dt):
+        raise SeriesError(f"dt = {dt!r}; one positive number is needed")
+    try:
+        return float(dt)
+    except (TypeError, ValueError) as error:
+        raise SeriesError(f"dt = {dt!r}; a positive number is needed, or a duration") from error
+
+
+def date_of(text: str) -> datetime | None:
+    """A date such as 2024-03-01 or 2024-03-01T13:45:00+01:00, None where it is none, or a number."""
+    try:
+        float(text)
+    except ValueError:
+        pass
+    else:
+        return None
+    try:
+        return datetime.fromisoformat(text.strip())
+    except ValueError:
+        return None
 
 
 def _check_step(times: Array, dt: float) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from engine.arrays import Array
 from engine.data.channels import check_channels, default_names
 from engine.data.clock import index_of, times_of
-from engine.errors import OptionError, SeriesError
+from engine.errors import ModelError, OptionError, SeriesError
 from engine.units import SECOND
 from engine.views import Shown, View, frame, sheet, tables
 
@@ -37,7 +37,8 @@ class Series(Shown):
     u : array (T, nu) or (T,), optional
         Inputs, without gaps, in the order in which the model lists them; none by default.
     dt : float, optional
-        Time step of a regularly sampled series, in ``time_unit``; 1 where nothing says when rows were measured.
+        Time step of a regularly sampled series, in ``time_unit``, or a duration such as timedelta; 1 where
+        nothing says when rows were measured.
     t : array (T,), optional
         Increasing time stamps, one per row, instead of ``dt``, in ``time_unit``. Dates are counted from the
         first of them, in this unit, too.
@@ -85,7 +86,7 @@ class Series(Shown):
         self,
         y: ArrayLike,
         u: ArrayLike | None = None,
-        dt: float | None = None,
+        dt: Any = None,
         t: Any = None,
         y_names: Sequence[str] | None = None,
         u_names: Sequence[str] | None = None,
@@ -372,6 +373,11 @@ class Series(Shown):
 
 def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:
     """One series or several, each checked against the model."""
+    if not hasattr(model, "parameters"):
+        raise ModelError(
+            f"the model is {model!r:.60}, of type {type(model).__name__}; a model is needed, such as "
+            "engine.get_model('servo')"
+        )
     all_series = [series] if isinstance(series, Series | np.ndarray) else list(series)
     if not all_series:
         raise SeriesError("no series was given; at least one is needed")

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from engine.arrays import Array
+from engine.data.clock import date_of
 from engine.errors import SeriesError
 
 # Comments at the head of a CSV.
@@ -67,9 +68,9 @@ class Table:
     def times(self, name: str) -> Array | list[datetime]:
         """A column of times (T,): numbers, or dates as ISO 8601 writes them."""
         values = self.columns[name]
-        if isinstance(values, np.ndarray) or _date(next(filter(str.strip, values), "")) is None:
+        if isinstance(values, np.ndarray) or date_of(next(filter(str.strip, values), "")) is None:
             return self.column(name)
-        found = [_date(cell) for cell in values]
+        found = [date_of(cell) for cell in values]
         for i, (one, cell) in enumerate(zip(found, values, strict=True)):
             if one is None:
                 raise SeriesError(
@@ -280,14 +281,6 @@ def _ragged(row: list[str], names: list[str], file: str, line: int) -> SeriesErr
     return SeriesError(
         f"{file}, line {line}: {len(row)} cells for {len(names)} columns ({', '.join(names)}){hint}"
     )
-
-
-def _date(text: str) -> datetime | None:
-    """A date such as 2024-03-01 or 2024-03-01T13:45:00+01:00, None where it is none, or a number."""
-    try:
-        return None if _is_number(text) else datetime.fromisoformat(text.strip())
-    except ValueError:
-        return None
 
 
 def _is_number(text: str) -> bool:

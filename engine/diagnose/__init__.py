@@ -54,6 +54,7 @@ from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError, SeriesError
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.words import meant
 
 __all__ = [
     "Cause",
@@ -263,11 +264,14 @@ def _check_options(alpha: float, max_effects: int, effects: Sequence[str] | None
         raise OptionError(f"alpha = {alpha} is not within (0, 1)", "alpha")
     if max_effects < 1:
         raise OptionError(f"max_effects = {max_effects}; at least 1 is needed", "max_effects")
+    if isinstance(effects, str):
+        raise OptionError(f"effects = '{effects}'; a list is needed: ['{effects}']", "effects")
     if effects is not None:
         unknown = [name for name in effects if name.partition(":")[0] not in effect_kinds()]
         if unknown:
             raise OptionError(
-                f"effect '{unknown[0]}' is not known; kinds are {', '.join(effect_kinds())}",
+                f"effect '{unknown[0]}' is not known{meant(unknown[0], effect_kinds())}; kinds are "
+                f"{', '.join(effect_kinds())}",
                 "effects",
             )
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from keyword import iskeyword
-from typing import Any
+from typing import Any, SupportsFloat
 
 from engine.errors import ModelError
+from engine.statespace.base import Parameter
+
+NUMBERS = ("default", "scale", "lower bound", "upper bound")
 
 
 def check_declared(
@@ -29,13 +32,26 @@ def check_declared(
     doubled = sorted({one for one in names if names.count(one) > 1})
     if doubled:
         raise ModelError(f"model '{name}' uses the channel name '{doubled[0]}' twice")
+    for p in parameters:
+        if not isinstance(p, Parameter):
+            raise ModelError(f"model '{name}': {p!r} among its parameters is no engine.Parameter")
     known = [p.name for p in parameters]
     for p in parameters:
-        if not p.name.isidentifier() or p.name.startswith("_") or iskeyword(p.name):
+        if (
+            not isinstance(p.name, str)
+            or not p.name.isidentifier()
+            or p.name.startswith("_")
+            or iskeyword(p.name)
+        ):
             raise ModelError(
                 f"model '{name}': the parameter name '{p.name}' cannot be used: a Python identifier is needed "
                 "that is no keyword and does not begin with an underscore"
             )
+        for what, value in zip(NUMBERS, (p.default, p.scale, *p.bounds), strict=True):
+            if isinstance(value, str) or not isinstance(value, SupportsFloat):
+                raise ModelError(
+                    f"model '{name}', parameter '{p.name}': its {what} is {value!r}; a number is needed"
+                )
         if known.count(p.name) > 1:
             raise ModelError(f"model '{name}' has two parameters named '{p.name}'")
         if not p.bounds[0] < p.bounds[1]:

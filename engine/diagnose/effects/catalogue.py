@@ -33,6 +33,7 @@ from engine.diagnose.effects.time import KINDS as TIME
 from engine.diagnose.effects.time_step import KINDS as TIME_STEP
 from engine.errors import OptionError
 from engine.statespace.model import MixedModel
+from engine.words import meant
 
 SHIPPED: tuple[Kind, ...] = (
     *STATE,
@@ -93,7 +94,8 @@ def make_effect(name: str, setting: Setting) -> Effect:
     kind, _, channel = name.partition(":")
     if kind not in _makers:
         raise OptionError(
-            f"effect '{name}' is not known; kinds are {', '.join(sorted(_makers))}", "effects"
+            f"effect '{name}' is not known{meant(name, _makers)}; kinds are {', '.join(sorted(_makers))}",
+            "effects",
         )
     effect = _makers[kind][0](setting, channel)
     if effect is None:

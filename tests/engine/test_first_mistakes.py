@@ -1,0 +1,78 @@
+"""What a newcomer writes by mistake: taken as meant, or an error that says what to write."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+import engine
+from engine.errors import ModelError, OptionError, SeriesError
+from engine.words import meant
+
+Y = np.arange(6.0)
+
+
+@pytest.mark.parametrize(
+    ("dt", "unit", "step"),
+    [
+        (timedelta(minutes=30), "h", 0.5), (np.timedelta64(30, "m"), "hours", 0.5),
+        (timedelta(days=7), "week", 1.0), (timedelta(hours=12), "d", 0.5), (2, "s", 2.0),
+        (np.float64(0.1), "s", 0.1),
+    ],
+)  # fmt: skip
+def test_a_step_may_be_a_duration(dt, unit, step):
+    assert engine.Series(Y, dt=dt, time_unit=unit).dt == step
+
+
+@pytest.mark.parametrize("dt", ["0.5", [0.5, 0.5], object(), timedelta(0), -1.0, np.nan])
+def test_a_step_that_is_none(dt):
+    with pytest.raises(SeriesError, match="positive"):
+        engine.Series(Y, dt=dt)
+
+
+def test_times_may_be_dates_in_words():
+    dates = [f"2025-01-0{1 + k}T06:00:00" for k in range(6)]
+    for given in (dates, np.array(dates), [datetime.fromisoformat(text) for text in dates]):
+        for unit, step in (("d", 1.0), ("days", 1.0), ("hours", 24.0), ("week", 1.0 / 7.0)):
+            assert engine.Series(Y, t=given, time_unit=unit).dt == pytest.approx(step)
+    with pytest.raises(SeriesError, match="neither numbers nor dates"):
+        engine.Series(Y, t=[*dates[:5], "tomorrow"])
+    with pytest.raises(SeriesError, match="not known how many seconds"):
+        engine.Series(Y, t=dates, time_unit="month")
+
+
+def test_a_name_is_no_model():
+    series = engine.Series(Y, dt=1.0)
+    for ask in (engine.fit_simulation, engine.rbps_em, engine.rts_em, engine.diagnose):
+        with pytest.raises(ModelError, match="the model is 'local-level', of type str"):
+            ask("local-level", series)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "told"),
+    [
+        (engine.Parameter("q", "1"), "its default is '1'"),
+        (engine.Parameter("q", None), "its default is None"),
+        (engine.Parameter("q", 1.0, "", (0.0, "9")), "its upper bound is '9'"),
+        (engine.Parameter(3, 1.0), "cannot be used"),
+        (("q", 1.0), "no engine.Parameter"),
+    ],
+)
+def test_a_parameter_that_is_not_a_number(parameter, told):
+    level = engine.get_model("local-level")
+    with pytest.raises(ModelError, match=told):
+        engine.MixedModel(
+            name="level", dynamics=level.dynamics, measurement=level.measurement, initial=level.initial,
+            linear=level.linear, outputs=level.outputs, parameters=[parameter],
+        )  # fmt: skip
+
+
+def test_an_effect_that_is_not_known():
+    level, series = engine.get_model("local-level"), engine.Series(np.sin(np.arange(50.0)))
+    with pytest.raises(OptionError, match=r"a list is needed: \['bias'\]"):
+        engine.diagnose(level, series, effects="bias")
+    with pytest.raises(OptionError, match=r"'dely' is not known \(did you mean 'delay'\?\)"):
+        engine.diagnose(level, series, effects=["dely"])
+    assert meant("qqqq", ["delay"]) == ""
