@@ -18,6 +18,7 @@ from engine.estimation.em_result import EmResult
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Theta
+from engine.words import held_by_bounds
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
 LIKELIER = 1.0  # nats by which another point must be likelier for an estimate to move there
@@ -26,7 +27,7 @@ LIKELIEST = 2  # iterates by their E steps are looked at, besides the start and 
 EXACT_NATS = 0.5  # by which a point ahead is likelier where the likelihood is exact
 MOVED = (
     " The particles' own steps ended {:.2g} nats below a point that the moment filter found from there; it is "
-    "the estimate, as the particle filter, too, finds it likelier by {:.2g} +- {:.1g} nats."
+    "the estimate, as the particle filter, too, finds it likelier by {}."
 )
 UNTOLD = (
     " By the moment filter a point ahead is {:.2g} nats likelier than the estimate; particle filters of {} "
@@ -64,7 +65,7 @@ def looked_back(
     if there - here >= FAR_NATS:
         outcome = Outcome.WANDERED
         message = found.message.replace(found.outcome.value, outcome.value)
-        return replace(found, theta=passed[k], outcome=outcome, message=message)
+        return _moved(replace(found, outcome=outcome, message=message), passed[k])
     if there < before[k] - short:  # it has lost the series there: its word is none
         return replace(found, message=found.message + AGAINST.format(fall))
     return found
@@ -103,10 +104,21 @@ def moved_ahead(
         return found
     gain, error, n = _gain(found.theta, there, particles, seed)
     if gain > max(LIKELIER, SURE * error):
-        return replace(found, theta=there, message=found.message + MOVED.format(ahead, gain, error))
+        return _moved(found, there, MOVED.format(ahead, f"{gain:.2g} +- {error:.1g} nats"))
+    if min(gain, ahead) > FAR_NATS:  # far off filters scatter widely
+        return _moved(found, there, MOVED.format(ahead, f"more than {FAR_NATS:g} nats"))
     if gain + SURE * error > ahead:
         return replace(found, message=found.message + UNTOLD.format(ahead, n, gain, error))
     return found
+
+
+def _moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
+    """The result at another theta; ``said`` joins the message, whose end tells which bounds hold it."""
+    before, now = (
+        held_by_bounds(found.model.at_bounds(one, found.free)) for one in (found.theta, theta)
+    )
+    message = found.message.removesuffix(before).rstrip() + said
+    return replace(found, theta=theta, message=f"{message} {now}".rstrip())
 
 
 def _gain(
@@ -125,6 +137,8 @@ def _gain(
                 for s in some
             ]
         ).reshape(2, CHECKS)
+        if not np.isfinite(values).all():  # lost
+            return -np.inf, 0.0, times * particles.n_particles
         spread = values.var(axis=1, ddof=1)
         gain = float(np.diff(values.mean(axis=1))[0])
         # half the variance of such a log-likelihood is its bias

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from engine.estimation.e_steps import FAR_NATS, rbps_step
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.wandering import moved_ahead
+from engine.words import held_by_bounds
 
 OSCILLATOR = get_model("oscillator")
 QUIET = OSCILLATOR.theta({"sigma_v": 1e-6, "sigma_y": 1e-3})
@@ -114,14 +117,17 @@ def test_iterates_that_wandered_off_are_not_the_estimate():
         np.testing.assert_array_equal(found.trace, trace)
 
 
+def outlying():
+    """A model of the outliers that its series has."""
+    rng = np.random.default_rng(0)
+    noise = np.where(rng.random(150) < 0.08, 10.0, 1.0)
+    y = np.cumsum(0.3 * rng.standard_normal(150)) + noise * rng.standard_normal(150)
+    return engine.with_student_t(get_model("local-level")), engine.Series(y)
+
+
 def test_a_moment_filter_that_is_wrong_has_no_say():
     """It takes outliers for a large variance; the particle filter follows both and knows better."""
-    model = engine.with_student_t(get_model("local-level"))
-    rng = np.random.default_rng(0)
-    outlying = np.where(rng.random(150) < 0.08, 10.0, 1.0)
-    series = engine.Series(
-        np.cumsum(0.3 * rng.standard_normal(150)) + outlying * rng.standard_normal(150)
-    )
+    model, series = outlying()
     wide, heavy = model.theta([0.1, 8.0, 0.0, 100.0]), model.theta([0.1, 0.4, 0.0, 1.7])
     of = LikelihoodStep(model, [series]).of
     assert of(wide) > of(heavy) + FAR_NATS
@@ -148,12 +154,7 @@ def test_an_estimate_moves_to_what_both_filters_find_likelier(seed):
 
 def test_an_estimate_stays_where_only_the_moment_filter_wants_to_go():
     """It takes outliers for a large variance, and would move to it from the particles' estimate."""
-    model = engine.with_student_t(get_model("local-level"))
-    rng = np.random.default_rng(0)
-    outlying = np.where(rng.random(150) < 0.08, 10.0, 1.0)
-    series = engine.Series(
-        np.cumsum(0.3 * rng.standard_normal(150)) + outlying * rng.standard_normal(150)
-    )
+    model, series = outlying()
     heavy = model.theta([0.1, 0.4, 0.0, 1.7])
     likelihood = LikelihoodStep(model, [series])
     assert likelihood.ahead(heavy, model.parameter_names)[1] > FAR_NATS
@@ -163,3 +164,28 @@ def test_an_estimate_stays_where_only_the_moment_filter_wants_to_go():
     )  # fmt: skip
     found = moved_ahead(at, likelihood, rbps_step(model, [series], 30, 30), 0)
     assert found is at
+
+
+@pytest.mark.parametrize(("bounds", "moved"), [((0.1, 5.0), 0.1), ((0.0, 0.2), 0.05)])
+def test_the_bounds_told_are_those_of_where_an_estimate_has_moved_to(bounds, moved):
+    """From zeta = 0.2, at its bound or not, to its lower bound or to the truth, 0.05."""
+    parameters = [
+        replace(p, bounds=bounds, default=0.2) if p.name == "zeta" else p
+        for p in OSCILLATOR.parameters
+    ]
+    model, rng = replace(OSCILLATOR, parameters=parameters), np.random.default_rng(3)
+    truth = {"sigma_v": 0.3, "zeta": 0.05}
+    series = engine.simulate(
+        OSCILLATOR, truth, 200, rng, np.sin(0.7 * np.arange(200)), dt=0.1
+    ).series
+    here = model.theta({**truth, "zeta": 0.2})
+    told = held_by_bounds(model.at_bounds(here, ("zeta",)))
+    assert bool(told) == (bounds[1] == 0.2)
+    at = engine.EmResult(
+        model, ("zeta",), here, np.array([here]), *np.zeros((4, 0)),
+        Outcome.CONVERGED, f"{Outcome.CONVERGED.value} {told}".rstrip(),
+    )  # fmt: skip
+    particles = rbps_step(model, [series], 200, 2)
+    found = moved_ahead(at, LikelihoodStep(model, [series]), particles, 0)
+    assert found.theta["zeta"] == pytest.approx(moved, rel=0.3)
+    assert ("Held by a bound" in found.message) == (moved == 0.1)
