@@ -24,6 +24,7 @@ from engine.presentation.examination import (
 )
 from engine.presentation.held_out import held_out
 from engine.simulation.fit import LOWER_BOUNDS
+from engine.simulation.free_run import root_mean_square, root_mean_squares
 from engine.statespace.model import Array, MixedModel, Theta
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
@@ -359,8 +360,10 @@ def _run_document(model: MixedModel, series: Series, run: Any) -> dict[str, Any]
     }
     if series.observed.any():
         document["measured"] = _columns(series.y[at], tuple(model.outputs))
-        document["rmse"] = finite(run.rmse)
-        document["rmse_by_output"] = {k: finite(value) for k, value in run.rmse_by_output.items()}
+        left = series.y - run.y
+        document["rmse"] = finite(root_mean_square(model, left))
+        each = root_mean_squares(model, left)
+        document["rmse_by_output"] = {name: finite(value) for name, value in each.items()}
     return document
 
 
