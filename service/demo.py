@@ -111,8 +111,9 @@ def diagnosis(url: str) -> None:
     found = results(url, {"kind": "diagnose", "model": "local-level", "series": [flows()]})
     verdict = found["diagnosis"]["page"].partition("\n\n")[0]
     print("\n".join(f"   {line}" for line in verdict.splitlines()[2:]))
-    for name, value in found["diagnosis"]["causes"][0]["parameters"].items():
-        print(f"   {name} = {value:.5g}")
+    for cause in found["diagnosis"]["causes"]:
+        for name, value in cause["parameters"].items():
+            print(f"   {name} = {value:.5g}")
     print()
 
 
