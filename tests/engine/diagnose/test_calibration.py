@@ -117,15 +117,42 @@ def test_a_model_that_cannot_be_simulated_is_believed_least(monkeypatch):
     assert judged.p_value == pytest.approx(seen.family_wise_at(BOLDEST))
 
 
-def test_refits_are_an_alarm_only_where_no_simulated_series_has_the_like(monkeypatch):
-    for drawn, alarm in (([0.5] * 19, True), ([0.5] * 7 + [0.001] * 12, False)):
-        values = iter(drawn)
-        monkeypatch.setattr(calibration, "swallowed_of_simulated", lambda *a, v=values: next(v))
-        p = sequential_p(0.01, None, ALPHA, 0, silent)
-        assert (p <= ALPHA) is alarm
-        assert len(list(values)) == (0 if alarm else 11)  # the eighth ends it
-        # the data's own is one of twenty, or one of the two smallest of nine
-        assert p == pytest.approx(1.0 / 20.0 if alarm else 2.0 / 9.0)
+@pytest.mark.parametrize(
+    ("drawn", "left", "expected"),
+    [
+        ([0.5] * 59, 0, 1.0 / 60.0),
+        ([0.001] * 2 + [0.5] * 57, 0, 3.0 / 60.0),  # two unlucky series decide nothing
+        ([0.5] * 7 + [0.001] * 52, 49, 3.0 / 10.0),  # the third ends it
+    ],
+)
+def test_refits_are_an_alarm_only_where_few_simulated_series_have_the_like(
+    monkeypatch, drawn, left, expected
+):
+    values = iter(drawn)
+    monkeypatch.setattr(calibration, "swallowed_of_simulated", lambda *a: next(values))
+    p = sequential_p(0.01, None, ALPHA, 0, silent)
+    assert p == pytest.approx(expected)
+    assert (p <= ALPHA) == (left == 0)
+    assert len(list(values)) == left
+
+
+def test_refits_alarm_as_often_as_they_may_and_see_what_is_rare(monkeypatch):
+    """Of p-values that are uniform 5 % are alarms; one of .009, as the Nile's, is missed once in sixty."""
+    rng = np.random.default_rng(1)
+
+    def alarms(p_values):
+        found = []
+        for p in p_values:
+            monkeypatch.setattr(
+                calibration,
+                "swallowed_of_simulated",
+                lambda *a, p=p: 0.001 if rng.random() < p else 0.5,
+            )
+            found.append(sequential_p(0.001, None, ALPHA, 0, silent) <= ALPHA)
+        return np.mean(found)
+
+    assert alarms(rng.random(3000)) == pytest.approx(ALPHA, abs=0.012)  # three standard errors
+    assert alarms([0.009] * 400) > 0.95
 
 
 def test_refits_of_what_noise_swallows_count_every_family_and_have_their_own_share():
