@@ -91,9 +91,9 @@ def rbps_em(  # noqa: PLR0913
         ``algorithm-3``: those of the report, eqs. (61), whose P and M keep the bias of Approximation 2.
         ``linear-cost``: as ``exact``, with trajectories drawn by Markov chain Monte Carlo moves in O(M).
     recover : bool
-        Run a filter that collapsed, or fell far short of the moment filter, again with more particles. End at
-        a point that the moment filter finds ahead where the particle filter finds it likelier, too. The papers
-        do neither.
+        Run a filter that collapsed, or fell far short of the moment filter, again with more particles.
+        ``quasi-newton`` then ends at a point that the moment filter finds ahead, where the particle filter
+        finds it likelier, too. The papers do neither.
     m_step : str
         How the M step maximises Q: ``scoring`` by Fisher scoring, ``bfgs`` by quasi-Newton steps.
     tolerance : float, optional
