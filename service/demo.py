@@ -120,7 +120,7 @@ def diagnosis(url: str) -> None:
 def flows() -> dict[str, Any]:
     """The Nile's yearly flows as a series; times are years."""
     series = engine.data.nile()
-    return {"y": series.y.tolist(), "t": series.t.tolist()}
+    return {"y": series.y.tolist(), "t": series.t.tolist(), "time_unit": series.time_unit}
 
 
 def results(url: str, request: dict[str, Any]) -> dict[str, Any]:

@@ -14,4 +14,5 @@ def test_the_demo_finds_what_is_known():
     )
     assert done.returncode == 0, done.stderr
     assert "NAMED" in done.stdout
+    assert "time 1899 year" in done.stdout
     assert re.search(r"step_flow_time = 1899\b", done.stdout)
