@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from engine.diagnose.effects.effect import Parts, Split, on_base
-from engine.statespace.model import Array, LinearGaussian, MixedModel
+from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.promotion import product
 from engine.statespace.shapes import as_matrix
 
@@ -83,6 +83,12 @@ def _with_free_names(model: MixedModel, states: Mapping[str, str]) -> dict[str, 
             name += "_"
         added[name] = unit
     return added
+
+
+def spread_at_first(name: str, source: str) -> Parameter:
+    """A held parameter of the effect ``name``: how far from rest its memory of ``source`` may begin."""
+    what = f"at first, as a share of that of {source}: 0 at rest, 1 anywhere"
+    return Parameter(f"{name}_spread", 1.0, "1", (0.0, 1.0), f"standard deviation of the memory {what}")
 
 
 def beside(step: LinearGaussian, M: int, block: Any, noise: Any) -> LinearGaussian:

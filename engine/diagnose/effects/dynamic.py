@@ -7,7 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
+from engine.diagnose.effects.augmentation import (
+    Begin,
+    add_linear_states,
+    beside,
+    spread_at_first,
+)
 from engine.diagnose.effects.effect import Effect, Split
 from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved, each_state
 from engine.diagnose.effects.setting import FREQUENCIES, Setting
@@ -25,8 +30,8 @@ class _Following:
         self.continuous = model.continuous
 
     def begin(self, setting: Setting) -> Begin:
-        """The first at x_1, the others at zero; their spread is the source's, where it is known."""
-        variance = float(setting.scale.get(self.source, 0.0)) ** 2
+        """The first at x_1, the others at zero; their spread is up to the source's, where it is known."""
+        most = float(setting.scale.get(self.source, 0.0))
 
         def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
             m, G = np.zeros((len(a), self.k)), np.zeros((self.k, self.nz))
@@ -34,7 +39,7 @@ class _Following:
                 m[:, 0] = a[:, self.column]
             else:
                 G[0, self.column - self.na] = 1.0
-            return m, G, variance
+            return m, G, (own[-1] * most) ** 2
 
         return begin
 
@@ -93,6 +98,7 @@ class _Following:
 
 def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
     """A first-order lag of a state that acts back: l' = l + dt (x - l) / tau, a force size (l - x)."""
+    spread = spread_at_first(name, source)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -117,9 +123,12 @@ def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -
         (
             Parameter(name, 0.0, setting.rate(target, setting.unit(source))),
             setting.time_constant(f"{name}_time"),
+            spread,
         ),
         extend,
-        probes=((5.0 * setting.dt,), (30.0 * setting.dt,)),
+        probes=((5.0 * setting.dt, 1.0), (30.0 * setting.dt, 1.0)),
+        held=(spread.name,),
+        spread=spread.name,
         look_alikes={"coupling": "acts without delay", "latent": "is not driven by the states"},
         traits=Traits(contains=("linear", "coupling")),
     )
@@ -130,7 +139,7 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
 
     Discretised exactly for x held over the step; its second state is q' / w, in the unit of x.
     """
-    unit = setting.unit(source)
+    unit, spread = setting.unit(source), spread_at_first(name, source)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -161,9 +170,12 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
             Parameter(name, 0.0, setting.rate(target, unit)),
             setting.frequency(f"{name}_frequency"),
             Parameter(f"{name}_damping", 0.1, "1", (1e-3, 0.99)),
+            spread,
         ),
         extend,
-        probes=tuple((f / setting.dt, 0.2) for f in FREQUENCIES),
+        probes=tuple((f / setting.dt, 0.2, 1.0) for f in FREQUENCIES),
+        held=(spread.name,),
+        spread=spread.name,
         look_alikes={"pole": "does not ring", "harmonic": "does not depend on the states"},
         traits=Traits(contains=("linear", "coupling", "pole")),
     )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.augmentation import add_linear_states, beside
+from engine.diagnose.effects.augmentation import add_linear_states, beside, spread_at_first
 from engine.diagnose.effects.effect import (
     Effect,
     Split,
@@ -78,11 +78,13 @@ def _path(setting: Setting, channel: str) -> Effect | None:
     origin = Origin(setting, name, source)
     first, until = setting.first(source), f"{source} until the record"
     before = Parameter(f"{name}_first", first, setting.unit(source), description=until)
+    spread = spread_at_first(name, source)
     members = origin.counted(
         _size(setting, name, *ends),
         setting.time_constant(f"{name}_time", "time constant"),
         before,
-        probes=[(samples * setting.dt, first) for samples in (5.0, 30.0)],
+        spread,
+        probes=[(samples * setting.dt, first, 1.0) for samples in (5.0, 30.0)],
     )
     alike = {
         "direct": "follows the input at once",
@@ -100,7 +102,8 @@ def _path(setting: Setting, channel: str) -> Effect | None:
         extend=lambda model: _with_path(model, setting, source, target, origin),
         look_alikes=alike,
         traits=Traits(contains=("direct",)),
-        **{**members, "held": (before.name, *members["held"])},
+        spread=spread.name,
+        **{**members, "held": (before.name, spread.name, *members["held"])},
     )
 
 
@@ -110,10 +113,10 @@ def _with_path(
     split, nx, nz = Split(model), model.nx, model.nz
     index, states = list(model.inputs).index(source), [*model.nonlinear, *model.linear]
     row = states.index(target) if target in states else None
-    variance = float(setting.scale.get(source, 0.0)) ** 2
+    most = float(setting.scale.get(source, 0.0))
 
     def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
-        return np.full((len(a), 1), float(own[2])), np.zeros((1, nz)), variance
+        return np.full((len(a), 1), float(own[2])), np.zeros((1, nz)), (own[3] * most) ** 2
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         record, own = split(theta)

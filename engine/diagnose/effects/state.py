@@ -89,7 +89,11 @@ def _acting_on(source: str, target: str) -> str:
 
 
 def _coulomb(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
-    """Friction of constant size against the motion; it may stop the motion in a step, not reverse it."""
+    """Friction of constant size against the motion, which it may stop, not reverse.
+
+    Half before the step of a continuous model, half after it: where other forces turn the motion within a step
+    the friction turns with it.
+    """
     origin = Origin(setting, name, source)
 
     def extend(model: MixedModel) -> MixedModel:
@@ -99,15 +103,23 @@ def _coulomb(setting: Setting, channel: str, name: str, source: str, target: str
 
         def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
             record, own = split(theta)
-            speed, most = a[:, column] - origin.of(own), dt * np.abs(own[0])
-            push = -dt * own[0] * np.sign(speed)
-            after = np.zeros_like(push)
-            if base.continuous:  # half before the step, half after; all before where it may stop
-                after = np.where((np.abs(speed) > most) | (source != target), 0.5 * push, after)
-                push = push - after
-            if source == target:
-                push = np.sign(push) * np.minimum(np.abs(push), np.abs(speed))
+
+            def rubbed(a: Array, h: Any) -> Any:
+                """The push of a friction that acts for h seconds."""
+                speed = a[:, column] - origin.of(own)
+                push = -h * own[0] * np.sign(speed)
+                stops = np.minimum(np.abs(push), np.abs(speed))
+                return np.sign(push) * stops if source == target else push
+
+            if not base.continuous:
+                return pushed(base, {row: rubbed(a, dt)}, a, u, t, dt, record)
+            push = rubbed(a, 0.5 * dt)
             f, A, Q = pushed(base, {row: push}, a, u, t, dt, record)
+            moved = np.broadcast_to(A[..., column, :].any(axis=-1), (len(a),))
+            if moved.any():  # a mean over linear states does not say which way the friction is
+                push = np.where(moved, rubbed(a, dt), push)
+                f, A, Q = pushed(base, {row: push}, a, u, t, dt, record)
+            after = np.where(moved, 0.0, rubbed(f, 0.5 * dt))
             f[:, row] += after
             return f, A, Q
 

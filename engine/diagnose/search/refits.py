@@ -96,7 +96,8 @@ def refit(
     null[n] = 0.0
     sought = effect.sought
     free = [*fit.free, *free_parameters(effect)]
-    starts = np.clip(_places(effect, start, n), extended.lower, extended.upper)
+    places = _also_at_rest(effect, _places(effect, start, n), n)
+    starts = np.clip(places, extended.lower, extended.upper)
     # without a size the filter of the extended model goes this way, and not far from it with one
     visited = _along(way, fit.model, extended)
     start, zero = _best_start(extended, series, starts, null, n, further, visited)
@@ -156,7 +157,24 @@ def _weighed(effect: Effect, fit: QuasiFit, null: float, series: Series) -> Refi
 
 def _complete(refit: Refit, null: float, series: Series, elsewhere: Array | None = None) -> Refit:
     """The refit with what else is known, or may be estimated, of its effect."""
-    return _with_shown_size(_with_zero(refit, null, series, elsewhere), null, series)
+    begun = _with_other_beginning(refit, null, series)
+    return _with_shown_size(_with_zero(begun, null, series, elsewhere), null, series)
+
+
+def _with_other_beginning(refit: Refit, null: float, series: Series) -> Refit:
+    """The refit with its memory at rest at first, or anywhere, whichever explains more."""
+    effect, known = refit.effect, refit.fit
+    if effect.spread is None or known.given_up:
+        return refit
+    other = known.model.theta({**known.theta.asdict(), effect.spread: 1.0 - known.theta[effect.spread]})
+    try:
+        here = log_likelihoods(known.model, [series], np.asarray(other)[None])[0]
+        if not here > known.log_likelihood:
+            return refit
+        found = quasi_ml(known.model, series, other, known.free, tolerance=TOLERANCE)
+    except (EngineError, np.linalg.LinAlgError):
+        return refit
+    return _weighed(effect, found, null, series)
 
 
 def _with_shown_size(refit: Refit, null: float, series: Series) -> Refit:
@@ -236,6 +254,15 @@ def _places(effect: Effect, start: Array, n: int) -> Array:
     starts = np.repeat(start[None], len(effect.probes), axis=0)
     starts[:, n + 1 :] = effect.probes
     return starts
+
+
+def _also_at_rest(effect: Effect, starts: Array, n: int) -> Array:
+    """The starts, and each with the effect's memory at rest where it may begin either way."""
+    if effect.spread is None:
+        return starts
+    at_rest = starts.copy()
+    at_rest[:, n + [p.name for p in effect.parameters].index(effect.spread)] = 0.0
+    return np.vstack([starts, at_rest])
 
 
 def _from_elsewhere(effect: Effect, start: Array, further: Array | None, n: int) -> list[Array]:

@@ -373,3 +373,29 @@ def test_cogging_repeats_itself_within_the_way_that_was_travelled():
     _, longest = effect.parameters[1].bounds
     assert longest < 0.5 * way
     assert all(period <= longest for period, _ in effect.probes)
+
+
+def test_friction_turns_with_the_motion_within_a_step():
+    """A strong force turns the motion within one step; each speed turns at another time."""
+    dt, force, friction = 0.1, 20.0, 1.0
+    body = engine.MixedModel(
+        name="body",
+        dynamics=lambda a, u, t, dt, th: (a + dt * u[0], np.zeros((1, 0)), [[1e-6]]),
+        measurement=lambda a, u, t, th: (a, np.zeros((1, 0)), [[1e-6]]),
+        initial=lambda th: (engine.Gaussian([0.0], [[1.0]]), np.zeros(0), np.zeros((0, 0))),
+        nonlinear={"speed": "m/s"},
+        inputs={"force": "m/s^2"},
+        outputs={"reading": "m/s"},
+        parameters=[],
+        continuous=True,
+    )
+    rubbed = make_effect("coulomb:speed", Setting(body, dt=dt)).apply(body)
+    speeds = np.linspace(-0.95, -0.05, 19) * dt * force
+    after, _, _ = rubbed.transition(
+        speeds[:, None], np.array([force]), 0.0, dt, rubbed.record([friction, 0.0])
+    )
+    turn = -speeds / (force + friction)
+    exact = (dt - turn) * (force - friction)
+    apart = np.abs(after[:, 0] - exact)
+    assert apart.mean() < 0.5 * friction * dt
+    assert apart.max() <= friction * dt

@@ -8,14 +8,15 @@ from scipy.stats import chi2, kstest
 
 import engine
 from engine.diagnose.effects.catalogue import all_effects, make_effect
-from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.score_columns import Column, Projection
-from engine.diagnose.screening.screen import make_test, screen
-from engine.diagnose.search.refits import Refit, cost
+from engine.diagnose.screening.screen import Score, make_test, screen
+from engine.diagnose.search.refits import Refit, cost, refit
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import confirmed
 from engine.estimation.quasi_ml import quasi_ml
-from tests.engine.hidden_effects import DRIVE, hidden
+from tests.engine.hidden_effects import DRIVE, DT, hidden
 
 
 def enters(effect):
@@ -221,3 +222,25 @@ def test_two_waves_that_explain_the_same_are_alike_whatever_their_phases():
     share = abs(wave @ plane[0]) / np.linalg.norm(wave) / np.linalg.norm(plane[0])
     assert likeness["force:speed"] == pytest.approx(share)
     assert np.allclose(seen.likenesses, seen.likenesses.T)
+
+
+@pytest.mark.parametrize("begins", ["at rest", "in motion"])
+def test_a_memory_begins_at_rest_or_anywhere_whichever_explains_more(begins):
+    """A lag of speed that acts back; in motion, the record begins while the lag is far behind."""
+    first = 0 if begins == "at rest" else 105
+    model = replace(DRIVE, initial=lambda theta: (engine.Gaussian([0.0], [[4.0]]), [0.0], [[0.05]]))
+    values = {"pole_speed": 2.0, "pole_speed_time": 2.0, "pole_speed_spread": 0.0}
+    force = np.repeat([2.0, -2.0, 2.0], [100, 100, 300])
+    whole = hide(model, ["pole:speed"], values, 500, np.random.default_rng(4), u=force, dt=DT)
+    series = whole.series.part(first, 500)
+    base = quasi_ml(model, series)
+    setting = setting_for(model, series, base.theta)
+    effect = make_effect("pole:speed", setting)
+    found = refit(base, series, Score(effect, 1.0, 1.0, 0.1, 0.1, 1.0, (1.0, 1.0)))
+    spread = found.fit.theta["pole_speed_spread"]
+    assert spread == (0.0 if begins == "at rest" else 1.0)
+    other = found.fit.model.theta({**found.fit.theta.asdict(), "pole_speed_spread": 1.0 - spread})
+    free = list(found.fit.free)
+    there = quasi_ml(found.fit.model, series, other, free)
+    assert found.fit.log_likelihood > there.log_likelihood + 0.5
+    assert "pole_speed_spread" not in free
