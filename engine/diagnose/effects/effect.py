@@ -21,7 +21,8 @@ from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.promotion import promote
 from engine.statespace.rows import with_input
 
-NEARBY = 1e-6  # of a state's size or way, over which the slope of a term is taken
+NEARBY = 1e-6  # of a state's way over the step, on either side: there the slope of a term is taken
+ROUNDED = 1e-9  # of a state's value: no nearer than that, wherever it counts from
 MOST_GROWTH = 100.0  # logarithm of a growth within a step beyond which a run is lost anyway
 
 
@@ -233,9 +234,11 @@ def _pushed_linearly(
     ways = f[:, : a.shape[1]] - a
     slopes = np.zeros((len(columns), len(a)))
     for k, i in enumerate(columns):
-        moved = a.copy()
-        moved[:, i] += NEARBY * np.maximum(np.abs(a[:, i]), np.abs(ways[:, i])) + 1e-300
-        slopes[k] = (rate(moved) - there) / (moved[:, i] - a[:, i])
+        ahead, behind = a.copy(), a.copy()
+        near = np.maximum(NEARBY * np.abs(ways[:, i]), ROUNDED * np.abs(a[:, i])) + 1e-300
+        ahead[:, i] += near
+        behind[:, i] -= near
+        slopes[k] = (rate(ahead) - rate(behind)) / (ahead[:, i] - behind[:, i])
         own = slopes[k] if i == row else own
     share = np.reshape(half * (1.0 + 0.5 * half * own), (-1, 1))  # midway of its own push
     push = share[:, 0] * (there + np.einsum("km,mk->m", slopes, ways[:, columns]))

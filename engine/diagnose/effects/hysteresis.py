@@ -72,14 +72,18 @@ def _bouc_wen(
             push = half * m
             f, A, Q = pushed(base, {row: push}, a, u, t, dt, record)
             speed = a[:, column] + push if row == column else a[:, column]
-            way = dt * (0.5 * (speed + f[:, column]) - origin.of(own))  # but for linear states
+            way = dt * (speed - origin.of(own))
+            gained = 0.5 * dt * (f[:, column] - speed)  # of the way, but for what linear states add
+            moved = np.broadcast_to(A[..., column, :].any(axis=-1), (len(a),))
+            way = np.where(moved, way, way + gained)
             after = _after(m, way, own[1], delta)
-            if A[..., column, :].any():
-                slope = 0.5 * dt * _slope(after, way, own[1], delta)
+            if moved.any():  # straight from where the speed stays as it is: z may be counted from anywhere
+                slope = np.where(moved, _slope(after, way, own[1], delta), 0.0)
+                after = after + slope * gained
                 A = np.broadcast_to(A, (len(a), *A.shape[-2:]))
-                moved = np.reshape(slope, (-1, 1)) * A[:, column]
-                A = np.concatenate([A, moved[:, None]], axis=1)
-                A[:, row] += np.reshape(half, (-1, 1)) * moved
+                by_linear = np.reshape(0.5 * dt * slope, (-1, 1)) * A[:, column]
+                A = np.concatenate([A, by_linear[:, None]], axis=1)
+                A[:, row] += np.reshape(half, (-1, 1)) * by_linear
             f[:, row] += half * after
             return f, A, Q, after
 

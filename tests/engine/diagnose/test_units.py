@@ -15,6 +15,7 @@ from engine.diagnose.effects.zeros import without_zero
 from engine.diagnose.screening.score_columns import Projection, effect_columns
 from engine.diagnose.screening.screen import make_test
 from engine.diagnose.screening.time_scan import family_test, is_timed
+from engine.diagnose.symptoms.runs import noise_free
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter, moment_path
 from engine.statespace.densities import GaussianMixture
@@ -303,3 +304,48 @@ def test_a_density_of_any_kind_takes_a_memory_and_a_promoted_state():
         )
         filtered = moment_filter(extended, np.asarray(extended.theta())[None], series)
         assert np.isfinite(filtered.log_likelihood[0])
+
+
+def sprung(rest):
+    """A mass on a spring that rests anywhere, in linear states, as a differential equation."""
+    return engine.continuous(
+        name="sprung",
+        drift=lambda a, u, t, theta: (np.array([0.0, rest + u[0]]), [[0.0, 1.0], [-1.0, -0.3]]),
+        diffusion=lambda a, u, t, theta: np.diag([0.0, 0.01]),
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0, 0.0]], [[1e-4]]),
+        initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), [rest, 0.0], np.eye(2)),
+        linear={"position": "m", "velocity": "m/s"},
+        inputs={"force": "m/s^2"},
+        outputs={"laser": "m"},
+        parameters=[],
+        reference={"position": rest, "velocity": 0.0, "laser": rest, "force": 0.0},
+    )
+
+
+AT_REST = ("position", "lag_position", "mode_position", "played_laser")  # and what the laser read
+
+
+def test_what_an_effect_does_has_nothing_to_do_with_where_linear_states_count_from():
+    """Each at a size that counts, in steps that are long beside the motion."""
+    force = np.repeat(np.random.default_rng(7).uniform(-1.0, 1.0, 10), 4)
+    scale = {"position": 1.0, "velocity": 1.0, "laser": 1.0, "force": 1.0}
+    runs = {}
+    for rest in (0.0, 1000.0):
+        model = sprung(rest)
+        series = engine.Series(np.zeros(40), force, dt=0.4)
+        setting = Setting(model, scale=scale, span=(0.0, 16.0), dt=0.4)
+        for effect in some(setting):
+            extended = effect.apply(model)
+            own = [0.2, *effect.probes[0]]
+            first = []
+            for state in [*extended.nonlinear, *extended.linear]:
+                at_rest = state in AT_REST or state.startswith("last_laser")
+                first.append(rest if at_rest else 0.0)
+            y, _ = noise_free(extended, np.asarray(own), series, np.array(first))
+            runs.setdefault(effect.name, []).append(y[:, 0] - rest)
+    assert len(runs) > 30
+    still = runs["level:laser"][0]
+    assert sum(np.abs(one - still).max() > 0.05 for one, _ in runs.values()) > 20
+    for name, (one, other) in runs.items():
+        until = np.argmax([*(np.abs(one) > 10.0), True])  # some run away
+        np.testing.assert_allclose(other[:until], one[:until], atol=1e-5, err_msg=name)
