@@ -21,7 +21,7 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
     A pulse on an integrator is a step of its reading: where two refits predict alike at every
     sample and fit as well, the plainer kind stands for both, or else the one that suits its channel:
     friction a velocity, stiffness a position (:class:`~engine.diagnose.effects.traits.Traits`).
-    Where neither does, both stay.
+    Where neither does, both stay; and so do a sensor's lasting fault and one of the plant: another repair.
     """
     refits = [r for r in refits if not _merely_wider(r, refits)]
     terms = [held_out_terms(r.fit, series) for r in refits]
@@ -29,11 +29,18 @@ def distinct(refits: Sequence[Refit], series: Series, setting: Setting) -> tuple
 
     def stands_for(j: int, i: int) -> bool:
         fits_as_well = refits[j].score >= refits[i].score - TIE
-        better = ranks[j] < ranks[i]
+        better = ranks[j] < ranks[i] and not _repaired_elsewhere(refits[j].effect, refits[i].effect)
         return fits_as_well and better and float(((terms[i] - terms[j]) ** 2).sum()) < SAME
 
     n = len(refits)
     return tuple(refits[i] for i in range(n) if not any(stands_for(j, i) for j in range(n)))
+
+
+def _repaired_elsewhere(one: Effect, other: Effect) -> bool:
+    """Whether one of two lasting faults is a sensor's and the other the plant's or what drives it."""
+    lasting = one.traits.course is None and other.traits.course is None
+    families = {one.family, other.family}
+    return lasting and "measurement" in families and bool(families & {"state", "input"})
 
 
 def _merely_wider(found: Refit, others: Sequence[Refit]) -> bool:

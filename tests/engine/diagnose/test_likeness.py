@@ -75,6 +75,17 @@ def test_the_plainer_name_stands_for_the_same_thing():
     assert names(distinct(alike, None, place("neither"))) == ["step:reading"]
 
 
+@pytest.mark.parametrize("other", ["force:speed", "input-offset:force"])
+def test_a_sensors_bias_does_not_stand_for_what_pushes_the_plant(other):
+    alike = refits((other, 40.0, 1.0), ("bias:reading", 39.9, 1.0))
+    assert names(distinct(alike, None, place("neither"))) == [other, "bias:reading"]
+
+
+def test_of_the_same_push_the_plainer_name_is_said():
+    alike = refits(("input-offset:force", 40.0, 1.0), ("force:speed", 39.9, 1.0))
+    assert names(distinct(alike, None, place("neither"))) == ["force:speed"]
+
+
 def test_a_wider_kind_must_be_clearly_ahead_of_what_it_contains():
     """Stribeck friction is Coulomb friction with one parameter more, even where it predicts otherwise."""
     for ahead, left in ((0.5, ["coulomb:speed"]), (2.0, ["stribeck:speed", "coulomb:speed"])):
