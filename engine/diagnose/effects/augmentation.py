@@ -88,7 +88,9 @@ def _with_free_names(model: MixedModel, states: Mapping[str, str]) -> dict[str, 
 def spread_at_first(name: str, source: str) -> Parameter:
     """A held parameter of the effect ``name``: how far from rest its memory of ``source`` may begin."""
     what = f"at first, as a share of that of {source}: 0 at rest, 1 anywhere"
-    return Parameter(f"{name}_spread", 1.0, "1", (0.0, 1.0), f"standard deviation of the memory {what}")
+    return Parameter(
+        f"{name}_spread", 1.0, "1", (0.0, 1.0), f"standard deviation of the memory {what}"
+    )
 
 
 def beside(step: LinearGaussian, M: int, block: Any, noise: Any) -> LinearGaussian:

@@ -166,7 +166,9 @@ def _with_other_beginning(refit: Refit, null: float, series: Series) -> Refit:
     effect, known = refit.effect, refit.fit
     if effect.spread is None or known.given_up:
         return refit
-    other = known.model.theta({**known.theta.asdict(), effect.spread: 1.0 - known.theta[effect.spread]})
+    other = known.model.theta(
+        {**known.theta.asdict(), effect.spread: 1.0 - known.theta[effect.spread]}
+    )
     try:
         here = log_likelihoods(known.model, [series], np.asarray(other)[None])[0]
         if not here > known.log_likelihood:
