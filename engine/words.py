@@ -80,11 +80,13 @@ def percent(share: float) -> str:
     return f"{value:.0f} %" if value >= 9.95 or value == 0.0 else f"{value:.1f} %"
 
 
-def probability(p: float) -> str:
-    """``p = 0.03``, ``p < 0.0001``."""
+def probability(p: float, at_floor: bool = False) -> str:
+    """``p = 0.03``, ``p < 0.0001``; ``p <= 0.0029`` of the least that simulation can give, ``at_floor``."""
     if not math.isfinite(p):
         return "p = ?"
-    return "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"
+    if p < 1e-4:
+        return "p < 0.0001"
+    return f"p {'<=' if at_floor else '='} {p:.2g}"
 
 
 def enumerated(parts: list[str], last: str = "and") -> str:

@@ -196,11 +196,11 @@ def diagnose(  # noqa: PLR0913
     fine, causes, searched, found = both.fine, both.causes, both.searched, both.causes.search
     notes.extend(both.notes)
 
-    p_bootstrap = None
+    bootstrapped = None
     if bootstrap:
         clock.start(STAGE)
         question = Question(causes.base, searched, causes.setting, effects)
-        p_bootstrap = first_round_p(question, found, bootstrap, seed, clock.progress, done)
+        bootstrapped = first_round_p(question, found, bootstrap, seed, clock.progress, done)
 
     clock.start("gain")
     judged = HeldOut(fine.records, searched, fine.k, seed).judge(causes, both.asked, clock.progress)
@@ -240,7 +240,8 @@ def diagnose(  # noqa: PLR0913
         seconds=clock.seconds,
         series=records.main,
         records=1 + len(records.others),
-        p_bootstrap=p_bootstrap,
+        p_bootstrap=None if bootstrapped is None else bootstrapped.p_value,
+        p_bootstrap_at_floor=bootstrapped is not None and bootstrapped.at_floor,
         free_run=judged.free_run,
         substeps=fine.k,
         over_horizon=beside,

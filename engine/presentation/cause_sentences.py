@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import Cause, LookAlike
-from engine.words import enumerated, estimate, number, probability
+from engine.words import enumerated, estimate, number
 
 # As the search has it of another name for the same thing.
 SAME = "says the same in other words here"
@@ -18,9 +17,11 @@ SMALLEST = (
 )
 
 
-def looked_for(p_value: float | None, testable: Sequence[bool]) -> str:
-    """What is said where no cause was found, of effects that the data could have shown or not."""
-    p = probability(math.nan if p_value is None else p_value)
+def looked_for(p: str, testable: Sequence[bool]) -> str:
+    """What is said where no cause was found, of effects that the data could have shown or not.
+
+    ``p`` is the p-value of all of them together, in words.
+    """
     return (
         f"{len(testable)} effects were looked for, {p} for all of them together. "
         f"{sum(testable)} of them would have been seen at the sizes listed below."
@@ -38,7 +39,7 @@ def headline(cause: Cause) -> str:
     name = cause.title[:1].upper() + cause.title[1:]
     size = estimate(cause.size, cause.standard_error, cause.unit)
     return (
-        f"{name} [{cause.effect}]: {size}{when(cause)}, {probability(cause.p_value)}, "
+        f"{name} [{cause.effect}]: {size}{when(cause)}, {cause.probability}, "
         f"2 x log-likelihood gained {gained(cause.gain)}"
         + (f" together with {enumerated(list(cause.together))}" if cause.together else "")
     )

@@ -59,7 +59,9 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "verdict": d.verdict.value,
         "sentence": d.verdict.sentence,
         "p_value": d.p_value,
+        "at_floor": d.p_at_floor,
         "p_bootstrap": d.p_bootstrap,
+        "p_bootstrap_at_floor": d.p_bootstrap_at_floor,
         "causes": causes,
         "unnamed": None if force is None else _force(force),
         "base_theta": d.base_theta.asdict(),
@@ -131,8 +133,13 @@ def _missing(one: MissingFunction) -> dict[str, Any]:
     }
 
 
-def _alarm(alarm: Alarm) -> dict[str, float]:
-    return {"p_value": alarm.p_value, "rms": alarm.rms, "rms_noise": alarm.rms_noise}
+def _alarm(alarm: Alarm) -> dict[str, float | bool]:
+    return {
+        "p_value": alarm.p_value,
+        "at_floor": alarm.at_floor,
+        "rms": alarm.rms,
+        "rms_noise": alarm.rms_noise,
+    }
 
 
 def _free_round(one: FreeRound) -> dict[str, Any]:
@@ -236,6 +243,7 @@ def _round(found: Round) -> dict[str, Any]:
     equivalent = {r.effect.name for r in found.equivalent}
     return {
         "p_value": found.screen.p_value,
+        "at_floor": found.screen.at_floor,
         "threshold": found.screen.threshold,
         "screened": [
             {

@@ -71,12 +71,12 @@ def _head(d: Diagnosis) -> Iterator[str]:
             others = enumerated(list(cause.equivalent[1:]), "or")
             yield from _wrapped(f"not told apart from {others}", "      ")
     if not d.causes:
-        said = looked_for(d.p_value, [x.testable for x in d.detectable])
+        said = looked_for(probability(d.p_value, d.p_at_floor), [x.testable for x in d.detectable])
         yield from _wrapped(said, "  ")
     if d.p_bootstrap is not None:
+        p = probability(d.p_bootstrap, d.p_bootstrap_at_floor)
         yield from _wrapped(
-            f"By parametric bootstrap (simulated, refitted, screened again): {probability(d.p_bootstrap)}.",
-            "  ",
+            f"By parametric bootstrap (simulated, refitted, screened again): {p}.", "  "
         )
     if d.gain is not None:
         yield from _wrapped(gain_line(d.gain), "  ")

@@ -77,7 +77,7 @@ def _cause(cause: Document) -> list[object]:
         [
             ("effect", tag("code", cause["effect"])),
             ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
-            ("p-value, all effects together", p_value(cause["p_value"])),
+            ("p-value, all effects together", p_value(cause)),
             ("2 × log-likelihood gained", _gained(cause)),
             ("enters through", cause["where"]),
         ]

@@ -33,7 +33,7 @@ def verdict(d: Document) -> Html:
         names = [tag("p", d["sentence"]), *(tag("p", *one, class_="hint") for one in near)]
     if not names:
         testable = [x["testable"] for x in d["detectable"]]
-        names = [tag("p", looked_for(d["p_value"], testable))]
+        names = [tag("p", looked_for(p_value(d), testable))]
     return join([said, *names])
 
 
@@ -122,11 +122,11 @@ def _cause_at_a_glance(d: Document) -> Html:
         names = enumerated([cause["title"] for cause in d["causes"]])
         return join([said, tag("p", f"Closest: {names}", class_="hint") if names else ""])
     if not d["causes"]:
-        return tag("p", f"None: {p_value(d['p_value'])} for all effects together.")
+        return tag("p", f"None: {p_value(d)} for all effects together.")
     parts = []
     for cause in d["causes"]:
         name = tag("b", capital(cause["title"]))
-        parts.append(tag("p", name, f", {p_value(cause['p_value'])}"))
+        parts.append(tag("p", name, f", {p_value(cause)}"))
         if len(cause["equivalent"]) > 1:
             rest = len(cause["equivalent"]) - 1
             parts.append(tag("p", f"or {rest} other{'s' * (rest > 1)} like it", class_="hint"))

@@ -160,9 +160,13 @@ def capital(title: str) -> str:
     return title[:1].upper() + title[1:]
 
 
-def p_value(value: float | None) -> str:
-    """``p = 0.012``, also of a number that is not there."""
-    return probability(float("nan") if value is None else value)
+def p_value(of: Document) -> str:
+    """``p = 0.012`` of what has one, ``p <= 0.0029`` where it is at its floor; also of one that is not there.
+
+    Documents of earlier versions do not know about the floor.
+    """
+    value = of["p_value"]
+    return probability(float("nan") if value is None else value, of.get("at_floor", False))
 
 
 def signed(value: float | None) -> str:
