@@ -16,7 +16,7 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.symptoms.curves import named, rounded
 from engine.estimation.quasi_ml import QuasiFit
 from engine.json_values import plain
-from engine.presentation.cause_sentences import experiment, when
+from engine.presentation.cause_sentences import experiment, late, sample_step, when
 from engine.presentation.diagnosis_text import page, unnamed
 from engine.presentation.equations import to_latex
 
@@ -41,6 +41,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             "latex": to_latex(cause.equation),
             "experiment": experiment(cause),
             "when": when(cause),
+            "late": late(cause, sample_step(d.series), d.series.time_unit),
         }
         for cause in d.causes
     ]
@@ -55,6 +56,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         },
         "measured": list(d.measured),
         "time_unit": d.series.time_unit,
+        "step": sample_step(d.series),
         "samples": len(d.series),
         "verdict": d.verdict.value,
         "sentence": d.verdict.sentence,

@@ -9,11 +9,11 @@ from engine.presentation.report.parts import (
     adopted,
     capital,
     cards,
-    estimated,
     measured,
     p_value,
     prose,
     signed,
+    with_time,
 )
 from engine.words import bounds, enumerated, number, percent
 
@@ -55,8 +55,7 @@ def _known(d: Document) -> str:
 
 def _headline(cause: Document) -> Html:
     """``Coulomb friction 0.52 ± 0.03 N``, with the names it cannot be told from."""
-    size = estimated(cause["size"], cause["standard_error"], cause["unit"])
-    parts = [tag("strong", capital(cause["title"])), " ", size, cause.get("when", "")]
+    parts = [tag("strong", capital(cause["title"])), " ", with_time(cause), cause.get("when", "")]
     if len(cause["equivalent"]) > 1:
         others = enumerated(list(cause["equivalent"][1:]), "or")
         parts.append(tag("span", f", not told apart from {others}", class_="hint"))

@@ -128,6 +128,12 @@ def estimated(value: float | None, error: float | None, unit: str) -> str:
     return plus_minus(value, error, unit) if "+-" in said else prose(said)
 
 
+def with_time(cause: Document) -> str:
+    """The size of a cause with its standard error; of a delay in time, too, where the document has it."""
+    said = estimated(cause["size"], cause["standard_error"], cause["unit"])
+    return said + prose(cause.get("late", ""))
+
+
 def _times(unit: str) -> str:
     """What stands between a number and a unit that begins with a number itself."""
     return "× " if re.match(r"\d", tidy(unit)) else ""
