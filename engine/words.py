@@ -113,4 +113,13 @@ def held_by_bounds(names: Sequence[str]) -> str:
     """A sentence about parameters that a bound has stopped; empty where there are none."""
     if not names:
         return ""
-    return f"Held by a bound, so the data may mean more or less: {', '.join(names)}."
+    said = f"Stopped by a bound: {', '.join(names)}. The data draw"
+    if len(names) == 1:
+        return (
+            f"{said} it there or beyond, so its value is the bound's more than the data's. Widen the bound "
+            "where physics allows it (Parameter(bounds=)), else hold the parameter fixed (free=)."
+        )
+    return (
+        f"{said} them there or beyond, so their values are the bounds' more than the data's. Widen the bounds "
+        "where physics allows it (Parameter(bounds=)), else hold the parameters fixed (free=)."
+    )

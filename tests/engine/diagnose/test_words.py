@@ -34,7 +34,7 @@ from engine.presentation.cause_sentences import (
 from engine.presentation.report import report_html
 from engine.presentation.report.parts import pretty, prose, with_time
 from engine.simulation.simulate import simulate
-from engine.words import bounds, estimate, fit_quality, number, percent, tidy
+from engine.words import bounds, estimate, fit_quality, held_by_bounds, number, percent, tidy
 
 
 @pytest.mark.parametrize(
@@ -80,6 +80,16 @@ def test_an_estimate_holds_the_numbers_that_the_data_determine(value, error, num
     said = estimate(value, error, "N")
     assert re.findall(r"-?\d[\d.]*(?:e[+-]\d+)?", said) == numbers
     assert ("+-" in said) == (len(numbers) == 2)
+
+
+def test_what_a_bound_has_stopped_is_named_with_what_to_do():
+    assert held_by_bounds([]) == ""
+    one, two = held_by_bounds(["k"]), held_by_bounds(["k", "q"])
+    assert one.startswith("Stopped by a bound: k. The data draw it there")
+    assert two.startswith("Stopped by a bound: k, q. The data draw them there")
+    for said in (one, two):
+        assert "Parameter(bounds=)" in said
+        assert "(free=)" in said
 
 
 def test_neighbouring_bounds_and_small_shares_can_be_told_apart():

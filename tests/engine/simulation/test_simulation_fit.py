@@ -126,8 +126,8 @@ def test_an_estimate_at_a_bound_is_said_to_be():
     ]
     fit = fit_simulation(replace(TANKS, parameters=parameters), tanks(1).series, n_starts=0)
     assert fit.theta["k1"] == pytest.approx(parameters[k1].bounds[1])
-    assert "Held by a bound" in fit.message
-    assert "k1" in fit.message.partition("Held by a bound")[2]
+    assert "Stopped by a bound: k1. The data draw it there or beyond" in fit.message
+    assert "Widen the bound where physics allows it" in fit.message
 
 
 def test_several_series_share_theta_and_have_their_own_first_state():
