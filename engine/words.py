@@ -80,11 +80,13 @@ def percent(share: float) -> str:
     return f"{value:.0f} %" if value >= 9.95 or value == 0.0 else f"{value:.1f} %"
 
 
-def probability(p: float) -> str:
-    """``p = 0.03``, ``p < 0.0001``."""
+def probability(p: float, at_floor: bool = False) -> str:
+    """``p = 0.03``, ``p < 0.0001``; ``p <= 0.0029`` of the least that simulation can give, ``at_floor``."""
     if not math.isfinite(p):
         return "p = ?"
-    return "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"
+    if p < 1e-4:
+        return "p < 0.0001"
+    return f"p {'<=' if at_floor else '='} {p:.2g}"
 
 
 def enumerated(parts: list[str], last: str = "and") -> str:
@@ -111,4 +113,13 @@ def held_by_bounds(names: Sequence[str]) -> str:
     """A sentence about parameters that a bound has stopped; empty where there are none."""
     if not names:
         return ""
-    return f"Held by a bound, so the data may mean more or less: {', '.join(names)}."
+    said = f"Stopped by a bound: {', '.join(names)}. The data draw"
+    if len(names) == 1:
+        return (
+            f"{said} it there or beyond, so its value is the bound's more than the data's. Widen the bound "
+            "where physics allows it (Parameter(bounds=)), else hold the parameter fixed (free=)."
+        )
+    return (
+        f"{said} them there or beyond, so their values are the bounds' more than the data's. Widen the bounds "
+        "where physics allows it (Parameter(bounds=)), else hold the parameters fixed (free=)."
+    )

@@ -182,6 +182,9 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         task: Annotated[int, Query(ge=0, le=2**31 - 1, description="of several starts")] = 0,
     ) -> Response:
         row = find(job_id, caller)
+        if task >= (tasks := sum(json.loads(row.stages))):
+            there = f"tasks 0 to {tasks - 1}" if tasks > 1 else "task 0 only"
+            raise invalid("task", f"task = {task}; this job has {there}")
         ks, rows = store.rows(row.seq, task, after)
         names = parameter_names(store, row)
         if points is not None and len(ks) > points:

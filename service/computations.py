@@ -25,12 +25,15 @@ from engine.presentation.examination import (
 from engine.presentation.held_out import held_out
 from engine.simulation.fit import LOWER_BOUNDS
 from engine.simulation.free_run import root_mean_square, root_mean_squares
+from engine.simulation.problem import REFINED
 from engine.statespace.model import Array, MixedModel, Theta
 from service.problems import Problem
 from service.schemas import EstimateOptions, SimulateRequest, SmoothRequest
 from service.strict_json import finite
 from service.validation import Prepared
 
+# Of a fit of the simulation: its starts, and the best one to its end; a second round has a share of them.
+SIMULATION_STEPS = REFINED + 2
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
 LIKELIHOOD_RUNS = 5  # filter passes at the estimate, for the log-likelihood and its error
 WIDE_NATS = 3.0  # nats of scatter: the mean of the likelihoods is then that of the luckiest run
@@ -98,7 +101,7 @@ def fit_simulation(
     said = "fitting the simulation by least squares"
 
     def tell(done: int, steps: int) -> None:
-        k = done if options.method == "simulation" else 0
+        k = SIMULATION_STEPS * done // steps if options.method == "simulation" else 0
         progress.step(k, f"{said}, {done} of {steps}", done / steps)
 
     progress.step(0, said)

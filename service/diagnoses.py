@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 
 import engine
 from engine import words
+from engine.data.series import Series
 from engine.diagnose import Cause, Diagnosis, Verdict
+from engine.presentation.cause_sentences import late, sample_step
 from service.computations import Progress, anew_where_another
 from service.schemas import DiagnoseRequest
 from service.validation import Prepared
@@ -102,15 +104,16 @@ def in_a_line(found: Diagnosis) -> str:
     """What the list of jobs says of it: the cause with its size, or how far it is known."""
     if not found.causes:
         return found.verdict.sentence
-    said = "; ".join(_cause(one) for one in found.causes)
+    said = "; ".join(_cause(one, found.series) for one in found.causes)
     if found.verdict is Verdict.UNKNOWN:
         return f"{found.verdict.sentence} Nearest: {said}"
     adopted = found.gain is not None and found.gain.adopt
     return f"{said}. {'Adopted' if adopted else 'Not adopted'} on held-out data."
 
 
-def _cause(one: Cause) -> str:
+def _cause(one: Cause, series: Series) -> str:
     text = f"{one.title[:1].upper()}{one.title[1:]} {words.estimate(one.size, one.standard_error, one.unit)}"
+    text += late(one, sample_step(series), series.time_unit)
     if len(one.equivalent) < 2:
         return text
     return f"{text}, or {words.enumerated(list(one.equivalent[1:]), 'or')}"

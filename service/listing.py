@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import AfterValidator, BaseModel, Field
 
-from service.responses import Kind, Status
+from engine.words import enumerated
+from service.responses import OUTCOMES, Kind, Status
 
 Sort = Literal[
     "created", "name", "kind", "model", "data", "status", "outcome", "log_likelihood", "duration",
@@ -14,14 +15,22 @@ Sort = Literal[
 ]  # fmt: skip
 
 
+def _known(outcome: str) -> str:
+    if outcome not in OUTCOMES:
+        raise ValueError(
+            f"'{outcome[:40]}' is no outcome of a job; there are {enumerated(list(OUTCOMES))}"
+        )
+    return outcome
+
+
 class ListQuery(BaseModel):
     """Which jobs to list, in which order."""
 
     status: list[Status] = Field(default=[])
     kind: list[Kind] = Field(default=[])
-    outcome: list[Annotated[str, Field(max_length=40)]] = Field(
-        default=[], description="such as named, set, unknown, nothing; converged"
-    )
+    outcome: list[
+        Annotated[str, AfterValidator(_known), Field(json_schema_extra={"enum": [*OUTCOMES]})]
+    ] = Field(default=[], description="verdict of a diagnosis, or how an estimation ended")
     tag: list[Annotated[str, Field(max_length=50)]] = Field(
         default=[], description="all of these tags"
     )

@@ -23,7 +23,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 import engine.data
 from engine.presentation.report import RULES
-from service.responses import Kind, Status
+from service.responses import OUTCOMES, Kind, Status
 
 HERE = Path(__file__).parent
 STATIC = HERE / "static"
@@ -33,11 +33,7 @@ NILE = Path(engine.data.__file__).parent / "nile.csv"  # for a first try without
 LIST: dict[str, Any] = {
     "statuses": get_args(Status),
     "kinds": get_args(Kind),
-    "outcomes": (
-        "nothing", "named", "set", "unknown",
-        *(one.word for one in engine.Outcome if one.success and one is not engine.Outcome.STOPPED_BY_CALLER),
-        "evaluations-used-up",
-    ),
+    "outcomes": OUTCOMES,
     "columns": (
         ("name", "Name"), ("status", "State"), ("model", "Model"), ("data", "Data"),
         ("created", "Created"), ("duration", "Progress"), ("outcome", "Result"),

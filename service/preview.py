@@ -38,6 +38,7 @@ def preview(data: bytes, filename: str, time: str | None, settings: Settings) ->
         raise invalid("file", f"holds no columns of numbers; there is {table.there()}")
     if time is None and table.dt is None:
         time = next((name for name in table.columns if TIMES.fullmatch(name)), None)
+    time = table.full(time) if time else time
     if time and time not in table.columns:
         raise invalid("t", f"there is no column '{time}'; there are {table.there()}")
     clock = _time(table, time) if time else None

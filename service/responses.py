@@ -6,8 +6,17 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from engine import Outcome
+from engine.diagnose import Verdict
+
 Kind = Literal["estimate", "smooth", "simulate", "diagnose", "design"]
 Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
+# Of successful jobs: the verdict of a diagnosis, how an estimation ended.
+OUTCOMES = (
+    *(one.value for one in Verdict),
+    *(one.word for one in Outcome if one.success and one is not Outcome.STOPPED_BY_CALLER),
+    "evaluations-used-up",
+)
 
 
 class _Out(BaseModel):

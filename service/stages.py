@@ -19,7 +19,6 @@ import numpy as np
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
 from engine.presentation.examination import trace_document
-from engine.simulation.problem import REFINED
 from engine.statespace.model import Theta
 from service import computations, designs, diagnoses
 from service.computations import Progress
@@ -34,8 +33,6 @@ from service.schemas import (
 )
 from service.validation import Prepared
 
-# of a fit of the simulation: its starts, and the best one to its end
-SIMULATION_STEPS = REFINED + 2
 START_SPREAD = 0.5  # starts that nothing else is said about lie within +- 50 % of the first
 START_KEY, BOOTSTRAP_KEY = 1 << 40, 1 << 41  # spawn keys far from those of iterations
 
@@ -68,7 +65,7 @@ def steps(job: Prepared) -> int:
     if isinstance(job.request, EstimateRequest):
         options = job.request.options
         if options.method == "simulation":
-            return SIMULATION_STEPS
+            return computations.SIMULATION_STEPS
         return options.iterations * (options.starts + options.bootstrap)
     if isinstance(job.request, DesignRequest):
         return designs.PROGRESS_STEPS

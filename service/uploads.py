@@ -103,6 +103,9 @@ def _read(
     model = _model(body.get("model"))
     try:
         table = read_table(files[wanted.file], wanted.file)
+        if wanted.t:
+            wanted.t = table.full(wanted.t)
+        wanted.extra = [table.full(name) for name in wanted.extra]
         y, u = (None, None) if model is None else _matched(table, wanted, model, where)
         series = series_from(table, y, u, wanted.t, wanted.dt, wanted.hold, wanted.time_unit)
         if model is not None:
@@ -183,8 +186,8 @@ def _given(
     if isinstance(columns, dict):
         if unknown := sorted(set(columns) - set(channels)):
             raise invalid(where, f"names the channels {', '.join(unknown)}; {there}")
-        return columns
-    each = [column for name in columns for column in table.groups.get(name, [name])]
+        return {channel: table.full(name) for channel, name in columns.items()}
+    each = [c for name in columns for c in table.groups.get(name, [table.full(name)])]
     if len(each) != len(channels):
         raise invalid(where, f"names {len(each)} columns; {there}")
     return dict(zip(channels, each, strict=True))

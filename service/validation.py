@@ -16,6 +16,7 @@ from engine.design import Bounds
 from engine.design.candidates import before_any
 from engine.diagnose.effects.catalogue import effect_kinds, extend
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.records import check_searched, longest_of
 from engine.errors import EngineError, OptionError, SeriesError
 from engine.models.registry import get_model, source_of
 from engine.statespace.model import Array, MixedModel, Theta
@@ -92,6 +93,10 @@ def prepare(request: Request) -> Prepared:
             series = _inputs(request, model)
         case _:
             series = _all_series(request.series, model, "series")
+    if isinstance(request, DiagnoseRequest):
+        longest = longest_of(series)
+        with _at(f"series[{longest}].y"):
+            check_searched(series[longest])
     if k > 1 and not model.continuous:
         raise invalid("options.substeps", one_step(model, k))
     series = [one.refined(k) for one in series]

@@ -2,7 +2,8 @@
 
 Which columns are which channels:
 
-- ``y`` and ``u`` are lists of column names, or mappings {model channel: column};
+- ``y`` and ``u`` are lists of column names, or mappings {model channel: column}; the unit in a column's name
+  may be left out (``indoor`` of ``indoor [degC]``), where one column alone is called so;
 - left out, they are all columns named y or u, alone or followed by something that is not a letter
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
 - ``t`` names the column of time stamps, numbers or dates such as ``2024-03-01 13:45:00``; left out, a column
@@ -33,6 +34,7 @@ from engine.data.series import Series
 from engine.data.tables import Table, read_csv, read_mat, read_npz
 from engine.errors import OptionError, SeriesError
 from engine.units import SECOND, TIMES, clock_of, meanings, named_with_unit
+from engine.words import enumerated
 
 Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
 
@@ -83,7 +85,10 @@ def series_from(
     step = dt if dt is not None or t is not None else table.dt
     if t is None:
         t = next((name for name in table.groups if TIMES.fullmatch(name)), None)
-    times = None if t is None else table.times(_lookup(table, "t", t)[0])
+    times = None
+    if t is not None:
+        t = _lookup(table, "t", t)[0]
+        times = table.times(t)
     try:
         return Series(
             _stacked(table, "y", y_columns),
@@ -193,17 +198,27 @@ def _channels(
                 )
             columns += found
         return tuple(wanted), columns
-    columns = [column for name in wanted for column in _lookup(table, prefix, name)]
-    return tuple(columns), columns
+    names: list[str] = []
+    columns = []
+    for name in wanted:
+        found = _lookup(table, prefix, name)
+        columns += found
+        names += found if name in table.groups else [name]
+    return tuple(names), columns
 
 
 def _lookup(table: Table, prefix: str, name: str) -> list[str]:
-    if name not in table.groups:
+    full = table.full(name)
+    if full in table.groups:
+        return table.groups[full]
+    if several := table.with_unit(name):
         raise SeriesError(
-            f"{table.file} has no column '{name}' (asked for as {prefix}); "
-            f"there are {table.there()}"
+            f"{table.file}: '{name}' (asked for as {prefix}) may be any of {enumerated(several, 'or')}; "
+            "write the one that is meant with its unit"
         )
-    return table.groups[name]
+    raise SeriesError(
+        f"{table.file} has no column '{name}' (asked for as {prefix}); there are {table.there()}"
+    )
 
 
 def _stacked(table: Table, prefix: str, names: Sequence[str]) -> Array:

@@ -22,6 +22,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.clock import date_of
 from engine.errors import SeriesError
+from engine.units import named_with_unit
 
 # Comments at the head of a CSV.
 HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
@@ -52,6 +53,17 @@ class Table:
     hold: str | None = None  # of the inputs, where the file says it
     time_unit: str | None = None
     ignored: list[str] = field(default_factory=list)
+
+    def full(self, name: str) -> str:
+        """``pressure [bar]`` of ``pressure``, where one column alone is called so; else the name itself."""
+        found = self.with_unit(name)
+        return found[0] if len(found) == 1 else name
+
+    def with_unit(self, name: str) -> list[str]:
+        """The columns that are called so but for a unit; none where one has exactly this name."""
+        if name in self.groups:
+            return []
+        return [column for column in self.columns if named_with_unit(column)[0] == name]
 
     def column(self, name: str) -> Array:
         """One column (T,), missing cells as NaN."""

@@ -25,8 +25,8 @@ from engine.design.rivals import of_diagnosis
 from engine.design.search import Task, search
 from engine.design.sensors import Sensor
 from engine.design.weighing import LEVEL, Weighing
-from engine.diagnose import LEAST
 from engine.diagnose.diagnosis import Diagnosis
+from engine.diagnose.records import LEAST
 from engine.diagnose.search.checkpoint import Parts
 from engine.errors import OptionError, check_count
 from engine.randomness import check_seed

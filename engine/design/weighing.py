@@ -16,7 +16,7 @@ from engine.design.inputs import Plan
 from engine.design.runs import simulated
 from engine.design.search import Pair, Search, Task, Tried, search
 from engine.design.sensors import sensors
-from engine.diagnose import LEAST
+from engine.diagnose.records import LEAST
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.errors import OptionError
 

@@ -40,7 +40,7 @@ from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.held_out import HeldOut
 from engine.diagnose.over_horizon import over_horizon
-from engine.diagnose.records import records_of
+from engine.diagnose.records import check_searched, records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.calibration import Question
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -51,7 +51,7 @@ from engine.diagnose.search.verdict import detectable_of
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
-from engine.errors import OptionError, SeriesError
+from engine.errors import OptionError
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.words import meant
@@ -75,8 +75,6 @@ __all__ = [
     "make_effect",
     "register_effect",
 ]
-
-LEAST = 30  # measured rows without which nothing can be said
 
 
 def diagnose(  # noqa: PLR0913
@@ -165,7 +163,7 @@ def diagnose(  # noqa: PLR0913
     }
     given = (as_given, series, test, {**options, "bootstrap": bootstrap})
     parts = {} if kept is None else kept
-    _check_data(records.main)
+    check_searched(records.main)
     # whatever was finished before: a resumed run has the same digits
     model.transitions.look_again(records.main.u_step)
     model.observations.look_again(records.main.u)
@@ -196,11 +194,11 @@ def diagnose(  # noqa: PLR0913
     fine, causes, searched, found = both.fine, both.causes, both.searched, both.causes.search
     notes.extend(both.notes)
 
-    p_bootstrap = None
+    bootstrapped = None
     if bootstrap:
         clock.start(STAGE)
         question = Question(causes.base, searched, causes.setting, effects)
-        p_bootstrap = first_round_p(question, found, bootstrap, seed, clock.progress, done)
+        bootstrapped = first_round_p(question, found, bootstrap, seed, clock.progress, done)
 
     clock.start("gain")
     judged = HeldOut(fine.records, searched, fine.k, seed).judge(causes, both.asked, clock.progress)
@@ -240,7 +238,8 @@ def diagnose(  # noqa: PLR0913
         seconds=clock.seconds,
         series=records.main,
         records=1 + len(records.others),
-        p_bootstrap=p_bootstrap,
+        p_bootstrap=None if bootstrapped is None else bootstrapped.p_value,
+        p_bootstrap_at_floor=bootstrapped is not None and bootstrapped.at_floor,
         free_run=judged.free_run,
         substeps=fine.k,
         over_horizon=beside,
@@ -274,16 +273,3 @@ def _check_options(alpha: float, max_effects: int, effects: Sequence[str] | None
                 f"{', '.join(effect_kinds())}",
                 "effects",
             )
-
-
-def _check_data(series: Series) -> None:
-    for name, y in zip(series.y_names, series.y.T, strict=True):
-        seen = y[~np.isnan(y)]
-        if len(seen) > 1 and seen.min() == seen.max():
-            raise SeriesError(
-                f"output '{name}' reads {seen[0]:g} throughout: a dead channel carries no information; "
-                "give its readings as NaN, or leave the output out of the model"
-            )
-    rows = int(series.observed.any(axis=1).sum())
-    if rows < LEAST:
-        raise SeriesError(f"only {rows} rows hold a measurement; a diagnosis needs {LEAST}")

@@ -20,7 +20,7 @@ from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
 from engine.views import Figures, Shown, View, plots, save, sheet, tables, view
-from engine.words import probability, tidy
+from engine.words import tidy
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +87,8 @@ class Diagnosis(Shown):
         How many records were given.
     p_bootstrap : float or None
         The first round's p-value from simulated series, where it was asked for.
+    p_bootstrap_at_floor : bool
+        Whether that is the least that so many series can give, so that it may be any smaller.
     free_run : SecondOpinion or None
         What the fit of the simulation without noise finds, and whether it decided the verdict.
     substeps : int
@@ -117,6 +119,7 @@ class Diagnosis(Shown):
     records: int = 1  # given
     over_horizon: OverHorizon | None = None
     asked: Asked | None = None  # what was asked, by which it can be kept
+    p_bootstrap_at_floor: bool = False
 
     def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot
         if self.asked is None:
@@ -126,6 +129,11 @@ class Diagnosis(Shown):
         asked = self.asked
         arguments = (asked.model, asked.series, asked.test, asked.options, dict(asked.parts))
         return import_module("engine.diagnose").again, arguments
+
+    @property
+    def p_at_floor(self) -> bool:
+        """Whether ``p_value`` is the least that so many draws can give, so that it may be any smaller."""
+        return self.search.rounds[0].screen.at_floor
 
     @property
     def decided_by(self) -> str:
@@ -190,7 +198,7 @@ class Diagnosis(Shown):
 
     def _view(self) -> View:
         causes = [
-            (c.effect, c.title, c.size, c.standard_error, tidy(c.unit), probability(c.p_value))
+            (c.effect, c.title, c.size, c.standard_error, tidy(c.unit), c.probability)
             for c in self.causes
         ]
         head = ("effect", "cause", "size", "standard error", "unit", "")

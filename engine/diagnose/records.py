@@ -12,6 +12,7 @@ from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
 
+LEAST = 30  # measured rows without which nothing can be said
 HELD_OUT = 0.2  # share of the longest record kept back where no test series is given
 
 
@@ -67,12 +68,35 @@ def records_of(
                 f"{', '.join(names) or 'none'}; all records need the same"
             )
     model = with_inputs(model, names)
-    longest = max(range(len(given)), key=lambda k: (len(given[k]), -k))
+    longest = longest_of(given)
     _check_apart([*given, *tests], len(given))
     main, *others = (one.with_extra_inputs() for one in [given.pop(longest), *given])
     return model, Records(
         main, tuple(others), tuple(one.with_extra_inputs().check(model) for one in tests)
     )
+
+
+def check_searched(series: Series) -> None:
+    """Raise SeriesError where the longest record is too short to be searched, or one of its outputs is dead."""
+    rows = int(series.observed.any(axis=1).sum())
+    if rows < LEAST:
+        raise SeriesError(
+            f"only {rows} rows hold a measurement; a diagnosis needs at least {LEAST} in one record, as it "
+            "fits the model, tests dozens of effects beside its parameters, and keeps rows back to judge what "
+            "it finds: give a longer record"
+        )
+    for name, y in zip(series.y_names, series.y.T, strict=True):
+        seen = y[~np.isnan(y)]
+        if len(seen) > 1 and seen.min() == seen.max():
+            raise SeriesError(
+                f"output '{name}' reads {seen[0]:g} throughout: a dead channel carries no information; "
+                "give its readings as NaN, or leave the output out of the model"
+            )
+
+
+def longest_of(series: Sequence[Series]) -> int:
+    """Which of the records the likelihood searches: the longest, the first of several."""
+    return max(range(len(series)), key=lambda k: (len(series[k]), -k))
 
 
 def _check_apart(every: Sequence[Series], n: int) -> None:

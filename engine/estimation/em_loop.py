@@ -265,6 +265,15 @@ class _Steps:
         )
 
 
+def _said_of_noise_free(names: Sequence[str], whose: str) -> str:
+    """A sentence about parameters that the likelihood estimated and not EM."""
+    act = "It acts" if len(names) == 1 else "They act"
+    return (
+        f" Estimated by scoring on {whose} likelihood: {', '.join(names)}. {act} where the model has no noise, "
+        "on a first state, a state or a reading, about which EM alone learns nothing. Nothing need be done."
+    )
+
+
 def _stops(callback: Callback | None, iteration: Iteration) -> bool:
     if callback is None:
         return False
@@ -355,10 +364,7 @@ class _Log:
         if last is not None and last.seen.times > 1:
             message += f" The last E step took {last.seen.times} times the particles, as fewer lost the series."
         if last is not None and last.by_likelihood:
-            message += (
-                f" Estimated by scoring on {last.whose} likelihood, as EM cannot move what enters "
-                f"without noise: {', '.join(last.by_likelihood)}."
-            )
+            message += _said_of_noise_free(last.by_likelihood, last.whose)
         if stuck:
             message += (
                 f" Not estimated, as the likelihood does not depend on them here or cannot be had: "

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from engine.estimation.convergence import WINDOW, drift
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import width
 from engine.statespace.base import Array, BaseModel, Theta
+from engine.statespace.model import MixedModel
 from engine.views import Figures, Shown, View, figures, frame, plots, save, sheet, tables
 from engine.words import tidy
 
@@ -165,10 +167,37 @@ class EmResult(Shown):
             tables().table(("parameter", "estimate", "unit", "start", ""), rows),
         )
 
+    @property
+    def log_likelihood_error(self) -> float | None:
+        """Monte Carlo standard error of each ``log_likelihood``; 0 by an exact filter, None where not known.
+
+        It is the scatter of the last iterations, each with random numbers of its own, where these show no trend
+        any more.
+        """
+        if len(self.ess) and (self.ess == 1.0).all() and not self.collapsed.any():
+            return 0.0  # particles have an effective size of one only where they collapse
+        last = self.log_likelihood[-WINDOW:]
+        if len(last) < WINDOW or not np.isfinite(last).all():
+            return None
+        difference, error = drift(last[:, None])
+        return None if abs(difference[0]) > 2.0 * error[0] else float(last.std(ddof=1))
+
     def _likelihood(self) -> str:
         if not len(self.log_likelihood):
             return ""
-        return f"Log-likelihood before the last iteration: {self.log_likelihood[-1]:.2f}."
+        said, value = "Log-likelihood before the last iteration:", self.log_likelihood[-1]
+        error = self.log_likelihood_error
+        if error == 0.0 or not np.isfinite(value):
+            return f"{said} {value:.2f}."
+        if error is None:
+            run = "rbpf" if isinstance(self.model, MixedModel) else "filter_general"
+            return (
+                f"{said} about {value:.2f}, by one particle filter. How exact that is, the spread of several "
+                f"engine.{run}(...).log_likelihood tells."
+            )
+        return (
+            f"{said} {value:.2f} +- {error:.2g} (Monte Carlo, by the scatter of the last {WINDOW})."
+        )
 
     def _remark(self, name: str) -> str:
         if name in self.not_estimated:

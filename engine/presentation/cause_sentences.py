@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from engine.data.series import Series
 from engine.diagnose.effects.colored import LATENT
 from engine.diagnose.search.findings import Cause, LookAlike
-from engine.words import enumerated, estimate, number, probability
+from engine.units import SECOND
+from engine.words import enumerated, estimate, number, with_unit
+
+SAMPLES = "samples"  # the unit of a delay
 
 # As the search has it of another name for the same thing.
 SAME = "says the same in other words here"
@@ -18,9 +22,11 @@ SMALLEST = (
 )
 
 
-def looked_for(p_value: float | None, testable: Sequence[bool]) -> str:
-    """What is said where no cause was found, of effects that the data could have shown or not."""
-    p = probability(math.nan if p_value is None else p_value)
+def looked_for(p: str, testable: Sequence[bool]) -> str:
+    """What is said where no cause was found, of effects that the data could have shown or not.
+
+    ``p`` is the p-value of all of them together, in words.
+    """
     return (
         f"{len(testable)} effects were looked for, {p} for all of them together. "
         f"{sum(testable)} of them would have been seen at the sizes listed below."
@@ -33,12 +39,15 @@ def took(seconds: Mapping[str, float]) -> str:
     return f"{number(sum(seconds.values()))} s in all: {stages}."
 
 
-def headline(cause: Cause) -> str:
-    """``Coulomb friction (coulomb:velocity) = 0.52 +- 0.03 N, p = 0.002``."""
+def headline(cause: Cause, step: float | None = None, clock: str = SECOND) -> str:
+    """``Coulomb friction (coulomb:velocity) = 0.52 +- 0.03 N, p = 0.002``.
+
+    ``step`` is the time between samples, if it is the same throughout, in ``clock``.
+    """
     name = cause.title[:1].upper() + cause.title[1:]
     size = estimate(cause.size, cause.standard_error, cause.unit)
     return (
-        f"{name} [{cause.effect}]: {size}{when(cause)}, {probability(cause.p_value)}, "
+        f"{name} [{cause.effect}]: {size}{late(cause, step, clock)}{when(cause)}, {cause.probability}, "
         f"2 x log-likelihood gained {gained(cause.gain)}"
         + (f" together with {enumerated(list(cause.together))}" if cause.together else "")
     )
@@ -49,6 +58,27 @@ def gained(gain: float | None) -> str:
     if gain is None:
         return ""
     return number(gain) if gain > 0.0 else "none"
+
+
+def sample_step(series: Series) -> float | None:
+    """The time from each sample to the next; None where it is not the same throughout."""
+    return None if series.dt is None else series.dt * series.substeps
+
+
+def in_time(value: float | None, unit: str, step: float | None, clock: str) -> str:
+    """`` (0.02 s)`` of a number of samples that are ``step`` apart, in ``clock``; "" of all else."""
+    if unit != SAMPLES or step is None or value is None or not math.isfinite(value):
+        return ""
+    return f" ({with_unit(value * step, clock)})"
+
+
+def late(cause: Cause, step: float | None, clock: str) -> str:
+    """How late a delay is, in time as well: behind its size, or where that is a share, in samples and time."""
+    if cause.unit == SAMPLES:
+        told = "+-" in estimate(cause.size, cause.standard_error, cause.unit)
+        return in_time(cause.size, SAMPLES, step, clock) if told else ""
+    own = (v for name, v in cause.parameters.items() if cause.units.get(name) == SAMPLES)
+    return "".join(f", {number(v)} samples late{in_time(v, SAMPLES, step, clock)}" for v in own)
 
 
 def when(cause: Cause) -> str:

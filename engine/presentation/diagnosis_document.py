@@ -16,7 +16,7 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.symptoms.curves import named, rounded
 from engine.estimation.quasi_ml import QuasiFit
 from engine.json_values import plain
-from engine.presentation.cause_sentences import experiment, when
+from engine.presentation.cause_sentences import experiment, late, sample_step, when
 from engine.presentation.diagnosis_text import page, unnamed
 from engine.presentation.equations import to_latex
 
@@ -41,6 +41,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             "latex": to_latex(cause.equation),
             "experiment": experiment(cause),
             "when": when(cause),
+            "late": late(cause, sample_step(d.series), d.series.time_unit),
         }
         for cause in d.causes
     ]
@@ -55,11 +56,14 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         },
         "measured": list(d.measured),
         "time_unit": d.series.time_unit,
+        "step": sample_step(d.series),
         "samples": len(d.series),
         "verdict": d.verdict.value,
         "sentence": d.verdict.sentence,
         "p_value": d.p_value,
+        "at_floor": d.p_at_floor,
         "p_bootstrap": d.p_bootstrap,
+        "p_bootstrap_at_floor": d.p_bootstrap_at_floor,
         "causes": causes,
         "unnamed": None if force is None else _force(force),
         "base_theta": d.base_theta.asdict(),
@@ -131,8 +135,13 @@ def _missing(one: MissingFunction) -> dict[str, Any]:
     }
 
 
-def _alarm(alarm: Alarm) -> dict[str, float]:
-    return {"p_value": alarm.p_value, "rms": alarm.rms, "rms_noise": alarm.rms_noise}
+def _alarm(alarm: Alarm) -> dict[str, float | bool]:
+    return {
+        "p_value": alarm.p_value,
+        "at_floor": alarm.at_floor,
+        "rms": alarm.rms,
+        "rms_noise": alarm.rms_noise,
+    }
 
 
 def _free_round(one: FreeRound) -> dict[str, Any]:
@@ -236,6 +245,7 @@ def _round(found: Round) -> dict[str, Any]:
     equivalent = {r.effect.name for r in found.equivalent}
     return {
         "p_value": found.screen.p_value,
+        "at_floor": found.screen.at_floor,
         "threshold": found.screen.threshold,
         "screened": [
             {

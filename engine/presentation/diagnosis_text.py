@@ -19,8 +19,10 @@ from engine.presentation.cause_sentences import (
     experiment,
     gained,
     headline,
+    in_time,
     looked_for,
     phrased,
+    sample_step,
     standing,
     took,
 )
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis
     from engine.diagnose.free_run.second_opinion import SecondOpinion
     from engine.diagnose.gain.gain import Gain
-    from engine.diagnose.search.findings import Detectable, Verdict
+    from engine.diagnose.search.findings import Cause, Detectable, Verdict
 
 WIDTH = 100
 NAMES = 36  # columns for the names of candidates
@@ -66,20 +68,24 @@ def _head(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(known, "  ")
     for k, cause in enumerate(d.causes):
         closest = "Closest: " if d.verdict.value == "unknown" and k == 0 else ""
-        yield from _wrapped(f"{closest}{_marker(d, k)}{headline(cause)}", "  ")
+        yield from _wrapped(f"{closest}{_marker(d, k)}{_headline(d, cause)}", "  ")
         if len(cause.equivalent) > 1:
             others = enumerated(list(cause.equivalent[1:]), "or")
             yield from _wrapped(f"not told apart from {others}", "      ")
     if not d.causes:
-        said = looked_for(d.p_value, [x.testable for x in d.detectable])
+        said = looked_for(probability(d.p_value, d.p_at_floor), [x.testable for x in d.detectable])
         yield from _wrapped(said, "  ")
     if d.p_bootstrap is not None:
+        p = probability(d.p_bootstrap, d.p_bootstrap_at_floor)
         yield from _wrapped(
-            f"By parametric bootstrap (simulated, refitted, screened again): {probability(d.p_bootstrap)}.",
-            "  ",
+            f"By parametric bootstrap (simulated, refitted, screened again): {p}.", "  "
         )
     if d.gain is not None:
         yield from _wrapped(gain_line(d.gain), "  ")
+
+
+def _headline(d: Diagnosis, cause: Cause) -> str:
+    return headline(cause, sample_step(d.series), d.series.time_unit)
 
 
 def _marker(d: Diagnosis, k: int) -> str:
@@ -125,7 +131,7 @@ def _cause(d: Diagnosis) -> Iterator[str]:
     if not d.causes:
         yield "  None named."
     for k, cause in enumerate(d.causes):
-        yield from _wrapped(f"{_marker(d, k)}{headline(cause)}; enters: {cause.where}", "  ")
+        yield from _wrapped(f"{_marker(d, k)}{_headline(d, cause)}; enters: {cause.where}", "  ")
         yield from _wrapped(cause.equation, "      ")
         for other in cause.look_alikes:
             state = standing(other, cause.equivalent)
@@ -264,6 +270,7 @@ def _testable(d: Diagnosis, every: bool) -> Iterator[str]:
     shown = list(yes) if every else asked_first(list(yes))
     for item in (yes[name] for name in shown):
         size = with_unit(item.smallest, item.unit)
+        size += in_time(item.smallest, item.unit, sample_step(d.series), d.series.time_unit)
         yield f"  {item.effect:<34} {size:>22}   {percent(item.rho):>6}"
     if len(shown) < len(yes):
         yield f"  ... and {len(yes) - len(shown)} more: 'rbps diagnose --all', or .detectable in the library"

@@ -25,7 +25,7 @@ def held_out(
 
     ``outputs`` holds the rms over all rows that were measured, in the output's unit, and the fit, 100 (1 - rms
     / standard deviation) %; ``log_density`` the sum of one-step predictive log-densities by the moment
-    filter, None where it is lost; ``series`` the curves. A run that does not stay finite has no error.
+    filter, None where it is lost; ``series`` the curves. A run that does not stay finite has the error None.
     """
     values = np.asarray(model.theta(theta))
     wholes = [_with_past(one, records) for one in tests]
@@ -39,7 +39,7 @@ def held_out(
             continue
         rmse, spread = float(np.sqrt(np.mean(errors[seen, i] ** 2))), float(y[seen, i].std())
         fit = 100.0 * (1.0 - rmse / spread) if spread > 0.0 else np.nan
-        outputs.append({"output": name, "unit": unit, "rmse": rmse, "fit": fit})
+        outputs.append({"output": name, "unit": unit, "rmse": _known(rmse), "fit": _known(fit)})
     return {
         "samples": int(sum(one.n_measured for one in tests)),
         "log_density": _log_density(model, values, wholes),
@@ -53,6 +53,11 @@ def held_out(
             for one, run in zip(tests, runs, strict=True)
         ],
     }
+
+
+def _known(value: float) -> float | None:
+    """As documents have it, also before they are JSON."""
+    return value if np.isfinite(value) else None
 
 
 def _with_past(test: Series, records: Sequence[Series]) -> tuple[Series, int]:

@@ -81,4 +81,5 @@ def _calls(model: MixedModel) -> list[str]:
             continue
     if not slow:
         return []
-    return [f"{enumerated(slow)} takes one parameter vector in a call: as right, and slower."]
+    take = "takes" if len(slow) == 1 else "take"
+    return [f"{enumerated(slow)} {take} one parameter vector in a call: as right, and slower."]

@@ -206,8 +206,10 @@ def fit_simulation(
     max_evaluations : int
         Upper limit on evaluations of the start that is followed to its end.
     callback : callable, optional
-        ``callback(done, steps)`` is called after each start that is tried and at the end. It stops the fit by
-        returning True or raising StopIteration; the best start so far is the result.
+        ``callback(done, steps)`` is called after each start that is tried and at the end, ``done`` counted from
+        1. Where the fit makes all starts anew, as parameters matter at its end that did not at its start, they
+        are counted on and ``steps`` grows. It stops the fit by returning True or raising StopIteration; the
+        best start so far is the result.
 
     Returns
     -------
@@ -228,11 +230,15 @@ def fit_simulation(
     for one in listed:
         check_start(model, model.theta(theta0), one)
     theta, indices = model.theta(theta0), model.free_indices(free)
-    for _ in range(ROUNDS):  # what changes nothing at the start may where the fit ends
+    told = _Told(callback)
+    for left in reversed(range(ROUNDS)):  # what changes nothing at the start may where the fit ends
         problem, best, stopped = _fitted(
-            FreeRunProblem(model, listed, theta, indices), n_starts, seed, max_evaluations, callback
+            FreeRunProblem(model, listed, theta, indices), n_starts, seed, max_evaluations, told
         )
-        if stopped or not _speaks(problem, best, indices):
+        again = bool(left and not stopped and _speaks(problem, best, indices))
+        if not stopped and told.stops(more=again) and again:
+            stopped = told.done
+        if stopped or not again:
             break
         theta = problem.split(best.x)[0]
     theta, x1 = problem.split(best.x)
@@ -273,21 +279,20 @@ def _fitted(
     n_starts: int,
     seed: int,
     evaluations: int,
-    callback: Callable[[int, int], object] | None,
+    told: _Told,
 ) -> tuple[FreeRunProblem, OptimizeResult, int]:
     """The problem and the best of its starts, followed to its end, unless stopped after so many of them."""
     problem.look_for_silent()
     _check_enough(problem)
     starts = problem.starts(n_starts, np.random.default_rng(seed))
     tried = []
-    for k, start in enumerate(starts, 1):
+    told.begin(len(starts) + 1)
+    for start in starts:
         tried.append(problem.descend(start, SHORT))
-        if _stops(callback, k, len(starts) + 1):
+        if told.stops():
             return problem, min(tried, key=lambda end: float(end.cost)), len(tried)
     best = min(tried, key=lambda end: float(end.cost))
-    best = problem.descend(best.x, evaluations)
-    _stops(callback, len(starts) + 1, len(starts) + 1)
-    return problem, best, 0
+    return problem, problem.descend(best.x, evaluations), 0
 
 
 def _check_enough(problem: FreeRunProblem) -> None:
@@ -343,12 +348,25 @@ def _runs(model: MixedModel, theta: Theta, series: Sequence[Series], x1: Array) 
     ]
 
 
-def _stops(callback: Callable[[int, int], object] | None, done: int, steps: int) -> bool:
-    """Tell how far it is; whether that stops it."""
-    try:
-        return callback is not None and callback(done, steps) is True
-    except StopIteration:
-        return True
+class _Told:
+    """What the caller is told: steps done of those known so far, counted on from round to round."""
+
+    def __init__(self, callback: Callable[[int, int], object] | None) -> None:
+        self.callback = callback
+        self.done = self.steps = self.round = 0
+
+    def begin(self, steps: int) -> None:
+        """A round of so many steps."""
+        self.steps, self.round = self.done + steps, steps
+
+    def stops(self, more: bool = False) -> bool:
+        """Tell that one more step is done, and whether another round follows; whether that stops the fit."""
+        self.done += 1
+        try:
+            steps = self.steps + more * self.round
+            return self.callback is not None and self.callback(self.done, steps) is True
+        except StopIteration:
+            return True
 
 
 def _ended(best: OptimizeResult, stopped: int) -> str:

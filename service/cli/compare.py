@@ -73,19 +73,25 @@ def _rows(c: dict[str, Any], names: Sequence[str]) -> Iterator[tuple[str, ...]]:
     yield from _numbers("log-likelihood", likelihoods, c["same_data"])
     held = [{o["output"]: o for o in (one or {}).get("outputs", ())} for one in c["held_out"]]
     for output in dict.fromkeys([*held[0], *held[1]]):
-        errors = [(each.get(output) or {}).get("rmse") for each in held]
-        yield from _numbers(f"held-out error of {output}", errors, c["same_held_out"])
+        errors = [each[output]["rmse"] if output in each else None for each in held]
+        lost = ["diverges" if output in each else "" for each in held]
+        yield from _numbers(f"held-out error of {output}", errors, c["same_held_out"], lost)
 
 
 def _numbers(
-    title: str, pair: Sequence[float | None], same: bool | None
+    title: str, pair: Sequence[float | None], same: bool | None, missing: Sequence[str] = ("", "")
 ) -> Iterator[tuple[str, ...]]:
+    """A line of two numbers; ``missing`` is said in place of one that is not there."""
     first, second = pair
-    if first is None and second is None:
+    if first is None and second is None and not any(missing):
         return
     both = first is not None and second is not None and same
     difference = words.number((second or 0.0) - (first or 0.0), 4) if both else ""
-    yield title, *("" if one is None else words.number(one, 6) for one in pair), difference
+    cells = [
+        said if one is None else words.number(one, 6)
+        for one, said in zip(pair, missing, strict=True)
+    ]
+    yield title, *cells, difference
 
 
 def _estimate(value: float, error: float | None, held: bool) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,7 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
 
     Which column is which channel, ``columns`` says, else ``service.columns.match``.
     """
-    table = _table(path, model, columns)
+    table, columns = _table(path, model, columns)
     y, u = _assigned(table, model, columns)
     try:
         series = series_from(table, y, u, *columns.clock).check(model)
@@ -69,7 +69,7 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
 
 def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
     """Times and inputs of a data file; y is missing throughout."""
-    table = _table(path, model, columns)
+    table, columns = _table(path, model, columns)
     _, u = _assigned(table, model, columns, "u")
     some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
     try:
@@ -81,8 +81,8 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
         raise wrong(str(error)) from None
 
 
-def _table(path: Path, model: MixedModel, columns: Columns) -> Table:
-    """The file's columns, once what is asked of them is known to make sense."""
+def _table(path: Path, model: MixedModel, columns: Columns) -> tuple[Table, Columns]:
+    """The file's columns, and which are which by their full names, once what is asked of them makes sense."""
     for channel, column in columns.of.items():
         if channel not in {**model.outputs, **model.inputs}:
             there = ", ".join([*model.outputs, *model.inputs])
@@ -97,10 +97,16 @@ def _table(path: Path, model: MixedModel, columns: Columns) -> Table:
     asked = [(f"--map {channel}={column}", column) for channel, column in columns.of.items()]
     asked += [(f"--extra {column}", column) for column in columns.extra]
     for option, column in asked:
-        if column not in table.columns:
+        if table.full(column) not in table.columns:
             there = ", ".join(table.columns)
             raise wrong(f"{option}: {path.name} has no column '{column}'; there are {there}")
-    return table
+    columns = replace(
+        columns,
+        of={channel: table.full(column) for channel, column in columns.of.items()},
+        time=table.full(columns.time) if columns.time else None,
+        extra=[table.full(column) for column in columns.extra],
+    )
+    return table, columns
 
 
 def _assigned(

@@ -187,8 +187,10 @@ def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any])
     if errors := document.get("rmse_by_output"):
         lines.append(f"simulation wrong by {words.errors_in_words(errors, model.outputs)} rms")
     for o in (document.get("held_out") or {}).get("outputs", ()):
-        error = words.with_unit(o["rmse"], o["unit"])
-        lines.append(f"on held-out data the simulation of {o['output']} is wrong by {error} rms")
+        error = "diverges"
+        if o["rmse"] is not None:
+            error = f"is wrong by {words.with_unit(o['rmse'], o['unit'])} rms"
+        lines.append(f"on held-out data the simulation of {o['output']} {error}")
     if bootstrap := document.get("bootstrap"):
         lines.append(
             f"standard errors and intervals from {bootstrap['runs'] - bootstrap['failed']} estimations on "

@@ -6,7 +6,9 @@ import json
 import numpy as np
 import pytest
 
+from engine import get_model
 from engine.data.tables import read_csv, read_npz
+from service.cli.files import Columns, series_of
 from service.columns import match
 
 CASES = {  # columns, outputs, inputs, what is found
@@ -85,6 +87,30 @@ def test_units_behind_names_are_compared_with_those_of_the_model(client):
         "channel 'flow' is in m^3; model 'local-level' takes y channel 'flow' in 1e8 m^3"
         in error["message"]
     )
+
+
+def test_units_behind_names_may_be_left_out(client):
+    files = {
+        "file": ("a.csv", b"rain [mm],depth [1e8 m^3],clock [year]\n5,1120,1\n6,1160,2\n7,963,3\n")
+    }
+    entry = {"file": "a.csv", "t": "clock", "extra": ["rain"]}
+    for y in (["depth"], {"flow": "depth"}):
+        request = {"kind": "smooth", "model": "local-level", "series": [entry | {"y": y}]}
+        answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
+        assert answer.status_code == 201, answer.text
+        read = client.get(f"{answer.headers['location']}/request").json()["series"][0]
+        assert (read["y"], read["t"]) == ([[1120.0], [1160.0], [963.0]], [1.0, 2.0, 3.0])
+        client.delete(answer.headers["location"])
+
+
+def test_the_command_line_finds_them_so_too(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("rain [mm],depth [1e8 m^3],clock [year]\n5,1120,1\n6,1160,2\n7,963,3\n")
+    asked = Columns({"flow": "depth"}, time="clock", extra=["rain"])
+    series, said = series_of(path, get_model("local-level"), asked)
+    np.testing.assert_array_equal(series.y, [[1120], [1160], [963]])
+    np.testing.assert_array_equal(series.t, [1, 2, 3])
+    assert "flow from column depth [1e8 m^3]" in said
 
 
 def test_the_hint_is_what_helps(client):

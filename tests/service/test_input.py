@@ -55,6 +55,15 @@ BAD = {
     "negative seed": (change(options={"seed": -1}), "options.seed", None, "0"),
     "too many particles": (change(options={"particles": 10**7}), "options.particles", None, "allows"),
     "too many iterations": (change(options={"iterations": 10**7}), "options.iterations", None, "allows"),
+    "too short for a diagnosis": (
+        {"kind": "diagnose", "model": "local-level",
+         "series": [{"y": [[1.0]] * 2}, {"y": [[1.0], [2.0], [1.5], [3.0]]}]},
+        "series[1].y", None, "only 4 rows hold a measurement; a diagnosis needs at least 30",
+    ),
+    "nothing but one value": (
+        {"kind": "diagnose", "model": "local-level", "series": [{"y": [[1.0]] * 40}]},
+        "series[0].y", None, "'flow' reads 1 throughout",
+    ),
     "no length": ({"kind": "simulate", "model": "linear-2"}, "options.samples", None, "length"),
     "two lengths": (
         {"kind": "simulate", "model": "linear-2", "series": [{"t": [0.0, 1.0]}],

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from service.db_schema import jobs
+from service.responses import OUTCOMES
 from service.store import EVERY, Store, Which
 
 ESTIMATED = {
@@ -195,4 +196,35 @@ def test_pages_of_a_sorted_list_follow_one_another(client, data):
         seen += [one["name"] for one in page["jobs"]]
         url = next((link["href"] for link in page["links"] if link["rel"] == "next"), None)
     assert seen == ["alpha", "mu", "zeta"]
-    assert client.get("/jobs?sort=nonsense").status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("name", "allowed"),
+    [("outcome", "converged"), ("status", "failed"), ("kind", "smooth"), ("sort", "-duration")],
+)
+def test_a_filter_that_nothing_can_pass_is_refused_and_names_what_can(client, name, allowed):
+    answer = client.get("/jobs", params={name: "foo"})
+    assert answer.status_code == 422
+    (error,) = answer.json()["errors"]
+    assert error["field"].startswith(f"query.{name}")
+    assert allowed in error["message"]
+    assert client.get("/jobs", params={name: allowed}).status_code == 200
+
+
+def test_every_outcome_of_the_page_may_be_asked_for(client):
+    assert len(set(OUTCOMES)) == len(OUTCOMES)
+    assert client.get("/jobs", params={"outcome": list(OUTCOMES)}).status_code == 200
+    names = {
+        one["name"]: one
+        for one in client.get("/openapi.json").json()["paths"]["/jobs"]["get"]["parameters"]
+    }
+    assert names["outcome"]["schema"]["items"]["enum"] == list(OUTCOMES)
+
+
+def test_a_task_that_a_job_does_not_have_is_refused(client):
+    simulation = {"kind": "simulate", "model": "linear-2", "options": {"samples": 3}}
+    where = client.post("/jobs", json=simulation).headers["location"]
+    answer = client.get(f"{where}/trace?task=1")
+    assert answer.status_code == 422
+    assert "this job has task 0 only" in answer.json()["errors"][0]["message"]
+    assert client.get(f"{where}/trace?task=0").status_code == 200

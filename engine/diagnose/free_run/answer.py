@@ -244,6 +244,7 @@ def _cause(found: FreeRunSearch, one: FreeRound, effect: Effect, gain: float) ->
         tuple(_look_alikes(one, effect)),
         tuple(name for name in one.chosen.names if name != effect.name) if one.chosen else (),
         units={p.name: p.unit for p in effect.parameters},
+        at_floor=one.alarm.at_floor,
     )
 
 

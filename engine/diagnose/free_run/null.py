@@ -19,6 +19,7 @@ from engine.diagnose.free_run_fits.folds import Folds
 from engine.diagnose.free_run_fits.linear import Linear
 from engine.simulation.simulate import propagate
 from engine.statespace.model import Array, ThetaLike
+from engine.words import probability
 
 SERIES = 299  # simulated; the smallest p-value is 3 / (SERIES + 1)
 LOOKED_AT = 0.05  # p-value from which on the likelihood's own noise is asked, too
@@ -46,6 +47,16 @@ class Alarm:
     def p_value(self) -> float:
         """Of all three together (Bonferroni)."""
         return min(1.0, 3.0 * min(self.p_gain, self.p_size, self.p_near))
+
+    @property
+    def at_floor(self) -> bool:
+        """Whether ``p_value`` is the least that so many series can give: none of them reached the record."""
+        return min(self.p_gain, self.p_size, self.p_near) == _p_value(0)
+
+    @property
+    def probability(self) -> str:
+        """``p_value`` in words."""
+        return probability(self.p_value, self.at_floor)
 
 
 def alarm(linear: Linear, theta: Array, folds: Folds, seed: int, ahead: ThetaLike = None) -> Alarm:

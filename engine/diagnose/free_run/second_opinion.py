@@ -204,11 +204,11 @@ def _too_far(seen: Alarm) -> str:
     if seen.p_near < min(seen.p_size, seen.p_gain):
         return (
             "the noise that is fitted one step ahead would lead it further astray than it goes "
-            f"(p = {seen.p_value:.2g}), so that this noise stands for something else"
+            f"({seen.probability}), so that this noise stands for something else"
         )
     if seen.p_size < seen.p_gain:
-        return f"it is further off than noise makes it (p = {seen.p_value:.2g})"
-    return f"what it gets wrong has a pattern that noise does not have (p = {seen.p_value:.2g})"
+        return f"it is further off than noise makes it ({seen.probability})"
+    return f"what it gets wrong has a pattern that noise does not have ({seen.probability})"
 
 
 def _why(verdict: Verdict, settled: bool) -> str:
@@ -240,6 +240,4 @@ def _part(records: Sequence[Series], given: Sequence[Series]) -> str:
 
 def _noise_explains(seen: Alarm, extended: bool = False) -> str:
     what = "still gets wrong with what was found" if extended else "gets wrong"
-    return (
-        f"The likelihood decides: noise explains what the free run {what} (p = {seen.p_value:.2g})."
-    )
+    return f"The likelihood decides: noise explains what the free run {what} ({seen.probability})."

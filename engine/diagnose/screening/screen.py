@@ -68,6 +68,7 @@ class Screen:
     ``lowest`` (MULTIPLIER_DRAWS,) are the draws' smallest p-values; ``simulated`` the number of series by
     which p-values were calibrated, see :mod:`engine.diagnose.search.calibration`, 0 where they were not.
     Where the screen is one of several chances of an alarm, it has this ``share`` of the error.
+    ``refits_floor`` is the least that ``p_value`` can be where simulated refits gave it, 0 where none did.
     """
 
     scores: tuple[Score, ...]
@@ -77,6 +78,12 @@ class Screen:
     lowest: Array
     simulated: int = 0
     share: float = 1.0
+    refits_floor: float = 0.0
+
+    @property
+    def at_floor(self) -> bool:
+        """Whether ``p_value`` is the least that so many draws can give, so that it may be any smaller."""
+        return self.p_value in (self.family_wise(0.0), self.refits_floor)
 
     @property
     def smallest(self) -> float:

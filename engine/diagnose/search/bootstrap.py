@@ -7,6 +7,7 @@ the data to the smallest p-value, on data of which it knows that nothing is hidd
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -20,6 +21,14 @@ from engine.diagnose.search.search import Search
 STAGE = "bootstrap"
 
 
+@dataclass(frozen=True)
+class Bootstrapped:
+    """A p-value by simulated series; ``at_floor`` where none was as extreme: the least that they can give."""
+
+    p_value: float
+    at_floor: bool
+
+
 def bootstrap_p(
     question: Question,
     screen: Screen,
@@ -29,7 +38,7 @@ def bootstrap_p(
     swallowed: bool = False,
     progress: Progress = silent,
     kept: Kept = NOTHING,
-) -> float:
+) -> Bootstrapped:
     """The share of n simulated series whose screen is as extreme as that of the data.
 
     ``screen`` is what :func:`engine.diagnose.screening.screening.screen_effects` found for the ``question``;
@@ -47,12 +56,12 @@ def bootstrap_p(
         if drawn is not None:
             used += 1
             extreme += drawn <= observed
-    return (1.0 + extreme) / (1.0 + used)
+    return Bootstrapped((1.0 + extreme) / (1.0 + used), extreme == 0)
 
 
 def first_round_p(
     question: Question, search: Search, n: int, seed: int, progress: Progress, kept: Kept
-) -> float:
+) -> Bootstrapped:
     """The bootstrap p-value of what a search saw in its first round.
 
     Refits have a part in every simulated series only where they had one in the data: they take most

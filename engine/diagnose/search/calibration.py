@@ -163,7 +163,7 @@ def sequential_p(
     kept: Kept = NOTHING,
 ) -> float:
     """How rare so small a p-value of refits is: at most alpha where fewer than ENOUGH series have one."""
-    n = int(np.ceil(ENOUGH / alpha)) - 1
+    n = _series(alpha)
     extreme = 0
     for k in range(n):
         progress("calibration of refits", k / n)
@@ -173,6 +173,15 @@ def sequential_p(
         if extreme == ENOUGH:
             return max(ENOUGH / (k + 1.0), float(np.nextafter(alpha, 1.0)))
     return max(p_value, (extreme + 1.0) / (n + 1.0))
+
+
+def sequential_floor(alpha: float) -> float:
+    """The least that :func:`sequential_p` can give."""
+    return 1.0 / (_series(alpha) + 1.0)
+
+
+def _series(alpha: float) -> int:
+    return int(np.ceil(ENOUGH / alpha)) - 1
 
 
 def swallowed_of_simulated(question: Question, seed: list[int]) -> float | None:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from engine.words import probability
+
 
 class Verdict(Enum):
     """The four answers; ``value`` is the word used at every edge, ``sentence`` what it means."""
@@ -48,7 +50,8 @@ class Cause:
     ``where`` is the family (state, measurement, noise, input, time); ``size`` with ``unit`` and
     ``standard_error``; ``p_value`` family-wise; ``gain`` = 2 (log-likelihood gained); ``equivalent`` the
     names of all effects the data cannot tell from it, itself first; ``together`` names that were chosen with
-    it: the gain is that of all of them.
+    it: the gain is that of all of them; ``at_floor`` whether ``p_value`` is the least that so many simulated
+    series can give.
     """
 
     effect: str
@@ -65,6 +68,12 @@ class Cause:
     look_alikes: tuple[LookAlike, ...]
     together: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)  # of ``parameters``
+    at_floor: bool = False
+
+    @property
+    def probability(self) -> str:
+        """``p_value`` in words."""
+        return probability(self.p_value, self.at_floor)
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ from engine.estimation.quasi_ml import QuasiFit
 from engine.estimation.restricted import restricted
 from engine.filters.sigma_point import MomentPath, moment_path
 from engine.statespace.model import Array, MixedModel, Parameter
+from engine.words import probability
 
 DEGREE = 2
 LEVEL = 0.02  # of right names, the share that this test may cost
@@ -63,6 +64,7 @@ class LackOfFit:
     terms: int
     p_value: float
     largest: Term
+    at_floor: bool = False  # p_value is the least that simulation can give
 
     @property
     def tail(self) -> float:
@@ -76,8 +78,8 @@ class LackOfFit:
         return (
             f"Beside what was found, something that depends on the states is left on {self.target} (a "
             f"polynomial of {self.terms} terms would gain a likelihood ratio of {self.statistic:.0f}, "
-            f"p = {self.p_value:.2g}; most of it by {product}): the cause has another shape than any in the "
-            "catalogue."
+            f"{probability(self.p_value, self.at_floor)}; most of it by {product}): the cause has another "
+            "shape than any in the catalogue."
         )
 
 
@@ -98,7 +100,9 @@ def lack_of_fit(
     if found is None or first is None:
         return None
     p_value = _by_simulation(fit, series, first, targets, states, seed)
-    return replace(found, p_value=max(found.p_value, p_value))
+    if p_value <= found.p_value:
+        return found
+    return replace(found, p_value=p_value, at_floor=p_value == 1.0 / (1.0 + SIMULATED))
 
 
 def _variants(
@@ -157,7 +161,7 @@ def _lacking(
         return None
     worst = min(found, key=lambda one: one.p_value)
     p_value = min(1.0, len(found) * worst.p_value)
-    return LackOfFit(worst.target, worst.statistic, worst.terms, p_value, worst.largest)
+    return replace(worst, p_value=p_value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,9 +214,10 @@ def _of_target(
     drawn = ((signs @ scores.T) ** 2).sum(axis=1)
     by_draws = (1.0 + float((drawn >= statistic).sum())) / (DRAWS + 1.0)
     k = int(new.sum())
-    p_value = max(by_draws, float(chi2_sf(statistic, k)))
+    tail = float(chi2_sf(statistic, k))
+    at_floor = tail < by_draws == 1.0 / (DRAWS + 1.0)
     largest = np.flatnonzero(told)[int(np.argmax(np.abs(s.sum(axis=1))))]
-    return LackOfFit(target, statistic, k, p_value, terms[largest])
+    return LackOfFit(target, statistic, k, max(by_draws, tail), terms[largest], at_floor)
 
 
 def _column(target: str, term: Term, way: _Way) -> Column | None:

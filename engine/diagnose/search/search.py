@@ -25,7 +25,14 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run_fits.candidates import leading
 from engine.diagnose.screening.screening import Progress, screen_effects
 from engine.diagnose.screening.tails import pit_of, standardised_errors
-from engine.diagnose.search.calibration import BOLDEST, Question, calibrated, decides, sequential_p
+from engine.diagnose.search.calibration import (
+    BOLDEST,
+    Question,
+    calibrated,
+    decides,
+    sequential_floor,
+    sequential_p,
+)
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.joint_refit import STAGE, look_back
 from engine.diagnose.search.refits import Refit
@@ -108,6 +115,7 @@ def search(
             refitted = swallowed_p(seen, swallowed)
             if refitted <= alpha < swallowed_p(seen, swallowed, BOLDEST):
                 refitted = sequential_p(refitted, question, alpha, seed, progress, here)
+                seen = replace(seen, refits_floor=sequential_floor(alpha))
             alarm = refitted <= alpha
             seen = replace(seen, p_value=min(seen.p_value, refitted))
         if not alarm or k == max_effects:

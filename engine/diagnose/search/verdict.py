@@ -89,6 +89,7 @@ def cause_of(found: Round) -> Cause:
         set_of(found),
         _look_alikes(found, best),
         units={p.name: p.unit for p in effect.parameters},
+        at_floor=found.screen.at_floor,
     )
 
 

@@ -231,7 +231,7 @@ def _standardised(title: str, t: Numbers, what: str, values: Numbers) -> Chart:
 
 def _correlation(name: str, found: Document, whiteness: Document | None) -> Chart:
     lags, limit = range(1, len(found["r"]) + 1), found["limit"]
-    said = "" if whiteness is None else f" (Ljung-Box {p_value(whiteness['p_value'])})"
+    said = "" if whiteness is None else f" (Ljung-Box {p_value(whiteness)})"
     title = f"Autocorrelation of the innovations of {name}{said}"
     bars = Trace("correlation", found["r"], "bars", "data", width=np.full(len(lags), 0.35))
     axes = "lag [samples]", "correlation"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.presentation.cause_sentences import SMALLEST, took
+from engine.presentation.cause_sentences import SMALLEST, in_time, took
 from engine.presentation.report.chart import Chart
 from engine.presentation.report.comparison import (
     against_data,
@@ -136,6 +136,7 @@ def _testable(d: Document) -> list[object]:
     for x in d["detectable"]:
         if x["testable"]:
             size = measured(x["smallest"], x["unit"])
+            size += prose(in_time(x["smallest"], x["unit"], d.get("step"), d["time_unit"]))
             rows[x["effect"]] = tag("code", x["effect"]), x["title"], size, percent(x["rho"])
     if not rows:
         return []

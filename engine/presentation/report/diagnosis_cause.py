@@ -17,13 +17,13 @@ from engine.presentation.report.parts import (
     Drawer,
     capital,
     equations,
-    estimated,
     facts,
     folded,
     grid,
     label,
     p_value,
     prose,
+    with_time,
 )
 from engine.presentation.report.priority import asked_first
 from engine.words import number
@@ -76,8 +76,8 @@ def _cause(cause: Document) -> list[object]:
     about = facts(
         [
             ("effect", tag("code", cause["effect"])),
-            ("size", estimated(cause["size"], cause["standard_error"], cause["unit"])),
-            ("p-value, all effects together", p_value(cause["p_value"])),
+            ("size", with_time(cause)),
+            ("p-value, all effects together", p_value(cause)),
             ("2 × log-likelihood gained", _gained(cause)),
             ("enters through", cause["where"]),
         ]

@@ -37,7 +37,7 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
             [
                 ("log-density gained", signed(gain["log_density"])),
                 ("per sample", plus_minus(gain["per_sample"], gain["standard_error"])),
-                ("test of no gain (Diebold-Mariano)", p_value(gain["p_value"])),
+                ("test of no gain (Diebold-Mariano)", p_value(gain)),
             ]
         ),
         table_of(

@@ -9,11 +9,11 @@ from engine.presentation.report.parts import (
     adopted,
     capital,
     cards,
-    estimated,
     measured,
     p_value,
     prose,
     signed,
+    with_time,
 )
 from engine.words import bounds, enumerated, number, percent
 
@@ -33,7 +33,7 @@ def verdict(d: Document) -> Html:
         names = [tag("p", d["sentence"]), *(tag("p", *one, class_="hint") for one in near)]
     if not names:
         testable = [x["testable"] for x in d["detectable"]]
-        names = [tag("p", looked_for(d["p_value"], testable))]
+        names = [tag("p", looked_for(p_value(d), testable))]
     return join([said, *names])
 
 
@@ -55,8 +55,7 @@ def _known(d: Document) -> str:
 
 def _headline(cause: Document) -> Html:
     """``Coulomb friction 0.52 ± 0.03 N``, with the names it cannot be told from."""
-    size = estimated(cause["size"], cause["standard_error"], cause["unit"])
-    parts = [tag("strong", capital(cause["title"])), " ", size, cause.get("when", "")]
+    parts = [tag("strong", capital(cause["title"])), " ", with_time(cause), cause.get("when", "")]
     if len(cause["equivalent"]) > 1:
         others = enumerated(list(cause["equivalent"][1:]), "or")
         parts.append(tag("span", f", not told apart from {others}", class_="hint"))
@@ -122,11 +121,11 @@ def _cause_at_a_glance(d: Document) -> Html:
         names = enumerated([cause["title"] for cause in d["causes"]])
         return join([said, tag("p", f"Closest: {names}", class_="hint") if names else ""])
     if not d["causes"]:
-        return tag("p", f"None: {p_value(d['p_value'])} for all effects together.")
+        return tag("p", f"None: {p_value(d)} for all effects together.")
     parts = []
     for cause in d["causes"]:
         name = tag("b", capital(cause["title"]))
-        parts.append(tag("p", name, f", {p_value(cause['p_value'])}"))
+        parts.append(tag("p", name, f", {p_value(cause)}"))
         if len(cause["equivalent"]) > 1:
             rest = len(cause["equivalent"]) - 1
             parts.append(tag("p", f"or {rest} other{'s' * (rest > 1)} like it", class_="hint"))

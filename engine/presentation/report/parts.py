@@ -128,6 +128,12 @@ def estimated(value: float | None, error: float | None, unit: str) -> str:
     return plus_minus(value, error, unit) if "+-" in said else prose(said)
 
 
+def with_time(cause: Document) -> str:
+    """The size of a cause with its standard error; of a delay in time, too, where the document has it."""
+    said = estimated(cause["size"], cause["standard_error"], cause["unit"])
+    return said + prose(cause.get("late", ""))
+
+
 def _times(unit: str) -> str:
     """What stands between a number and a unit that begins with a number itself."""
     return "× " if re.match(r"\d", tidy(unit)) else ""
@@ -160,9 +166,13 @@ def capital(title: str) -> str:
     return title[:1].upper() + title[1:]
 
 
-def p_value(value: float | None) -> str:
-    """``p = 0.012``, also of a number that is not there."""
-    return probability(float("nan") if value is None else value)
+def p_value(of: Document) -> str:
+    """``p = 0.012`` of what has one, ``p <= 0.0029`` where it is at its floor; also of one that is not there.
+
+    Documents of earlier versions do not know about the floor.
+    """
+    value = of["p_value"]
+    return probability(float("nan") if value is None else value, of.get("at_floor", False))
 
 
 def signed(value: float | None) -> str:

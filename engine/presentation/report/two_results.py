@@ -60,7 +60,7 @@ def _numbers(c: Document, names: Sequence[str]) -> Html:
     for output in dict.fromkeys([*held[0], *held[1]]):
         pair = [each.get(output) for each in held]
         difference = _difference([o and o["rmse"] for o in pair], c["same_held_out"])
-        sizes = ["" if o is None else measured(o["rmse"], o["unit"]) for o in pair]
+        sizes = ["" if o is None else _error(o) for o in pair]
         unit = next(o["unit"] for o in pair if o)
         said = "" if difference is None else measured(difference, unit)
         rows.append((f"held-out error of {output}, rms", *sizes, said))
@@ -71,6 +71,10 @@ def _numbers(c: Document, names: Sequence[str]) -> Html:
     rows.append(("held-out log-density", *logs, gained))
     shown = [row for row in rows if any(cell != "" for cell in row[1:])]
     return table(("", *names, "difference"), shown, "numbers")
+
+
+def _error(o: Document) -> str:
+    return "diverges" if o["rmse"] is None else measured(o["rmse"], o["unit"])
 
 
 def _likelihood(one: Document | None) -> str:

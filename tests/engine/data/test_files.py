@@ -51,6 +51,38 @@ def test_default_channels_are_columns_named_y_and_u():
     assert series.dt == 0.5
 
 
+def test_a_column_is_found_without_the_unit_in_its_name():
+    text = b"clock [min],indoor [degC],heat (kW)\n0,20,1\n1,21,2\n"
+    series = read_series_bytes(text, "a.csv", y=["indoor"], u=["heat"], t="clock")
+    assert (series.y_names, series.u_names) == (("indoor",), ("heat",))
+    np.testing.assert_array_equal(series.y, [[20], [21]])
+    np.testing.assert_array_equal(series.u, [[1], [2]])
+    assert series.units == {"indoor": "degC", "heat": "kW"}
+    np.testing.assert_array_equal(series.t, [0, 1])
+    assert (
+        series.time_unit
+        == read_series_bytes(text, "a.csv", y=["indoor"], t="clock [min]").time_unit
+    )
+    mapped = read_series_bytes(text, "a.csv", y={"y1": "indoor"}, t="clock")
+    assert mapped.y_names == ("y1",)
+    full = read_series_bytes(text, "a.csv", y=["indoor [degC]"], t="clock")
+    assert full.y_names == ("indoor [degC]",)
+
+
+def test_a_name_that_several_columns_have_but_for_the_unit_is_refused():
+    text = b"t,p [bar],p [Pa]\n0,1,2\n1,3,4\n"
+    for asked in (
+        {"y": ["p"]},
+        {"y": {"y": "p"}},
+        {"y": ["p [bar]"], "u": ["p"]},
+        {"y": [], "t": "p"},
+    ):
+        with pytest.raises(SeriesError, match=r"may be any of p \[bar\] or p \[Pa\]"):
+            read_series_bytes(text, "a.csv", **asked)
+    exact = read_series_bytes(b"t,p,p [Pa]\n0,1,2\n1,3,4\n", "a.csv", y=["p"])
+    np.testing.assert_array_equal(exact.y, [[1], [3]])
+
+
 def test_channels_by_list_and_by_mapping():
     text = b"time,pump,level,other\n10,1,2,3\n12,4,5,6\n"
     listed = read_series_bytes(text, "a.csv", y=["other", "level"], u=["pump"], t="time")

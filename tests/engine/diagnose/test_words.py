@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib import import_module
 from types import SimpleNamespace
 
@@ -22,11 +22,19 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.symptoms.residuals import autocorrelation
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.linear_2 import MODEL as LINEAR
-from engine.presentation.cause_sentences import SAME, experiment, headline, standing, when
+from engine.presentation.cause_sentences import (
+    SAME,
+    experiment,
+    headline,
+    late,
+    sample_step,
+    standing,
+    when,
+)
 from engine.presentation.report import report_html
-from engine.presentation.report.parts import pretty, prose
+from engine.presentation.report.parts import pretty, prose, with_time
 from engine.simulation.simulate import simulate
-from engine.words import bounds, estimate, fit_quality, number, percent, tidy
+from engine.words import bounds, estimate, fit_quality, held_by_bounds, number, percent, tidy
 
 
 @pytest.mark.parametrize(
@@ -72,6 +80,16 @@ def test_an_estimate_holds_the_numbers_that_the_data_determine(value, error, num
     said = estimate(value, error, "N")
     assert re.findall(r"-?\d[\d.]*(?:e[+-]\d+)?", said) == numbers
     assert ("+-" in said) == (len(numbers) == 2)
+
+
+def test_what_a_bound_has_stopped_is_named_with_what_to_do():
+    assert held_by_bounds([]) == ""
+    one, two = held_by_bounds(["k"]), held_by_bounds(["k", "q"])
+    assert one.startswith("Stopped by a bound: k. The data draw it there")
+    assert two.startswith("Stopped by a bound: k, q. The data draw them there")
+    for said in (one, two):
+        assert "Parameter(bounds=)" in said
+        assert "(free=)" in said
 
 
 def test_neighbouring_bounds_and_small_shares_can_be_told_apart():
@@ -164,6 +182,35 @@ def test_a_headline_has_no_size_within_its_error():
     assert "0 +-" not in headline(cause(("linear:air",), size=0.0, error=1122.0))
     assert "inf" not in headline(cause(("linear:air",), error=np.inf))
     assert "1 +- 0.1 1/s" in headline(cause(("linear:air",)))
+
+
+def test_a_delay_is_told_in_time_too_where_samples_are_evenly_apart():
+    delay = replace(
+        cause(("delay:u",), size=2.0), effect="delay:u", unit="samples", where="input",
+        parameters={"delay_u": 2.0, "delay_u_samples": 2.0},
+        units={"delay_u": "samples", "delay_u_samples": "samples"},
+    )  # fmt: skip
+    assert "2 +- 0.1 samples (0.02 s), p = 0.01" in headline(delay, 0.01, "s")
+    assert "2 +- 0.1 samples (10 min), p" in headline(delay, 5.0, "min")
+    assert "2 +- 0.1 samples, p" in headline(delay)
+    assert "(0" not in late(replace(delay, size=0.05), 0.01, "s")  # of no certain size
+    share = replace(
+        delay, size=0.9, unit="1", where="measurement", parameters={"delay_y": 0.9, "delay_y_samples": 3.0},
+        units={"delay_y": "1", "delay_y_samples": "samples"},
+    )  # fmt: skip
+    assert "0.9 +- 0.1, 3 samples late (0.03 s), p" in headline(share, 0.01, "s")
+    assert "0.9 +- 0.1, 3 samples late, p" in headline(share)
+    assert late(cause(("linear:air",)), 0.01, "s") == ""
+    shown = with_time({**asdict(delay), "late": late(delay, 0.01, "s")})
+    assert shown.replace("\u202f", " ").endswith("samples (0.02 s)")
+    assert with_time(asdict(delay)).endswith("samples")  # as earlier versions wrote it
+
+
+def test_the_step_of_a_record_is_that_of_its_samples():
+    even = Series(np.zeros((5, 1)), dt=0.1)
+    assert sample_step(even) == pytest.approx(0.1)
+    assert sample_step(even.refined(4)) == pytest.approx(0.1)
+    assert sample_step(Series(np.zeros((3, 1)), t=[0.0, 1.0, 3.0])) is None
 
 
 def test_a_headline_has_no_negative_gain():

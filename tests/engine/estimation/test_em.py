@@ -220,3 +220,25 @@ def test_a_run_that_is_no_longer_finite_has_diverged():
     assert not result.outcome.success
     assert len(result.log_likelihood) == 1
     np.testing.assert_array_equal(result.trace[0], result.trace[1])
+
+
+def test_the_log_likelihood_is_printed_with_its_monte_carlo_error():
+    series = SERIES.part(0, 100)
+    settled = rbps_em(MODEL, series, [0.3], n_particles=25, n_iterations=200, method="em")
+    rng = np.random.default_rng(0)
+    runs = [rbpf(MODEL, settled.theta, series, 25, rng).log_likelihood for _ in range(100)]
+    assert settled.log_likelihood_error == pytest.approx(
+        np.std(runs, ddof=1), rel=0.5
+    )  # 20 numbers
+    said = f"{settled.log_likelihood[-1]:.2f} +- {settled.log_likelihood_error:.2g} (Monte Carlo"
+    assert said in str(settled)
+    few = rbps_em(MODEL, series, [0.3], n_iterations=2, **SHORT)
+    assert few.log_likelihood_error is None
+    assert f"about {few.log_likelihood[-1]:.2f}, by one particle filter" in str(few)
+    rising = replace(
+        settled, log_likelihood=settled.log_likelihood + np.arange(float(settled.ess.size))
+    )
+    assert rising.log_likelihood_error is None
+    exact = rts_em(MODEL, series, [0.3], n_iterations=2)
+    assert exact.log_likelihood_error == 0.0
+    assert f"iteration: {exact.log_likelihood[-1]:.2f}." in str(exact)

@@ -188,4 +188,4 @@ def test_the_bounds_told_are_those_of_where_an_estimate_has_moved_to(bounds, mov
     particles = rbps_step(model, [series], 200, 2)
     found = moved_ahead(at, LikelihoodStep(model, [series]), particles, 0)
     assert found.theta["zeta"] == pytest.approx(moved, rel=0.3)
-    assert ("Held by a bound" in found.message) == (moved == 0.1)
+    assert ("Stopped by a bound" in found.message) == (moved == 0.1)

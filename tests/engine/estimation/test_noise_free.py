@@ -84,7 +84,7 @@ def test_exact_em_finds_the_exact_maximum(case):
     found = engine.rts_em(model, series, start, ["z0", "b", "r"], n_iterations=60, tolerance=None)
     assert found.not_estimated == ()
     assert "exact likelihood" in found.message
-    assert "z0, b." in found.message
+    assert "z0, b. They act where the model has no noise" in found.message
     assert np.all(np.diff(found.log_likelihood) > -1e-8)  # it never falls
     np.testing.assert_allclose(in_logs(found.theta), best, atol=2e-3)
     assert found.log_likelihood[-1] == pytest.approx(top, abs=1e-4)

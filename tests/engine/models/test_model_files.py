@@ -132,6 +132,14 @@ def test_what_the_check_says(tmp_path):
     assert any(
         "dynamics takes one parameter vector" in one for one in model_check(model_from(str(slow)))
     )
+    both = write(tmp_path, "both", ("theta.c * a[:, 0]", "float(theta.c) * a[:, 0]"))
+    both.write_text(
+        both.read_text().replace("return [a[:, 0]]", "return [float(theta.c) * a[:, 0]]")
+    )
+    assert any(
+        "dynamics and measurement take one parameter" in one
+        for one in model_check(model_from(str(both)))
+    )
     wrong = write(tmp_path, "wrong", ("[[0.01]]", "[[-0.01]]"))
     model = read_models(wrong).models["mine"]
     assert model_check(model)[0].startswith(

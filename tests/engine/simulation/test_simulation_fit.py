@@ -126,8 +126,8 @@ def test_an_estimate_at_a_bound_is_said_to_be():
     ]
     fit = fit_simulation(replace(TANKS, parameters=parameters), tanks(1).series, n_starts=0)
     assert fit.theta["k1"] == pytest.approx(parameters[k1].bounds[1])
-    assert "Held by a bound" in fit.message
-    assert "k1" in fit.message.partition("Held by a bound")[2]
+    assert "Stopped by a bound: k1. The data draw it there or beyond" in fit.message
+    assert "Widen the bound where physics allows it" in fit.message
 
 
 def test_several_series_share_theta_and_have_their_own_first_state():
@@ -328,6 +328,44 @@ def decay(variance):
         outputs={"y": "V"},
         parameters=[Parameter("p", 0.8, "1", (0.0, 1.0)), Parameter("x0", 1.0, "V")],
     )
+
+
+def valve():
+    """A level that only flows out from above 2 m on, by ``k``: at rest at its start, ``k`` changes nothing."""
+
+    def dynamics(a, u, t, dt, theta):
+        return [a[:, 0] + theta.b * u[0] - theta.k * np.maximum(a[:, 0] - 2.0, 0.0)], [[]], [[0.0]]
+
+    return MixedModel(
+        name="valve",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([a[:, 0]], [[]], [[1e-4]]),
+        initial=lambda theta: (Gaussian([0.0], [[0.0]]), [], np.zeros((0, 0))),
+        nonlinear={"x": "m"},
+        inputs={"u": "V"},
+        outputs={"y": "m"},
+        parameters=[Parameter("b", 0.01, "m/V", (0.0, 1.0)), Parameter("k", 0.3, "1", (0.0, 1.0))],
+    )
+
+
+def test_the_callback_counts_on_where_all_starts_are_made_anew():
+    """A second round, as ``k`` matters only once ``b`` has been found."""
+    model, calls = valve(), []
+    u = np.repeat([1.0, -0.5, 1.0, -0.3], 25)
+    true = {"b": 0.2, "k": 0.1}
+    series = simulate(model, true, 100, np.random.default_rng(0), u=u).series
+    fit = fit_simulation(model, series, callback=lambda *said: calls.append(said))
+    assert fit.estimated == ("b", "k")
+    done, steps = np.array(calls).T
+    np.testing.assert_array_equal(done, np.arange(1, len(calls) + 1))
+    assert len(set(steps)) > 1
+    assert (np.diff(steps) >= 0).all()
+    assert (done[:-1] < steps[:-1]).all()
+    assert done[-1] == steps[-1]
+    last = int(np.flatnonzero(np.diff(steps))[0])  # the end of the first round
+    stopped = fit_simulation(model, series, callback=lambda k, n: k == last + 2)
+    assert not stopped.success
+    assert "Stopped" in stopped.message
 
 
 def test_a_parameter_that_is_the_first_state_is_estimated():

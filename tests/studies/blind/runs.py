@@ -168,7 +168,7 @@ def work_bootstrap(cells: Sequence[Cell], stream: int, seed: int, run: int) -> R
     spent = time.perf_counter() - began
     first = found.search.rounds[0].screen
     question = Question(found.base, hidden.train, found.setting, None)
-    p = bootstrap_p(question, first, n=SAMPLES, seed=run)
+    p = bootstrap_p(question, first, n=SAMPLES, seed=run).p_value
     return row | {
         "verdict": found.verdict.value,
         "p_value": first.p_value,
