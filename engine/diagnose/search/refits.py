@@ -11,6 +11,7 @@ import numpy as np
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
+from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.screening.screen import Score
 from engine.diagnose.screening.tails import fit_tails
 from engine.diagnose.screening.time_scan import grid
@@ -112,8 +113,8 @@ def refit(
         moved = _best_row(extended, series, np.asarray(found.theta), sought[0], effect, visited)
         if not np.array_equal(moved, found.theta):
             found = max(found, climb(moved), key=lambda one: one.log_likelihood)
-    for rival in fit.rivals:
-        other = np.concatenate([rival, np.asarray(found.theta)[n:]])
+    others = [np.concatenate([rival, np.asarray(found.theta)[n:]]) for rival in fit.rivals]
+    for other in [*others, *_with_usual_noise(fit, found, series)]:
         at_least = max(target, found.log_likelihood)
         again = climb(other, target=at_least, hope=HOPE)
         found = max(found, again, key=lambda one: one.log_likelihood)
@@ -123,6 +124,24 @@ def refit(
             extended, series, np.array(elsewhere), null, n, None, visited
         )
     return _complete(_weighed(effect, found, zero, series), zero, series, best_elsewhere)
+
+
+def _with_usual_noise(fit: QuasiFit, found: QuasiFit, series: Series) -> list[Array]:
+    """A further start (.,): all noise at its default, where with the effect as without it some is at a bound.
+
+    It has gone there for want of the effect, beside other noise that has swallowed it, and may be held there by
+    a maximum of its own: of a first reading that is met exactly, say.
+    """
+    stopped = set(fit.model.at_bounds(fit.theta, fit.free))
+    stopped &= set(found.model.at_bounds(found.theta, fit.free))
+    if not stopped:
+        return []
+    noise = [name for name, yes in zip(fit.free, noise_of(fit, series), strict=True) if yes]
+    if not stopped & set(noise):
+        return []
+    defaults = found.model.theta().asdict()
+    there = found.theta.asdict() | {name: defaults[name] for name in noise}
+    return [np.asarray(found.model.theta(there))]
 
 
 def way_of(fit: QuasiFit, series: Series) -> Visited:

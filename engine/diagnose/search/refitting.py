@@ -135,23 +135,51 @@ def _beside_look_alikes(
 
     The screen sees the slope at no effect: of a kink, and of a step that noise has swallowed, hardly anything.
     Of an effect that has a size only it sees enough. A look-alike that takes the lead is asked for its own.
+    Of a wave that noise has swallowed it may see another frequency: that of the one that leads is tried, too.
     """
-    refits, asked = list(refits), {r.effect.name for r in refits}
+    refits, asked, waves = list(refits), {r.effect.name for r in refits}, set[str]()
     while True:
         named = [r for r in refits if not r.effect.traits.unnamed]
         leading = max(named, key=lambda r: r.score, default=None)
         if leading is None or leading.effect.traits.outliers or not leading.score > 0.0:
             return refits
+        apart = _at_other_frequencies(refits, leading, series)
+        again = {r.effect.name for r in apart} - waves
+        waves |= again
         alike = [s for s in seen.scores if s.effect.name not in asked and s.statistic > 0.0]
         alike = [s for s in alike if _look_alikes(s.effect, leading.effect)]
+        alike += [s for s in seen.scores if s.effect.name in again]
         if not alike:
             return refits
         asked |= {score.effect.name for score in alike}
         for score in alike:
             once = partial(_from_the_leading, leading, fit, series, score, way)
-            found = _made(partial(kept.refit, fit.model, score.effect, once))
+            found = _made(partial(kept.further("beside").refit, fit.model, score.effect, once))
             refits += [] if found is None else [found]
-        refits = followed(refits, series, fit, progress, kept)
+        refits = followed(_best_of_each(refits), series, fit, progress, kept)
+
+
+def _best_of_each(refits: Sequence[Refit]) -> list[Refit]:
+    """One refit of each effect."""
+    best: dict[str, Refit] = {}
+    for found in refits:
+        known = best.get(found.effect.name)
+        best[found.effect.name] = found if known is None or found.score > known.score else known
+    return list(best.values())
+
+
+def _at_other_frequencies(refits: Sequence[Refit], leading: Refit, series: Series) -> list[Refit]:
+    """Where a wave leads, the refits of waves more than a cycle of the record away from its frequency."""
+    if leading.effect.traits.course is not Course.HARMONIC:
+        return []
+
+    def cycles(found: Refit) -> float:
+        return float(
+            found.fit.theta[found.effect.parameters[2].name] * (series.t[-1] - series.t[0])
+        )
+
+    waves = [r for r in refits if r.effect.traits.course is Course.HARMONIC]
+    return [r for r in waves if abs(cycles(r) - cycles(leading)) > 1.0]
 
 
 def _look_alikes(one: Effect, other: Effect) -> bool:
@@ -167,20 +195,23 @@ def _from_the_leading(
 ) -> Refit:
     """A refit that may start at the time and with the noise of the one that leads, too."""
     further = None
-    if score.effect.sought and leading.effect.sought:
-        further = _at_the_time_of(leading, fit, series, score)
+    courses = {score.effect.traits.course, leading.effect.traits.course}
+    if courses <= {Course.STEP, Course.PULSE} or courses == {Course.HARMONIC}:
+        further = _in_time_with(leading, fit, series, score)
     return refit(fit, series, score, leading.score, further, way)
 
 
-def _at_the_time_of(leading: Refit, fit: QuasiFit, series: Series, score: Score) -> Array | None:
-    """Theta (n,) with the effect at the time of another, and of the size that is likeliest there."""
-    effect = score.effect
+def _in_time_with(leading: Refit, fit: QuasiFit, series: Series, score: Score) -> Array | None:
+    """Theta (n,) with the effect at the time or frequency of another, at its likeliest size there."""
+    effect, other = score.effect, leading.effect
     model, n = effect.apply(fit.model), len(fit.theta)
     theta = model.theta([*np.asarray(leading.fit.theta)[:n], 0.0, *score.at])
-    when = float(leading.fit.theta[leading.effect.sought[0]])
-    theta = model.theta(theta.asdict() | {effect.sought[0]: when})
+    of_time = 1 if effect.sought else 2  # a wave has two amplitudes
+    when = float(leading.fit.theta[other.parameters[of_time].name])
+    theta = model.theta(theta.asdict() | {effect.parameters[of_time].name: when})
     try:
-        return np.asarray(quasi_ml(model, series, theta, [effect.size.name]).theta)
+        sizes = [p.name for p in effect.parameters[:of_time]]
+        return np.asarray(quasi_ml(model, series, theta, sizes).theta)
     except (EngineError, np.linalg.LinAlgError):
         return None
 

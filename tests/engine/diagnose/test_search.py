@@ -12,6 +12,7 @@ from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.score_columns import Column, Projection
 from engine.diagnose.screening.screen import Score, make_test, screen
+from engine.diagnose.search.pipeline import find_causes
 from engine.diagnose.search.refits import Refit, cost, refit
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import confirmed
@@ -244,3 +245,31 @@ def test_a_memory_begins_at_rest_or_anywhere_whichever_explains_more(begins):
     there = quasi_ml(found.fit.model, series, other, free)
     assert found.fit.log_likelihood > there.log_likelihood + 0.5
     assert "pole_speed_spread" not in free
+
+
+def test_noise_that_went_to_a_bound_for_want_of_an_effect_comes_back_with_it():
+    """The first reading is met exactly where its noise is nothing: a maximum of its own, at the bound."""
+    walk = engine.MixedModel(
+        name="walk",
+        dynamics=lambda a, u, t, dt, th: ([0.0], [[1.0]], [[th.q]]),
+        measurement=lambda a, u, t, th: ([0.0], [[1.0]], [[th.r]]),
+        initial=lambda th: (engine.Gaussian([], np.zeros((0, 0))), [th.level], [[th.r]]),
+        linear={"level": "m"},
+        outputs={"y": "m"},
+        parameters=[
+            engine.Parameter("q", 5e-4, "m^2", (0.0, 1.0)),
+            engine.Parameter("r", 4e-3, "m^2", (1e-8, 1.0)),
+            engine.Parameter("level", 0.0, "m", (-1e3, 1e3)),
+        ],
+    )
+    own = {"harmonic_y": 0.6, "harmonic_y_frequency": 0.0244}
+    series = hide(walk, ["harmonic:y"], own, 134, np.random.default_rng(2)).series
+    base = quasi_ml(walk, series, {"q": 0.01, "r": 1e-8})
+    assert base.theta["r"] < 1e-6
+    kinds = ["harmonic", "step", "drift"]
+    seen = find_causes(walk, series, base.theta, max_effects=1, effects=kinds).search.rounds[0]
+    found = next(r for r in seen.refits if r.effect.name == "harmonic:y")
+    truth = found.fit.model.theta({**walk.theta().asdict(), **own})
+    best = quasi_ml(found.fit.model, series, truth, found.fit.free)
+    assert found.fit.log_likelihood > best.log_likelihood - 0.1
+    assert found.fit.theta["r"] > 1e-4
