@@ -126,8 +126,14 @@ def _with_path(
         f[:, nx] = gone * u[index]
         if row is not None:
             push, mean = dt * own[0], gone * own[1] / dt  # of l over the step, as a share of l
-            A[:, row, nz] += push * mean
-            f[:, row] += push * ((1.0 - mean) * u[index] - origin.of(own))
+            by_lag, rest = push * mean, push * ((1.0 - mean) * u[index] - origin.of(own))
+            if model.continuous and row >= model.na:  # half before the step, half after it (Strang)
+                by_lag, rest = 0.5 * by_lag, 0.5 * rest
+                moved = A[..., row - model.na].copy()
+                A[..., nz] += np.reshape(by_lag, (-1, 1)) * moved
+                f += np.reshape(rest, (-1, 1)) * moved
+            A[:, row, nz] += by_lag
+            f[:, row] += rest
         return f, A, Q
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
