@@ -8,7 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.augmentation import WithMemory, add_linear_states, add_memory, beside
+from engine.diagnose.effects.augmentation import (
+    WithMemory,
+    add_linear_states,
+    add_memory,
+    beside,
+    spread_at_first,
+)
 from engine.diagnose.effects.effect import Effect, Split, per_point
 from engine.diagnose.effects.kinds import Kind, at_outputs, at_terminals
 from engine.diagnose.effects.setting import Setting
@@ -129,6 +135,7 @@ def _blocks(now: Any, shift: Array, hold: Array) -> Array:
 def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
     """An input that arrives some samples late, or a part of it does."""
     unit, before = setting.unit(channel), setting.first(channel)
+    spread = spread_at_first(name, channel)
     latest = LONGEST_DELAY if _adds(setting, setting.model, channel) else LONGEST_BY_MEMORY
 
     def extend(model: MixedModel) -> MixedModel:
@@ -146,14 +153,16 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
             Parameter(name, 0.0, "samples", (0.0, float(latest)), "mean delay"),
             Parameter(f"{name}_samples", 1.0, "samples", (1.0, float(latest)), "latest part"),
             Parameter(f"{name}_before", before, unit, description="input before the first sample"),
+            spread,
         ),
         extend,
-        probes=tuple((float(d), before) for d in range(1, latest + 1)),
+        probes=tuple((float(d), before, 1.0) for d in range(1, latest + 1)),
         look_alikes={
             "lag": "delays the reading, not the input",
             "hold": "looks half a sample ahead, not back",
         },
-        held=(f"{name}_samples", f"{name}_before"),
+        held=(f"{name}_samples", f"{name}_before", spread.name),
+        spread=spread.name,
         one_sided=True,
     )
 
@@ -206,10 +215,18 @@ def _is_affine(moments: Sequence[LinearGaussian], size_z: Array) -> bool:
 
 
 def _parts(own: Any, depth: int, begin: Any = 0.0, end: Any = 1.0) -> Array:
-    """What share of a step comes k = 1, 2, ... samples late, (M or 1, depth).
+    """What share of a step comes k = 1, 2, ... samples late, (M or 1, depth)."""
+    done, first, rest = _courses(own, depth, begin, end)
+    shares: Array = done * first + (1.0 - done) * rest
+    return shares
 
-    The step is that part of a sample; numbers or (M,). What comes later than the rest comes first in a sample:
-    in its first s / d the input of d samples before; of a delay s > d that of floor(s) + 1, then of floor(s).
+
+def _courses(own: Any, depth: int, begin: Any = 0.0, end: Any = 1.0) -> tuple[Array, Array, Array]:
+    """The share of a step (M or 1, 1) until which one mix of late inputs acts, and another one from then on.
+
+    Both as shares of what comes k = 1, 2, ... samples late, (M or 1, depth). The step is the part of a sample
+    from ``begin`` to ``end``, numbers or (M,). What comes later than the rest comes first in a sample: in its
+    first s / d the input of d samples before; of a delay s > d that of floor(s) + 1, then of floor(s).
     """
     size, late = np.reshape(own[0], (-1, 1)), np.reshape(own[1], (-1, 1))
     begin, end = np.reshape(begin, (-1, 1)), np.reshape(end, (-1, 1))
@@ -223,32 +240,33 @@ def _parts(own: Any, depth: int, begin: Any = 0.0, end: Any = 1.0) -> Array:
     def at(d: Array) -> Array:
         return np.maximum(1.0 - np.abs(d - k), 0.0)  # linear between whole numbers
 
-    shares: Array = done * at(later) + (1.0 - done) * at(earlier)
-    return shares
+    return done, at(later), at(earlier)
 
 
 def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     """With g the gain of the input, f and h move by g sum w_k (u_(t-k) - u_t); past inputs are states.
 
-    They are linear ones, known but for the first: before the record the input may have been anything.
+    What comes late for a part of a step acts for that part: its gain is that of the step less that of the rest.
+    The states are linear ones, known but for the first: before the record the input may have been anything.
     """
     split, depth, nz = Split(model), LONGEST_DELAY, model.nz
     index, scale = list(model.inputs).index(channel), setting.size(channel)
-    variance = float(setting.scale.get(channel, 0.0)) ** 2
+    most = float(setting.scale.get(channel, 0.0))
     shift, hold = np.eye(depth, k=-1), np.eye(depth)
 
     def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
-        return np.full((len(a), depth), float(own[2])), np.zeros((depth, nz)), variance
+        return np.full((len(a), depth), float(own[2])), np.zeros((depth, nz)), (own[3] * most) ** 2
 
     def gain(function: Any, here: Array, a: Array, u: Any, *at: Any) -> Array:
         more = with_input(u, index, u[index] + scale)
         return np.asarray((function(a, more, *at)[0] - here) / scale)
 
-    def moved(f: Array, A: Array, g: Array, u: Any, parts: Array) -> None:
-        """Puts g sum w_k (u_(t-k) - u_t) into the first rows of f + A z, in place."""
-        rows = g.shape[1]
-        f[:, :rows] -= g * np.reshape(parts.sum(axis=1) * u[index], (-1, 1))
-        A[..., :rows, nz:] = g[:, :, None] * parts[:, None, :]
+    def moved(f: Array, A: Array, courses: Sequence[tuple[Array, Array]], u: Any) -> None:
+        """Puts g sum w_k (u_(t-k) - u_t) into the first rows of f + A z, in place, for each g and w."""
+        rows = courses[0][0].shape[1]
+        for g, parts in courses:
+            f[:, :rows] -= g * np.reshape(parts.sum(axis=1) * u[index], (-1, 1))
+        A[..., :rows, nz:] = sum(g[:, :, None] * parts[:, None, :] for g, parts in courses)
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         record, own = split(theta)
@@ -258,7 +276,15 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         ends = setting.at_sample(t + dt)
         f, A, Q = beside(step, M, _blocks(ends, shift, hold), 0.0)
         A = np.broadcast_to(A, (M, *A.shape[-2:])).copy()
-        moved(f, A, g, u, _parts(own, depth, *setting.part_of_sample(t, dt)))
+        done, first, rest = _courses(own, depth, *setting.part_of_sample(t, dt))
+        after = (1.0 - done) * g  # of what acts in the second part of the step
+        within = (done > 0.0) & (done < 1.0)
+        if model.continuous and within.any():
+            left = np.where(within, 1.0 - done, 1.0)[:, 0] * dt
+            left = left if left.size == M else float(left[0])
+            here = model.transition(a, u, t, left, record)[0]
+            after = np.where(within, gain(model.transition, here, a, u, t, left, record), after)
+        moved(f, A, [(g - after, first), (after, rest)], u)
         f[:, model.nx] += ends * u[index]
         return f, A, Q
 
@@ -269,7 +295,7 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
         C = np.concatenate([C, np.zeros((*C.shape[:-1], depth))], axis=-1)
         if g.any():
             h, C = h.copy(), np.broadcast_to(C, (len(a), *C.shape[-2:])).copy()
-            moved(h, C, g, u, _parts(own, depth))
+            moved(h, C, [(g, _parts(own, depth))], u)
         return h, C, R
 
     states = _register(setting, channel, depth)
@@ -286,7 +312,7 @@ def _register(setting: Setting, channel: str, depth: int) -> dict[str, str]:
 def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     """For an input that does not simply add: the last ones as nonlinear states."""
     split, index, depth = Split(model), list(model.inputs).index(channel), LONGEST_BY_MEMORY
-    variance = float(setting.scale.get(channel, 0.0)) ** 2
+    most = float(setting.scale.get(channel, 0.0))
 
     def driven(last: Array, u: Any, parts: Array) -> Any:
         late = (parts.T * (last - u[index])).sum(axis=0)
@@ -303,7 +329,7 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
         return model.observation(a, driven(last, u, _parts(own, depth)), t, record)
 
     def begin(own: Any) -> tuple[float, float]:
-        return float(own[2]), variance
+        return float(own[2]), (own[3] * most) ** 2
 
     states = _register(setting, channel, depth)
     late = add_memory(model, split, states, step, begin, observe)

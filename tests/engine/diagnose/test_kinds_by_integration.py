@@ -403,3 +403,20 @@ def test_friction_turns_with_the_motion_within_a_step():
     apart = np.abs(after[:, 0] - exact)
     assert apart.mean() < 0.5 * friction * dt
     assert apart.max() <= friction * dt
+
+
+@pytest.mark.parametrize("late", [0.3, 1.7, 4.0])
+@pytest.mark.parametrize("linear", [False, True])
+def test_a_dead_time_of_parts_of_a_step_acts_for_that_part(linear, late):
+    """In steps of half a time constant: the share of a step's push that the part has is another one."""
+    dt, k = 1.0, 10
+    pump = swinging_levels(60, dt).u[:, 0]
+    name, own = "delay:pump", {"delay_pump": late, "delay_pump_before": 0.5}
+    start = {"upper": 1.0, "lower": 1.0}
+    before = {"last_pump": 0.5, **{f"last_pump_{i}": 0.5 for i in range(2, 13)}}
+    coarse = engine.Series(np.zeros(60), pump, dt=dt)
+    y, _ = run(cascade(linear), name, own, coarse, start | before)
+    shifted = np.append(np.full(round(late * k), 0.5), np.repeat(pump, k))[: 60 * k]
+    fine = engine.Series(np.zeros(60 * k), shifted, dt=dt / k)
+    by_hand, _ = noise_free(cascade(linear), np.zeros(0), fine, np.array([1.0, 1.0, 0.0]))
+    np.testing.assert_allclose(y, by_hand[::k], atol=1e-7 if linear else 1e-4)
