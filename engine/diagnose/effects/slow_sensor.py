@@ -63,7 +63,10 @@ def _late(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
 
     known = {f"share_{channel}": "1"}
     inner = add_memory(model, split, known, step, lambda own: (0.0, 0.0))
-    for function in (inner.dynamics, inner.measurement):  # its record has a parameter more than it has
+    for function in (
+        inner.dynamics,
+        inner.measurement,
+    ):  # its record has a parameter more than it has
         hands_rows_on(function)
     nx, nz = inner.nx, inner.nz
 
