@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ from engine.statespace.refutation import repeated_if_refuted
 from engine.views import Shown
 
 NEAR_SHARE = 1e-4  # of a state's size: over this, slopes are taken where the state has no variance
+PATHS = 2  # of a series, the last ones, are kept: several steps of a diagnosis ask for the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +74,11 @@ class MomentPath:
     H: Array
     F: Array
     log_likelihood: float
+
+
+_KEPT: WeakKeyDictionary[Series, tuple[tuple[MixedModel, bytes, MomentPath], ...]] = (
+    WeakKeyDictionary()
+)
 
 
 class Thetas:
@@ -129,13 +136,25 @@ def usable(terms: Array, innovations: Array, S: Array, series: Series) -> Array:
     return terms
 
 
-@repeated_if_refuted
-@np.errstate(all="ignore")
 def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
     """Filter a series with one parameter vector and keep the moments and slopes.
 
-    Raises ModelError naming the row at which the filter was lost.
+    The last ones of a series are kept and not to be written into. Raises ModelError naming the row at which
+    the filter was lost.
     """
+    own = np.asarray(theta, dtype=float).tobytes()
+    known = _KEPT.get(series, ())
+    for one, at, path in known:
+        if one is model and at == own:
+            return path
+    path = _path(model, theta, series)
+    _KEPT[series] = ((model, own, path), *known)[:PATHS]
+    return path
+
+
+@repeated_if_refuted
+@np.errstate(all="ignore")
+def _path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
     run = FilterSteps(model, Thetas(model, theta), series)
     T, nx, ny = len(series), model.nx, model.ny
     kept: dict[str, Array] = {

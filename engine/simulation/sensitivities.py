@@ -13,6 +13,7 @@ both, on which the run is; where F jumps it says nothing of the jump.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from engine.simulation.steps import (
     transitions,
 )
 from engine.statespace.model import Array, MixedModel
+from engine.statespace.reads import ignores
 
 
 class Along:
@@ -45,12 +47,8 @@ class Along:
         x: Array,
         slopes: tuple[Array, Array] | None = None,
     ) -> None:
-        self.model, self.theta, self.x = model, theta, x
-        record = model.record(theta)
+        self.model, self.theta, self.series, self.x = model, theta, series, x
         with np.errstate(all="ignore"):
-            self.F = _in_rows(model, transitions(model, record, series), x[:-1])
-            self.G = _in_rows(model, observations(model, record, series), x)
-            self.ahead, self.seen = self.F(x[:-1]), self.G(x)
             if slopes is None:
                 moved = np.abs(x - x[0]).max(axis=0)
                 size = sizes(moved, np.abs(x[0]), model.start_sizes)
@@ -58,6 +56,28 @@ class Along:
                 J = self.F.slopes(x[:-1], self.ahead, size[:-1], central=True)
                 slopes = J, self.G.slopes(x, self.seen, size, central=True)
         self.J, self.H = slopes
+
+    @cached_property
+    def F(self) -> Steps:
+        """The steps from all rows but the last."""
+        steps = transitions(self.model, self.model.record(self.theta), self.series)
+        return _in_rows(self.model, steps, self.x[:-1])
+
+    @cached_property
+    def G(self) -> Steps:
+        """The outputs at all rows."""
+        steps = observations(self.model, self.model.record(self.theta), self.series)
+        return _in_rows(self.model, steps, self.x)
+
+    @cached_property
+    def ahead(self) -> Values:
+        """F along the run."""
+        return self.F(self.x[:-1])
+
+    @cached_property
+    def seen(self) -> Values:
+        """G along the run."""
+        return self.G(self.x)
 
     def by(
         self,
@@ -90,8 +110,7 @@ class Along:
         first[:, :k] = 0.0 if beginning is None else beginning
         first[states, k + np.arange(len(states))] = 1.0
         with np.errstate(all="ignore"):
-            b = _slopes(self.F, self.x[:-1], self.ahead, ends)
-            d = _slopes(self.G, self.x, self.seen, ends)
+            b, d = self._steps(parameters, ends)
             still = np.zeros((*b.shape[:2], len(states)))
             xi = carry(self.J, np.concatenate((b, still), axis=2), first)
             dy = self.H @ xi
@@ -103,9 +122,20 @@ class Along:
         ends = [_ends(self.model, self.theta, parameter, step)]
         first = np.zeros((self.model.nx, courses.shape[1]))
         with np.errstate(all="ignore"):
-            b = _slopes(self.F, self.x[:-1], self.ahead, ends) * courses[:-1, None]
-            d = _slopes(self.G, self.x, self.seen, ends) * courses[:, None]
+            b, d = self._steps(np.array([parameter]), ends)
+            b, d = b * courses[:-1, None], d * courses[:, None]
             return np.asarray(self.H @ carry(self.J, b, first) + d)
+
+    def _steps(self, parameters: NDArray[np.intp], ends: list[Any]) -> tuple[Array, Array]:
+        """dF/dtheta (T-1, nx, k) and dG/dtheta (T, ny, k) along the run."""
+        T, nx = self.x.shape
+        b, d = np.zeros((T - 1, nx, len(ends))), np.zeros((T, self.model.ny, len(ends)))
+        for i, (k, end) in enumerate(zip(parameters, ends, strict=True)):
+            if not ignores(self.model.dynamics, int(k)):
+                b[:, :, i] = self.F.slope_between(self.x[:-1], self.ahead, *end)
+            if not ignores(self.model.measurement, int(k)):
+                d[:, :, i] = self.G.slope_between(self.x, self.seen, *end)
+        return b, d
 
 
 def _in_rows(model: MixedModel, steps: Steps, x: Array) -> Steps:
@@ -121,11 +151,3 @@ def _ends(
     high[i] = min(theta[i] + step, model.upper[i])
     records = model.record(low), model.record(high)
     return records, float(low[i] - theta[i]), float(high[i] - theta[i])
-
-
-def _slopes(F: Steps, x: Array, at: Values, ends: list[Any]) -> Array:
-    """dF/dtheta (n, m, k) at x (n, nx)."""
-    b = np.empty((*at.value.shape, len(ends)))
-    for i, end in enumerate(ends):
-        b[:, :, i] = F.slope_between(x, at, *end)
-    return b

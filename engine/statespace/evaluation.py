@@ -168,13 +168,18 @@ class ModelFunction:
             if known is not None:
                 return known
         count_split()
-        try:
-            alike = self._verdicts[None]
-            each = [self._as_before(a[at], u, t, dt, own, None, alike) for at, own in plan.parts]
-        except ModelError as error:
-            if not error.numeric:
-                raise
-            return self._apart(Rows(a, u, t, dt, theta), kind)
+        alike, lost = self._verdicts[None], None
+        each: list[Result | None] = []
+        for at, own in plan.parts:
+            try:
+                each.append(self._as_before(a[at], u, t, dt, own, None, alike))
+            except ModelError as error:
+                if not error.numeric:
+                    raise
+                each.append(None)
+                lost = error
+        if lost is not None and not any(each):
+            raise lost
         return plan.stacked(each)
 
     def _first_look(self, rows: Rows) -> Result:
@@ -316,6 +321,7 @@ class ModelFunction:
             )
         parts: list[tuple[Indices, Result]] = []
         lost: ModelError | None = None
+        known_next = self._theta, self._kind, self._verdict, self._M  # the calls below are others
         # rows that differ in what is not read are particles
         differing = split._replace(u=split.u and self._reads_u, t=split.t and self._reads_t)
         for at in rows.groups(differing):
@@ -325,6 +331,7 @@ class ModelFunction:
                 if not (split.fields and error.numeric):
                     raise
                 lost = error
+        self._theta, self._kind, self._verdict, self._M = known_next
         if lost is not None and not parts:
             raise lost
         return joined(parts, len(rows.a))

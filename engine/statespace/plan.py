@@ -26,8 +26,11 @@ class Plan:
     counts: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     back: Indices | None = None
 
-    def stacked(self, each: Sequence[Result]) -> Result:
-        """The results of the parts as one."""
+    def stacked(self, found: Sequence[Result | None]) -> Result:
+        """The results of the parts, one of them at least, as one; NaN for a part that has none."""
+        like = next(one for one in found if one is not None)
+        parts = zip(found, self.counts, strict=True)
+        each = [_nothing(like, int(n)) if one is None else one for one, n in parts]
         out: list[Array | None] = [self._placed(np.concatenate([values for values, *_ in each]))]
         for matrices in zip(*(result[1:] for result in each), strict=True):
             if matrices[0] is None:
@@ -46,6 +49,15 @@ class Plan:
 
     def _placed(self, values: Array) -> Array:
         return values if self.back is None else values[self.back]
+
+
+def _nothing(like: Result, n: int) -> Result:
+    """NaN in the shapes of another result, for n rows."""
+    values, *matrices = like
+    return (
+        np.full((n, values.shape[1]), np.nan),
+        *(None if x is None else np.full(x.shape[-2:], np.nan) for x in matrices),
+    )
 
 
 def plan_of(rows: Rows, kind: Kind) -> Plan:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, cast
 
 import numpy as np
@@ -59,8 +60,7 @@ def product(density: Density, given: Callable[[Array], tuple[Array, Array]], na:
     if not isinstance(density, Gaussian):
         return Joint(density, given, na)
     root = psd_cholesky(density.cov)
-    mixed = np.random.default_rng(0).standard_normal((4, na))
-    steps = np.vstack([np.zeros(na), np.eye(na), mixed])
+    steps = _steps(na)
     mean, cov = given(density.mean + steps @ root.T)
     slopes = mean[1 : 1 + na] - mean[0]
     off = np.abs(mean - mean[0] - steps @ slopes)
@@ -72,6 +72,13 @@ def product(density: Density, given: Callable[[Array], tuple[Array, Array]], na:
     whole[:na, na:] = root @ slopes
     whole[na:, :na] = whole[:na, na:].T
     return Gaussian(np.concatenate([density.mean, mean[0]]), whole)
+
+
+@cache  # it is the same for every theta
+def _steps(na: int) -> Array:
+    """Steps (., na) from the mean: none, one along each axis, and four along all of them."""
+    mixed = np.random.default_rng(0).standard_normal((4, na))
+    return np.vstack([np.zeros(na), np.eye(na), mixed])
 
 
 def as_nonlinear(model: MixedModel) -> MixedModel:

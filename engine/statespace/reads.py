@@ -1,7 +1,8 @@
 """Whether a function reads one of its arguments at all, told from its byte code.
 
 What a function never loads it cannot depend on: this is a proof, where calls can only give examples. Where
-the code does not tell, the argument counts as read.
+the code does not tell, the argument counts as read. Functions of the engine's own are told which parameters
+they ignore.
 """
 
 from __future__ import annotations
@@ -35,3 +36,14 @@ def reads(function: Any, position: int) -> bool:
         if "FAST" in step.opname
     )
     return any(name in names for names in named)
+
+
+def reading(n: int, function: Any) -> Any:
+    """Mark a function of the engine's own that reads the first n parameters of theta only."""
+    function.parameters_read = n
+    return function
+
+
+def ignores(function: Any, k: int) -> bool:
+    """Whether a function was marked as ignoring parameter number k."""
+    return k >= getattr(function, "parameters_read", k + 1)

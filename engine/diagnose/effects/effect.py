@@ -19,6 +19,7 @@ from engine.errors import OptionError
 from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.promotion import promote
+from engine.statespace.reads import reading
 from engine.statespace.rows import with_input
 
 NEARBY = 1e-6  # of a state's way over the step, on either side: there the slope of a term is taken
@@ -379,10 +380,10 @@ def on_base(model: MixedModel, split: Parts, **functions: Any) -> MixedModel:
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         return model.initial(split(theta)[0])
 
-    return replace(
-        model,
-        **{"dynamics": dynamics, "measurement": measurement, "initial": initial, **functions},
-    )
+    passing = {"dynamics": dynamics, "measurement": measurement, "initial": initial}
+    if isinstance(split, Split):  # others may change the base's part
+        passing = {name: reading(split.n, function) for name, function in passing.items()}
+    return replace(model, **{**passing, **functions})
 
 
 def per_point(matrix: Array, M: int, *factors: Any) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,10 +24,18 @@ def _held(setting: Setting, channel: str, name: str) -> Effect:
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
+        last: tuple[Any, Any] = (None, None)
 
         def other(theta: Any) -> tuple[Any, Any]:
-            base, own = split(theta)
-            return base._replace(**{channel: base[index] + own[0]}), own
+            nonlocal last
+            known, parts = last
+            if (
+                known is not theta
+            ):  # the same record at every step, by which the model knows it again
+                base, own = split(theta)
+                parts = base._replace(**{channel: base[index] + own[0]}), own
+                last = theta, parts
+            return cast(tuple[Any, Any], parts)
 
         return on_base(model, other)
 

@@ -20,6 +20,7 @@ from engine.diagnose.effects.effect import Effect, Split, per_point
 from engine.diagnose.effects.kinds import Kind, at_outputs
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
+from engine.statespace.evaluation import hands_rows_on
 from engine.statespace.model import Array, MixedModel
 
 
@@ -62,6 +63,11 @@ def _late(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
 
     known = {f"share_{channel}": "1"}
     inner = add_memory(model, split, known, step, lambda own: (0.0, 0.0))
+    for function in (
+        inner.dynamics,
+        inner.measurement,
+    ):  # its record has a parameter more than it has
+        hands_rows_on(function)
     nx, nz = inner.nx, inner.nz
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:

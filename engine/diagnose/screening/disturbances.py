@@ -9,7 +9,7 @@ sum c_t score_t: one pass backward serves every course there is.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from engine.filters.sigma_point import MomentPath
 from engine.statespace.model import Array
 
 BLOCK_NUMBERS = 1_000_000  # numbers held at once where times are irregular
-_KEPT: WeakKeyDictionary[MomentPath, tuple[Series, Backward]] = WeakKeyDictionary()
+_KEPT: WeakKeyDictionary[MomentPath, tuple[ref[Series], Backward]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Backward:
 def backward(path: MomentPath, series: Series) -> Backward:
     """The disturbance smoother along a filter's way; kept with the way, as all disturbances share it."""
     known = _KEPT.get(path)
-    if known is not None and known[0] is series:
+    if known is not None and known[0]() is series:
         return known[1]
     T, _, nx = path.H.shape
     _, precision, nu, _ = whitened(path, series)
@@ -59,7 +59,7 @@ def backward(path: MomentPath, series: Series) -> Backward:
     back = np.swapaxes(gain, -1, -2)
     u = scaled - (back @ r[:, :, None])[:, :, 0]
     out = Backward(u, precision + back @ N @ gain, r, N, gain)
-    _KEPT[path] = series, out
+    _KEPT[path] = ref(series), out
     return out
 
 

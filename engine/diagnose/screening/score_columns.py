@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from engine.kernels.moments import sigma_points, transform
 from engine.kernels.sensitivities import sensitivities
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.points import Points
+from engine.statespace.reads import ignores
 
 # A probe's size in its own standard errors: a slope, also of what few data tell.
 REACH_ERRORS = 0.005
@@ -31,7 +32,7 @@ TRIALS = 6
 ATTEMPTS = 12  # at a step
 POWERS = (0.5, 2.0)  # of a size, to which predictions answer
 
-_KEPT: WeakKeyDictionary[MomentPath, tuple[Series, tuple[Array, Array, Array, Array]]] = (
+_KEPT: WeakKeyDictionary[MomentPath, tuple[ref[Series], tuple[Array, Array, Array, Array]]] = (
     WeakKeyDictionary()
 )
 
@@ -102,12 +103,12 @@ def whitened(path: MomentPath, series: Series) -> tuple[Array, Array, Array, Arr
     Kept with the way, as all columns along it share them.
     """
     known = _KEPT.get(path)
-    if known is not None and known[0] is series:
+    if known is not None and known[0]() is series:
         return known[1]
     root = whitening(path.S, series.observed)
     nu = np.nan_to_num(path.innovations)
     out = root, np.swapaxes(root, -1, -2) @ root, nu, np.einsum("tij,tj->ti", root, nu)
-    _KEPT[path] = series, out
+    _KEPT[path] = ref(series), out
     return out
 
 
@@ -172,7 +173,7 @@ def _slopes(
     for _ in range(TRIALS):
         low, high = at.copy(), at.copy()
         low[k], high[k] = max(at[k] - step, lower), min(at[k] + step, upper)
-        ends = [along_path(extended, point, model, series, path) for point in (low, high)]
+        ends = [along_path(extended, point, model, series, path, k) for point in (low, high)]
         changes = [y - x for x, y in zip(*ends, strict=True)]
         felt = max(
             float(np.abs(change / size).max(initial=0.0))
@@ -197,20 +198,30 @@ def _scatter(path: MomentPath) -> list[Array]:
 
 
 def along_path(
-    extended: MixedModel, theta: Array, model: MixedModel, series: Series, path: MomentPath
+    extended: MixedModel,
+    theta: Array,
+    model: MixedModel,
+    series: Series,
+    path: MomentPath,
+    by: int = -1,
 ) -> tuple[Array, ...]:
     """One step of ``extended`` from each of the moments on the path of ``model``, and where it begins.
 
     Mean and covariance of x_{t+1}, (T-1, nx) and (T-1, nx, nx); mean and covariance of y_t, (T, ny) and
     (T, ny, ny); Cov(x_t, y_t) (T, nx, ny); mean (nx,) and covariance (nx, nx) of x_1; all in the base model's
-    order of states.
+    order of states. Zero where a function ignores parameter ``by``, whose differences are asked for.
     """
+    T, nx, ny = len(series), model.nx, model.ny
     states = [*model.nonlinear, *model.linear]
     order = [states.index(name) for name in [*extended.nonlinear, *extended.linear]]
     back = np.argsort(order)
     record = extended.record(theta)
     out = []
-    for transition in (True, False):
+    for transition, function in ((True, extended.dynamics), (False, extended.measurement)):
+        if by >= 0 and ignores(function, by):
+            shape = (T - 1, nx) if transition else (T, ny)
+            out.append((np.zeros(shape), np.zeros((*shape, shape[1])), np.zeros((*shape, nx))))
+            continue
         if transition:
             m, P = path.filtered[:-1], path.P_filtered[:-1]
         else:
@@ -226,7 +237,9 @@ def along_path(
             )
         )
     (x_mean, x_cov, _), (y_mean, y_cov, cross) = out
-    first, first_cov = first_moments(extended, theta)
+    first, first_cov = np.zeros(nx), np.zeros((nx, nx))
+    if by < 0 or not ignores(extended.initial, by):
+        first, first_cov = first_moments(extended, theta)
     return (
         x_mean[:, back],
         x_cov[:, back][:, :, back],

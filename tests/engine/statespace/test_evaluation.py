@@ -22,6 +22,7 @@ from engine.simulation.free_run import run_rows
 from engine.simulation.simulate import propagate
 from engine.statespace.model import as_matrix, as_rows
 from engine.statespace.points import Points
+from engine.statespace.rows import Rows
 
 NX, LIMIT = 2, 0.7
 
@@ -764,3 +765,26 @@ def test_a_function_that_draws_or_remembers_is_refused(where, use):
     name = "dynamics" if where == "memory" else where
     with pytest.raises(ModelError, match=f"{name}: called again with the same arg.*Q, R or P1"):
         USES[use](model, drawn(user_model()))
+
+
+def test_one_parameter_vector_a_call_is_grouped_once_for_all_steps(monkeypatch):
+    """Not at every step anew, also where one of the vectors has no value."""
+
+    def dynamics(a, u, t, dt, theta):
+        return [math.sqrt(theta.w) * a[:, 0]], np.zeros((1, 0)), [[0.1]]
+
+    model = MixedModel(
+        name="rooted",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[0.1]]),
+        initial=lambda theta: (Gaussian([0.0], [[1.0]]), [], np.zeros((0, 0))),
+        nonlinear={"x": "1"},
+        outputs={"y": "1"},
+        parameters=[Parameter("w", 0.5, "1")],
+    )
+    series = Series(y=np.sin(np.arange(40.0)), dt=1.0)
+    groups, made = Rows.groups, []
+    monkeypatch.setattr(Rows, "groups", lambda *args: made.append(1) or groups(*args))
+    found = moment_filter(model, [[0.5], [-1.0], [0.7]], series)
+    assert np.isfinite(found.log_likelihood).tolist() == [True, False, True]
+    assert len(made) < 10
