@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -29,7 +29,7 @@ from engine.kernels.moments import (
     transform,
 )
 from engine.statespace.model import Array, Gaussian, MixedModel, stacked
-from engine.statespace.refutation import repeated_if_refuted
+from engine.statespace.refutation import refutations, repeated_if_refuted
 from engine.views import Shown
 
 NEAR_SHARE = 1e-4  # of a state's size: over this, slopes are taken where the state has no variance
@@ -76,9 +76,8 @@ class MomentPath:
     log_likelihood: float
 
 
-_KEPT: WeakKeyDictionary[Series, tuple[tuple[MixedModel, bytes, MomentPath], ...]] = (
-    WeakKeyDictionary()
-)
+_Kept: TypeAlias = tuple[MixedModel, bytes, int, MomentPath]
+_KEPT: WeakKeyDictionary[Series, tuple[_Kept, ...]] = WeakKeyDictionary()
 
 
 class Thetas:
@@ -139,16 +138,16 @@ def usable(terms: Array, innovations: Array, S: Array, series: Series) -> Array:
 def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
     """Filter a series with one parameter vector and keep the moments and slopes.
 
-    The last ones of a series are kept and not to be written into. Raises ModelError naming the row at which
-    the filter was lost.
+    The last ones of a series are kept and not to be written into; none from before a function was found not
+    to take rows. Raises ModelError naming the row at which the filter was lost.
     """
     own = np.asarray(theta, dtype=float).tobytes()
     known = _KEPT.get(series, ())
-    for one, at, path in known:
-        if one is model and at == own:
+    for one, at, refuted, path in known:
+        if one is model and at == own and refuted == refutations():
             return path
     path = _path(model, theta, series)
-    _KEPT[series] = ((model, own, path), *known)[:PATHS]
+    _KEPT[series] = ((model, own, refutations(), path), *known)[:PATHS]
     return path
 
 

@@ -28,14 +28,14 @@ def repeated_if_refuted(function: Callable[_P, _R]) -> Callable[_P, _R]:
         generators = [x for x in (*args, *kwargs.values()) if isinstance(x, np.random.Generator)]
         states = [x.bit_generator.state for x in generators]
         while True:
-            before = _refutations()
+            before = refutations()
             try:
                 out = function(*args, **kwargs)
             except Exception:
-                if _refutations() == before:
+                if refutations() == before:
                     raise
             else:
-                if _refutations() == before:
+                if refutations() == before:
                     return out
             for generator, state in zip(generators, states, strict=True):
                 generator.bit_generator.state = state
@@ -43,14 +43,14 @@ def repeated_if_refuted(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return run
 
 
-def _refutations() -> int:
+def refutations() -> int:
     """How often, in this thread, a function was found not to take rows that it had been given."""
     return int(getattr(_here, "count", 0))
 
 
 def count_refutation() -> None:
     """A function was found not to take rows that it had been given before."""
-    _here.count = _refutations() + 1
+    _here.count = refutations() + 1
 
 
 def calls_split() -> int:

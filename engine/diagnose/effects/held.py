@@ -29,9 +29,7 @@ def _held(setting: Setting, channel: str, name: str) -> Effect:
         def other(theta: Any) -> tuple[Any, Any]:
             nonlocal last
             known, parts = last
-            if (
-                known is not theta
-            ):  # the same record at every step, by which the model knows it again
+            if known is not theta:  # one record for all steps, by which the model knows it again
                 base, own = split(theta)
                 parts = base._replace(**{channel: base[index] + own[0]}), own
                 last = theta, parts

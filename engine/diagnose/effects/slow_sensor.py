@@ -63,10 +63,8 @@ def _late(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
 
     known = {f"share_{channel}": "1"}
     inner = add_memory(model, split, known, step, lambda own: (0.0, 0.0))
-    for function in (
-        inner.dynamics,
-        inner.measurement,
-    ):  # its record has a parameter more than it has
+    # its record has a parameter more than the model has, so that no test of rows can be made
+    for function in (inner.dynamics, inner.measurement):
         hands_rows_on(function)
     nx, nz = inner.nx, inner.nz
 
