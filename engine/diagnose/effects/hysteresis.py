@@ -77,9 +77,8 @@ def _bouc_wen(
             moved = np.broadcast_to(A[..., column, :].any(axis=-1), (len(a),))
             way = np.where(moved, way, way + gained)
             after = _after(m, way, own[1], delta)
-            if (
-                moved.any()
-            ):  # straight from where the speed stays as it is: z may be counted from anywhere
+            if moved.any():
+                # straight from where the speed stays as it is: z may be counted from anywhere
                 slope = np.where(moved, _slope(after, way, own[1], delta), 0.0)
                 after = after + slope * gained
                 A = np.broadcast_to(A, (len(a), *A.shape[-2:]))
