@@ -68,6 +68,7 @@ def diagnose(
         alpha=options.alpha,
         effects=options.effects,
         max_effects=options.max_effects,
+        held_out=options.held_out,
         free=job.free,
         callback=Percent(progress.step),
         kept=kept,
@@ -107,8 +108,9 @@ def in_a_line(found: Diagnosis) -> str:
     said = "; ".join(_cause(one, found.series) for one in found.causes)
     if found.verdict is Verdict.UNKNOWN:
         return f"{found.verdict.sentence} Nearest: {said}"
-    adopted = found.gain is not None and found.gain.adopt
-    return f"{said}. {'Adopted' if adopted else 'Not adopted'} on held-out data."
+    if found.gain is None:
+        return f"{said}. No data were held out to judge it."
+    return f"{said}. {'Adopted' if found.gain.adopt else 'Not adopted'} on held-out data."
 
 
 def _cause(one: Cause, series: Series) -> str:

@@ -304,6 +304,9 @@ class DiagnoseOptions(_Strict):
     """kinds or names of effects to look for; null means all"""
     max_effects: int = Field(default=3, ge=1, le=10)
     """upper limit on effects found in turn; more than two mean an unknown cause"""
+    held_out: float = Field(default=0.2, ge=0, le=0.5)
+    """share of the longest series whose last part is not searched and judges what is found; 0 searches all of
+    it. Not with `test`, which decides then."""
     seed: Seed = 0
 
 
@@ -395,7 +398,7 @@ class DiagnoseRequest(_OnData):
 
     kind: Literal["diagnose"]
     test: Tests = []
-    """held-out data, one series or several; none means the last fifth of the longest"""
+    """held-out data, one series or several; none means the last part of the longest, as `held_out` says"""
     parameters: DiagnoseParameters = DiagnoseParameters()
     options: DiagnoseOptions = DiagnoseOptions()
 

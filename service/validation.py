@@ -16,7 +16,7 @@ from engine.design import Bounds
 from engine.design.candidates import before_any
 from engine.diagnose.effects.catalogue import effect_kinds, extend
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.records import check_searched, longest_of
+from engine.diagnose.records import check_held_out, check_searched, longest_of
 from engine.errors import EngineError, OptionError, SeriesError
 from engine.models.registry import get_model, source_of
 from engine.statespace.model import Array, MixedModel, Theta
@@ -79,6 +79,8 @@ def prepare(request: Request) -> Prepared:
         test = _all_series(request.test, model, "test", numbered=len(request.test) > 1)
     if isinstance(request, DiagnoseRequest):
         check_effects(request.options.effects)
+        with _at("options"):
+            check_held_out(request.options.held_out, bool(test))
     if isinstance(request, EstimateRequest):
         check_method(request.options)
         with _at("parameters.ranges"):

@@ -40,7 +40,7 @@ from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.held_out import HeldOut
 from engine.diagnose.over_horizon import over_horizon
-from engine.diagnose.records import check_searched, records_of
+from engine.diagnose.records import HELD_OUT, check_searched, records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.calibration import Question
 from engine.diagnose.search.checkpoint import Parts, kept_of
@@ -91,6 +91,7 @@ def diagnose(  # noqa: PLR0913
     bootstrap: int = 0,
     kept: Parts | None = None,
     early: Told | None = None,
+    held_out: float = HELD_OUT,
 ) -> Diagnosis:
     """Find what a model gets wrong on measured data, and which effect that it leaves out explains it.
 
@@ -107,8 +108,8 @@ def diagnose(  # noqa: PLR0913
     theta : Theta, mapping, array or None
         Start values (n_theta,); where None, they are searched for.
     test : Series or sequence of Series, optional
-        Held-out data; the last fifth of the longest record by default. Where its times go on at the end of a
-        record, it begins at that record's last state, else at the model's initial density.
+        Held-out data; by default the last part of the longest record, as ``held_out`` says. Where its times go
+        on at the end of a record, it begins at that record's last state, else at the model's initial density.
     seed : int
         Seed of all random numbers; the same seed gives the same result to the last bit.
     alpha : float
@@ -131,6 +132,10 @@ def diagnose(  # noqa: PLR0913
     early : callable, optional
         ``early(document)`` is called twice while the search goes on, with JSON values: the fitted model and
         what its simulation gets wrong; then also the first screen of effects.
+    held_out : float
+        Share of the longest record, 0 to 0.5: its last part, which is not searched and judges what is found.
+        Where ``test`` is given that decides, and this is to be left out. With 0 all is searched: effects of
+        time are judged on blocks left out of the fit in turn, and what others gain is not measured.
 
     Returns
     -------
@@ -152,7 +157,7 @@ def diagnose(  # noqa: PLR0913
     if bootstrap < 0:
         raise OptionError(f"bootstrap = {bootstrap}; 0 or more is needed", "bootstrap")
     as_given = model
-    model, records = records_of(model, series, test)
+    model, records = records_of(model, series, test, held_out)
     options = {
         "theta": None if theta is None else model.theta(theta).tolist(),
         "seed": seed,
@@ -160,6 +165,7 @@ def diagnose(  # noqa: PLR0913
         "effects": None if effects is None else list(effects),
         "max_effects": max_effects,
         "free": None if free is None else list(free),
+        "held_out": float(held_out),
     }
     given = (as_given, series, test, {**options, "bootstrap": bootstrap})
     parts = {} if kept is None else kept
@@ -204,6 +210,11 @@ def diagnose(  # noqa: PLR0913
     judged = HeldOut(fine.records, searched, fine.k, seed).judge(causes, both.asked, clock.progress)
     after = judged.after
     notes.extend(judged.notes)
+    if records.keeps_back and judged.verdict in (Verdict.NOTHING, Verdict.UNKNOWN):
+        notes.append(
+            f"The record from t = {records.main.t[len(plain)]:g} {plain.time_unit} on was held out and not "
+            "searched: held_out=0 searches all of it, test= judges by other data."
+        )
 
     names = tuple(cause.effect for cause in judged.causes)
     beside = over_horizon(judged.before, after, names, judged.search, searched)

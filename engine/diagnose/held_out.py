@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from engine.diagnose.effects.traits import Course
 from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.free_run_fits.candidates import FAMILIES
-from engine.diagnose.gain.adoption import falls_short
+from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short
 from engine.diagnose.gain.gain import Gain, measure_gain, measure_gain_interleaved, without
 from engine.diagnose.gain.narrowing import narrowed, with_fair_noise
 from engine.diagnose.records import Records
@@ -45,7 +45,7 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """The ``records``, k steps a sample, with their tests or their last part held out.
+    """The ``records``, k steps a sample, with their tests or their last part held out, if any.
 
     ``searched`` are the rows that the likelihood has searched.
     """
@@ -62,6 +62,13 @@ class HeldOut:
         progress: Progress = lambda stage, share: None,
     ) -> Judged:
         """The causes of the criterion that decides, with what they gain where nothing was fitted."""
+        judged = self._judged(found, asked, progress)
+        extended = judged.causes and judged.after is not judged.before
+        if extended and judged.gain is None and not self.records.held_out:
+            return replace(judged, notes=(*judged.notes, NOT_MEASURED))
+        return judged
+
+    def _judged(self, found: Causes, asked: SecondOpinion, progress: Progress) -> Judged:
         search, free_run = found.search, asked.search
         if asked.decides and free_run is not None:
             causes, before, after = named_by(search), search.base, search.final
@@ -88,7 +95,8 @@ class HeldOut:
                 verdict = Verdict.UNKNOWN if left.objection else names_of(search)
         else:
             gain = self._gain(search)
-        if gain is not None and found.base.model.na:
+        extended = bool(named_by(search)) and search.final is not search.base
+        if extended and found.base.model.na:
             text, contradicts = self._particle_word(found.base, search)
             notes.append(text)
             verdict = Verdict.UNKNOWN if contradicts else verdict
@@ -96,7 +104,10 @@ class HeldOut:
         return Judged(verdict, named_by(search), base, final, gain, search, asked, said)
 
     def _gain(self, search: Search, beside: FreeRunSearch | None = None) -> Gain | None:
-        """What an extension gains: the likelihood's, or one that the free run found ``beside`` it."""
+        """What an extension gains: the likelihood's, or one that the free run found ``beside`` it.
+
+        None without one, and where no rows are held out and it is not of time alone.
+        """
         causes, before, after = named_by(search), search.base, search.final
         chosen = [r.refits[0].effect for r in search.rounds if r.equivalent]
         if beside is not None:
@@ -111,11 +122,13 @@ class HeldOut:
         if not goes_on and all(cause.where == "time" for cause in causes):
             times = [name for e in chosen for name in e.sought]
             return measure_gain_interleaved(before, after, main, times, self.seed).every(self.k)
-        train = self.records.train
+        train, held_out = self.records.train, self.records.held_out
+        if not held_out:
+            return None
         return measure_gain(
             before,
             after,
-            self.records.held_out,
+            held_out,
             None if tests else train,
             self.seed,
             (train, *self.records.others) if tests else (),

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.data.series import Series, as_series_list
 from engine.diagnose.effects.spare_inputs import with_inputs
-from engine.errors import SeriesError
+from engine.errors import OptionError, SeriesError
 from engine.statespace.model import MixedModel
 
 LEAST = 30  # measured rows without which nothing can be said
 HELD_OUT = 0.2  # share of the longest record kept back where no test series is given
+MOST = 0.5  # of it
 
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """The ``main`` record, ``others``, and held-out ``tests``; each begins at a state of its own."""
+    """The ``main`` record, ``others``, and held-out ``tests``; each begins at a state of its own.
+
+    ``share`` of the main record is kept back where there are no tests.
+    """
 
     main: Series
     others: tuple[Series, ...] = ()
     tests: tuple[Series, ...] = ()
+    share: float = HELD_OUT
 
     @property
     def every(self) -> tuple[Series, ...]:
@@ -31,34 +36,44 @@ class Records:
 
     @property
     def train(self) -> Series:
-        """The main record, without its last part where no other is held out."""
-        return self.main if self.tests else self.main.part(0, self._cut)
+        """The main record, without the part of it that is held out."""
+        return self.main.part(0, self._cut) if self.keeps_back else self.main
 
     @property
     def held_out(self) -> tuple[Series, ...]:
-        """The tests, or the main record's last part."""
-        return self.tests or (self.main.part(self._cut, len(self.main)),)
+        """The tests, or the main record's last part; none where nothing is kept back."""
+        return (self.main.part(self._cut, len(self.main)),) if self.keeps_back else self.tests
+
+    @property
+    def keeps_back(self) -> bool:
+        """Whether the main record's last part is not searched."""
+        return not self.tests and self.share > 0.0
 
     @property
     def _cut(self) -> int:
         samples = len(self.main.samples)
-        return self.main.substeps * (samples - max(int(HELD_OUT * samples), 2))
+        return self.main.substeps * (samples - max(int(self.share * samples), 2))
 
     def refined(self, k: int) -> Records:
         """With k steps from each sample to the next."""
-        return Records(
-            self.main.refined(k),
-            tuple(one.refined(k) for one in self.others),
-            tuple(one.refined(k) for one in self.tests),
+        return replace(
+            self,
+            main=self.main.refined(k),
+            others=tuple(one.refined(k) for one in self.others),
+            tests=tuple(one.refined(k) for one in self.tests),
         )
 
 
 def records_of(
-    model: MixedModel, series: Series | Sequence[Series], test: Series | Sequence[Series] | None
+    model: MixedModel,
+    series: Series | Sequence[Series],
+    test: Series | Sequence[Series] | None,
+    held_out: float = HELD_OUT,
 ) -> tuple[MixedModel, Records]:
-    """The records, and the model with extra channels of theirs as inputs. Raises SeriesError."""
-    given = as_series_list(series, model)
+    """The records, and the model with extra channels of theirs as inputs. Raises SeriesError, OptionError."""
     wanted = isinstance(test, Series) or bool(test)
+    check_held_out(held_out, wanted)
+    given = as_series_list(series, model)
     tests = as_series_list(test, model) if test is not None and wanted else []
     names = given[0].extra_names
     for k, one in enumerate(given):
@@ -71,9 +86,23 @@ def records_of(
     longest = longest_of(given)
     _check_apart([*given, *tests], len(given))
     main, *others = (one.with_extra_inputs() for one in [given.pop(longest), *given])
-    return model, Records(
-        main, tuple(others), tuple(one.with_extra_inputs().check(model) for one in tests)
-    )
+    apart = tuple(one.with_extra_inputs().check(model) for one in tests)
+    return model, Records(main, tuple(others), apart, held_out)
+
+
+def check_held_out(held_out: float, tested: bool) -> None:
+    """Raise OptionError where the share is none, or is given beside a test series."""
+    if not 0.0 <= held_out <= MOST:
+        raise OptionError(
+            f"held_out = {held_out:g} is not within 0 to {MOST:g}: it is the share of the longest record that "
+            "is kept back from the search, and 0 keeps nothing back",
+            "held_out",
+        )
+    if tested and held_out != HELD_OUT:
+        raise OptionError(
+            f"held_out = {held_out:g} is given beside test, which is what is held out then: give one of them",
+            "held_out",
+        )
 
 
 def check_searched(series: Series) -> None:
@@ -112,7 +141,7 @@ def _check_apart(every: Sequence[Series], n: int) -> None:
                 )
             raise SeriesError(
                 f"test is record {k}, which the model is fitted to: give data that it has not seen, or none, "
-                "and the last fifth of the longest record is held out"
+                "and the last fifth of the longest record is held out; held_out=0 searches all of it"
             )
 
 

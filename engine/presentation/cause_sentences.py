@@ -13,6 +13,8 @@ from engine.words import enumerated, estimate, number, with_unit
 
 SAMPLES = "samples"  # the unit of a delay
 
+NOTHING_ADDED = "Nothing was added, so nothing is gained or lost."
+
 # As the search has it of another name for the same thing.
 SAME = "says the same in other words here"
 

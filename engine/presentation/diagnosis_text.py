@@ -9,12 +9,13 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from engine.diagnose.extended import at_bounds, in_the_library
-from engine.diagnose.gain.adoption import in_full, in_short
+from engine.diagnose.gain.adoption import NOT_MEASURED, in_full, in_short
 from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
 from engine.diagnose.search.rounds import UNNAMED_MARGIN
 from engine.errors import EngineError
 from engine.presentation import over_horizon
 from engine.presentation.cause_sentences import (
+    NOTHING_ADDED,
     SMALLEST,
     experiment,
     gained,
@@ -49,7 +50,7 @@ def page(diagnosis: Diagnosis, every: bool = False) -> str:
         ("1. What is wrong", _wrong(diagnosis)),
         ("2. The cause", _cause(diagnosis)),
         ("3. The extension", _extension(diagnosis)),
-        ("4. The gain", _gain(diagnosis.gain)),
+        ("4. The gain", _gain(diagnosis)),
         ("What these data could have shown", _testable(diagnosis, every)),
         ("Notes", _notes(diagnosis)),
     ):
@@ -206,6 +207,8 @@ def _extension(d: Diagnosis) -> Iterator[str]:
         yield "  None: the model stays as it is."
     elif d.gain is not None and not d.gain.adopt:
         yield "  Not adopted, as 4 says: the model stays as it is. With what was found it would be"
+    elif d.gain is None:
+        yield "  Not judged, as 4 says. With what was found the model would be"
     yield from (f"  {line}" for line in d.model.equations)
     for line in list(d.extended.equations)[len(d.model.equations) :]:
         yield from _wrapped(line, "  + ")
@@ -233,9 +236,10 @@ def _parameters(d: Diagnosis) -> Iterator[str]:
         yield f"  {name:<24} {values} {error:>10}  {tidy(parameter.unit)}".rstrip()
 
 
-def _gain(gain: Gain | None) -> Iterator[str]:
+def _gain(d: Diagnosis) -> Iterator[str]:
+    gain = d.gain
     if gain is None:
-        yield "  Nothing was added, so nothing is gained or lost."
+        yield from _wrapped(NOT_MEASURED if d.causes else NOTHING_ADDED, "  ")
         return
     yield from _wrapped(
         f"One-step predictive log-density on {gain.samples} samples ({gain.how}): "

@@ -13,6 +13,7 @@ import engine
 from engine.diagnose import Verdict, all_effects, effect_kinds
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.spare_inputs import with_inputs
+from engine.diagnose.records import HELD_OUT
 from engine.presentation.diagnosis_text import page
 from engine.statespace.model import MixedModel
 from service import diagnoses, strict_json
@@ -35,6 +36,7 @@ class Asked(Experiment):
     alpha: float = 0.05
     consider: list[str] = field(default_factory=list)
     max_effects: int = 3
+    held_out: float = HELD_OUT
     bootstrap: int = 0
     every: bool = False
     exit_code: bool = False
@@ -87,6 +89,10 @@ def _check(asked: Asked) -> None:
     check_outputs(asked)
     if not 0.0 < asked.alpha < 1.0:
         raise wrong(f"--alpha {asked.alpha:g}: a probability between 0 and 1 is needed")
+    if asked.test and asked.held_out != HELD_OUT:
+        raise wrong(
+            f"--held-out {asked.held_out:g}: --test is what is held out then; give one of the two"
+        )
 
 
 def _prepare(asked: Asked, shown: Meter) -> Job:
@@ -110,6 +116,7 @@ def _run(job: Job, asked: Asked, kept: Early) -> engine.Diagnosis:
             alpha=asked.alpha,
             effects=asked.consider or None,
             max_effects=asked.max_effects,
+            held_out=asked.held_out,
             free=job.free,
             bootstrap=asked.bootstrap,
             callback=diagnoses.Percent(kept.step),

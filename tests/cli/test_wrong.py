@@ -11,7 +11,9 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
+import engine
 from engine.diagnose.search import pipeline as causes
+from engine.errors import EngineError
 from service.cli import diagnose, outputs
 from service.cli.state_file import FORMAT, read, write
 from tests.cli.test_commands import MINE, QUICK
@@ -63,6 +65,11 @@ WRONG = {
     "resume with another seed": (("fit", "--resume", "any.state", "--seed", "2"), "--seed cannot be given with it"),
     "resume with data": (("fit", "flows.csv", "--resume", "any.state"), "DATA cannot be given with it"),
     "no extra column": (("diagnose", "flows.csv", *LEVEL, "--extra", "rain"), "--extra rain: flows.csv has no column 'rain'"),
+    "held out": (("diagnose", "flows.csv", *LEVEL, "--held-out", "0.6"), "less than or equal to 0.5"),
+    "held out beside a test": (
+        ("diagnose", "flows.csv", *LEVEL, "--held-out", "0", "--test", "flows.csv"),
+        "--held-out 0: --test is what is held out then",
+    ),
     "alpha": (("diagnose", "flows.csv", *LEVEL, "--alpha", "5"), "--alpha 5: a probability"),
     "effects to look for": (("diagnose", "flows.csv", *LEVEL, "--effects", "ghost"), "--effects ghost: there is no such effect"),
     "a short series": (("diagnose", "short.csv", *LEVEL), "only 3 rows hold a measurement; a diagnosis needs at least 30 in one record, as it fits the model"),
@@ -210,6 +217,15 @@ def test_a_diagnosis_whose_report_cannot_be_written_is_not_lost(rbps, folder, mo
     assert rbps(*command[1:]).exit_code == 0
     assert (folder / "out.html").exists()
     assert not (folder / ".rbps" / "flows-diagnosis.state").exists()
+
+
+def test_the_share_that_is_held_out_is_asked_for(rbps, folder, monkeypatch):
+    def seen(*arguments, held_out, **options):
+        raise EngineError(f"asked with {held_out}")
+
+    monkeypatch.setattr(engine, "diagnose", seen)
+    assert "asked with 0.0" in rbps("diagnose", "flows.csv", *LEVEL, "--held-out", "0").stderr
+    assert "asked with 0.2" in rbps("diagnose", "flows.csv", *LEVEL).stderr
 
 
 def test_an_estimation_whose_report_cannot_be_written_is_not_lost(rbps, folder, monkeypatch):

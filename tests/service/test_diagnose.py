@@ -108,6 +108,12 @@ def test_a_model_with_effects_is_estimated(client, ended, data):
     [
         ({"options": {"alpha": 1.5}}, "options.alpha", "less than 1"),
         ({"options": {"max_effects": 0}}, "options.max_effects", "greater than or equal to 1"),
+        ({"options": {"held_out": 0.6}}, "options.held_out", "less than or equal to 0.5"),
+        (
+            {"options": {"held_out": 0.0}, "test": {"y": [1.0, 2.0]}},
+            "options.held_out",
+            "one of them",
+        ),
         ({"options": {"effects": ["step", "magic"]}}, "options.effects[1]", "kinds are"),
         ({"parameters": {"start": {"thetta": 1.0}}}, "parameters.start.thetta", "theta"),
         ({"parameters": {"free": ["q"]}}, "parameters.free", "q"),
@@ -265,6 +271,9 @@ def test_the_list_of_jobs_says_what_was_found(nile_diagnosis):
     assert said.endswith("dopted on held-out data.")
     several = replace(cause, equivalent=(cause.effect, "pulse:flow", "drift:flow"))
     assert ", or pulse:flow or drift:flow" in in_a_line(replace(nile_diagnosis, causes=(several,)))
+    assert in_a_line(replace(nile_diagnosis, gain=None)).endswith(
+        "No data were held out to judge it."
+    )
     unknown = replace(nile_diagnosis, verdict=Verdict.UNKNOWN)
     assert in_a_line(unknown).startswith(Verdict.UNKNOWN.sentence + " Nearest: Step of")
     nothing = replace(nile_diagnosis, verdict=Verdict.NOTHING, causes=())
@@ -282,3 +291,16 @@ def test_held_out_data_are_kept_as_they_were_sent():
         )
         assert isinstance(kept, list) == isinstance(sent, list)
         assert (kept is None) == (sent is None)
+
+
+def test_the_share_that_is_held_out_is_asked_for(monkeypatch):
+    asked = {}
+    monkeypatch.setattr(engine, "diagnose", lambda *given, **options: asked.update(options))
+    monkeypatch.setattr(diagnoses, "document", lambda *found: {})
+    for share in (None, 0.0):
+        sent = request(
+            [[float(k % 7)] for k in range(40)], **({} if share is None else {"held_out": share})
+        )
+        job = load(sent)
+        diagnoses.diagnose(job, job.request, SimpleNamespace(step=None))
+        assert asked["held_out"] == (0.2 if share is None else share)

@@ -125,16 +125,17 @@ def heeding(
 ) -> tuple[SecondOpinion, Verdict]:
     """The free run's answer and its verdict, once data are asked that neither criterion has seen.
 
-    ``held_out`` is what they say of its extension, None where it has none. Where the likelihood sees nothing, a
-    pattern in the free run alone counts only if an extension gains there, or a force without a name does on
-    rows left out; an extension that loses there is no answer.
+    ``held_out`` is what they say of its extension, None where it has none or there are no such data. Where the
+    likelihood sees nothing, a pattern in the free run alone counts only if an extension gains there, or a force
+    without a name does on rows left out; an extension that loses there is no answer.
     """
     gains = held_out is Decision.ADOPTED or (held_out is None and asked.missing is not None)
     if asked.likelihood is Verdict.NOTHING and not gains:
-        reason = (
-            "The likelihood decides: the free run has a pattern that noise does not have, but no extension "
-            "for it gains on data that it has not seen."
-        )
+        unseen = held_out is None and asked.search is not None and bool(asked.search.found)
+        but = "no extension for it gains on data that it has not seen"
+        if unseen:
+            but = "nothing was held out on which an extension for it could gain"
+        reason = f"The likelihood decides: the free run has a pattern that noise does not have, but {but}."
         return replace(asked, decides=False, reason=reason), Verdict.NOTHING
     if held_out is Decision.LOSES:
         reason = (

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 TEST_LEVEL = 0.05  # of the one-sided tests of a gain and of a loss one step ahead
 LOSS_NATS = 1.0  # nats in all: a smaller loss, a likelihood ratio below e, speaks against nothing
+NOT_MEASURED = (
+    "Nothing was held out: what the extension gains on other data was not measured "
+    "(held_out=, or test=)."
+)
 RUN_SHARE = 0.01  # of a free run's rms error: a smaller change, however sure, is none
 
 

@@ -99,6 +99,8 @@ def _extension(d: Document) -> list[object]:
     if d["gain"] is not None and not d["gain"]["adopt"]:
         said = "Not adopted: the model stays as it is. With what was found it would be:"
         parts.append(tag("p", said))
+    elif d["gain"] is None:
+        parts.append(tag("p", "Not judged on other data. With what was found the model would be:"))
     parts += [tag("h3", "Before"), equations(before)] if before else []
     return [
         *parts,

@@ -17,6 +17,7 @@ from engine.presentation.report.parts import (
     plus_minus,
     prose,
     signed,
+    without_gain,
 )
 from engine.presentation.report.svg import drawn
 from engine.words import fit_quality, number, percent
@@ -28,7 +29,7 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
     """Numbers, then figures."""
     gain = d["gain"]
     if gain is None:
-        return [tag("p", "Nothing was added, so nothing is gained or lost.")]
+        return [without_gain(d)]
     # what was simulated before and after is at the top
     charts = _gained(gain) if has_before_and_after(gain) else held_out_charts(gain, units)
     return [

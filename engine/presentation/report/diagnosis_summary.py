@@ -14,6 +14,7 @@ from engine.presentation.report.parts import (
     prose,
     signed,
     with_time,
+    without_gain,
 )
 from engine.words import bounds, enumerated, number, percent
 
@@ -69,7 +70,7 @@ def answers(d: Document) -> Html:
             ("wrong", "What is wrong", _wrong_at_a_glance(d["symptoms"])),
             ("cause", "The cause", _cause_at_a_glance(d)),
             ("extension", "The extension", _extension_at_a_glance(d)),
-            ("gain", "The gain", _gain_at_a_glance(d["gain"])),
+            ("gain", "The gain", _gain_at_a_glance(d)),
         ]
     )
 
@@ -138,12 +139,15 @@ def _extension_at_a_glance(d: Document) -> Html:
     said = [tag("p", tag("code", cause["equation"])) for cause in d["causes"]]
     if d["gain"] is not None and not d["gain"]["adopt"]:
         said.append(tag("p", "Not adopted: the model stays as it is.", class_="hint"))
+    elif d["gain"] is None:
+        said.append(tag("p", "Not judged on other data.", class_="hint"))
     return join(said)
 
 
-def _gain_at_a_glance(gain: Document | None) -> Html:
+def _gain_at_a_glance(d: Document) -> Html:
+    gain = d["gain"]
     if gain is None:
-        return tag("p", "Nothing was added, so nothing is gained or lost.")
+        return without_gain(d)
     parts = []
     for o in gain["outputs"]:
         after = measured(o["rmse_after"], o["unit"])

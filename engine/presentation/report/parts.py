@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from engine.diagnose.gain.adoption import NOT_MEASURED
+from engine.presentation.cause_sentences import NOTHING_ADDED
 from engine.presentation.report.chart import CHART_POINTS, TIME_AXIS, Picture, Ranking
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.svg import svg_element
@@ -188,6 +190,13 @@ def adopted(gain: Document, how: str) -> Html:
     if decision.get("outcome") == "no evidence":
         tone = "warn"
     return tag("p", decision.get(how, said), class_=tone)
+
+
+def without_gain(d: Document) -> Html:
+    """Why there is no gain: nothing was added, or nothing was held out."""
+    if d["causes"]:
+        return tag("p", NOT_MEASURED, class_="warn")
+    return tag("p", NOTHING_ADDED)
 
 
 def folded(title: str, body: Html) -> Html:

@@ -48,6 +48,15 @@ def diagnose(
             help="Effects to find, one after the other; more than two mean an unknown cause.",
         ),
     ] = 3,
+    held_out: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            min=0.0,
+            max=0.5,
+            help="Share of the longest record, its last part, that judges and is not searched, without --test.",
+        ),
+    ] = 0.2,
     bootstrap: Annotated[
         int,
         typer.Option(

@@ -113,10 +113,14 @@ def test_the_verdict_is_that_of_the_names_to_which_nothing_objects(objections, v
             )
         )
     scores = tuple(SimpleNamespace(effect=r.effect, statistic=40.0) for r in refits)
-    screen = SimpleNamespace(p_value=0.002, scores=scores, likeness=lambda i, j: 0.9)
+    screen = SimpleNamespace(
+        p_value=0.002, scores=scores, likeness=lambda i, j: 0.9, at_floor=False
+    )
     found = Search(None, None, (Round(screen, tuple(refits), None, tuple(refits)),), False)
-    judged = Said(None, Series(np.zeros(160), dt=1.0), 1, 0, objections).judge(
-        SimpleNamespace(search=found, verdict=Verdict.SET, base=None),
+    records = SimpleNamespace(held_out=("another record",))
+    base = SimpleNamespace(model=SimpleNamespace(na=0))
+    judged = Said(records, Series(np.zeros(160), dt=1.0), 1, 0, objections).judge(
+        SimpleNamespace(search=found, verdict=Verdict.SET, base=base),
         SimpleNamespace(decides=False, search=None),
     )
     assert judged.verdict is verdict

@@ -9,6 +9,7 @@ import pytest
 from engine.data import nile
 from engine.data.series import Series
 from engine.diagnose import diagnose, hide
+from engine.diagnose.records import HELD_OUT, records_of
 from engine.models.registry import get_model
 from engine.simulation.free_run import free_run
 from tests.studies.measured import alone, by_sindy, models, records, report, runs, side_by_side
@@ -48,7 +49,24 @@ def test_every_record_is_read_and_its_model_runs_on_it(name):
         part.check(data.model)
         short = part.part(0, 60)
         assert np.isfinite(free_run(data.model, theta, short).y).all()
+    test = next(iter(data.tests.values()), None)
+    _, asked = records_of(data.model, data.train, test, data.options.get("held_out", HELD_OUT))
+    assert data.blocks is not bool(data.tests)
+    assert len(asked.train) == len(data.train) or name == "nile"  # whose step is in its first part
     assert set(KNOWN) == set(records.RECORDS)
+
+
+@pytest.mark.slow
+def test_the_law_is_found_although_it_is_in_the_last_fifth():
+    record = records.RECORDS["seatbelts"]
+    if not record.there:
+        pytest.skip(record.reason)
+    row = runs.work("seatbelts", 1, 0)
+    assert row["verdict"] == "named", row["causes"]
+    (cause,) = json.loads(str(row["causes"]))
+    assert cause["effect"] == "step:drivers"
+    assert cause["values"]["step_drivers_time"] == pytest.approx(169.0, abs=1.0)
+    assert json.loads(str(row["errors"]))
 
 
 def test_the_law_is_hidden_and_pulses_take_turns():

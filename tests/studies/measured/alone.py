@@ -102,7 +102,7 @@ def asked_of_base(found: Diagnosis) -> FreeRunSearch:
     asked, base = found.asked, found.search.base
     if asked is None:
         raise ValueError("the diagnosis does not know what was asked")
-    _, records = records_of(asked.model, asked.series, asked.test)
+    _, records = records_of(asked.model, asked.series, asked.test, _option(found, "held_out"))
     if found.substeps > 1:
         records = records.refined(found.substeps)
     given = [records.train, *records.others]

@@ -156,14 +156,11 @@ def _nile(folder: Path) -> Data:
 
 
 def _seatbelts(folder: Path) -> Data:
-    """The law is not told. With the record as its own test part none of it is kept back from the search.
-
-    The last fifth, which is kept back otherwise, begins before the law; blocks left out judge.
-    """
+    """The law is not told. It falls into the last fifth, so none is kept back; blocks left out judge."""
     table = np.genfromtxt(folder / "seatbelts.csv", delimiter=",", names=True)
     y, price = np.log(table["drivers_ksi_count"]), np.log(table["petrol_price"])
     whole = Series(y, price, dt=1.0, y_names=["drivers"], u_names=["price"])
-    return Data(SEASONAL, whole, {"itself": whole}, settled=0, blocks=True)
+    return Data(SEASONAL, whole, {}, {"held_out": 0.0}, settled=0, blocks=True)
 
 
 def thinned(series: Series, n: int) -> Series:

@@ -1,0 +1,112 @@
+"""The share of the longest record that is held out: what is in it is found only where nothing is."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data.series import Series
+from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
+from engine.diagnose.gain.adoption import NOT_MEASURED
+from engine.diagnose.records import Records, records_of
+from engine.diagnose.search.findings import Verdict
+from engine.errors import OptionError
+from engine.models.local_level import MODEL as LEVEL
+from service.diagnoses import in_a_line
+from tests.engine.hidden_effects import DRIVE, hidden
+
+
+def late_step():
+    """150 readings of a level; from the 136th on, in the last fifth, they are too high."""
+    series = engine.simulate(
+        LEVEL, {"q": 20.0, "r": 400.0, "level": 0.0}, 150, np.random.default_rng(1)
+    ).series
+    y = series.y.copy()
+    y[135:] += 80.0
+    return Series(y, dt=1.0, y_names=series.y_names)
+
+
+def test_a_step_in_the_last_fifth_is_found_where_nothing_is_held_out():
+    asked = {"effects": ["step"], "seed": 1}
+    before = engine.diagnose(LEVEL, late_step(), **asked)
+    assert before.verdict is Verdict.NOTHING
+    assert any("from t = 120 s on was held out and not searched" in note for note in before.notes)
+    found = engine.diagnose(LEVEL, late_step(), **asked, held_out=0)
+    (cause,) = found.causes
+    assert found.verdict is Verdict.NAMED
+    assert cause.parameters["step_flow_time"] == 135.0
+    assert found.gain.samples == 150
+    assert "blocks" in found.gain.how
+    assert not any("held out" in note for note in found.notes)
+
+
+@pytest.fixture(scope="module")
+def bias():
+    series = hidden(["bias:reading"], {"bias_reading": 0.5}, 1, 200)
+    return engine.diagnose(DRIVE, series, effects=["bias"], seed=1, held_out=0.0)
+
+
+def test_what_is_named_without_held_out_data_has_no_gain_and_says_so(bias, tmp_path):
+    assert bias.verdict is Verdict.NAMED
+    assert bias.gain is None
+    assert bias.notes.count(NOT_MEASURED) == 1
+    assert len(bias.symptoms.series) == len(bias.series) == 200  # all of it was looked at
+    assert any("particle filter" in note for note in bias.notes)  # which needs no other data
+    page = " ".join(str(bias).split())
+    assert page.count(NOT_MEASURED) == 2  # the gain, the notes
+    assert "Not judged, as 4 says" in page
+    report = bias.report(tmp_path / "bias.html").read_text(encoding="utf-8")
+    for text in (page, report):
+        assert "Nothing was added" not in text
+        assert "Not adopted" not in text
+    assert "Nothing was held out" in report
+    assert in_a_line(bias).endswith("No data were held out to judge it.")
+    json.dumps(bias.to_dict(), allow_nan=False)
+    assert "bias:reading" in bias._repr_html_()
+
+
+def test_a_diagnosis_of_the_whole_record_is_kept(bias):
+    assert bias.asked.options["held_out"] == 0.0
+    asked = bias.asked
+    parts = json.loads(json.dumps(dict(asked.parts)))
+    found = engine.diagnose(DRIVE, asked.series, test=[], **asked.options, kept=parts)
+    assert np.array_equal(found.theta, bias.theta)
+    assert found.gain is None
+    with pytest.raises(OptionError, match="other options"):
+        engine.diagnose(DRIVE, asked.series, **{**asked.options, "held_out": 0.2}, kept=parts)
+
+
+@pytest.mark.parametrize("share", [-0.1, 0.6, float("nan")])
+def test_a_share_that_is_none_is_refused(share):
+    with pytest.raises(OptionError, match="is not within 0 to") as error:
+        engine.diagnose(LEVEL, late_step(), held_out=share)
+    assert error.value.field == "held_out"
+
+
+def test_a_share_beside_a_test_is_refused():
+    test = Series(np.arange(40.0), dt=1.0, y_names=["flow"])
+    with pytest.raises(OptionError, match="beside test") as error:
+        engine.diagnose(LEVEL, late_step(), test=test, held_out=0.0)
+    assert error.value.field == "held_out"
+    _, records = records_of(LEVEL, late_step(), test, 0.2)
+    assert (len(records.train), len(records.held_out[0])) == (150, 40)
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.0, 0), (0.001, 2), (0.2, 20), (0.5, 50)])
+def test_train_and_held_out_are_the_record(share, kept):
+    whole = Records(Series(np.arange(100.0), dt=1.0), share=share)
+    for records, k in ((whole, 1), (whole.refined(3), 3)):
+        assert len(records.train.samples) == 100 - kept
+        assert sum(len(one.samples) for one in records.held_out) == kept
+        assert records.keeps_back is (kept > 0)
+        assert records.main.substeps == k
+
+
+def test_what_only_the_free_run_sees_needs_data_that_it_has_not_seen():
+    """That none were held out is another reason than that it gains nothing on them."""
+    asked = SecondOpinion(Verdict.NOTHING, (), True, "", search=SimpleNamespace(found=("drag",)))
+    said, verdict = heeding(asked, Verdict.NAMED, None)
+    assert (said.decides, verdict) == (False, Verdict.NOTHING)
+    assert "nothing was held out" in said.reason
