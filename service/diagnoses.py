@@ -10,7 +10,7 @@ import engine
 from engine import words
 from engine.data.series import Series
 from engine.diagnose import Cause, Diagnosis, Verdict
-from engine.presentation.cause_sentences import late, sample_step
+from engine.presentation.cause_sentences import late, sample_step, sized
 from service.computations import Progress, anew_where_another
 from service.schemas import DiagnoseRequest
 from service.validation import Prepared
@@ -114,7 +114,8 @@ def in_a_line(found: Diagnosis) -> str:
 
 
 def _cause(one: Cause, series: Series) -> str:
-    text = f"{one.title[:1].upper()}{one.title[1:]} {words.estimate(one.size, one.standard_error, one.unit)}"
+    comma = "" if one.amplitude is None else ","
+    text = f"{one.title[:1].upper()}{one.title[1:]}{comma} {sized(one)}"
     text += late(one, sample_step(series), series.time_unit)
     if len(one.equivalent) < 2:
         return text

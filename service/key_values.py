@@ -27,7 +27,12 @@ def found_by(result: Mapping[str, Any]) -> dict[str, str | None]:
 
 def _of_diagnosis(d: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for one in d.get("causes", ()):
-        yield _value(one["effect"], one["size"], one["standard_error"], one["unit"])
+        if (amplitude := one.get("amplitude")) is not None:  # of a wave, whose size is its cosine's
+            yield _value(
+                f"amplitude of {one['effect']}", amplitude, one["amplitude_error"], one["unit"]
+            )
+        else:
+            yield _value(one["effect"], one["size"], one["standard_error"], one["unit"])
     for one in (d.get("gain") or {}).get("outputs", ()):
         for when in ("before", "after"):
             name = f"held-out error of {one['output']} {when}"

@@ -197,10 +197,7 @@ class Diagnosis(Shown):
         return save(self, path)
 
     def _view(self) -> View:
-        causes = [
-            (c.effect, c.title, c.size, c.standard_error, tidy(c.unit), c.probability)
-            for c in self.causes
-        ]
+        causes = [(c.effect, c.title, *_sized(c), tidy(c.unit), c.probability) for c in self.causes]
         head = ("effect", "cause", "size", "standard error", "unit", "")
         return sheet(
             f"{self.model.name}: {self.verdict.value}",
@@ -210,3 +207,10 @@ class Diagnosis(Shown):
             tables().line("" if self.gain is None else view("diagnosis_text").gain_line(self.gain)),
             tables().line("print() shows all of it, .plot() the pictures."),
         )
+
+
+def _sized(cause: Cause) -> tuple[float, float | None]:
+    """The size of a cause with its error, of a wave its amplitude."""
+    if cause.amplitude is not None:
+        return cause.amplitude, cause.amplitude_error
+    return cause.size, cause.standard_error

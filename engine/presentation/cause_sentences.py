@@ -47,12 +47,18 @@ def headline(cause: Cause, step: float | None = None, clock: str = SECOND) -> st
     ``step`` is the time between samples, if it is the same throughout, in ``clock``.
     """
     name = cause.title[:1].upper() + cause.title[1:]
-    size = estimate(cause.size, cause.standard_error, cause.unit)
     return (
-        f"{name} [{cause.effect}]: {size}{late(cause, step, clock)}{when(cause)}, {cause.probability}, "
+        f"{name} [{cause.effect}]: {sized(cause)}{late(cause, step, clock)}{when(cause)}, {cause.probability}, "
         f"2 x log-likelihood gained {gained(cause.gain)}"
         + (f" together with {enumerated(list(cause.together))}" if cause.together else "")
     )
+
+
+def sized(cause: Cause) -> str:
+    """``0.52 +- 0.03 N``; of a wave, whose size is its cosine's, ``amplitude 0.158 +- 0.014 m/s``."""
+    if cause.amplitude is not None:
+        return f"amplitude {estimate(cause.amplitude, cause.amplitude_error, cause.unit)}"
+    return estimate(cause.size, cause.standard_error, cause.unit)
 
 
 def gained(gain: float | None) -> str:

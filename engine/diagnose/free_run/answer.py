@@ -15,6 +15,7 @@ from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, one_rou
 from engine.diagnose.free_run.windows import LONG, STRETCH
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.screening.screening import Progress
+from engine.diagnose.search.amplitude import amplitude_of
 from engine.diagnose.search.findings import Cause, LookAlike, Verdict
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
@@ -226,7 +227,7 @@ def causes_of(found: FreeRunSearch) -> tuple[Cause, ...]:
 
 def _cause(found: FreeRunSearch, one: FreeRound, effect: Effect, gain: float) -> Cause:
     theta, free = found.after.theta, found.after.free
-    error = float("nan")
+    error, (amplitude, amplitude_error) = float("nan"), amplitude_of(effect, found.after)
     if effect.size.name in free:
         error = float(found.after.standard_errors[free.index(effect.size.name)])
     return Cause(
@@ -245,6 +246,8 @@ def _cause(found: FreeRunSearch, one: FreeRound, effect: Effect, gain: float) ->
         tuple(name for name in one.chosen.names if name != effect.name) if one.chosen else (),
         units={p.name: p.unit for p in effect.parameters},
         at_floor=one.alarm.at_floor,
+        amplitude=amplitude,
+        amplitude_error=amplitude_error,
     )
 
 

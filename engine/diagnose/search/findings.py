@@ -51,7 +51,8 @@ class Cause:
     ``standard_error``; ``p_value`` family-wise; ``gain`` = 2 (log-likelihood gained); ``equivalent`` the
     names of all effects the data cannot tell from it, itself first; ``together`` names that were chosen with
     it: the gain is that of all of them; ``at_floor`` whether ``p_value`` is the least that so many simulated
-    series can give.
+    series can give. Of a wave ``size`` is the part of the cosine, and ``amplitude`` with ``amplitude_error``
+    is how large it is, in the same unit; None of all else.
     """
 
     effect: str
@@ -69,6 +70,8 @@ class Cause:
     together: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)  # of ``parameters``
     at_floor: bool = False
+    amplitude: float | None = None
+    amplitude_error: float | None = None
 
     @property
     def probability(self) -> str:

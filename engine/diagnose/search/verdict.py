@@ -6,6 +6,7 @@ import numpy as np
 
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.diagnose.screening.screen import Screen
+from engine.diagnose.search.amplitude import amplitude_of
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
@@ -75,6 +76,7 @@ def cause_of(found: Round) -> Cause:
     """The best effect of a round, with what was held against it."""
     best = found.refits[0]
     effect = best.effect
+    amplitude, amplitude_error = amplitude_of(effect, best.fit)
     return Cause(
         effect.name,
         effect.title,
@@ -90,6 +92,8 @@ def cause_of(found: Round) -> Cause:
         _look_alikes(found, best),
         units={p.name: p.unit for p in effect.parameters},
         at_floor=found.screen.at_floor,
+        amplitude=amplitude,
+        amplitude_error=amplitude_error,
     )
 
 

@@ -131,7 +131,12 @@ def estimated(value: float | None, error: float | None, unit: str) -> str:
 
 
 def with_time(cause: Document) -> str:
-    """The size of a cause with its standard error; of a delay in time, too, where the document has it."""
+    """The size of a cause with its standard error; of a delay in time, too, where the document has it.
+
+    Of a wave its amplitude, which documents of earlier versions do not have.
+    """
+    if (amplitude := cause.get("amplitude")) is not None:
+        return f"amplitude {estimated(amplitude, cause['amplitude_error'], cause['unit'])}"
     said = estimated(cause["size"], cause["standard_error"], cause["unit"])
     return said + prose(cause.get("late", ""))
 
