@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from engine.diagnose.effects.effect import Parts, Split, on_base
+from engine.diagnose.effects.setting import Setting
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.promotion import product
 from engine.statespace.shapes import as_matrix
@@ -85,12 +86,14 @@ def _with_free_names(model: MixedModel, states: Mapping[str, str]) -> dict[str, 
     return added
 
 
-def spread_at_first(name: str, source: str) -> Parameter:
-    """A held parameter of the effect ``name``: how far from rest its memory of ``source`` may begin."""
-    what = f"at first, as a share of that of {source}: 0 at rest, 1 anywhere"
-    return Parameter(
-        f"{name}_spread", 1.0, "1", (0.0, 1.0), f"standard deviation of the memory {what}"
-    )
+def spread_at_first(setting: Setting, name: str, source: str) -> Parameter:
+    """A held parameter of the effect ``name``: how far from rest its memory of ``source`` may begin.
+
+    Up to the source's own standard deviation, where that is known.
+    """
+    what = f"standard deviation at first of the memory of {source}; 0: it begins at rest"
+    most = float(setting.scale.get(source, 0.0))
+    return Parameter(f"{name}_spread", most, setting.unit(source), (0.0, np.inf), what)
 
 
 def beside(step: LinearGaussian, M: int, block: Any, noise: Any) -> LinearGaussian:

@@ -135,7 +135,7 @@ def _blocks(now: Any, shift: Array, hold: Array) -> Array:
 def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
     """An input that arrives some samples late, or a part of it does."""
     unit, before = setting.unit(channel), setting.first(channel)
-    spread = spread_at_first(name, channel)
+    spread = spread_at_first(setting, name, channel)
     latest = LONGEST_DELAY if _adds(setting, setting.model, channel) else LONGEST_BY_MEMORY
 
     def extend(model: MixedModel) -> MixedModel:
@@ -156,7 +156,7 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
             spread,
         ),
         extend,
-        probes=tuple((float(d), before, 1.0) for d in range(1, latest + 1)),
+        probes=tuple((float(d), before, spread.default) for d in range(1, latest + 1)),
         look_alikes={
             "lag": "delays the reading, not the input",
             "hold": "looks half a sample ahead, not back",
@@ -251,11 +251,10 @@ def _late_input(model: MixedModel, setting: Setting, channel: str) -> MixedModel
     """
     split, depth, nz = Split(model), LONGEST_DELAY, model.nz
     index, scale = list(model.inputs).index(channel), setting.size(channel)
-    most = float(setting.scale.get(channel, 0.0))
     shift, hold = np.eye(depth, k=-1), np.eye(depth)
 
     def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
-        return np.full((len(a), depth), float(own[2])), np.zeros((depth, nz)), (own[3] * most) ** 2
+        return np.full((len(a), depth), float(own[2])), np.zeros((depth, nz)), own[3] ** 2
 
     def gain(function: Any, here: Array, a: Array, u: Any, *at: Any) -> Array:
         more = with_input(u, index, u[index] + scale)
@@ -312,7 +311,6 @@ def _register(setting: Setting, channel: str, depth: int) -> dict[str, str]:
 def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     """For an input that does not simply add: the last ones as nonlinear states."""
     split, index, depth = Split(model), list(model.inputs).index(channel), LONGEST_BY_MEMORY
-    most = float(setting.scale.get(channel, 0.0))
 
     def driven(last: Array, u: Any, parts: Array) -> Any:
         late = (parts.T * (last - u[index])).sum(axis=0)
@@ -329,7 +327,7 @@ def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> 
         return model.observation(a, driven(last, u, _parts(own, depth)), t, record)
 
     def begin(own: Any) -> tuple[float, float]:
-        return float(own[2]), (own[3] * most) ** 2
+        return float(own[2]), own[3] ** 2
 
     states = _register(setting, channel, depth)
     late = add_memory(model, split, states, step, begin, observe)

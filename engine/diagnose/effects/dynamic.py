@@ -29,9 +29,9 @@ class _Following:
         self.row, self.column, self.source = states.index(target), states.index(source), source
         self.continuous = model.continuous
 
-    def begin(self, setting: Setting) -> Begin:
-        """The first at x_1, the others at zero; their spread is up to the source's, where it is known."""
-        most = float(setting.scale.get(self.source, 0.0))
+    @property
+    def begin(self) -> Begin:
+        """The first at x_1, the others at zero, with the spread that is the last of the effect's values."""
 
         def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
             m, G = np.zeros((len(a), self.k)), np.zeros((self.k, self.nz))
@@ -39,7 +39,7 @@ class _Following:
                 m[:, 0] = a[:, self.column]
             else:
                 G[0, self.column - self.na] = 1.0
-            return m, G, (own[-1] * most) ** 2
+            return m, G, own[-1] ** 2
 
         return begin
 
@@ -98,7 +98,7 @@ class _Following:
 
 def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -> Effect:
     """A first-order lag of a state that acts back: l' = l + dt (x - l) / tau, a force size (l - x)."""
-    spread = spread_at_first(name, source)
+    spread = spread_at_first(setting, name, source)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -112,7 +112,7 @@ def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -
             return follow(step, a, dt * own[0], [1.0 - keep])
 
         states = {f"lag_{source}": setting.unit(source)}
-        return add_linear_states(model, split, states, dynamics, follow.begin(setting))
+        return add_linear_states(model, split, states, dynamics, follow.begin)
 
     return Effect(
         "pole",
@@ -126,7 +126,7 @@ def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -
             spread,
         ),
         extend,
-        probes=((5.0 * setting.dt, 1.0), (30.0 * setting.dt, 1.0)),
+        probes=tuple((k * setting.dt, spread.default) for k in (5.0, 30.0)),
         held=(spread.name,),
         spread=spread.name,
         look_alikes={"coupling": "acts without delay", "latent": "is not driven by the states"},
@@ -139,7 +139,7 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
 
     Discretised exactly for x held over the step; its second state is q' / w, in the unit of x.
     """
-    unit, spread = setting.unit(source), spread_at_first(name, source)
+    unit, spread = setting.unit(source), spread_at_first(setting, name, source)
 
     def extend(model: MixedModel) -> MixedModel:
         split = Split(model)
@@ -157,7 +157,7 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
             return follow(step, a, dt * own[0], [1.0 - block[0][0], s])
 
         own_states = {f"mode_{source}": unit, f"mode_rate_{source}": unit}
-        return add_linear_states(model, split, own_states, dynamics, follow.begin(setting))
+        return add_linear_states(model, split, own_states, dynamics, follow.begin)
 
     return Effect(
         "mode",
@@ -173,7 +173,7 @@ def _mode(setting: Setting, channel: str, name: str, source: str, target: str) -
             spread,
         ),
         extend,
-        probes=tuple((f / setting.dt, 0.2, 1.0) for f in FREQUENCIES),
+        probes=tuple((f / setting.dt, 0.2, spread.default) for f in FREQUENCIES),
         held=(spread.name,),
         spread=spread.name,
         look_alikes={"pole": "does not ring", "harmonic": "does not depend on the states"},

@@ -38,11 +38,10 @@ class Effect:
     tells them apart; ``one_sided`` whether only a positive size makes sense (a variance); ``held`` those
     of its parameters that are a reference, not to be estimated; ``zero`` the one among them that is the
     zero the effect counts from, where nothing declares or tells it: it may be estimated after all, where
-    the data can tell; ``spread`` the one that is 1 where a memory may begin anywhere and 0 where it begins at
-    rest, whichever explains more; ``readings(y, size)`` what it does to a channel's finished readings (T,),
-    where the extension only stands for that (rounding as noise); ``shown`` the size that the readings
-    themselves show, if they do: it is known then, and no parameter; ``traits`` what the search must know of
-    its kind.
+    the data can tell; ``spread`` the one that is 0 where a memory begins at rest, which is tried, too;
+    ``readings(y, size)`` what it does to a channel's finished readings (T,), where the extension only stands
+    for that (rounding as noise); ``shown`` the size that the readings themselves show, if they do: it is known
+    then, and no parameter; ``traits`` what the search must know of its kind.
     """
 
     kind: str

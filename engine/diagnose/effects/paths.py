@@ -78,13 +78,13 @@ def _path(setting: Setting, channel: str) -> Effect | None:
     origin = Origin(setting, name, source)
     first, until = setting.first(source), f"{source} until the record"
     before = Parameter(f"{name}_first", first, setting.unit(source), description=until)
-    spread = spread_at_first(name, source)
+    spread = spread_at_first(setting, name, source)
     members = origin.counted(
         _size(setting, name, *ends),
         setting.time_constant(f"{name}_time", "time constant"),
         before,
         spread,
-        probes=[(samples * setting.dt, first, 1.0) for samples in (5.0, 30.0)],
+        probes=[(samples * setting.dt, first, spread.default) for samples in (5.0, 30.0)],
     )
     alike = {
         "direct": "follows the input at once",
@@ -113,10 +113,9 @@ def _with_path(
     split, nx, nz = Split(model), model.nx, model.nz
     index, states = list(model.inputs).index(source), [*model.nonlinear, *model.linear]
     row = states.index(target) if target in states else None
-    most = float(setting.scale.get(source, 0.0))
 
     def begin(a: Array, record: Any, own: Any) -> tuple[Array, Array, Any]:
-        return np.full((len(a), 1), float(own[2])), np.zeros((1, nz)), (own[3] * most) ** 2
+        return np.full((len(a), 1), float(own[2])), np.zeros((1, nz)), own[3] ** 2
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
         record, own = split(theta)

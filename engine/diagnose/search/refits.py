@@ -185,9 +185,9 @@ def _with_other_beginning(refit: Refit, null: float, series: Series) -> Refit:
     effect, known = refit.effect, refit.fit
     if effect.spread is None or known.given_up:
         return refit
-    other = known.model.theta(
-        {**known.theta.asdict(), effect.spread: 1.0 - known.theta[effect.spread]}
-    )
+    most = next(p.default for p in effect.parameters if p.name == effect.spread)
+    spread = 0.0 if known.theta[effect.spread] > 0.0 else most
+    other = known.model.theta({**known.theta.asdict(), effect.spread: spread})
     try:
         here = log_likelihoods(known.model, [series], np.asarray(other)[None])[0]
         if not here > known.log_likelihood:

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2, kstest
 
 import engine
-from engine.diagnose.effects.catalogue import all_effects, make_effect
+from engine.diagnose.effects.catalogue import all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.screening.score_columns import Column, Projection
@@ -237,14 +237,18 @@ def test_a_memory_begins_at_rest_or_anywhere_whichever_explains_more(begins):
     base = quasi_ml(model, series)
     setting = setting_for(model, series, base.theta)
     effect = make_effect("pole:speed", setting)
-    found = refit(base, series, Score(effect, 1.0, 1.0, 0.1, 0.1, 1.0, (1.0, 1.0)))
+    most = float(setting.scale["speed"])
+    found = refit(base, series, Score(effect, 1.0, 1.0, 0.1, 0.1, 1.0, (1.0, most)))
     spread = found.fit.theta["pole_speed_spread"]
-    assert spread == (0.0 if begins == "at rest" else 1.0)
-    other = found.fit.model.theta({**found.fit.theta.asdict(), "pole_speed_spread": 1.0 - spread})
+    assert spread == (0.0 if begins == "at rest" else most)
+    other = found.fit.model.theta({**found.fit.theta.asdict(), "pole_speed_spread": most - spread})
     free = list(found.fit.free)
     there = quasi_ml(found.fit.model, series, other, free)
     assert found.fit.log_likelihood > there.log_likelihood + 0.5
     assert "pole_speed_spread" not in free
+    # the value says it all: a model extended by name, which knows no data, is the same
+    named = quasi_ml(extend(model, ["pole:speed"]), series, found.fit.theta, [], max_iterations=0)
+    assert named.log_likelihood == pytest.approx(found.fit.log_likelihood, abs=1e-9)
 
 
 def test_noise_that_went_to_a_bound_for_want_of_an_effect_comes_back_with_it():
