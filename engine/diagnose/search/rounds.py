@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.screen import Screen
-from engine.diagnose.search.likeness import distinct
+from engine.diagnose.search.likeness import distinct, rank
 from engine.diagnose.search.refits import Refit
 
 MARGIN = 2.0  # of the score: a likelihood ratio of e
 UNNAMED_MARGIN = 6.0  # over a force that nobody named, which is always possible
+EVEN = 0.05  # of the score: what refits leave undone, so that it may not decide which name leads
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +37,17 @@ def settle(
     unnamed = [r for r in refits if r.effect.traits.unnamed]
     ranked = sorted((r for r in refits if not r.effect.traits.unnamed), key=lambda r: -r.score)
     within = [r for r in ranked if r.score >= ranked[0].score - margin]
-    equivalent = distinct(within, series, setting)
+    equivalent = _led(distinct(within, series, setting), setting)
     if equivalent:  # of effects that are the same here, the name that stands for them leads
         ranked = [equivalent[0], *(r for r in ranked if r is not equivalent[0])]
     top = max(unnamed, key=lambda r: r.score) if unnamed else None
     return Round(screen, tuple(ranked), top, equivalent)
+
+
+def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
+    """The set with the plainest of its best names in front, in any unit: of drag and of a square, say."""
+    if not equivalent:
+        return ()
+    even = [r for r in equivalent if r.score >= equivalent[0].score - EVEN]
+    first = min(even, key=lambda r: (rank((r.effect,), setting), r.effect.name))
+    return (first, *(r for r in equivalent if r is not first))

@@ -9,6 +9,7 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.search import likeness, refitting
 from engine.diagnose.search.likeness import NEEDED, TIE, distinct
+from engine.diagnose.search.rounds import settle
 from tests.engine.hidden_effects import DRIVE
 
 
@@ -84,6 +85,13 @@ def test_a_sensors_bias_does_not_stand_for_what_pushes_the_plant(other):
 def test_of_the_same_push_the_plainer_name_is_said():
     alike = refits(("input-offset:force", 40.0, 1.0), ("force:speed", 39.9, 1.0))
     assert names(distinct(alike, None, place("neither"))) == ["force:speed"]
+
+
+@pytest.mark.parametrize("ahead", [-1e-6, 1e-6, 0.04])
+def test_rounding_does_not_decide_which_name_leads(ahead):
+    """The square and the drag of what has one sign are one; in other units the other one was ahead."""
+    even = refits(("drag:speed", 40.0 + ahead, 1.0), ("quadratic:speed", 40.0, 1.0))
+    assert names(settle(None, even, None, place("neither")).equivalent)[0] == "drag:speed"
 
 
 def test_a_wider_kind_must_be_clearly_ahead_of_what_it_contains():
