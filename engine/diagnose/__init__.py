@@ -54,7 +54,7 @@ from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
-from engine.words import meant
+from engine.words import meant, number
 
 __all__ = [
     "Cause",
@@ -75,6 +75,8 @@ __all__ = [
     "make_effect",
     "register_effect",
 ]
+
+TIME_DIGITS = 10  # of a time in words: seconds of a clock are told apart
 
 
 def diagnose(  # noqa: PLR0913
@@ -212,8 +214,8 @@ def diagnose(  # noqa: PLR0913
     notes.extend(judged.notes)
     if records.keeps_back and judged.verdict in (Verdict.NOTHING, Verdict.UNKNOWN):
         notes.append(
-            f"The record from t = {records.main.t[len(plain)]:g} {plain.time_unit} on was held out and not "
-            "searched: held_out=0 searches all of it, test= judges by other data."
+            f"The record from t = {number(records.main.t[len(plain)], TIME_DIGITS)} {plain.time_unit} on was "
+            "held out and not searched: held_out=0 searches all of it, test= judges by other data."
         )
 
     names = tuple(cause.effect for cause in judged.causes)

@@ -72,10 +72,20 @@ class Effect:
         return self.parameters[0]
 
     @property
+    def amplitudes(self) -> tuple[Parameter, ...]:
+        """The size, and of a wave the amplitude of its sine; what follows says when, or how often."""
+        return self.parameters[: 2 if self.traits.course is Course.HARMONIC else 1]
+
+    @property
+    def timing(self) -> Parameter:
+        """The time or the frequency of what runs over time."""
+        return self.parameters[len(self.amplitudes)]
+
+    @property
     def sought(self) -> tuple[str, ...]:
         """Times at which the likelihood jumps: sought on rows, not by slopes."""
         jumps = self.traits.course in (Course.STEP, Course.PULSE)
-        return (self.parameters[1].name,) if jumps else ()
+        return (self.timing.name,) if jumps else ()
 
     def from_elsewhere(self, at: Sequence[float] | Array) -> bool:
         """Whether ``at``, one of the probes, counts from elsewhere than where its zero is held."""

@@ -16,7 +16,7 @@ def amplitude_of(effect: Effect, fit: QuasiFit) -> tuple[float | None, float | N
     """
     if effect.traits.course is not Course.HARMONIC:
         return None, None
-    names = [p.name for p in effect.parameters[:2]]
+    names = [p.name for p in effect.amplitudes]
     parts = np.array([float(fit.theta[name]) for name in names])
     amplitude = float(np.hypot(*parts))
     at = [fit.free.index(name) for name in names if name in fit.free]

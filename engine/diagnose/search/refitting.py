@@ -173,10 +173,10 @@ def _at_other_frequencies(refits: Sequence[Refit], leading: Refit, series: Serie
     if leading.effect.traits.course is not Course.HARMONIC:
         return []
 
+    length = float(series.t[-1] - series.t[0])
+
     def cycles(found: Refit) -> float:
-        return float(
-            found.fit.theta[found.effect.parameters[2].name] * (series.t[-1] - series.t[0])
-        )
+        return float(found.fit.theta[found.effect.timing.name]) * length
 
     waves = [r for r in refits if r.effect.traits.course is Course.HARMONIC]
     return [r for r in waves if abs(cycles(r) - cycles(leading)) > 1.0]
@@ -206,11 +206,10 @@ def _in_time_with(leading: Refit, fit: QuasiFit, series: Series, score: Score) -
     effect, other = score.effect, leading.effect
     model, n = effect.apply(fit.model), len(fit.theta)
     theta = model.theta([*np.asarray(leading.fit.theta)[:n], 0.0, *score.at])
-    of_time = 1 if effect.sought else 2  # a wave has two amplitudes
-    when = float(leading.fit.theta[other.parameters[of_time].name])
-    theta = model.theta(theta.asdict() | {effect.parameters[of_time].name: when})
+    when = float(leading.fit.theta[other.timing.name])
+    theta = model.theta(theta.asdict() | {effect.timing.name: when})
     try:
-        sizes = [p.name for p in effect.parameters[:of_time]]
+        sizes = [p.name for p in effect.amplitudes]
         return np.asarray(quasi_ml(model, series, theta, sizes).theta)
     except (EngineError, np.linalg.LinAlgError):
         return None
