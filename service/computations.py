@@ -48,6 +48,7 @@ METHODS: dict[str, Callable[..., engine.EmResult]] = {
     "ps-em": engine.ps_em,
     "rts-em": engine.rts_em,
 }
+SEARCHING = ("quasi-newton", "rbps-em")  # of these, those that search for a start
 
 
 class Progress(Protocol):
@@ -147,16 +148,20 @@ def fit(
     seed: int,
     progress: Progress,
     simulation_first: bool = False,
+    uphill: bool = False,
 ) -> dict[str, Any]:
     """Estimate from theta0, going on where an earlier attempt was; rows as in ``db_schema.iterations``.
 
-    With ``simulation_first`` it leaves from the fit of the simulation.
+    With ``simulation_first`` it leaves from the fit of the simulation; ``uphill`` it does not search around
+    theta0 for a better start.
     """
     method = METHODS[options.method]
     arguments: dict[str, Any] = {"n_iterations": options.iterations}
     if options.method != "rts-em":
         arguments |= {"n_particles": options.particles, "seed": seed}
         arguments |= {"n_trajectories": options.trajectories}
+    if uphill and options.method in SEARCHING:
+        arguments["warm_start"] = "uphill"
     rows = progress.rows()
     if len(rows):
         trace, columns = np.split(rows, [len(job.model.parameters)], axis=1)

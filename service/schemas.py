@@ -271,7 +271,8 @@ class EstimateOptions(_Strict):
     the log-likelihood is far from quadratic. By the likelihood ratio they take several times as long as
     all the rest"""
     starts: int = Field(default=1, ge=1)
-    """the best of this many starts is taken"""
+    """the best of this many starts is taken. Around the first a better one is searched for; the others climb
+    from where they are"""
     bootstrap: int = Field(default=0, ge=0)
     """standard errors from this many estimations on simulated data"""
     substeps: Substeps = 1

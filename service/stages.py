@@ -114,7 +114,8 @@ def _fit(job: Prepared, request: EstimateRequest, i: int, progress: Progress) ->
     start = {"start": theta0.asdict()}
     try:
         first = i == 0 and options.first == "simulation"
-        found = computations.fit(job, options, theta0, options.seed, progress, first)
+        # the first start is searched around as that of a single estimation; the others are spread already
+        found = computations.fit(job, options, theta0, options.seed, progress, first, i > 0)
         start = {"start": dict(zip(job.model.parameter_names, found["trace"][0], strict=True))}
     except ModelError as error:
         return start | {"success": False, "outcome": "failed", "message": str(error)}
@@ -183,7 +184,8 @@ def _resample(
         drawn.append(series.replace(y=y))
     again = Prepared(request, model, drawn, theta, job.free)
     try:
-        found = computations.fit(again, options, theta, options.seed + 1 + i, progress)
+        seed = options.seed + 1 + i
+        found = computations.fit(again, options, theta, seed, progress, uphill=True)
     except ModelError as error:
         return {"success": False, "message": str(error)}
     return {key: found[key] for key in ("theta", "success", "message")}

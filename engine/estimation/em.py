@@ -26,6 +26,7 @@ from engine.statespace.clock import about_clock
 from engine.statespace.model import MixedModel, ThetaLike
 
 METHODS = ("quasi-newton", "em")
+UPHILL = "uphill"
 WORTH = 20.0  # nats per parameter and ``tolerance`` that Monte Carlo noise may cost
 
 
@@ -48,7 +49,7 @@ def rbps_em(  # noqa: PLR0913
     recover: bool = True,
     m_step: str = "scoring",
     tolerance: float | None = 1e-3,
-    warm_start: bool = True,
+    warm_start: bool | str = True,
     method: str = "quasi-newton",
 ) -> EmResult:
     """Estimate theta from one or several series by maximum likelihood; paper, Algorithm 1 (RBPS-EM).
@@ -100,9 +101,11 @@ def rbps_em(  # noqa: PLR0913
         Share of a parameter's size by which the means of older and newer iterates may differ once they have
         settled, beside their Monte Carlo error. For ``method="quasi-newton"`` the log-likelihood that Monte
         Carlo noise may cost is 20 nats per parameter times it. None uses all iterations.
-    warm_start : bool
-        True starts from the maximum of the moment filter's approximate likelihood where ``theta0`` is far less
-        likely; False always starts at ``theta0``.
+    warm_start : bool or "uphill"
+        True searches around ``theta0`` for the maxima of the moment filter's approximate likelihood, and starts
+        from the best where ``theta0`` is far less likely; "uphill" climbs to the one above ``theta0`` alone, in
+        a fraction of the time, where starts are spread already or lie near the maximum; False always starts
+        at ``theta0``.
     method : str
         ``quasi-newton`` takes steps on the log-likelihood by the score that each E step gives, and steps of EM
         where it cannot; ``em`` is Algorithm 1 of the paper.
@@ -138,7 +141,7 @@ def rbps_em(  # noqa: PLR0913
         moment=likelihood.of,
     )
     indices = model.free_indices(free)
-    start = WarmStart(model, all_series, indices) if warm_start else None
+    start = _start(model, all_series, indices, warm_start)
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
     ascent = _ascent(likelihood, indices, tolerance) if newton else None
     particles = expect if recover else None
@@ -214,6 +217,17 @@ def rts_em(
     found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent)
     message = found.message + remark(given, found, all_series)
     return replace(found, model=given, message=message)
+
+
+def _start(
+    model: MixedModel, all_series: Sequence[Series], indices: NDArray[np.intp], given: bool | str
+) -> WarmStart | None:
+    """The search for a start that was asked for. Raises OptionError."""
+    if given not in (True, False, UPHILL):
+        raise OptionError(
+            f"warm_start = {given!r} is not known; use True, False or '{UPHILL}'", "warm_start"
+        )
+    return WarmStart(model, all_series, indices, around=given != UPHILL) if given else None
 
 
 def _is_newton(method: str) -> bool:

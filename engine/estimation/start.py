@@ -38,7 +38,8 @@ class WarmStart:
     """The maxima for a theta, as far as these rows tell; ``note`` says why where it found nothing.
 
     ``progress`` is told which share of a search is done. ``once``: a maximum that is known is not climbed to
-    its end again, which costs no more than the last digits.
+    its end again, which costs no more than the last digits. Not ``around``: climbs from theta alone, where that
+    has a likelihood.
     """
 
     def __init__(
@@ -50,8 +51,9 @@ class WarmStart:
         rivals: float = RIVAL_NATS,
         progress: Callable[[float], object] = lambda share: None,
         once: bool = False,
+        around: bool = True,
     ) -> None:
-        self.once = once
+        self.once, self.around = once, around
         self.model, self.indices, self.rivals, self.progress = model, indices, rivals, progress
         self.searched = [
             one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
@@ -82,10 +84,12 @@ class WarmStart:
         """
         model, indices = self.model, self.indices
         names = [model.parameter_names[k] for k in indices]
-        candidates = free_thetas(theta, indices, _around(model, theta, indices))
-        candidates = np.concatenate([np.asarray(theta)[None], candidates])
-        values = log_likelihoods(model, self.searched, candidates)
-        values = np.where(np.isfinite(values), values, -np.inf)
+        candidates = np.asarray(theta)[None]
+        values = np.array([-np.inf]) if self.around else self._likely(candidates)
+        if not np.isfinite(values[0]):
+            others = free_thetas(theta, indices, _around(model, theta, indices))
+            candidates = np.concatenate([candidates, others])
+            values = self._likely(candidates)
         order = np.argsort(-values, kind="stable")
         starts = [0, *[k for k in order if k][:IMPROVED_CANDIDATES]]
         self.progress(CANDIDATES_SHARE)
@@ -118,6 +122,11 @@ class WarmStart:
             if near and not any(_same(fit, other, indices) for other in apart):
                 apart.append(fit)
         return [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
+
+    def _likely(self, thetas: Array) -> Array:
+        """Log-likelihoods of thetas (K, n_theta), -inf where there is none."""
+        values = log_likelihoods(self.model, self.searched, thetas)
+        return np.where(np.isfinite(values), values, -np.inf)
 
 
 def _only_noise_sees_them(model: MixedModel, theta: Theta, series: Series) -> bool:

@@ -1,6 +1,12 @@
 """Several starts and the bootstrap: tasks in stages, reduced to one result."""
 
+import numpy as np
 import pytest
+
+import engine
+from service import computations, stages
+from service.schemas import EstimateRequest
+from service.validation import prepare
 
 
 def test_best_of_several_starts(client, estimation, ended):
@@ -40,3 +46,38 @@ def test_bootstrap_agrees_with_the_observed_information(client, estimation, ende
     assert (found[1]["bootstrap"]["runs"], found[1]["bootstrap"]["failed"]) == (12, 0)
     low, _, high = found[1]["bootstrap"]["quantiles"]["theta"].values()
     assert low < found[1]["estimate"]["theta"]["value"] < high
+
+
+class Left:
+    """Stands in for the store: what tasks left, and nothing done before."""
+
+    def __init__(self):
+        self.tasks = {}
+
+    def rows(self):
+        return np.empty((0, 0))
+
+    def left(self, task):
+        return self.tasks[task]
+
+    def start(self, *args):
+        pass
+
+    iteration = step = estimated = start
+
+
+def test_further_starts_and_a_bootstraps_runs_climb_from_where_they_are(estimation, monkeypatch):
+    """What is searched around the first start is not searched again around each of the others."""
+    asked = []
+
+    def spied(*args, warm_start=True, **options):
+        asked.append(warm_start)
+        return engine.rbps_em(*args, warm_start=False, **{**options, "n_iterations": 1})
+
+    monkeypatch.setitem(computations.METHODS, "quasi-newton", spied)
+    given = estimation(method="quasi-newton", starts=2, bootstrap=2, particles=5)
+    job = prepare(EstimateRequest.model_validate(given))
+    progress = Left()
+    for task in range(5):
+        progress.tasks[task] = stages.run(job, task, progress)
+    assert asked == [True, "uphill", "uphill", "uphill"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine import get_model, rbps_em, simulate
+from engine import Gaussian, MixedModel, Parameter, Series, get_model, rbps_em, simulate
+from engine.errors import OptionError
 from engine.estimation import start as module
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.start import WarmStart
@@ -38,6 +39,47 @@ def test_resuming_a_warm_started_run_gives_the_same_bits(series):
     first = rbps_em(model, series, LOST, n_particles=8, n_iterations=1)
     again = rbps_em(model, series, LOST, n_particles=8, n_iterations=3, resume=first.checkpoint)
     assert np.array_equal(whole.trace, again.trace)
+
+
+def test_uphill_climbs_to_the_maximum_above_the_start_alone(series, monkeypatch):
+    """From near the maximum both searches find it; uphill evaluates the filter a fraction as often."""
+    model = get_model("mixed-4")
+    theta, indices = model.theta(), model.free_indices(None)
+    climbs = []
+    monkeypatch.setattr(module, "quasi_ml", lambda *a, **o: climbs.append(1) or quasi_ml(*a, **o))
+    around = WarmStart(model, [series], indices).maxima(theta)[0]
+    searched = len(climbs)
+    uphill = WarmStart(model, [series], indices, around=False).maxima(theta)
+    assert len(climbs) - searched == 1 < searched
+    d = (np.asarray(uphill[0]) - np.asarray(around))[indices]
+    assert len(uphill) == 1
+    assert d @ quasi_ml(model, series, around).information @ d < 0.1
+
+
+def test_uphill_from_where_there_is_no_likelihood_searches_around():
+    def dynamics(a, u, t, dt, theta):
+        return [0.0], [[0.9 * np.exp(-np.square(theta.k))]], [[np.exp(theta.k)]]
+
+    model = MixedModel(
+        name="overflows",
+        nonlinear={},
+        linear={"z": "1"},
+        outputs={"y": "1"},
+        parameters=[Parameter("k", 800.0, "1", (-1000.0, 1000.0))],
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[0.1]]),
+        initial=lambda theta: (Gaussian([], np.zeros((0, 0))), [0.0], [[1.0]]),
+    )
+    series = Series(np.random.default_rng(0).standard_normal(60))
+    with np.errstate(all="ignore"):
+        found = WarmStart(model, [series], np.array([0]), around=False)(model.theta())
+    assert -2.0 < found[0]["k"] < 2.0
+
+
+def test_another_way_to_start_is_refused(series):
+    with pytest.raises(OptionError, match="'uphill'") as error:
+        rbps_em(get_model("mixed-4"), series, warm_start="downhill")
+    assert error.value.field == "warm_start"
 
 
 def test_only_free_parameters_move(series):
