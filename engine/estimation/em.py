@@ -18,12 +18,13 @@ from engine.estimation.em_result import EmResult as EmResult
 from engine.estimation.em_result import Iteration as Iteration
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.long_steps import about_predictions
+from engine.estimation.particle_likelihood import likelihood_of
 from engine.estimation.quasi_ml import with_scales
 from engine.estimation.quasi_newton import Ascent
 from engine.estimation.start import WarmStart
 from engine.filters.proposals import Proposal
 from engine.statespace.clock import about_clock
-from engine.statespace.model import MixedModel, ThetaLike
+from engine.statespace.model import MixedModel, Theta, ThetaLike
 
 METHODS = ("quasi-newton", "em")
 UPHILL = "uphill"
@@ -127,7 +128,8 @@ def rbps_em(  # noqa: PLR0913
     newton = _is_newton(method)
     all_series = as_series_list(series, model)
     given, model = model, scaled(model, all_series, theta0, free, resume)
-    likelihood = LikelihoodStep(model, all_series)
+    first = first_of(model, theta0, resume)
+    likelihood = likelihood_of(model, all_series, first, n_particles)
     expect = rbps_step(
         model,
         all_series,
@@ -138,7 +140,7 @@ def rbps_em(  # noqa: PLR0913
         ess_threshold=ess_threshold,
         smoother=smoother,
         recover=recover,
-        moment=likelihood.of,
+        moment=LikelihoodStep(model, all_series).of,
     )
     indices = model.free_indices(free)
     start = _start(model, all_series, indices, warm_start)
@@ -262,7 +264,14 @@ def scaled(
     resume: Checkpoint | EmResult | None,
 ) -> MixedModel:
     """The model with the scales that its parameters have at the start of the trace."""
-    start = model.theta(theta0) if resume is None else resume.trace[0]
-    if np.shape(start) != (len(model.parameters),):
-        return model  # a checkpoint of another model; ``iterate`` says so
-    return with_scales(model, all_series, start, model.free_indices(free))
+    first = np.asarray(first_of(model, theta0, resume))
+    return with_scales(model, all_series, first, model.free_indices(free))
+
+
+def first_of(model: MixedModel, theta0: ThetaLike, resume: Checkpoint | EmResult | None) -> Theta:
+    """Where the trace starts; for a checkpoint of another model, of which ``iterate`` tells, the defaults."""
+    if resume is None:
+        return model.theta(theta0)
+    row = np.asarray(resume.trace[0])
+    fits = row.shape == (len(model.parameters),)
+    return Theta(row, model.parameter_names) if fits else model.theta()

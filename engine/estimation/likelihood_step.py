@@ -23,6 +23,7 @@ from engine.statespace.model import Array, MixedModel, Theta
 from engine.ties import FLAT, flat_directions, ties_in_words
 
 LIKELIHOOD_STEPS = 10  # at most; near the maximum it is one, or none
+LIKELIER = 1.0  # nats by which another point must be likelier for an estimate to move there
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,16 @@ class LikelihoodStep:
     def whose(self) -> str:
         """Whose likelihood it is, in words."""
         return "the exact" if self.exact else "the moment filter's"
+
+    @property
+    def telling(self) -> float:
+        """Nats from which the particle filter is asked whether a point ahead is likelier than an estimate."""
+        return LIKELIER
+
+    @property
+    def trusted(self) -> bool:
+        """Whether a point ahead is likelier where the particle filter does not contradict it."""
+        return False
 
     def __call__(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Theta, NDArray[np.bool_]]:
         """Theta after steps in the parameters ``indices`` (n,), and which of them could not be moved.

@@ -16,11 +16,12 @@ import numpy as np
 from engine.data.series import Series, as_series_list
 from engine.errors import OptionError
 from engine.estimation.e_steps import ParticleStep
-from engine.estimation.em import Checkpoint, EmResult, remark, scaled
+from engine.estimation.em import Checkpoint, EmResult, first_of, remark, scaled
 from engine.estimation.em_loop import Callback, Loop, iterate
 from engine.estimation.expectation import expectation
 from engine.estimation.general_em import trajectory_q
 from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.particle_likelihood import likelihood_of
 from engine.filters.particle import ParticleFiltered, particle_filter
 from engine.filters.proposals import Proposal, get_proposal
 from engine.filters.rbpf import check_options
@@ -131,10 +132,11 @@ def ps_em(  # noqa: PLR0913
     else:
         get_proposal(proposal)
         model = scaled(model, all_series, theta0, free, resume)
-        likelihood = LikelihoodStep(model, all_series)
+        first = first_of(model, theta0, resume)
+        likelihood = likelihood_of(model, all_series, first, n_particles)
         run = partial(particle_filter, model, proposal=proposal, **options)
         smooth, objective = partial(_draws, N), partial(expectation, model)
-    moment = likelihood.of if likelihood is not None else None
+    moment = LikelihoodStep(model, all_series).of if isinstance(model, MixedModel) else None
     expect = ParticleStep(all_series, run, smooth, objective, n_particles, recover, moment)
     chosen = m_step or ("scoring" if likelihood else "bfgs")
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import parameter_scale
+from engine.estimation.particle_likelihood import in_noise_only
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml, share_done
 from engine.filters.neighbours import Visited
 from engine.filters.sigma_point import free_thetas
-from engine.statespace.model import Array, MixedModel, Theta, stacked
+from engine.statespace.model import Array, MixedModel, Theta
 
 SEARCHED_ROWS = 2000  # of each series, at most, are searched
 CANDIDATES = 96  # points around the start values ...
@@ -31,7 +32,6 @@ RIVAL_NATS = 5.0  # below the highest maximum, another may be the higher one of 
 MOST_MAXIMA = 3  # are compared
 SAME_ERRORS = 1.0  # standard errors that two ends of a search for the same maximum may be apart
 CANDIDATES_SHARE = 0.15  # of the whole search: the points
-DRAWS = 16  # of a_1, on which it is tried where nonlinear states show
 
 
 class WarmStart:
@@ -63,7 +63,7 @@ class WarmStart:
     def __call__(self, theta: Theta) -> list[Theta]:
         """The maxima found, the highest first; none with a ``note``."""
         try:
-            if not all(_only_noise_sees_them(self.model, theta, one) for one in self.searched):
+            if not self._blind(theta):
                 return self.maxima(theta)
             self.note = (
                 "EM started from the start values: nonlinear states enter noise only, where the moment filter, "
@@ -123,41 +123,15 @@ class WarmStart:
                 apart.append(fit)
         return [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
 
+    def _blind(self, theta: Theta) -> bool:
+        """Whether the moment filter sees none of the nonlinear states in any series."""
+        seen = (in_noise_only(self.model, theta, one) for one in self.searched)
+        return self.model.na > 0 and all(one.all() for one in seen)
+
     def _likely(self, thetas: Array) -> Array:
         """Log-likelihoods of thetas (K, n_theta), -inf where there is none."""
         values = log_likelihoods(self.model, self.searched, thetas)
         return np.where(np.isfinite(values), values, -np.inf)
-
-
-def _only_noise_sees_them(model: MixedModel, theta: Theta, series: Series) -> bool:
-    """Whether nonlinear states show in covariances alone, as in a stochastic volatility.
-
-    Tried on draws of a_1, at rows of little and of much input: with moments of a in place of a, y tells
-    nothing of it then.
-    """
-    if not model.na:
-        return False
-    record, rng = model.record(theta), np.random.default_rng(0)
-    a = np.asarray(model.start(record).density.sample(rng, DRAWS), dtype=float)
-    noisy = False
-    for row in {
-        0,
-        len(series) // 2,
-        len(series) - 2,
-        *np.abs(series.u_step).argmax(axis=0).tolist(),
-    }:
-        t = float(series.t[row])
-        h, C, R = model.observation(a, series.u[row], t, record)
-        f, A, Q = model.transition(a, series.u_step[row], t, float(series.steps[row]), record)
-        if any(map(_differ, (h, stacked(C), f[:, model.na :], stacked(A)[:, model.na :]))):
-            return False
-        noisy = noisy or any(map(_differ, (stacked(R), stacked(Q)[:, model.na :, model.na :])))
-    return noisy
-
-
-def _differ(rows: Array) -> bool:
-    """Whether the values of some draws differ."""
-    return bool((rows != rows[:1]).any())
 
 
 def _told(fit: QuasiFit, theta: Theta, indices: NDArray[np.intp]) -> Theta:

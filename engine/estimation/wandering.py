@@ -15,22 +15,21 @@ import numpy as np
 
 from engine.estimation.e_steps import FAR_NATS, RETRIES, ParticleStep, nats_short
 from engine.estimation.em_result import EmResult
-from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.likelihood_step import LIKELIER, LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Theta
 from engine.words import held_by_bounds
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
-LIKELIER = 1.0  # nats by which another point must be likelier for an estimate to move there
 SURE = 3.0  # standard errors of a difference of log-likelihoods
 LIKELIEST = 2  # iterates by their E steps are looked at, besides the start and the last
 EXACT_NATS = 0.5  # by which a point ahead is likelier where the likelihood is exact
 MOVED = (
-    " The particles' own steps ended {:.2g} nats below a point that the moment filter found from there; it is "
-    "the estimate, as the particle filter, too, finds it likelier by {}."
+    " The particles' own steps ended {:.2g} nats below a point that {} likelihood found from there; it is "
+    "the estimate, as filters with other random numbers, too, find it likelier by {}."
 )
 UNTOLD = (
-    " By the moment filter a point ahead is {:.2g} nats likelier than the estimate; particle filters of {} "
+    " By {} likelihood a point ahead is {:.2g} nats likelier than the estimate; particle filters of {} "
     "particles cannot tell ({:.2g} +- {:.1g} nats). More particles would."
 )
 AGAINST = (
@@ -94,21 +93,22 @@ def looked_ahead(
 def moved_ahead(
     found: EmResult, likelihood: LikelihoodStep, particles: ParticleStep, seed: int
 ) -> EmResult:
-    """The settled result, at a point that the moment filter finds from there if it is likelier by both filters.
+    """The settled result, at a point that ``likelihood`` finds from there if particles find it likelier, too.
 
     Scores of few particles are far off where there is next to no process noise, and steps by them may settle
     where they should not.
     """
-    there, ahead = likelihood.ahead(found.theta, found.free, LIKELIER / 2.0)
-    if not ahead > LIKELIER:
+    whose, least = likelihood.whose, likelihood.telling
+    there, ahead = likelihood.ahead(found.theta, found.free, least / 2.0)
+    if not ahead > least:
         return found
-    gain, error, n = _gain(found.theta, there, particles, seed)
-    if gain > max(LIKELIER, SURE * error):
-        return _moved(found, there, MOVED.format(ahead, f"{gain:.2g} +- {error:.1g} nats"))
+    gain, error, n = _gain(found.theta, there, particles, least, seed)
+    if gain > (-SURE * error if likelihood.trusted else max(least, SURE * error)):
+        return _moved(found, there, MOVED.format(ahead, whose, f"{gain:.2g} +- {error:.1g} nats"))
     if min(gain, ahead) > FAR_NATS:  # far off filters scatter widely
-        return _moved(found, there, MOVED.format(ahead, f"more than {FAR_NATS:g} nats"))
-    if gain + SURE * error > ahead:
-        return replace(found, message=found.message + UNTOLD.format(ahead, n, gain, error))
+        return _moved(found, there, MOVED.format(ahead, whose, f"more than {FAR_NATS:g} nats"))
+    if ahead > LIKELIER and gain + SURE * error > ahead:
+        return replace(found, message=found.message + UNTOLD.format(whose, ahead, n, gain, error))
     return found
 
 
@@ -122,11 +122,11 @@ def _moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
 
 
 def _gain(
-    here: Theta, there: Theta, particles: ParticleStep, seed: int
+    here: Theta, there: Theta, particles: ParticleStep, least: float, seed: int
 ) -> tuple[float, float, int]:
     """By how many nats one theta is likelier than another, the standard error, and by how many particles.
 
-    As many particles are taken, in a few steps, as it takes to tell.
+    As many particles are taken, in a few steps, as it takes to tell it from the ``least``.
     """
     seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(2 * CHECKS)
     for times in (1, *RETRIES):
@@ -143,7 +143,7 @@ def _gain(
         gain = float(np.diff(values.mean(axis=1))[0])
         # half the variance of such a log-likelihood is its bias
         error = float(np.sqrt(spread.sum() / CHECKS) + abs(np.diff(spread)[0]) / 2.0)
-        if not abs(gain - LIKELIER) < SURE * error:
+        if not abs(gain - least) < SURE * error:
             break
     return gain, error, times * particles.n_particles
 

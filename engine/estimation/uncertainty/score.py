@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.estimation.e_steps import Expect, rbps_step, rts_step
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
+from engine.estimation.particle_likelihood import ParticleLikelihood, likelihood_of
 from engine.estimation.quasi_ml import with_scales
 from engine.statespace.model import Array, MixedModel, Theta
 
@@ -55,6 +57,7 @@ class Score:
         if exact:
             return cls(model, theta, indices, rts_step(model, all_series), True, likelihood)
         moment = _remembered(likelihood.of)
+        likelihood = likelihood_of(model, all_series, theta, n_particles)
         expect = rbps_step(model, all_series, n_particles, n_trajectories, moment=moment)
         return cls(model, theta, indices, expect.compared, False, likelihood)
 
@@ -78,8 +81,16 @@ class Score:
         values = np.array(self.theta)
         values[self.indices] = x
         theta = Theta(values, self.theta.names)
+        if isinstance(self.likelihood, ParticleLikelihood) and self.moves_noise_free:
+            return self.likelihood.drawn(seed).score(theta, self.indices)
         q = self.expect(theta, np.random.default_rng(seed)).q
         return score_of(q, theta, self.indices, self.likelihood)[:2]
+
+    @cached_property
+    def moves_noise_free(self) -> bool:
+        """Whether one of the parameters moves what has no noise."""
+        q = self.expect(self.theta, np.random.default_rng(0)).q
+        return bool(q.moves_noise_free(self.theta, self.indices).any())
 
 
 def _remembered(moment: Callable[[Theta, Series], float]) -> Callable[[Theta, Series], float]:

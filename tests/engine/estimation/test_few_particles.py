@@ -149,7 +149,7 @@ def test_an_estimate_moves_to_what_both_filters_find_likelier(seed):
     assert of(OSCILLATOR.theta(found.trace[-1])) < most - 1.0
     assert of(found.theta) > most - 0.5
     assert "ended 1" in found.message  # a dozen nats below
-    assert "point that the moment filter found" in found.message
+    assert "point that the moment filter's likelihood found" in found.message
 
 
 def test_an_estimate_stays_where_only_the_moment_filter_wants_to_go():

@@ -1,0 +1,243 @@
+"""The particle filter's likelihood as a guide to what has no noise, where the moment filter is blind.
+
+A nonlinear state that enters covariances alone, such as the random size of an outlier's noise
+(:mod:`engine.filters.heavy_tails`) or a volatility, shows in no moment of y: the moment filter takes the noise
+for Gaussian, and its maximum is that of the model without outliers. Parameters that move what has no noise, to
+which the Q-function is no guide either, are then moved by the particle filter's likelihood: by differences over
+a third of a standard error to either side with common random numbers, and the outer products of the scores of
+single rows (Berndt, Hall, Hall, Hausman 1974).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.data.series import Series
+from engine.errors import ModelError
+from engine.estimation.expectation import either_side, parameter_scale
+from engine.estimation.likelihood_step import LIKELIHOOD_STEPS, LikelihoodStep
+from engine.estimation.maximization import scoring_step
+from engine.estimation.quasi_ml import derivatives
+from engine.filters.rbpf import rbpf
+from engine.filters.sigma_point import free_thetas
+from engine.statespace.model import Array, MixedModel, Theta, stacked
+
+DRAWS = 16  # of a_1, on which it is tried where nonlinear states show ...
+SPREADS = 5.0  # ... and so many standard deviations away
+SEEDS = 3  # filters whose mean is taken
+STEP_ERRORS = 0.3  # standard errors that differences reach to either side ...
+STEP_SHARE = (
+    0.05  # ... or this share of a parameter's size at first, where the moment filter knows none ...
+)
+MOST_SHARE = 0.3  # ... and at most
+TRIES = (1.0, 0.4, 0.1)  # shares of a step, of which the best is taken
+RIDGES = (1e-6, 0.1, 1.0)  # of the information, where steps without one gain nothing
+PATIENCE = 2  # steps in turn that gain next to nothing
+ENOUGH = 0.02  # nats: less is not climbed for
+FAILURES = (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError)
+
+
+def likelihood_of(
+    model: MixedModel, all_series: Sequence[Series], theta: Theta, n_particles: int
+) -> LikelihoodStep:
+    """The likelihood that moves what has no noise: the moment filter's, or the particles' if that is blind."""
+    blind = any(in_noise_only(model, theta, one).any() for one in all_series)
+    if blind:
+        return ParticleLikelihood(model, all_series, n_particles=n_particles)
+    return LikelihoodStep(model, all_series)
+
+
+def in_noise_only(model: MixedModel, theta: Theta, series: Series) -> NDArray[np.bool_]:
+    """Which nonlinear states (na,) show in covariances alone, as the volatility of a series does.
+
+    Tried on the first of some draws of a_1, with one state after the other moved as far as they spread and
+    farther, at rows of little and of much input: with moments of such a state in place of it, y tells nothing
+    of it. False where no covariance depends on a state either, or the model has no values out there.
+    """
+    na = model.na
+    shows, noisy = np.zeros(na, dtype=bool), np.zeros(na, dtype=bool)
+    if not na:
+        return shows
+    record, rng = model.record(theta), np.random.default_rng(0)
+    draws = np.asarray(model.start(record).density.sample(rng, DRAWS), dtype=float)
+    middle, reach = draws.mean(axis=0), SPREADS * draws.std(axis=0)
+    rows = {0, len(series) // 2, len(series) - 2}
+    for row in {*rows, *np.abs(series.u_step).argmax(axis=0).tolist()}:
+        t, dt = float(series.t[row]), float(series.steps[row])
+        for i in range(na):
+            a = np.repeat(draws[:1], DRAWS, axis=0)
+            a[:, i] = np.linspace(middle[i] - reach[i], middle[i] + reach[i], DRAWS)
+            try:
+                h, C, R = model.observation(a, series.u[row], t, record)
+                f, A, Q = model.transition(a, series.u_step[row], t, dt, record)
+            except ModelError:
+                return np.zeros(na, dtype=bool)
+            others = np.delete(np.arange(model.nx), i)
+            means = (h, stacked(C), f[:, others], stacked(A)[:, others])
+            shows[i] |= any(map(_differ, means))
+            noisy[i] |= _differ(stacked(R)) or _differ(stacked(Q)[:, others[:, None], others])
+    return np.asarray(noisy & ~shows)
+
+
+def _differ(rows: Array) -> bool:
+    """Whether the values of some draws differ."""
+    return bool((rows != rows[:1]).any())
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleLikelihood(LikelihoodStep):
+    """Scoring on the particle filter's likelihood, with common random numbers for all theta.
+
+    Slopes at a theta are ``known`` once they were asked for: scores are drawn many times at one point.
+    """
+
+    n_particles: int = 50
+    seeds: tuple[int, ...] = tuple(range(SEEDS))
+    known: dict[tuple[bytes, bytes], tuple[Array, Array]] = field(default_factory=dict)
+
+    @property
+    def whose(self) -> str:
+        """Whose likelihood it is, in words."""
+        return "the particle filter's"
+
+    @property
+    def telling(self) -> float:
+        """Less than of the moment filter, for the random numbers are common."""
+        return 0.1
+
+    @property
+    def trusted(self) -> bool:
+        """It is the particle filter's own word."""
+        return True
+
+    def drawn(self, seed: np.random.SeedSequence) -> ParticleLikelihood:
+        """The same by one filter with random numbers of its own."""
+        return replace(self, seeds=(int(seed.generate_state(1)[0]),), known={})
+
+    def __call__(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Theta, NDArray[np.bool_]]:
+        """Theta after a step in the parameters ``indices`` (n,), and which of them could not be moved."""
+        try:
+            found, _, information = self._climb(theta, indices, 1, self.worth)
+        except FAILURES:
+            return theta, np.ones(len(indices), dtype=bool)
+        return found, ~(np.diag(information) > 0.0)
+
+    def ahead(
+        self, theta: Theta, free: Sequence[str], worth: float | None = None
+    ) -> tuple[Theta, float]:
+        """A likelier point that scoring in the ``free`` parameters reaches, and by how much (nats)."""
+        try:
+            indices = self.model.free_indices(free)
+            least = ENOUGH if worth is None else min(worth, ENOUGH)
+            found, gain, _ = self._climb(theta, indices, 2 * LIKELIHOOD_STEPS, least)
+        except FAILURES:
+            return theta, 0.0
+        return found, gain
+
+    def of(self, theta: Theta, series: Series | None = None) -> float:
+        """Log-likelihood of one series, or of all; NaN where it cannot be had."""
+        try:
+            which = self.all_series if series is None else [series]
+            return float(self._terms(np.asarray(theta), which).sum(axis=1).mean())
+        except FAILURES:
+            return np.nan
+
+    def information(self, theta: Array, indices: NDArray[np.intp]) -> Array | None:
+        """Of the parameters ``indices`` (n, n), or None where it cannot be had."""
+        try:
+            return self._slopes(np.asarray(theta), indices)[1]
+        except FAILURES:
+            return None
+
+    def score(self, theta: Theta, indices: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Gradient (n,) and information (n, n) in the parameters ``indices``. Raises ModelError."""
+        return self._slopes(np.asarray(theta), indices)
+
+    def _terms(self, theta: Array, which: Sequence[Series] | None = None) -> Array:
+        """log p(y_t | y_{1:t-1}) (seeds, rows), all series one after the other; raises where not finite."""
+        model, every = self.model, self.all_series if which is None else which
+        out = [
+            np.concatenate(
+                [rbpf(model, theta, one, self.n_particles, k).log_likelihood_terms for one in every]
+            )
+            for k in self.seeds
+        ]
+        if not np.isfinite(out).all():
+            raise ModelError(f"model '{model.name}': the likelihood is not finite here")
+        return np.array(out)
+
+    def _slopes(self, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Gradient (n,) and information (n, n): over some of a standard error to either side, within bounds."""
+        key = theta.tobytes(), indices.tobytes()
+        if key not in self.known:
+            self.known[key] = self._differences(theta, indices)
+        return self.known[key]
+
+    def _differences(self, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
+        each = np.zeros((len(indices), self.rows))
+        for i, (k, step) in enumerate(zip(indices, self._steps(theta, indices), strict=True)):
+            each[i] = self._slope(theta, int(k), step)
+            # the moment filter may know nothing of it, or too much
+            size = parameter_scale(self.model, theta, int(k))
+            own = STEP_ERRORS / np.sqrt(max(float(each[i] @ each[i]), 1e-300))
+            wider = min(own, MOST_SHARE * size)
+            if wider > 2.0 * step:
+                each[i] = self._slope(theta, int(k), wider)
+        return each.sum(axis=1), each @ each.T
+
+    def _slope(self, theta: Array, k: int, step: float) -> Array:
+        """Of each row's term (rows,), by parameter k over ``step`` to either side, within its bounds."""
+        ends = np.array([theta, theta])
+        ends[:, k] = np.clip(
+            theta[k] + np.array([-step, step]), self.model.lower[k], self.model.upper[k]
+        )
+        low, high = (self._terms(end).mean(axis=0) for end in ends)
+        return np.asarray((high - low) / (ends[1, k] - ends[0, k]))
+
+    def _steps(self, theta: Array, indices: NDArray[np.intp]) -> Array:
+        """How far (n,) differences reach, by the moment filter's information where it has any."""
+        sizes = np.array([parameter_scale(self.model, theta, int(k)) for k in indices])
+        steps = STEP_SHARE * sizes
+        try:
+            value, _, H = derivatives(self.model, self.all_series, theta, indices)
+        except FAILURES:
+            return steps
+        known = (np.diag(H) > 0.0) & np.isfinite(value)
+        steps[known] = np.minimum(steps[known], STEP_ERRORS / np.sqrt(np.diag(H)[known]))
+        least = [
+            np.diff([x[k] for x in either_side(self.model, theta, int(k), 1e-4)]) for k in indices
+        ]
+        return np.asarray(np.maximum(steps, np.ravel(least)))
+
+    def _climb(
+        self, theta: Theta, indices: NDArray[np.intp], most: int, worth: float
+    ) -> tuple[Theta, float, Array]:
+        """Theta after scoring steps that gain, by how much, and the information (n, n) before the last one."""
+        model, x = self.model, np.array(theta)
+        lower, upper = model.lower[indices], model.upper[indices]
+        first = value = float(self._terms(x).sum(axis=1).mean())
+        H, little = np.zeros((len(indices), len(indices))), 0
+        for _ in range(most):
+            g, H = self._slopes(x, indices)
+            found = value, x
+            for ridge in RIDGES:
+                step = scoring_step(x[indices], g, H, lower, upper, ridge)
+                if not float(g @ step) > worth:
+                    continue
+                for share in TRIES:
+                    moved = np.clip(x[indices] + share * step, lower, upper)
+                    tried = free_thetas(x, indices, moved[None])[0]
+                    there = self.of(Theta(tried, theta.names))
+                    found = max(found, (there, tried), key=lambda one: one[0])
+                if found[0] > value + worth:
+                    break
+            little = 0 if found[0] > value + worth else little + 1
+            same = found[0] <= value
+            value, x = found
+            if same or little == PATIENCE:
+                break
+        return Theta(x, theta.names), value - first, H
