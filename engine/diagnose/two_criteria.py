@@ -128,7 +128,7 @@ def _with_these_steps(
         [train, *fine.records.others],
         model.theta(start),
         alpha=options.alpha,
-        kinds=options.effects,
+        kinds=causes.kinds,
         seed=options.seed,
         progress=clock.progress,
         enough=enough,

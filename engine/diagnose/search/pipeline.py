@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.search.between_samples import read_otherwise
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import undetermined
+from engine.diagnose.search.feedback import answering, of_own_row, told
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.diagnose.search.rounds import settle
@@ -43,7 +45,8 @@ Callback = Callable[[str, float], Any]
 class Causes:
     """The fitted base model, what was searched and found beyond it, and the verdict.
 
-    ``coarse`` where the error of the steps may decide between names.
+    ``coarse`` where the error of the steps may decide between names; ``kinds`` of effects that were looked for,
+    None for all.
     """
 
     base: QuasiFit
@@ -52,6 +55,7 @@ class Causes:
     verdict: Verdict
     notes: tuple[str, ...]
     coarse: bool = False
+    kinds: Sequence[str] | None = None
 
 
 def find_causes(
@@ -94,6 +98,12 @@ def find_causes(
         progress=clock.progress,
     )
     found = look(series, base, setting, alpha=alpha, kept=kept)
+    aside = _seen_by_a_controller(found, series, setting, effects)
+    if aside is not None:
+        notes.append(aside.note)
+        if aside.others:
+            look = partial(look, kinds=aside.others)
+            found = look(series, base, setting, alpha=alpha, kept=kept.apart("closed loop"))
     apart = kept.apart("read otherwise")
 
     def look_later(fit: QuasiFit, read: Series) -> Search:
@@ -113,6 +123,8 @@ def find_causes(
             f"(2 x log-likelihood {worth:.0f}): those within it are not told apart."
         )
     verdict = verdict_of(found, alpha)
+    if aside is not None and not aside.others and verdict in NAMES:
+        verdict = Verdict.UNKNOWN
     if patchwork(found, alpha):
         notes.append(
             "What was found looks like patches on one cause that is not in the catalogue: more than "
@@ -148,7 +160,33 @@ def find_causes(
         )
         verdict = Verdict.UNKNOWN
     clock.stop()
-    return Causes(base, setting, found, verdict, tuple(notes), worth > 0.0)
+    kinds = effects if aside is None else aside.others
+    return Causes(base, setting, found, verdict, tuple(notes), worth > 0.0, kinds)
+
+
+@dataclass(frozen=True)
+class _Aside:
+    """What is asked where some effects cannot be told from a controller: the ``others``, and a sentence."""
+
+    others: list[str]
+    note: str
+
+
+def _seen_by_a_controller(
+    found: Search, series: Series, setting: Setting, effects: Sequence[str] | None
+) -> _Aside | None:
+    """None where no leading effect compares a reading with an input that answers the readings."""
+    leading = [r.refits[0].effect for r in found.rounds if r.equivalent]
+    inputs = list(setting.model.inputs)
+    if not any(of_own_row(effect, setting, inputs) for effect in leading):
+        return None
+    inputs = answering(found.final, series)
+    if not any(of_own_row(effect, setting, inputs) for effect in leading):
+        return None
+    every = all_effects(setting, effects)
+    names = [effect.name for effect in every if of_own_row(effect, setting, inputs)]
+    others = [effect.name for effect in every if effect.name not in names]
+    return _Aside(others, told(names, inputs))
 
 
 def _widened(found: Search, series: Series, setting: Setting) -> tuple[Search, float]:

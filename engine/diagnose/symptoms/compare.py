@@ -17,7 +17,9 @@ from engine.diagnose.symptoms.error_localization import (
     newey_west,
 )
 from engine.filters.sigma_point import MomentPath
+from engine.statespace.evaluation import INPUT
 from engine.statespace.model import Array, MixedModel
+from engine.statespace.reads import reads
 
 BAND_LEVEL = 0.95
 # Times the median: a prediction less certain than that is one of a state not yet known.
@@ -126,11 +128,18 @@ def against_predictions(
 
 
 def _signals(model: MixedModel, series: Series, x: Array, y: Array) -> list[Signal]:
-    """All that is known before an error is; then time."""
+    """All that is known before an error is; then time.
+
+    Of the inputs that is the one before, for that of a reading's own row may have been set by who saw it; but
+    for a model whose readings depend on it.
+    """
     named = [("state", n, u) for n, u in {**model.nonlinear, **model.linear}.items()]
     named += [("input", n, u) for n, u in model.inputs.items()]
     named += [("output", n, u) for n, u in model.outputs.items()]
-    values = [*x.T, *series.u.T, *y.T]
+    u = series.u
+    if not reads(model.measurement, INPUT):
+        u = np.concatenate([u[:1], u[:-1]])
+    values = [*x.T, *u.T, *y.T]
     out = [(*name, value) for name, value in zip(named, values, strict=True)]
     out.append(("time", "time", series.time_unit, np.asarray(series.t)))
     return out

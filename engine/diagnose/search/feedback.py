@@ -1,0 +1,121 @@
+"""Records in closed loop, where the input was computed from the readings.
+
+A controller that sees y_t before it sets u_t makes u_t depend on the error e_t of that reading. The model's
+own steps are right all the same, for u_t acts after y_t. But an effect that compares a reading with the input
+of its own row, such as a direct path, sees the controller and takes it for a cause. The record does not tell
+the two apart. It does tell that there is a controller: past errors of prediction, with the direct path in the
+model, then foretell the input (Granger 1969; Gustavsson, Ljung, Soderstrom 1977), which they do not where it is
+given from outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.setting import Setting
+from engine.distributions import normal_sf
+from engine.estimation.quasi_ml import QuasiFit, whitening
+from engine.filters.sigma_point import moment_path
+from engine.statespace.model import Array
+
+OWN = 8  # past inputs that say what an input will be
+FADING = (0.0, 0.5, 0.9)  # from row to row, of errors that are summed
+LEVEL = 1e-3  # of all inputs together
+
+
+def answering(fit: QuasiFit, series: Series) -> list[str]:
+    """Names of inputs that answer the readings, as the model's errors of prediction tell."""
+    model = fit.model
+    if not model.inputs or len(series) < 5 * OWN:
+        return []
+    path = moment_path(model, np.asarray(fit.theta), series)
+    root = whitening(path.S, series.observed)
+    errors = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
+    level = LEVEL / len(model.inputs)
+    return [
+        name
+        for name, u in zip(model.inputs, series.u.T, strict=True)
+        if foretold(u, errors) < level
+    ]
+
+
+def of_own_row(effect: Effect, setting: Setting, inputs: Sequence[str]) -> bool:
+    """Whether an effect makes a reading depend on one of the ``inputs`` of its own row, or of a later one."""
+    if effect.traits.says_hold:
+        return effect.channel in inputs
+    base, model = setting.model, effect.apply(setting.model)
+    points, known = setting.points(base)
+    low, high = effect.size.bounds
+    size = min(max(1.0, low), high)
+    others = [p.default for p in effect.parameters[1:]]
+    if len(effect.probes[0]) == len(others):
+        others = list(effect.probes[0])
+    theta = np.concatenate([known, [size], others])
+    records = base.record(known), model.record(theta)
+
+    def read(u: Array, x: Array, t: float) -> list[tuple[Array, Array]]:
+        out = []
+        for one, record in zip((base, model), records, strict=True):
+            a = np.zeros((1, one.na))
+            a[0, : base.na] = x[: base.na]
+            h, _, R = one.observation(a, u, t, record)
+            out.append((h, np.reshape(R, (-1, base.ny, base.ny))))
+        return out
+
+    with np.errstate(all="ignore"):
+        for j in (list(model.inputs).index(name) for name in inputs):
+            for x, u, t in zip(points.x, points.u, points.t.tolist(), strict=True):
+                moved = u.copy()
+                moved[j] += setting.size(list(base.inputs)[j])
+                for before, after in zip(
+                    *map(partial(_changes, read, x, t), (u, moved)), strict=True
+                ):
+                    if not np.array_equal(before, after, equal_nan=True):
+                        return True
+    return False
+
+
+def _changes(read: Any, x: Array, t: float, u: Array) -> list[Array]:
+    """What an effect adds to h and R at a point."""
+    (h, R), (h_with, R_with) = read(u, x, t)
+    return [h_with - h, R_with - R]
+
+
+def foretold(u: Array, errors: Array) -> float:
+    """p-value of ``errors`` (T, ny), fading sums of those of earlier rows, telling nothing of ``u`` (T,).
+
+    Where the input is given, whatever it is, errors are independent of all of it: so they are of its changes
+    and of what its own past does not say of it, which a controller moves. Robust to errors whose size differs
+    from row to row (White 1980).
+    """
+    T, rows = len(u), np.arange(OWN, len(u))
+    known = np.column_stack([np.ones(T), np.arange(T)])
+    own = np.column_stack([known[rows], *(u[rows - k] for k in range(1, OWN + 1))])
+    news, change = np.zeros(T), np.diff(u, prepend=u[0])
+    news[rows] = u[rows] - own @ np.linalg.lstsq(own, u[rows], rcond=None)[0]
+    least, p = 1e-9 * float(np.ptp(u)), 1.0
+    moved = [part for part in (news, change) if np.ptp(part) > least]  # else its past says it all
+    for part in moved:
+        for fading in FADING:
+            after = lfilter([0.0, 1.0], [1.0, -fading], part[::-1])[::-1]  # sum of the rows after
+            products = errors * after[:, None]
+            z = products.sum(axis=0) / np.sqrt((products**2).sum(axis=0))
+            p = min(p, float(2.0 * normal_sf(np.abs(np.nan_to_num(z)).max())))
+    return float(min(1.0, p * len(moved) * len(FADING) * errors.shape[1]))
+
+
+def told(names: Sequence[str], inputs: Sequence[str]) -> str:
+    """A sentence on effects that were set aside."""
+    return (
+        f"The record seems to be one in closed loop: past errors of prediction foretell {', '.join(inputs)}. "
+        "What compares a reading with the input of its own row cannot be told from a controller that saw this "
+        f"reading, and was left out: {', '.join(names)}. To look for it, record with an input that is given "
+        "from outside."
+    )

@@ -1,0 +1,131 @@
+"""Records in closed loop: a controller that sees a reading before it sets the input of that row."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import engine
+from engine.diagnose.effects.catalogue import all_effects, extend
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.search.feedback import answering, foretold, of_own_row
+from engine.estimation.quasi_ml import quasi_ml
+
+P = engine.Parameter
+Q, R, DT = 0.4, 1.0, 0.5
+
+
+def dynamics(a, u, t, dt, theta):
+    keep = np.exp(-theta.rate * dt)
+    return [theta.gain * (1.0 - keep) * u[0]], [[keep]], [[theta.q * dt]]
+
+
+TANK = engine.MixedModel(
+    name="heated-tank",
+    nonlinear={},
+    linear={"excess": "K"},
+    inputs={"heater": "kW"},
+    outputs={"probe": "K"},
+    reference={"excess": 0.0, "probe": 0.0, "heater": 0.0},
+    parameters=[
+        P("rate", 0.08, "1/s", (0.01, 1.0)),
+        P("gain", 5.0, "K/kW", (0.1, 50.0)),
+        P("q", 0.3, "K^2/s", (0.0, 100.0)),
+        P("r", 0.7, "K^2", (1e-3, 100.0)),
+    ],
+    dynamics=dynamics,
+    measurement=lambda a, u, t, theta: ([0.0], [[1.0]], [[theta.r]]),
+    initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), [0.0], [[4.0]]),
+)
+
+
+def record(seed: int, closed: bool, direct: float = 0.0, later: bool = False) -> engine.Series:
+    """Of a PI controller of the same row (or the next), or of the heater's steps as given."""
+    rng = np.random.default_rng(seed)
+    n, keep = 400, np.exp(-0.1 * DT)
+    wanted = np.repeat(rng.uniform(10.0, 30.0, n // 40), 40)
+    given = np.repeat(rng.uniform(1.0, 5.0, n // 8), 8)
+    x, total, u, y = 0.0, 0.0, np.zeros(n), np.zeros(n)
+    for t in range(n):
+        y[t] = x + np.sqrt(R) * rng.standard_normal()
+        if closed:
+            error = wanted[t] - y[t]
+            total += error * DT
+            now = np.clip(0.6 * error + 0.08 * total, 0.0, 12.0)
+            u[t] = u[t] if later else now
+            if later and t + 1 < n:
+                u[t + 1] = now
+        else:
+            u[t] = given[t]
+            y[t] += direct * u[t]
+        noise = np.sqrt(Q * (1.0 - keep**2) / 0.2) * rng.standard_normal()
+        x = keep * x + 6.0 * (1.0 - keep) * u[t] + noise
+    return engine.Series(y[:, None], u[:, None], dt=DT, y_names=["probe"], u_names=["heater"])
+
+
+@pytest.mark.parametrize("later", [False, True])
+def test_a_controller_is_no_direct_path(later):
+    series = record(3, closed=True, later=later)
+    found = engine.diagnose(TANK, series, effects=["direct", "bias", "gain", "coulomb"])
+    assert found.verdict.value == "nothing"
+    assert (" closed loop" in " ".join(found.notes)) is not later
+
+
+def test_where_nothing_else_is_asked_for_no_cause_is_named():
+    found = engine.diagnose(TANK, record(3, closed=True), effects=["direct"])
+    assert found.verdict.value == "unknown"
+    assert "closed loop" in " ".join(found.notes)
+    assert found.gain is None or not found.gain.adopt
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_direct_path_is_named_where_the_input_is_given(seed):
+    found = engine.diagnose(
+        TANK, record(seed, False, direct=0.6), effects=["direct", "bias", "gain"]
+    )
+    assert [cause.effect for cause in found.causes] == ["direct:heater->probe"]
+    assert "closed loop" not in " ".join(found.notes)
+
+
+def test_the_level_is_kept_where_the_input_is_given_from_outside():
+    """Inputs of several kinds seem to answer as rarely as the level says."""
+    rng = np.random.default_rng(0)
+    n, values = 300, []
+    for k in range(400):
+        u = (
+            np.repeat(rng.standard_normal(30), 10),
+            np.cumsum(rng.standard_normal(n)),
+            np.sin(0.001 * np.arange(n) ** 1.5),
+            np.sign(np.sin(0.11 * np.arange(n))),
+        )[k % 4]
+        values.append(foretold(u, rng.standard_normal((n, 1))))
+    assert min(values) > 1e-4
+    assert np.mean(np.array(values) < 0.05) < 0.07
+
+
+def test_inputs_that_answer_are_known():
+    for closed in (False, True):
+        for seed in range(6):
+            series = record(seed, closed, direct=0.6)
+            model = extend(TANK, ["direct:heater->probe"], setting_for(TANK, series, TANK.theta()))
+            fit = quasi_ml(model, series)
+            assert answering(fit, series) == (["heater"] if closed else [])
+
+
+def test_effects_that_compare_a_reading_with_the_input_of_its_row():
+    series = record(1, False)
+    setting = setting_for(TANK, series, TANK.theta())
+    kinds = {e.name for e in all_effects(setting) if of_own_row(e, setting, ["heater"])}
+    assert {"direct:heater->probe", "hold:heater", "variance:probe->heater"} <= kinds
+    assert not kinds & {
+        "bias:probe",
+        "gain:probe",
+        "delay:heater",
+        "input-offset:heater",
+        "pole:excess",
+    }
+
+
+def test_errors_are_not_sorted_by_an_input_that_saw_them():
+    found = engine.diagnose(TANK, record(3, closed=True), effects=["bias"])
+    assert "whenever the input" not in str(found)
