@@ -6,7 +6,8 @@ it one step ahead only, and nothing once process noise is scarce.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Split, on_base
 from engine.diagnose.screening.noise_parameters import noise_only
 from engine.diagnose.search.search import Search
+from engine.diagnose.symptoms.compare import settled_from
 from engine.diagnose.symptoms.runs import noise_free, start_state
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods
@@ -78,12 +80,17 @@ class OverHorizon:
         return "; ".join(parts) + "." if parts else ""
 
     def leaders(self) -> Iterator[tuple[str, ...] | None]:
-        """The candidate that leads at each horizon, then at each budget; the answer where it is as good."""
-        added = self.candidates[1:]
+        """The candidate that leads at each horizon, then at each budget; the answer where it is as good.
+
+        The model as given where none is better.
+        """
+        given, *added = self.candidates
         for k in range(len(self.horizons)):
-            yield _first(added, [c.errors[k] for c in added], lambda best: best * (1.0 + TIE))
+            better = [c for c in added if not c.errors[k] >= given.errors[k]] or [given]
+            yield _first(better, [c.errors[k] for c in better], lambda best: best * (1.0 + TIE))
         for k in range(len(self.budgets)):
-            yield _first(added, [-c.gains[k] for c in added], lambda best: best + LEAD)
+            better = [c for c in added if not c.gains[k] <= given.gains[k]] or [given]
+            yield _first(better, [-c.gains[k] for c in better], lambda best: best + LEAD)
 
 
 def over_horizon(
@@ -91,9 +98,11 @@ def over_horizon(
 ) -> OverHorizon | None:
     """Beside each other: ``before`` and ``after`` adding ``names``, and the others of the first round.
 
-    ``series`` are the rows that were searched. None where nothing was named or the model as given is lost.
+    ``series`` are the rows that were searched. None where nothing was named, the model as given is lost, or
+    outliers are part of the answer, which this filter does not see.
     """
-    if not names:
+    first = [found_in.equivalent[0].effect for found_in in found.rounds if found_in.equivalent]
+    if not names or any(effect.traits.outliers for effect in first):
         return None
     fits: dict[tuple[str, ...], QuasiFit] = {(): before, names: after}
     for refit in found.rounds[0].refits[: OTHERS + 1]:
@@ -102,30 +111,45 @@ def over_horizon(
     T = len(series.samples)
     horizons = (*(h for h in HORIZONS if h < T // 2), T)
     scale = output_scale([series])
+    paths: dict[tuple[str, ...], MomentPath] = {}
+    for effects, fit in fits.items():
+        with suppress(*CANNOT):
+            paths[effects] = moment_path(fit.model, np.asarray(fit.theta), series)
+    begin = max(1, *map(settled_from, paths.values())) if paths else 1
     try:
-        path = moment_path(before.model, np.asarray(before.theta), series)
-        base = _errors(before, path, series, horizons, scale)
+        base = _errors(before, paths[()], series, horizons, scale, begin)
         told = _likelihoods(before, np.asarray(before.theta), series)
-        noise = _noise(before, path, series)
-    except CANNOT:
+        noise = _noise(before, paths[()], series)
+    except (KeyError, *CANNOT):
         return None
+    shared = _usable_noise(before, noise)
     told_of = np.isfinite(base) & (base > 0.0)  # of a run that is lost there is no share
     as_given = tuple(np.where(told_of, 1.0, np.nan).tolist())
     candidates = [Candidate((), as_given, (0.0,) * len(BUDGETS))]
     for effects, fit in list(fits.items())[1:]:
         errors: Array = np.full(len(horizons), np.nan)
         gains: Array = np.full(len(BUDGETS), np.nan)
-        try:
+        with suppress(KeyError, *CANNOT):
             theta = np.asarray(fit.theta).copy()
-            path = moment_path(fit.model, theta, series)
-            own = _errors(fit, path, series, horizons, scale)
+            own = _errors(fit, paths[effects], series, horizons, scale, begin)
             errors[told_of] = own[told_of] / base[told_of]
             theta[noise] = np.asarray(before.theta)[noise]
-            gains = 2.0 * (_likelihoods(fit, theta, series) - told)
-        except CANNOT:
-            pass
+            if shared:
+                gains = 2.0 * (_likelihoods(fit, theta, series) - told)
         candidates.append(Candidate(effects, tuple(errors.tolist()), tuple(gains.tolist())))
     return OverHorizon(horizons, BUDGETS, tuple(candidates))
+
+
+def _usable_noise(fit: QuasiFit, noise: Array) -> bool:
+    """Whether other models may have its ``noise``: not where a level ended at a bound that is not zero.
+
+    Such a level is next to nothing, as of readings that the model's own noise follows one by one.
+    """
+    levels = [fit.theta.names[k] for k in noise]
+    try:
+        return not any(fit.theta[name] != 0.0 for name in fit.model.at_bounds(fit.theta, levels))
+    except EngineError:  # beyond its bounds
+        return False
 
 
 def _noise(fit: QuasiFit, path: MomentPath, series: Series) -> Array:
@@ -136,29 +160,41 @@ def _noise(fit: QuasiFit, path: MomentPath, series: Series) -> Array:
 
 @np.errstate(over="ignore", invalid="ignore")  # of a run that runs away
 def _errors(
-    fit: QuasiFit, path: MomentPath, series: Series, horizons: tuple[int, ...], scale: Array
+    fit: QuasiFit,
+    path: MomentPath,
+    series: Series,
+    horizons: tuple[int, ...],
+    scale: Array,
+    begin: int,
 ) -> Array:
-    """Rms of the errors at each horizon, outputs weighed; runs start at the filter's means."""
+    """Rms of errors at each horizon, outputs weighed, from row ``begin`` on; runs start at filtered means."""
     model, theta = fit.model, np.asarray(fit.theta)
     out = []
     for horizon in horizons:
         if horizon == 1:
-            seen = ~np.isnan(series.y[1:])
-            e = (path.innovations[1:] / scale)[seen]
+            seen = ~np.isnan(series.y[begin:])
+            e = (path.innovations[begin:] / scale)[seen]
         elif horizon == len(series.samples):
             y, _ = noise_free(model, theta, series, start_state(model, theta, series)[0])
             e = _missed(series.y, y, scale)
         else:
-            e = np.concatenate(list(_windows(model, theta, path, series, horizon, scale)))
+            e = np.concatenate(list(_windows(model, theta, path, series, horizon, scale, begin)))
         out.append(np.sqrt(np.mean(e**2)))
     return np.asarray(out)
 
 
 def _windows(
-    model: MixedModel, theta: Array, path: MomentPath, series: Series, horizon: int, scale: Array
+    model: MixedModel,
+    theta: Array,
+    path: MomentPath,
+    series: Series,
+    horizon: int,
+    scale: Array,
+    begin: int,
 ) -> Iterator[Array]:
-    """Errors of runs over ``horizon`` samples, each from what was known at its first one."""
+    """Errors of runs over ``horizon`` samples from row ``begin`` on, each from what was known at its first."""
     starts = series.samples[:-horizon:horizon]
+    starts = starts[starts >= begin] if (starts >= begin).any() else starts
     chosen = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), WINDOWS)).round())
     for first in starts[chosen.astype(int)]:
         part = series.part(int(first), int(first) + horizon * series.substeps + 1)
@@ -191,7 +227,7 @@ def _with_budget(model: MixedModel, budget: float) -> MixedModel:
 
 
 def _first(
-    candidates: tuple[Candidate, ...], losses: list[float], within: Callable[[float], float]
+    candidates: Sequence[Candidate], losses: list[float], within: Callable[[float], float]
 ) -> tuple[str, ...] | None:
     finite = [x for x in losses if np.isfinite(x)]
     if not finite:
@@ -201,7 +237,7 @@ def _first(
 
 
 def _named(effects: tuple[str, ...]) -> str:
-    return " with ".join(effects)
+    return " with ".join(effects) or "the model as given"
 
 
 def _ahead(samples: int) -> str:

@@ -127,6 +127,14 @@ def against_predictions(
     return Comparison(y, lower, upper, tuple(fits), tuple(regions))
 
 
+def settled_from(path: MomentPath) -> int:
+    """The first row at which predictions are about as certain as they usually are; 0 where there is none."""
+    spread = np.sqrt(np.maximum(np.diagonal(path.S, axis1=1, axis2=2), 0.0))
+    wide = np.asarray((spread > TRANSIENT * np.median(spread, axis=0)).any(axis=1))
+    first = int(np.argmin(wide))
+    return first if first < len(spread) // 2 else 0
+
+
 def _signals(model: MixedModel, series: Series, x: Array, y: Array) -> list[Signal]:
     """All that is known before an error is; then time.
 

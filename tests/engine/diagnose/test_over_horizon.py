@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from engine.diagnose.over_horizon import Candidate, OverHorizon, over_horizon
+from engine.diagnose.symptoms.compare import settled_from
 from engine.filters.sigma_point import moment_path
 from engine.presentation import over_horizon as words
 from tests.engine.diagnose import clipped
@@ -38,7 +39,9 @@ def test_a_cause_leads_everywhere(beside):
 def test_an_error_one_sample_ahead_is_that_of_the_innovations(beside):
     search, series = clipped.found().search, clipped.series()
     before, after = (
-        moment_path(fit.model, np.asarray(fit.theta), series).innovations[1:]
+        moment_path(fit.model, np.asarray(fit.theta), series).innovations[
+            2:
+        ]  # two states, of one reading
         for fit in (search.base, search.final)
     )
     share = np.sqrt(np.mean(after**2) / np.mean(before**2))
@@ -60,6 +63,44 @@ def test_a_patch_leads_one_sample_ahead_only():
     table = words.rows({"candidates": [vars(c) for c in rows]})
     assert table[0] == ["as given", "100 %", "100 %", "0"]
     assert table[3] == ["bias:y", "-", "-", "-"]
+
+
+def test_a_candidate_that_is_worse_than_the_model_as_given_leads_nowhere():
+    rows = [
+        Candidate((), (1.0, 1.0), (0.0, 0.0)),
+        Candidate(("coulomb:v",), (0.9, 1.15), (10.0, -3.0)),
+        Candidate(("stribeck:v",), (0.95, 1.13), (9.5, -1.0)),
+    ]
+    found = OverHorizon((1, 50), (1.0, 0.1), tuple(rows))
+    assert found.sentence == (
+        "coulomb:v leads one sample ahead and with the process noise of the model as given; the model as given "
+        "leads over the whole record and with 0.1 of it."
+    )
+
+
+def test_the_first_rows_of_an_unknown_first_state_are_left_out():
+    """Two first states that one reading cannot tell: the second prediction is far off, whatever the cause."""
+    search, series = clipped.found().search, clipped.series()
+    path = moment_path(search.base.model, np.asarray(search.base.theta), series)
+    S = path.S.copy()
+    S[:4] = 1e3 * S[10]
+    assert settled_from(replace(path, S=S)) == 4
+    S[:4] = S[10]
+    S[200] *= 100.0  # later gaps of knowledge are no beginning
+    assert settled_from(replace(path, S=S)) == 0
+
+
+def test_noise_at_a_bound_is_lent_to_nobody():
+    search, series = clipped.found().search, clipped.series()
+    base = search.base
+    k = base.theta.names.index("sigma_y")
+    parameters = list(base.model.parameters)
+    value = float(base.theta[k])
+    parameters[k] = replace(parameters[k], bounds=(value, 10.0 * value))
+    stuck = replace(base, model=base.model.with_parameters(parameters))
+    found = over_horizon(stuck, search.final, CAUSE, search, series)
+    assert np.isnan(found.candidates[1].gains).all()
+    assert np.isfinite(found.candidates[1].errors).all()
 
 
 def test_where_nothing_was_named_nothing_is_compared():
