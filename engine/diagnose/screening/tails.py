@@ -31,8 +31,9 @@ PARTICLES = 200
 SHARES = (0.003, 0.01, 0.03, 0.1)
 RATIOS = (3.0, 5.0, 10.0)
 USUAL = 10.0  # ratio at which the kurtosis is read as a share
-MOST_RATIO, SHARE_MOST = 1e4, 0.3
-STEPS = 12  # uphill from the best of the grid
+LEAST_RATIO, MOST_RATIO = 2.0, 1e4
+SHARE_LEAST, SHARE_MOST = 1e-3, 0.45
+STEPS = 20  # uphill from the best of the grid
 LOST = 1e300  # a value that no step is taken to
 LEAST = 20  # values without which a kurtosis means nothing
 
@@ -120,24 +121,43 @@ def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
         return prediction_pit(filtered, rng)
 
 
-def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Array]:
-    """2 (log-likelihood gained) by outliers and the extended theta: from the best of a grid uphill.
+def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Array, Array]:
+    """2 (log-likelihood gained) by outliers, the extended theta, and the information of the free ones and both.
 
-    The usual noise shrinks where outliers made it seem large, so the model's own parameters move, too.
+    From the best of a grid uphill: the usual noise shrinks where outliers made it seem large, so the model's
+    own parameters move, too. The information (k, k) is the outer product of the scores of single rows (BHHH).
     """
     ratios = np.outer(RATIOS, _sizes(fit, effect, series)).ravel()
     pairs = np.array([(a, b) for a in SHARES for b in np.unique(np.minimum(ratios, MOST_RATIO))])
     theta, channel = np.asarray(fit.theta), effect.channel
 
+    def terms(thetas: Array, own: Array) -> Array:
+        return outlier_log_terms(fit.model, thetas, series, channel, *own.T)
+
     def value(thetas: Array, own: Array) -> Array:
-        terms = outlier_log_terms(fit.model, thetas, series, channel, *own.T)
-        total = terms.sum(axis=0)
+        total = terms(thetas, own).sum(axis=0)
         return np.where(np.isfinite(total), total, -np.inf)
 
     total = value(theta, pairs)
     best = int(np.argmax(total))
     found, theta, own = _uphill(fit, value, float(total[best]), pairs[best])
-    return 2.0 * (found - fit.log_likelihood), np.concatenate([theta, own])
+    gain = 2.0 * (found - fit.log_likelihood)
+    return gain, np.concatenate([theta, own]), _information(fit, terms, theta, own)
+
+
+def _information(
+    fit: QuasiFit, terms: Callable[[Array, Array], Array], theta: Array, own: Array
+) -> Array:
+    indices = fit.model.free_indices(fit.free)
+    thetas, distances = neighbours(fit.model, theta, indices)
+    steps = DIFFERENCE * own
+    n, beside = len(indices), np.repeat(own[None], 4, axis=0)
+    beside[[0, 1], 0] += [-steps[0], steps[0]]
+    beside[[2, 3], 1] += [-steps[1], steps[1]]
+    every = np.concatenate([thetas[1:], np.repeat(theta[None], 4, axis=0)])
+    ends = terms(every, np.concatenate([np.repeat(own[None], 2 * n, axis=0), beside]))
+    slopes = (ends[:, 1::2] - ends[:, 0::2]) / np.concatenate([distances, 2.0 * steps])
+    return np.asarray(slopes.T @ np.nan_to_num(slopes))
 
 
 def _sizes(fit: QuasiFit, effect: Effect, series: Series) -> Array:
@@ -166,14 +186,14 @@ def _uphill(
     indices = model.free_indices(fit.free)
     _, distances = neighbours(model, theta, indices)
     size = distances / (2.0 * DIFFERENCE)
-    ends = np.log([(SHARES[0], SHARE_MOST), (RATIOS[0], MOST_RATIO)])
+    ends = np.log([(SHARE_LEAST, SHARE_MOST), (LEAST_RATIO, MOST_RATIO)])
 
     def points(x: Array) -> tuple[Array, Array]:
         thetas = np.tile(theta, (len(x), 1))
         thetas[:, indices] = np.clip(
             theta[indices] + size * x[:, :-2], model.lower[indices], model.upper[indices]
         )
-        return thetas, np.exp(np.clip(x[:, -2:], *ends.T))
+        return thetas, np.exp(x[:, -2:])
 
     def slope(x: Array) -> tuple[float, Array]:
         step = DIFFERENCE * np.eye(len(x))
@@ -185,7 +205,10 @@ def _uphill(
         return -float(values[0]), -g
 
     start = np.concatenate([np.zeros(len(indices)), np.log(own)])
-    end = minimize(slope, start, jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
+    bounds = [(None, None)] * len(indices) + list(map(tuple, ends))
+    end = minimize(
+        slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": STEPS}
+    )
     if not -float(end.fun) > best:
         return best, theta, own
     thetas, owns = points(end.x[None])

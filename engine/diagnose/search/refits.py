@@ -243,23 +243,18 @@ def _with_zero(refit: Refit, null: float, series: Series, elsewhere: Array | Non
 
 def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> Refit:
     """By a filter that knows outliers, over a grid."""
-    gain, theta = fit_tails(fit, effect, series)
-    own = [p.name for p in effect.parameters]
-    information = np.zeros((len(fit.free) + len(own), len(fit.free) + len(own)))
-    information[: len(fit.free), : len(fit.free)] = fit.information
-    share = float(theta[len(fit.theta)])
-    k = len(fit.free)
-    information[k, k] = len(series) / (share * (1.0 - share))  # as if every outlier were known
-    found = QuasiFit(
-        extended,
-        extended.theta(theta),
-        fit.log_likelihood + 0.5 * gain,
-        (*fit.free, *own),
-        information,
-        1,
-        True,
-    )
+    found = with_tails(fit, extended, effect, series)
+    gain = 2.0 * (found.log_likelihood - fit.log_likelihood)
     return Refit(effect, found, gain, gain - cost(effect, series))
+
+
+def with_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> QuasiFit:
+    """The fit with an effect of outliers, all of its parameters estimated by a filter that knows them."""
+    gain, theta, information = fit_tails(fit, effect, series)
+    own = [p.name for p in effect.parameters]
+    known = extended.theta(np.clip(theta, extended.lower, extended.upper))
+    value = fit.log_likelihood + 0.5 * gain
+    return QuasiFit(extended, known, value, (*fit.free, *own), information, 1, True)
 
 
 def _places(effect: Effect, start: Array, n: int) -> Array:

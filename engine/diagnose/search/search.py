@@ -35,7 +35,7 @@ from engine.diagnose.search.calibration import (
 )
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.joint_refit import STAGE, look_back
-from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.refits import Refit, with_tails
 from engine.diagnose.search.refitting import (
     FOLLOWED,
     confirmed,
@@ -86,7 +86,7 @@ def search(
     kept: Kept = NOTHING,
 ) -> Search:
     """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already."""
-    fit, rounds, alarm = base, [], False
+    fit, rounds, alarm, whole = base, [], False, series
     tails: Refit | None = None
     explained, unweighed = "", tuple[str, ...]()
     for k in range(max_effects + 1):
@@ -162,8 +162,33 @@ def search(
         rounds[: len(named)] = named
         told = _iterations(progress, STAGE, LOOKED_BACK)
         fit = kept.within("finally").fit(fit.model, partial(_finished, fit, series, told))
-    final = fit if tails is None else _with_tails(fit, tails)
+    if tails is None:
+        return Search(base, fit, tuple(rounds), alarm, explained, unweighed)
+    final = tails.fit if series is whole else _told_again(fit, tails, whole)
+    rounds[:] = [_of_last(found, tails, final, base) for found in rounds]
     return Search(base, final, tuple(rounds), alarm, explained, unweighed)
+
+
+def _told_again(fit: QuasiFit, tails: Refit, series: Series) -> QuasiFit:
+    """The final fit with the outliers of an earlier round, left out meanwhile, as its last effect."""
+    extended = tails.effect.apply(fit.model)
+    found = with_tails(fit, extended, tails.effect, series)
+    n = len(fit.model.parameters)
+    if n + len(tails.effect.parameters) == len(tails.fit.theta):  # nothing was found beside them
+        return max(found, tails.fit, key=lambda one: one.log_likelihood)
+    return found
+
+
+def _of_last(found: Round, tails: Refit, final: QuasiFit, base: QuasiFit) -> Round:
+    """The round of the outliers with the size that they have in the end."""
+    if not (found.refits and found.refits[0] is tails):
+        return found
+    gain = tails.gain
+    if len(final.theta) == len(tails.fit.theta):
+        gain = 2.0 * (final.log_likelihood - base.log_likelihood)
+    told = replace(tails, fit=final, gain=gain)
+    equivalent = tuple(told if one is tails else one for one in found.equivalent)
+    return replace(found, refits=(told, *found.refits[1:]), equivalent=equivalent)
 
 
 def part_of(progress: Progress, begin: float, end: float) -> Progress:
@@ -192,21 +217,3 @@ def without_outliers(fit: QuasiFit, series: Series, output: str, seed: int) -> S
     y = series.y.copy()
     y[np.abs(np.nan_to_num(errors)) > OUTLYING, j] = np.nan
     return series.replace(y=y)
-
-
-def _with_tails(fit: QuasiFit, tails: Refit) -> QuasiFit:
-    """The final fit with the outliers of an earlier round as its last effect."""
-    own = [tails.fit.theta[p.name] for p in tails.effect.parameters]
-    model = tails.effect.apply(fit.model)
-    names = tuple(p.name for p in tails.effect.parameters)
-    n, k = len(fit.free), len(names)
-    information = np.zeros((n + k, n + k))
-    information[:n, :n], information[n:, n:] = fit.information, tails.fit.information[-k:, -k:]
-    return replace(
-        fit,
-        model=model,
-        theta=model.theta([*fit.theta, *own]),
-        log_likelihood=fit.log_likelihood + 0.5 * tails.gain,
-        free=(*fit.free, *names),
-        information=information,
-    )

@@ -11,6 +11,7 @@ from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.gaussian_sum import outlier_log_terms
 from engine.filters.heavy_tails import with_mixture
 from engine.filters.sigma_point import moment_filter
+from tests.engine.estimation.test_particle_likelihood import decay, mixture, most_likely, record
 from tests.engine.hidden_effects import DRIVE, hidden
 
 THETA = np.asarray(DRIVE.theta())
@@ -82,15 +83,32 @@ def test_outliers_gain_what_they_do_with_noise_of_the_right_size(share_of_noise)
     fit = quasi_ml(level, series, true)
     setting = Setting(level)
     output = next(iter(level.outputs))
-    gain, theta = fit_tails(fit, make_effect(f"heavy-tails:{output}", setting), series)
+    gain, theta, _ = fit_tails(fit, make_effect(f"heavy-tails:{output}", setting), series)
     ratio = max(800.0 / np.sqrt(true["r"]), 1.0)
     shares, ratios = np.array([0.04]), np.array([ratio])
     known = outlier_log_terms(level, np.asarray(true), series, output, shares, ratios).sum()
     assert gain >= 0.9 * 2.0 * (known - fit.log_likelihood)
     assert gain > 60.0
     state = next(iter({**level.nonlinear, **level.linear}))
-    other, _ = fit_tails(fit, make_effect(f"heavy-tails:{state}", setting), series)
+    other, *_ = fit_tails(fit, make_effect(f"heavy-tails:{state}", setting), series)
     assert gain > other + 10.0
     own = theta[: len(fit.theta)]
     at_own = outlier_log_terms(level, own, series, output, theta[-2:-1], theta[-1:]).sum()
     assert 2.0 * (at_own - fit.log_likelihood) == pytest.approx(gain, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_size_gain_and_errors_are_those_of_the_exact_mixture(seed):
+    """Of a model without process noise, whose likelihood with outliers is a sum: nothing is left undone."""
+    series, model = record(seed), decay(False)
+    found = engine.diagnose(model, series, effects=["heavy-tails", "bias", "drift"], held_out=0)
+    (cause,) = found.causes
+    assert cause.effect == "heavy-tails:y"
+    values = np.asarray(found.after.theta)
+    share, ratio = cause.parameters.values()
+    assert values[-2:].tolist() == [share, ratio]
+    assert mixture(values, series) > most_likely(series) - 0.2
+    plain = quasi_ml(model, series)
+    gained = 2.0 * (most_likely(series) - plain.log_likelihood)
+    assert cause.gain == pytest.approx(gained, abs=0.5)
+    assert abs(share - 7 / 60) < 3.0 * cause.standard_error < 3.0 * 0.12
