@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from engine.arrays import Array
 
 FLAT = 1e-4  # a direction whose derivatives are this much weaker than the strongest is lost in differences
-TIED = 0.05  # share of such directions from which a parameter is only determined with others
+TIED = 0.003  # share of such directions from which a parameter is only determined with others: less is rounding
 
 
 def flat_directions(information: Array) -> Array:

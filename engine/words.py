@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
 
@@ -109,8 +109,17 @@ def errors_in_words(errors: Mapping[str, float | None], units: Mapping[str, str]
     return enumerated([f"{text} of {name}" if several else text for name, text in said.items()])
 
 
-def held_by_bounds(names: Sequence[str]) -> str:
-    """A sentence about parameters that a bound has stopped; empty where there are none."""
+def held_by_bounds(names: Sequence[str], none: Collection[str] = ()) -> str:
+    """A sentence about parameters that a bound has stopped; empty where there are none.
+
+    Of those in ``none`` there can be no less, as of a variance that is 0.
+    """
+    nothing = [name for name in names if name in none]
+    names = [name for name in names if name not in none]
+    if nothing:
+        many = "these are" if len(nothing) > 1 else "it is"
+        asked = f"The data ask for no {' and no '.join(nothing)}: {many} at 0, the least there is."
+        return f"{held_by_bounds(names)} {asked}".lstrip()
     if not names:
         return ""
     said = f"Stopped by a bound: {', '.join(names)}. The data draw"

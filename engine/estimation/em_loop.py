@@ -28,7 +28,6 @@ from engine.estimation.wandering import looked_ahead, looked_back, moved_ahead
 from engine.filters.sigma_point import free_thetas
 from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
-from engine.words import held_by_bounds
 
 Callback: TypeAlias = Callable[[Iteration], Any]
 
@@ -373,7 +372,7 @@ class _Log:
         message = f"{message} {ties}".rstrip()
         estimate = Theta(theta, self.model.parameter_names)
         if outcome is not Outcome.DIVERGED:
-            held = held_by_bounds(self.model.at_bounds(estimate, names))
+            held = self.model.held_in_words(estimate, names)
             message = f"{message} {held}".rstrip()
         return EmResult(
             self.model,

@@ -18,7 +18,6 @@ from engine.estimation.em_result import EmResult
 from engine.estimation.likelihood_step import LIKELIER, LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.statespace.base import Theta
-from engine.words import held_by_bounds
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
 SURE = 3.0  # standard errors of a difference of log-likelihoods
@@ -114,9 +113,7 @@ def moved_ahead(
 
 def _moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
     """The result at another theta; ``said`` joins the message, whose end tells which bounds hold it."""
-    before, now = (
-        held_by_bounds(found.model.at_bounds(one, found.free)) for one in (found.theta, theta)
-    )
+    before, now = (found.model.held_in_words(one, found.free) for one in (found.theta, theta))
     message = found.message.removesuffix(before).rstrip() + said
     return replace(found, theta=theta, message=f"{message} {now}".rstrip())
 

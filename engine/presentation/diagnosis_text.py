@@ -234,6 +234,9 @@ def _parameters(d: Diagnosis) -> Iterator[str]:
         if name in at_bounds(fit):
             error = "at bound"
         yield f"  {name:<24} {values} {error:>10}  {tidy(parameter.unit)}".rstrip()
+    held = at_bounds(d.before) if d.causes else []
+    if held:
+        yield from _wrapped(f"Before, at a bound: {', '.join(held)}.", "  ")
 
 
 def _gain(d: Diagnosis) -> Iterator[str]:

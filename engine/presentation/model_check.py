@@ -56,7 +56,8 @@ def _method(model: MixedModel) -> str:
     if not why:
         return (
             "Linear and Gaussian where it was looked at, with inputs of 0, 1 and -1: there the method rts-em "
-            "is exact and the fastest; on data it says where it is not."
+            "is exact, without random numbers; on data it says where it is not. Where it does not settle, as "
+            "with little noise, the default method may."
         )
     reason = why.partition("Gaussian: ")[2] or why
     return (

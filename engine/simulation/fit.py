@@ -34,7 +34,7 @@ from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.ties import ties_in_words
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
-from engine.words import errors_in_words, held_by_bounds, tidy
+from engine.words import errors_in_words, tidy
 
 LOWER_BOUNDS = (
     "Standard errors allow for errors of the run that are correlated over time, but not for process noise "
@@ -253,7 +253,7 @@ def fit_simulation(
         _ended(best, stopped),
         _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
         ties_in_words(estimated, found.directions),
-        held_by_bounds(model.at_bounds(theta, estimated)),
+        model.held_in_words(theta, estimated),
         about_clock(model, listed),
         about_free_runs(model, theta, listed, x1),
     ]

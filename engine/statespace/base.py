@@ -17,7 +17,7 @@ from engine.errors import OptionError
 from engine.statespace.evaluation import ModelFunction
 from engine.statespace.trial import Regular
 from engine.views import Shown, View, sheet, tables
-from engine.words import tidy
+from engine.words import held_by_bounds, tidy
 
 ThetaLike: TypeAlias = "Mapping[str, float] | ArrayLike | None"
 
@@ -207,6 +207,14 @@ class BaseModel(Shown):
             if any(abs(value - bound) <= near for bound in p.bounds):
                 stopped.add(p.name)
         return tuple(name for name in free if name in stopped)
+
+    def held_in_words(self, theta: ThetaLike, free: Sequence[str]) -> str:
+        """A sentence about those of the ``free`` parameters that a bound has stopped; empty where none is."""
+        at = self.at_bounds(theta, free)
+        low = {p.name for p in self.parameters if p.bounds[0] == 0.0 < p.bounds[1]}
+        values = dict(zip(self.parameter_names, self.theta(theta).tolist(), strict=True))
+        middle = {p.name: 0.5 * p.bounds[1] for p in self.parameters}
+        return held_by_bounds(at, [name for name in low if values[name] < middle[name]])
 
     def free_indices(self, free: Sequence[str] | None) -> NDArray[np.intp]:
         """Positions of the free parameters; None means all of them. Raises OptionError."""

@@ -21,6 +21,7 @@ from engine.distributions import chi2_sf
 from engine.errors import EngineError, OptionError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.filters.sigma_point import moment_path
+from engine.words import meant
 
 # P-value from which outliers are judged by their likelihood, whatever their rank.
 TAILS_ALARM = 1e-3
@@ -74,7 +75,8 @@ def screen_effects(
             tests.append(test)
     if not tests:
         raise OptionError(
-            f"none of the effects asked for can be tested on model '{model.name}' and these data",
+            f"none of the effects asked for can be tested on model '{model.name}' and these data"
+            f"{meant(kinds[0], [e.name for e in all_effects(setting)]) if kinds else ''}",
             "effects",
         )
     return screen(tests, np.random.default_rng(np.random.SeedSequence(seed)), alpha)

@@ -34,6 +34,7 @@ USUAL = 10.0  # ratio at which the kurtosis is read as a share
 LEAST_RATIO, MOST_RATIO = 2.0, 1e4
 SHARE_LEAST, SHARE_MOST = 1e-3, 0.45
 STEPS = 20  # uphill from the best of the grid
+LEAST_KNOWN = 1e-300
 LOST = 1e300  # a value that no step is taken to
 LEAST = 20  # values without which a kurtosis means nothing
 
@@ -185,7 +186,10 @@ def _uphill(
     model, theta = fit.model, np.asarray(fit.theta)
     indices = model.free_indices(fit.free)
     _, distances = neighbours(model, theta, indices)
-    size = distances / (2.0 * DIFFERENCE)
+    size, known = distances / (2.0 * DIFFERENCE), np.diag(fit.information)
+    size = np.where(
+        known > 0.0, np.minimum(size, 1.0 / np.sqrt(np.maximum(known, LEAST_KNOWN))), size
+    )
     ends = np.log([(SHARE_LEAST, SHARE_MOST), (LEAST_RATIO, MOST_RATIO)])
 
     def points(x: Array) -> tuple[Array, Array]:

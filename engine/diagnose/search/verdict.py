@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from engine.diagnose.screening.score_columns import UNTESTABLE
@@ -11,6 +13,7 @@ from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdic
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.search.search import Search
+from engine.estimation.quasi_ml import QuasiFit
 
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
@@ -69,13 +72,16 @@ def set_of(found: Round) -> tuple[str, ...]:
 
 def named_by(search: Search) -> tuple[Cause, ...]:
     """The causes it names, in the order in which they were found."""
-    return tuple(cause_of(r) for r in search.rounds if r.equivalent)
+    named = [r for r in search.rounds if r.equivalent]
+    return tuple(cause_of(r, search.final if len(named) == 1 else None) for r in named)
 
 
-def cause_of(found: Round) -> Cause:
-    """The best effect of a round, with what was held against it."""
+def cause_of(found: Round, final: QuasiFit | None = None) -> Cause:
+    """The best effect of a round, with what was held against it; its size as in the ``final`` fit, if given."""
     best = found.refits[0]
     effect = best.effect
+    if final is not None and final.theta.names == best.fit.theta.names:
+        best = replace(best, fit=final)
     amplitude, amplitude_error = amplitude_of(effect, best.fit)
     return Cause(
         effect.name,
@@ -114,10 +120,13 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         # close in score and yet not in the set: the plainer name was kept for the same thing
         same = refit is not None and refit.score >= best.score - MARGIN
         followed = refit is not None and not refit.fit.given_up  # only then can it be ruled out
-        ruled_out = followed and not same and other.name not in set_of(found)
+        as_likely = refit is not None and refit.gain >= best.gain - MARGIN
+        ruled_out = followed and not same and not as_likely and other.name not in set_of(found)
         difference = best.effect.look_alikes.get(other.kind, "")
         if same and other.name not in set_of(found):
             difference = "says the same in other words here"
+        elif as_likely and other.name not in set_of(found):
+            difference = "as likely, but with more parameters to choose"
         out.append(
             LookAlike(other.name, likeness, refit.gain if refit else None, ruled_out, difference)
         )

@@ -228,3 +228,12 @@ def test_where_no_free_parameter_is_determined_none_has_an_error(exact):
         assert found.warning.endswith(
             f"Not determined by these data, keep fixed: {', '.join(free)}."
         )
+
+
+def test_a_parameter_that_is_weakly_known_is_tied_as_well():
+    """Three that only occur as ratios: the one of which little is known by itself moves as freely."""
+    J = np.random.default_rng(0).standard_normal((50, 2)) * [1.0, 1e-2]
+    rows = np.column_stack([J[:, 0], J[:, 1] - J[:, 0], -J[:, 1]])  # of x / y and y / z, at ones
+    directions = flat_directions(rows.T @ rows)
+    assert 0.003 < np.abs(directions[2]).min() < 0.05
+    assert tied(directions).tolist() == [True, True, True]
