@@ -250,7 +250,11 @@ def standard_errors(
             _guessed(score, H, seeds) if guessing else None
         ) or _differences(score, H, np.random.SeedSequence(seed).spawn(most))
         covariance[np.ix_(kept, kept)], relative[kept] = known, known_relative
-    decrement, noise = _decrement(covariance, scores)
+    if said:  # scores that tell nothing of the errors tell nothing of the distance, either
+        moment = score.likelihood.score(theta, score.indices)[0]
+        decrement, noise = float(moment @ covariance[np.ix_(kept, kept)] @ moment), 0.0
+    else:
+        decrement, noise = _decrement(covariance, scores)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
     if warning:

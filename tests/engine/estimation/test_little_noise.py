@@ -63,6 +63,19 @@ def test_particles_standard_errors_are_the_curvature_however_little_the_noise(q)
     stated = engine.standard_errors(model, theta, series, n_particles=50, n_trajectories=50)
     assert stated.values[0] == pytest.approx(exact, rel=0.2)
     assert ("too noisy here to check" in stated.warning) == (q < 1e-5)
+    assert stated.settled
+
+
+def test_how_far_the_maximum_is_does_not_drown_with_the_scores():
+    """Two standard errors off the maximum that is said, whatever the particles' scores are."""
+    model, series = lag(1e-8), record()
+    theta = engine.rts_em(model, series, {"tau": 0.4056}, method="quasi-newton").theta
+    exact = engine.standard_errors(model, theta, series, exact=True).values[0]
+    off = model.theta({"tau": theta["tau"] + 2.0 * exact})
+    with pytest.warns(engine.NotSettledWarning):
+        stated = engine.standard_errors(model, off, series, n_particles=50, n_trajectories=50)
+    assert "too noisy here to check" in stated.warning
+    assert stated.decrement == pytest.approx(4.0, rel=0.3)
 
 
 @pytest.mark.parametrize("estimate", [engine.rbps_em, engine.rts_em])
