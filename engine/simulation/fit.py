@@ -40,6 +40,13 @@ LOWER_BOUNDS = (
     "Standard errors allow for errors of the run that are correlated over time, but not for process noise "
     "that the parameters absorb: read them as lower bounds. Maximum likelihood (rbps_em) gives others."
 )
+RUNS_AWAY = (
+    "The simulation runs away from the record: its error is larger than all that the readings move. Where the "
+    "model is unstable, as a plant that only its controller holds, no free run can be fitted to them: estimate "
+    "by maximum likelihood (rbps_em), which follows the readings. Else start elsewhere. What is said of its "
+    "parameters means nothing."
+)
+AWAY = 2.0  # ranges of the readings
 ROUNDS = 3  # of fits, where parameters turn out to matter that did not at the start
 SHORT = 12  # evaluations that each start gets before the best one is followed to its end
 
@@ -249,14 +256,18 @@ def fit_simulation(
     covariance[np.ix_(problem.active, problem.active)] = found.covariance[:k, :k]
     estimated = problem.names(problem.active)
     tied = problem.names(problem.active[found.tied[:k]])
-    parts = [
-        _ended(best, stopped),
-        _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
-        ties_in_words(estimated, found.directions),
-        model.held_in_words(theta, estimated),
-        about_clock(model, listed),
-        about_free_runs(model, theta, listed, x1),
-    ]
+    clock = about_clock(model, listed)
+    if _run_away(runs):  # of a run that is nowhere near the data nothing more is to be said
+        parts = [_ended(best, stopped), RUNS_AWAY, clock]
+    else:
+        parts = [
+            _ended(best, stopped),
+            _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
+            ties_in_words(estimated, found.directions),
+            model.held_in_words(theta, estimated),
+            clock,
+            about_free_runs(model, theta, listed, x1),
+        ]
     return SimulationFit(
         model=model,
         theta=theta,
@@ -367,6 +378,17 @@ class _Told:
             return self.callback is not None and self.callback(self.done, steps) is True
         except StopIteration:
             return True
+
+
+def _run_away(runs: Sequence[FreeRun]) -> bool:
+    """Whether an output is further off than its readings vary, by far: a line through them would do better."""
+    for i in range(runs[0].model.ny):
+        y = np.concatenate([run.series.y[:, i] for run in runs])
+        off = np.concatenate([run.residuals[:, i] for run in runs])
+        seen = np.isfinite(y)
+        if seen.any() and not np.sqrt(np.mean(off[seen] ** 2)) <= AWAY * np.ptp(y[seen]):
+            return True
+    return False
 
 
 def _ended(best: OptimizeResult, stopped: int) -> str:

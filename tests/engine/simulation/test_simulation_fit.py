@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import engine
 from engine.data.files import read_series
 from engine.data.series import Series
 from engine.diagnose.free_run.answer import best_runs
@@ -480,3 +481,37 @@ def test_the_best_of_several_starts_is_the_same_in_every_unit():
         starts = [model.theta({"k": 6.5}), model.theta({"scale": 1.5})]
         found = best_runs(model, [swinging(force)], starts, ["phi"], 0)
         assert found.theta["k"] == 6.5
+
+
+def test_a_run_that_runs_away_is_said_and_nothing_of_its_parameters():
+    """A magnet holds a ball, and a controller the magnet: without noise the ball falls or jumps."""
+
+    def drift(a, u, t, theta):
+        gap = np.maximum(a[:, 0], 0.5)
+        return [0.0, 9.81e3 - theta.force * (u[0] / gap) ** 2], [[1.0], [0.0]]
+
+    model = engine.continuous(
+        name="levitation",
+        drift=drift,
+        diffusion=lambda a, u, t, theta: np.diag([0.0, 1e4]),
+        measurement=lambda a, u, t, theta: ([a[:, 0]], [[0.0]], [[1e-3]]),
+        initial=lambda theta: (engine.Gaussian([10.0], [[0.04]]), [0.0], [[400.0]]),
+        nonlinear={"gap": "mm"},
+        linear={"speed": "mm/s"},
+        inputs={"current": "A"},
+        outputs={"sensor": "mm"},
+        parameters=[engine.Parameter("force", 9e5, "mm^3/(s A)^2", (1e5, 1e7))],
+    )
+    rng, gap, speed, y, u = np.random.default_rng(0), 10.0, 0.0, [], []
+    for _ in range(800):
+        y.append(gap + 0.03 * rng.standard_normal())
+        u.append(np.clip(1.0 + 0.3 * (y[-1] - 10.0) + 0.008 * speed, 0.0, 3.0))
+        for _ in range(10):
+            speed += 1e-4 * (9.81e3 - 9.81e5 * (u[-1] / gap) ** 2) + rng.standard_normal()
+            gap += 1e-4 * speed
+    series = engine.Series(y, u, dt=1e-3)
+    assert np.ptp(y) < 8.0
+    found = engine.fit_simulation(model, series, n_starts=2)
+    assert "runs away from the record" in found.message
+    assert "steps" not in found.message
+    assert "determined" not in found.message
