@@ -25,6 +25,8 @@ from engine.diagnose.search.verdict import named_by, names_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 
+FAIR_NOISE = " (the noise of both fitted beside their other parameters)"
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -145,7 +147,7 @@ class HeldOut:
             except (EngineError, np.linalg.LinAlgError):
                 fair = None
             if fair is not None:
-                objection = falls_short(fair, self._promised(search, fair))
+                objection = falls_short(fair, self._promised(search, fair), FAIR_NOISE)
         return gain, objection
 
     def _promised(self, search: Search, gain: Gain) -> float:

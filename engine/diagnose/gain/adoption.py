@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from engine.diagnose.gain.gain import Gain
 
 TEST_LEVEL = 0.05  # of the one-sided tests of a gain and of a loss one step ahead
+TELLING_ROWS = 16  # held out, from which on what they lose may contradict a name
 LOSS_NATS = 1.0  # nats in all: a smaller loss, a likelihood ratio below e, speaks against nothing
 NOT_MEASURED = (
     "Nothing was held out: what the extension gains on other data was not measured "
@@ -54,14 +55,15 @@ def decide(
     return Decision.ADOPTED if p_gain <= TEST_LEVEL or better else Decision.NO_EVIDENCE
 
 
-def falls_short(gain: Gain, expected: float) -> str:
+def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
     """A sentence where the log-density lost on held-out data contradicts what was to be gained there.
 
     ``expected`` nats are what the likelihood gained in the search promises for so many rows. An effect that
     the held-out data do not excite gains nothing there and loses nothing; one that stands in for something
-    else loses. What is adopted for its free run is not contradicted by it.
+    else loses. What is adopted for its free run is not contradicted by it, and nothing by a few rows, whose
+    scatter is not known. ``noise`` says how that was fitted, where otherwise than for the gain that is shown.
     """
-    if gain.adopt:
+    if gain.adopt or gain.samples < TELLING_ROWS:
         return ""
     error = gain.standard_error * gain.samples
     if not (math.isfinite(gain.log_density) and gain.log_density < -LOSS_NATS and error > 0.0):
@@ -70,8 +72,8 @@ def falls_short(gain: Gain, expected: float) -> str:
     if not (expected > 0.0 and p_value < TEST_LEVEL):
         return ""
     return (
-        f"On data that it has not seen the extension loses {number(-gain.log_density)} in log-density, where "
-        f"{number(expected)} were to be gained ({probability(p_value)} of so little): it stands in for "
+        f"On data that it has not seen the extension loses {number(-gain.log_density)} in log-density{noise}, "
+        f"where {number(expected)} were to be gained ({probability(p_value)} of so little): it stands in for "
         "something else, so no cause is named."
     )
 

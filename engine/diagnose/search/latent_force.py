@@ -15,6 +15,7 @@ from engine.units import SECOND
 from engine.words import bounds, estimate, number, percent, with_unit
 
 CLEAR = 2.0  # standard deviations off zero
+BY_CHANCE = 0.05  # of the time; so often a course is CLEAR that is none
 BELIEVED = 10.0  # standard deviations of the fitted process, which no course of it leaves
 
 
@@ -33,9 +34,9 @@ class UnnamedForce:
     def sentence(self) -> str:
         """Where it acts, how strong, and when it is strongest; no size where none is told from zero."""
         clear = np.abs(self.mean) > CLEAR * self.sd
-        if not clear.any():
+        if not clear.mean() > BY_CHANCE:
             return (
-                f"An unnamed force on {self.target} explains part of it, but is at no time clearly different "
+                f"An unnamed force on {self.target} explains part of it, but is hardly ever clearly different "
                 "from zero by itself."
             )
         size = float(np.sqrt(np.mean(self.mean**2)))

@@ -34,6 +34,9 @@ def test_a_loss_where_a_gain_was_promised_contradicts():
     said = falls_short(LOSS, 10.0)
     assert "loses 20 in log-density" in said
     assert "10 were to be gained" in said
+    assert "log-density (as otherwise fitted), where" in falls_short(
+        LOSS, 10.0, " (as otherwise fitted)"
+    )
 
 
 @pytest.mark.parametrize(
@@ -44,6 +47,10 @@ def test_a_loss_where_a_gain_was_promised_contradicts():
         (replace(LOSS, log_density=-5.0, per_sample=-0.05, standard_error=0.5), 10.0),  # by chance
         (replace(LOSS, decision=Decision.ADOPTED), 10.0),  # its free run is better
         (replace(LOSS, log_density=float("nan")), 10.0),
+        (
+            replace(LOSS, samples=8, standard_error=1.0),
+            10.0,
+        ),  # of so few rows the scatter is not known
     ],
 )
 def test_other_losses_do_not(gain, promised):
