@@ -30,10 +30,9 @@ DRAWS = 16  # of a_1, on which it is tried where nonlinear states show ...
 SPREADS = 5.0  # ... and so many standard deviations away
 SEEDS = 3  # filters whose mean is taken
 STEP_ERRORS = 0.3  # standard errors that differences reach to either side ...
-STEP_SHARE = (
-    0.05  # ... or this share of a parameter's size at first, where the moment filter knows none ...
-)
-MOST_SHARE = 0.3  # ... and at most
+STEP_SHARE = 0.05  # ... or this share of a parameter's size, where the moment filter knows none ...
+MOST_SHARE = 0.3  # ... and at most this one
+LEAST_SHARE = 1e-4  # of it: what is far better known is no matter of particles
 TRIES = (1.0, 0.4, 0.1)  # shares of a step, of which the best is taken
 RIDGES = (1e-6, 0.1, 1.0)  # of the information, where steps without one gain nothing
 PATIENCE = 2  # steps in turn that gain next to nothing
@@ -74,7 +73,9 @@ def in_noise_only(model: MixedModel, theta: Theta, series: Series) -> NDArray[np
             try:
                 h, C, R = model.observation(a, series.u[row], t, record)
                 f, A, Q = model.transition(a, series.u_step[row], t, dt, record)
-            except ModelError:
+            except ModelError as error:
+                if not error.numeric:
+                    raise
                 return np.zeros(na, dtype=bool)
             others = np.delete(np.arange(model.nx), i)
             means = (h, stacked(C), f[:, others], stacked(A)[:, others])
@@ -209,7 +210,8 @@ class ParticleLikelihood(LikelihoodStep):
         known = (np.diag(H) > 0.0) & np.isfinite(value)
         steps[known] = np.minimum(steps[known], STEP_ERRORS / np.sqrt(np.diag(H)[known]))
         least = [
-            np.diff([x[k] for x in either_side(self.model, theta, int(k), 1e-4)]) for k in indices
+            np.diff([x[k] for x in either_side(self.model, theta, int(k), LEAST_SHARE)])
+            for k in indices
         ]
         return np.asarray(np.maximum(steps, np.ravel(least)))
 

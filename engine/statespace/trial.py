@@ -86,7 +86,8 @@ class Trial:
         if kind is not None:
             singles = self._singles(rows, kind, [*ends, *some[-MORE:]])
             return self._like(rows, kind, together, some, singles)
-        mixed = rows._replace(a=np.concatenate([rows.a[some], self._seen]))
+        before = self._seen if len(self._seen) else rows.a[:0]
+        mixed = rows._replace(a=np.concatenate([rows.a[some], before]))
         self._remember(rows.a[some[-SINGLE_ROWS:]])
         n = len(mixed.a)
         singles = self._singles(mixed, None, [0, n - 1, *rng.integers(0, n, MORE)])

@@ -11,11 +11,8 @@ given from outside.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
@@ -28,6 +25,7 @@ from engine.statespace.model import Array
 OWN = 8  # past inputs that say what an input will be
 FADING = (0.0, 0.5, 0.9)  # from row to row, of errors that are summed
 LEVEL = 1e-3  # of all inputs together
+ROUNDING = 1e-13  # of a reading: what is more is an effect, however small its unit makes it
 
 
 def answering(fit: QuasiFit, series: Series) -> list[str]:
@@ -61,31 +59,30 @@ def of_own_row(effect: Effect, setting: Setting, inputs: Sequence[str]) -> bool:
     records = base.record(known), model.record(theta)
 
     def read(u: Array, x: Array, t: float) -> list[tuple[Array, Array]]:
-        out = []
+        """h and R, each without and with the effect."""
+        found = []
         for one, record in zip((base, model), records, strict=True):
             a = np.zeros((1, one.na))
             a[0, : base.na] = x[: base.na]
             h, _, R = one.observation(a, u, t, record)
-            out.append((h, np.reshape(R, (-1, base.ny, base.ny))))
-        return out
+            found.append((h[0], R if R.ndim == 2 else R[0]))
+        return list(zip(*found, strict=True))
 
     with np.errstate(all="ignore"):
         for j in (list(model.inputs).index(name) for name in inputs):
             for x, u, t in zip(points.x, points.u, points.t.tolist(), strict=True):
                 moved = u.copy()
                 moved[j] += setting.size(list(base.inputs)[j])
-                for before, after in zip(
-                    *map(partial(_changes, read, x, t), (u, moved)), strict=True
-                ):
-                    if not np.array_equal(before, after, equal_nan=True):
-                        return True
+                if any(map(_adds, read(u, x, t), read(moved, x, t))):
+                    return True
     return False
 
 
-def _changes(read: Any, x: Array, t: float, u: Array) -> list[Array]:
-    """What an effect adds to h and R at a point."""
-    (h, R), (h_with, R_with) = read(u, x, t)
-    return [h_with - h, R_with - R]
+def _adds(here: tuple[Array, Array], there: tuple[Array, Array]) -> bool:
+    """Whether an effect adds something else to a moment of the reading, (without, with it), there than here."""
+    added, then = here[1] - here[0], there[1] - there[0]
+    size = ROUNDING * max(float(np.abs(part).max()) for part in (*here, *there))
+    return not np.allclose(added, then, ROUNDING, size, equal_nan=True)
 
 
 def foretold(u: Array, errors: Array) -> float:
@@ -104,11 +101,19 @@ def foretold(u: Array, errors: Array) -> float:
     moved = [part for part in (news, change) if np.ptp(part) > least]  # else its past says it all
     for part in moved:
         for fading in FADING:
-            after = lfilter([0.0, 1.0], [1.0, -fading], part[::-1])[::-1]  # sum of the rows after
-            products = errors * after[:, None]
+            products = errors * _after(part, fading)[:, None]
             z = products.sum(axis=0) / np.sqrt((products**2).sum(axis=0))
             p = min(p, float(2.0 * normal_sf(np.abs(np.nan_to_num(z)).max())))
     return float(min(1.0, p * len(moved) * len(FADING) * errors.shape[1]))
+
+
+def _after(part: Array, fading: float) -> Array:
+    """Of each row the sum of ``part`` (T,) over those after it, fading from row to row."""
+    out, total = np.zeros(len(part)), 0.0
+    for t in range(len(part) - 2, -1, -1):
+        total = fading * total + part[t + 1]
+        out[t] = total
+    return out
 
 
 def told(names: Sequence[str], inputs: Sequence[str]) -> str:

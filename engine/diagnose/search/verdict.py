@@ -80,7 +80,7 @@ def cause_of(found: Round, final: QuasiFit | None = None) -> Cause:
     """The best effect of a round, with what was held against it; its size as in the ``final`` fit, if given."""
     best = found.refits[0]
     effect = best.effect
-    if final is not None and final.theta.names == best.fit.theta.names:
+    if final is not None and final is not best.fit and final.model is best.fit.model:
         best = replace(best, fit=final)
     amplitude, amplitude_error = amplitude_of(effect, best.fit)
     return Cause(
