@@ -24,7 +24,7 @@ from engine.statespace.model import Array
 
 OWN = 8  # past inputs that say what an input will be
 FADING = (0.0, 0.5, 0.9)  # from row to row, of errors that are summed
-LEVEL = 1e-3  # of all inputs together
+LEVEL = 0.01  # of all inputs together: a name that is none is worse than one left out
 ROUNDING = 1e-13  # of a reading: what is more is an effect, however small its unit makes it
 
 
