@@ -56,10 +56,8 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
         raise Problem(400, "not-json", f"request is not JSON: {error}") from None
     if not isinstance(body, dict):
         raise invalid("request", "is not a JSON object")
-    if isinstance(body.get("model"), str):
-        find_model(
-            ModelReference(name=body["model"]), Setting
-        )  # before its channels are looked for
+    if isinstance(body.get("model"), str):  # is told before its channels are looked for
+        find_model(ModelReference(name=body["model"]), Setting)
     body.setdefault("data", list(files))
     test = body.get("test")
     if isinstance(test, dict):

@@ -50,12 +50,14 @@ def likelihood_of(
     return LikelihoodStep(model, all_series)
 
 
+@np.errstate(all="ignore")
 def in_noise_only(model: MixedModel, theta: Theta, series: Series) -> NDArray[np.bool_]:
     """Which nonlinear states (na,) show in covariances alone, as the volatility of a series does.
 
     Tried on the first of some draws of a_1, with one state after the other moved as far as they spread and
     farther, at rows of little and of much input: with moments of such a state in place of it, y tells nothing
-    of it. False where no covariance depends on a state either, or the model has no values out there.
+    of it. False where no covariance depends on a state either, or where the model, which need not be right so
+    far out, raises something.
     """
     na = model.na
     shows, noisy = np.zeros(na, dtype=bool), np.zeros(na, dtype=bool)
@@ -71,11 +73,9 @@ def in_noise_only(model: MixedModel, theta: Theta, series: Series) -> NDArray[np
             a = np.repeat(draws[:1], DRAWS, axis=0)
             a[:, i] = np.linspace(middle[i] - reach[i], middle[i] + reach[i], DRAWS)
             try:
-                h, C, R = model.observation(a, series.u[row], t, record)
-                f, A, Q = model.transition(a, series.u_step[row], t, dt, record)
-            except ModelError as error:
-                if not error.numeric:
-                    raise
+                h, C, R = model.observations.once(a, series.u[row], t, 0.0, record)
+                f, A, Q = model.transitions.once(a, series.u_step[row], t, dt, record)
+            except Exception:  # noqa: BLE001 - whatever a user's function raises out there
                 return np.zeros(na, dtype=bool)
             others = np.delete(np.arange(model.nx), i)
             means = (h, stacked(C), f[:, others], stacked(A)[:, others])

@@ -122,43 +122,41 @@ def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
         return prediction_pit(filtered, rng)
 
 
-def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Array, Array]:
-    """2 (log-likelihood gained) by outliers, the extended theta, and the information of the free ones and both.
+def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Array]:
+    """2 (log-likelihood gained) by outliers and the extended theta: from the best of a grid uphill.
 
-    From the best of a grid uphill: the usual noise shrinks where outliers made it seem large, so the model's
-    own parameters move, too. The information (k, k) is the outer product of the scores of single rows (BHHH).
+    The usual noise shrinks where outliers made it seem large, so the model's own parameters move, too.
     """
     ratios = np.outer(RATIOS, _sizes(fit, effect, series)).ravel()
     pairs = np.array([(a, b) for a in SHARES for b in np.unique(np.minimum(ratios, MOST_RATIO))])
     theta, channel = np.asarray(fit.theta), effect.channel
 
-    def terms(thetas: Array, own: Array) -> Array:
-        return outlier_log_terms(fit.model, thetas, series, channel, *own.T)
-
     def value(thetas: Array, own: Array) -> Array:
-        total = terms(thetas, own).sum(axis=0)
+        total = outlier_log_terms(fit.model, thetas, series, channel, *own.T).sum(axis=0)
         return np.where(np.isfinite(total), total, -np.inf)
 
     total = value(theta, pairs)
     best = int(np.argmax(total))
     found, theta, own = _uphill(fit, value, float(total[best]), pairs[best])
-    gain = 2.0 * (found - fit.log_likelihood)
-    return gain, np.concatenate([theta, own]), _information(fit, terms, theta, own)
+    return 2.0 * (found - fit.log_likelihood), np.concatenate([theta, own])
 
 
-def _information(
-    fit: QuasiFit, terms: Callable[[Array, Array], Array], theta: Array, own: Array
-) -> Array:
+def tails_information(fit: QuasiFit, effect: Effect, series: Series, extended: Array) -> Array:
+    """Information (k, k) of the free parameters, share and ratio at an ``extended`` theta.
+
+    The outer product of the scores of single rows (Berndt, Hall, Hall, Hausman 1974).
+    """
+    theta, own = np.split(extended, [len(fit.theta)])
     indices = fit.model.free_indices(fit.free)
     thetas, distances = neighbours(fit.model, theta, indices)
     steps = DIFFERENCE * own
-    n, beside = len(indices), np.repeat(own[None], 4, axis=0)
-    beside[[0, 1], 0] += [-steps[0], steps[0]]
-    beside[[2, 3], 1] += [-steps[1], steps[1]]
+    beside = own + np.repeat(np.diag(steps), 2, axis=0) * [[-1.0], [1.0], [-1.0], [1.0]]
     every = np.concatenate([thetas[1:], np.repeat(theta[None], 4, axis=0)])
-    ends = terms(every, np.concatenate([np.repeat(own[None], 2 * n, axis=0), beside]))
-    slopes = (ends[:, 1::2] - ends[:, 0::2]) / np.concatenate([distances, 2.0 * steps])
-    return np.asarray(slopes.T @ np.nan_to_num(slopes))
+    pairs = np.concatenate([np.repeat(own[None], 2 * len(indices), axis=0), beside])
+    terms = outlier_log_terms(fit.model, every, series, effect.channel, *pairs.T)
+    slopes = (terms[:, 1::2] - terms[:, 0::2]) / np.concatenate([distances, 2.0 * steps])
+    known = np.nan_to_num(slopes)
+    return np.asarray(known.T @ known)
 
 
 def _sizes(fit: QuasiFit, effect: Effect, series: Series) -> Array:

@@ -11,6 +11,7 @@ given from outside.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.distributions import normal_sf
+from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, whitening
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array
@@ -31,7 +33,8 @@ ROUNDING = 1e-13  # of a reading: what is more is an effect, however small its u
 def answering(fit: QuasiFit, series: Series) -> list[str]:
     """Names of inputs that answer the readings, as the model's errors of prediction tell."""
     model = fit.model
-    if not model.inputs or len(series) < 5 * OWN:
+    rows = series.samples  # the input is held between them
+    if not model.inputs or len(rows) < 5 * OWN:
         return []
     path = moment_path(model, np.asarray(fit.theta), series)
     root = whitening(path.S, series.observed)
@@ -39,8 +42,8 @@ def answering(fit: QuasiFit, series: Series) -> list[str]:
     level = LEVEL / len(model.inputs)
     return [
         name
-        for name, u in zip(model.inputs, series.u.T, strict=True)
-        if foretold(u, errors) < level
+        for name, u in zip(model.inputs, series.u[rows].T, strict=True)
+        if foretold(u, errors[rows]) < level
     ]
 
 
@@ -68,7 +71,7 @@ def of_own_row(effect: Effect, setting: Setting, inputs: Sequence[str]) -> bool:
             found.append((h[0], R if R.ndim == 2 else R[0]))
         return list(zip(*found, strict=True))
 
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), suppress(EngineError):  # of a size that may be any
         for j in (list(model.inputs).index(name) for name in inputs):
             for x, u, t in zip(points.x, points.u, points.t.tolist(), strict=True):
                 moved = u.copy()
@@ -102,8 +105,9 @@ def foretold(u: Array, errors: Array) -> float:
     for part in moved:
         for fading in FADING:
             products = errors * _after(part, fading)[:, None]
-            z = products.sum(axis=0) / np.sqrt((products**2).sum(axis=0))
-            p = min(p, float(2.0 * normal_sf(np.abs(np.nan_to_num(z)).max())))
+            power = np.sqrt((products**2).sum(axis=0))
+            z = np.abs(products.sum(axis=0)) / np.where(power > 0.0, power, 1.0)
+            p = min(p, float(2.0 * normal_sf(z.max())))
     return float(min(1.0, p * len(moved) * len(FADING) * errors.shape[1]))
 
 

@@ -13,7 +13,7 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.screening.screen import Score
-from engine.diagnose.screening.tails import fit_tails
+from engine.diagnose.screening.tails import fit_tails, tails_information
 from engine.diagnose.screening.time_scan import grid
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
@@ -250,7 +250,8 @@ def _refit_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Se
 
 def with_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Series) -> QuasiFit:
     """The fit with an effect of outliers, all of its parameters estimated by a filter that knows them."""
-    gain, theta, information = fit_tails(fit, effect, series)
+    gain, theta = fit_tails(fit, effect, series)
+    information = tails_information(fit, effect, series, theta)
     own = [p.name for p in effect.parameters]
     known = extended.theta(np.clip(theta, extended.lower, extended.upper))
     value = fit.log_likelihood + 0.5 * gain

@@ -108,6 +108,7 @@ def test_outliers_are_no_weight_on_parameters_of_what_has_no_noise(nonlinear):
     assert "the particle filter's likelihood" in found.message
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_the_mixture():
     series, model = record(2), with_mixture(decay(False), share_default=0.1)
     found = engine.rbps_em(model, series, seed=0)
@@ -161,3 +162,29 @@ def test_slopes_are_those_of_the_exact_likelihood():
         low, high = (mixture(end, series) for end in ends)
         error = 0.3 * np.sqrt(information[k, k])
         assert gradient[k] == pytest.approx((high - low) / (2.0 * steps[k]), abs=error)
+
+
+def test_a_model_that_raises_where_it_is_never_is_no_reason_to_stop(recwarn):
+    """A level that is asserted to be positive, far from zero, and the square root of one."""
+
+    def dynamics(a, u, t, dt, theta):
+        assert (a > 0.0).all(), "a tank has no negative level"
+        return [a[:, 0] + dt * (u[0] - theta.out * np.sqrt(a[:, 0]))], np.zeros((1, 0)), [[1e-4]]
+
+    model = engine.MixedModel(
+        name="tank",
+        nonlinear={"level": "m"},
+        linear={},
+        inputs={"pump": "m/s"},
+        outputs={"y": "m"},
+        parameters=[P("out", 0.3, "m^0.5/s", (0.01, 3.0))],
+        dynamics=dynamics,
+        measurement=lambda a, u, t, theta: ([a[:, 0]], np.zeros((1, 0)), [[0.01]]),
+        initial=lambda theta: (engine.Gaussian([4.0], [[0.25]]), [], np.zeros((0, 0))),
+    )
+    u = np.repeat([0.8, 0.5, 0.9], 20)[:, None]
+    series = engine.Series(4.0 + 0.1 * np.random.default_rng(0).standard_normal(60), u, dt=0.1)
+    assert not in_noise_only(model, model.theta(), series).any()
+    found = engine.rbps_em(model, series, n_particles=20, n_iterations=3, seed=0)
+    assert np.isfinite(found.theta["out"])
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]

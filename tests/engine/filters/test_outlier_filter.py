@@ -83,14 +83,14 @@ def test_outliers_gain_what_they_do_with_noise_of_the_right_size(share_of_noise)
     fit = quasi_ml(level, series, true)
     setting = Setting(level)
     output = next(iter(level.outputs))
-    gain, theta, _ = fit_tails(fit, make_effect(f"heavy-tails:{output}", setting), series)
+    gain, theta = fit_tails(fit, make_effect(f"heavy-tails:{output}", setting), series)
     ratio = max(800.0 / np.sqrt(true["r"]), 1.0)
     shares, ratios = np.array([0.04]), np.array([ratio])
     known = outlier_log_terms(level, np.asarray(true), series, output, shares, ratios).sum()
     assert gain >= 0.9 * 2.0 * (known - fit.log_likelihood)
     assert gain > 60.0
     state = next(iter({**level.nonlinear, **level.linear}))
-    other, *_ = fit_tails(fit, make_effect(f"heavy-tails:{state}", setting), series)
+    other, _ = fit_tails(fit, make_effect(f"heavy-tails:{state}", setting), series)
     assert gain > other + 10.0
     own = theta[: len(fit.theta)]
     at_own = outlier_log_terms(level, own, series, output, theta[-2:-1], theta[-1:]).sum()
