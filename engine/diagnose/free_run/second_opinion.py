@@ -3,7 +3,8 @@
 The likelihood asks what the noise is like; a record nearly free of noise, of a model wrong in several places,
 lets it explain the physics as noise. So where the likelihood settles nothing, or patches on the noise, the
 free run is asked; and where it names a cause whose free run is still further off than noise explains, its
-answer competes with those of the free run on rows left out.
+answer competes with those of the free run on rows left out. A name whose shape the likelihood has refuted is
+refuted for the free run, too.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ def second_opinion(
         )
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")
-    decides, reason = _decided(causes.verdict, settled, named, found)
+    decides, reason = _decided(causes, settled, named, found)
     reason = f"{reason}{_part(records, given)}"
     return SecondOpinion(*said, decides, reason, seen, found, found.missing)
 
@@ -186,18 +187,28 @@ def _rivals(named: Sequence[Refit]) -> list[list[Pick]]:
 
 
 def _decided(
-    verdict: Verdict, settled: bool, named: Sequence[Refit], found: FreeRunSearch
+    causes: Causes, settled: bool, named: Sequence[Refit], found: FreeRunSearch
 ) -> tuple[bool, str]:
     """Whether the free run decides, and the reason."""
-    first = found.rounds[0]
+    verdict, first = causes.verdict, found.rounds[0]
     if not first.alarmed:
         return False, _noise_explains(first.alarm)
+    if causes.another_shape and _names_no_other(named, found):
+        return False, (
+            "The likelihood decides: what the free run finds has another shape, as one step ahead shows."
+        )
     if settled and verdict is not Verdict.NOTHING and not _displaced(named, first):
         return False, (
             "The likelihood decides: noise does not explain all that its extension gets wrong in free run, "
             "but no other cause does far better on rows left out."
         )
     return True, f"The free run decides: {_too_far(first.alarm)}, and {_why(verdict, settled)}."
+
+
+def _names_no_other(named: Sequence[Refit], found: FreeRunSearch) -> bool:
+    """Whether the free run has names, and the likelihood has all of them."""
+    answer = {refit.effect.name for refit in named}
+    return bool(found.found) and all(answer.issuperset(c.names) for c in found.found)
 
 
 def _too_far(seen: Alarm) -> str:

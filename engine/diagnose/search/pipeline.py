@@ -46,7 +46,7 @@ class Causes:
     """The fitted base model, what was searched and found beyond it, and the verdict.
 
     ``coarse`` where the error of the steps may decide between names; ``kinds`` of effects that were looked for,
-    None for all.
+    None for all. ``another_shape`` where names were found whose shape is not what the states show.
     """
 
     base: QuasiFit
@@ -56,6 +56,7 @@ class Causes:
     notes: tuple[str, ...]
     coarse: bool = False
     kinds: Sequence[str] | None = None
+    another_shape: bool = False
 
 
 def find_causes(
@@ -161,7 +162,8 @@ def find_causes(
         verdict = Verdict.UNKNOWN
     clock.stop()
     kinds = effects if aside is None else aside.others
-    return Causes(base, setting, found, verdict, tuple(notes), worth > 0.0, kinds)
+    coarse, another = worth > 0.0, shape is not None
+    return Causes(base, setting, found, verdict, tuple(notes), coarse, kinds, another)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """The free run names what the likelihood explains as noise, and nothing where noise is all there is."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -8,7 +10,7 @@ import engine
 from engine.data.series import Series
 from engine.diagnose.free_run.answer import search_free_runs
 from engine.diagnose.free_run.search import survivors
-from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
+from engine.diagnose.free_run.second_opinion import SecondOpinion, _decided, heeding
 from engine.diagnose.gain.adoption import Decision
 from engine.diagnose.search.findings import Verdict
 from engine.estimation.quasi_ml import quasi_ml
@@ -135,3 +137,17 @@ def test_what_loses_on_data_not_seen_is_not_named(likelihood, held_out, missing,
     said, answer = heeding(asked, Verdict.NAMED, held_out)
     assert (said.decides, answer) == (decides, verdict)
     assert (said.reason == asked.reason) == (answer is Verdict.NAMED)
+
+
+@pytest.mark.parametrize(("free_run", "decides"), [(["cubic:x"], False), (["drag:x"], True)])
+def test_a_shape_that_the_likelihood_refuted_is_refuted_for_the_free_run(free_run, decides):
+    """A reactor's product of two states, nearly free of noise, was named as what imitates it."""
+    named = [SimpleNamespace(effect=SimpleNamespace(name=name)) for name in ("cubic:x", "force:x")]
+    alarm = SimpleNamespace(p_near=0.5, p_size=0.01, p_gain=0.1, probability="p = 0.01")
+    first = SimpleNamespace(alarmed=True, alarm=alarm)
+    search = SimpleNamespace(rounds=[first], found=[SimpleNamespace(names=free_run)])
+    for refuted in (True, False):
+        causes = SimpleNamespace(verdict=Verdict.UNKNOWN, another_shape=refuted)
+        said, reason = _decided(causes, False, named, search)
+        assert said is (decides or not refuted)
+        assert ("another shape" in reason) is not said
