@@ -93,7 +93,11 @@ def _saturation(setting: Setting, channel: str, name: str) -> Effect:
         extend=lambda model: _bend(
             model, setting, channel, lambda y, own: -own[0] * clip.excess(y, own)
         ),
-        look_alikes={"gain": "acts on small readings too", "cubic-sensor": "bends everywhere"},
+        look_alikes={
+            "gain": "acts on small readings too",
+            "cubic-sensor": "bends everywhere",
+            "heavy-tails": "comes at any reading",
+        },
         one_sided=True,
         **clip.members,
     )

@@ -141,7 +141,7 @@ def _beside_look_alikes(
     while True:
         named = [r for r in refits if not r.effect.traits.unnamed]
         leading = max(named, key=lambda r: r.score, default=None)
-        if leading is None or leading.effect.traits.outliers or not leading.score > 0.0:
+        if leading is None or not leading.score > 0.0:
             return refits
         apart = _at_other_frequencies(refits, leading, series)
         again = {r.effect.name for r in apart} - waves
@@ -183,9 +183,14 @@ def _at_other_frequencies(refits: Sequence[Refit], leading: Refit, series: Serie
 
 
 def _look_alikes(one: Effect, other: Effect) -> bool:
-    """Whether either says so, or both are steps; ``one`` has more than a size."""
+    """Whether either says so, or both are steps; ``one`` has more than a size.
+
+    Of outliers: effects of a sensor that say so.
+    """
     if one.traits.unnamed or one.traits.outliers or not further_parameters(one):
         return False
+    if other.traits.outliers:
+        return one.family == "measurement" and other.kind in one.look_alikes
     steps = one.traits.course is other.traits.course is Course.STEP
     return steps or one.kind in other.look_alikes or other.kind in one.look_alikes
 

@@ -10,6 +10,7 @@ from engine.diagnose.search.pipeline import find_causes
 from tests.engine.diagnose import clipped
 
 search = importlib.import_module("engine.diagnose.search.search")
+refitting = importlib.import_module("engine.diagnose.search.refitting")
 
 
 @pytest.mark.slow
@@ -23,11 +24,15 @@ def test_clipped_readings_are_not_taken_for_noise():
 
 
 @pytest.mark.slow
-def test_without_the_free_run_their_scores_would_not_call_for_it(monkeypatch):
+@pytest.mark.parametrize("beside", [False, True])
+def test_without_the_free_run_their_scores_would_not_call_for_it(monkeypatch, beside):
+    """Only what it looks like does, where outliers lead."""
     monkeypatch.setattr(search, "leading", lambda *_: {})
+    if not beside:
+        monkeypatch.setattr(refitting, "_look_alikes", lambda *_: False)
     found = find_causes(
         clipped.MODEL, clipped.series(), effects=clipped.KINDS, seed=1, max_effects=1
     )
     refitted = [r.effect.name for r in found.search.rounds[0].refits]
     assert refitted
-    assert "saturation-sensor:y" not in refitted
+    assert ("saturation-sensor:y" in refitted) is beside
