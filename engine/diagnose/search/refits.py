@@ -94,7 +94,7 @@ def refit(
         start[-1] = effect.probes[0][-1]
         further = None if elsewhere[-1] is further else further
     null = start.copy()
-    null[n] = 0.0
+    null[n : n + len(effect.amplitudes)] = 0.0
     sought = effect.sought
     free = [*fit.free, *free_parameters(effect)]
     places = _also_at_rest(effect, _places(effect, start, n), n)

@@ -10,7 +10,9 @@ import pytest
 import engine
 from engine.diagnose.effects.catalogue import extend, make_effect
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.amplitude import amplitude_of
+from engine.diagnose.search.refits import refit
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.presentation.cause_sentences import headline
 from service.diagnoses import in_a_line
@@ -52,6 +54,18 @@ def test_the_amplitude_is_found_and_said(found, tmp_path):
     assert values[0]["name"] == "amplitude of harmonic:speed"
     assert values[0]["value"] == pytest.approx(cause.amplitude)
     assert f"{cause.amplitude:.3g}"[:5] in found._repr_html_()
+
+
+def test_a_refit_gains_over_no_wave_at_all_wherever_it_starts():
+    series = record(2)
+    fit = quasi_ml(DRIVE, series)
+    effect = make_effect("harmonic:speed", setting_for(DRIVE, series, np.asarray(fit.theta)))
+    since = effect.parameters[3].default
+    gains = [
+        refit(fit, series, Score(effect, 0.0, -0.2, 1.0, 1.0, 1.0, (sine, 0.83, since))).gain
+        for sine in (0.0, 0.35)
+    ]
+    assert gains[0] == pytest.approx(gains[1], abs=0.1)
 
 
 def test_its_error_is_the_spread_of_estimates(found):
