@@ -197,12 +197,16 @@ class Series(Shown):
 
         The mean of a straight line, which a step of second order asks for. The last row begins no step.
         """
-        if self.hold == "zoh" or not self.u.shape[1]:
-            return self.u
-        following = np.concatenate([self.u[1:], self.u[-1:]])
-        over = following if self.hold == "past" else 0.5 * (self.u + following)
+        over = self._over(self.u)
         over.setflags(write=False)
         return over
+
+    def _over(self, values: Array) -> Array:
+        """Inputs over the step that begins at each row."""
+        if self.hold == "zoh" or not values.shape[1]:
+            return values
+        following = np.concatenate([values[1:], values[-1:]])
+        return following if self.hold == "past" else 0.5 * (values + following)
 
     @cached_property
     def samples(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -234,6 +238,26 @@ class Series(Shown):
             extra=self._between(self.extra, rows, share),
             substeps=k,
         )
+
+    def thinned(self, k: int) -> Series:
+        """Every k-th sample of a record that was sampled far more often than its plant moves.
+
+        Inputs and extra channels are their means over the time until the next sample that is kept, and held.
+        Raises SeriesError for k < 1, where fewer than two samples are left, and for a refined series.
+        """
+        left = (len(self) - 1) // max(k, 1)
+        if k < 1 or left < 1:
+            raise SeriesError(f"k = {k} of {len(self)} samples; two at least must be left")
+        if self.substeps != 1:
+            raise SeriesError(f"the series is refined already, {self.substeps} steps a sample")
+        if k == 1:
+            return self
+        u, extra = (self._over(values) for values in (self.u, self.extra))
+        rows = np.arange(left + 1) * k
+        # the last sample may begin fewer steps than k, which no step of the thinned series asks for
+        first, count = rows, np.minimum(rows + k, len(self)) - rows
+        means = [np.add.reduceat(values, first, axis=0) / count[:, None] for values in (u, extra)]
+        return self.replace(y=self.y[rows], u=means[0], t=self.t[rows], extra=means[1], hold="zoh")
 
     def _between(self, values: Array, rows: NDArray[np.intp], share: Array) -> Array:
         """Inputs at a share (n,) of the way from each of the rows (n,) to the next."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.answer import (
     FreeRunSearch,
     noise_fit,
@@ -24,6 +24,7 @@ from engine.diagnose.free_run.answer import (
 )
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.null import Alarm, alarm
+from engine.diagnose.free_run.oversampled import of_any_step
 from engine.diagnose.free_run.search import STAGE, FreeRound
 from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
@@ -82,17 +83,21 @@ def second_opinion(
 
     ``enough`` tells whether their steps are short enough for a fit with effects.
     """
-    records = telling(causes.base.model, causes.base.theta, causes.base.free, given)
-    named = [r.refits[0] for r in causes.search.rounds if r.equivalent]
+    base, named = causes.base, [r.refits[0] for r in causes.search.rounds if r.equivalent]
     patches = any(refit.effect.family == "noise" for refit in named)
     settled = causes.verdict is not Verdict.UNKNOWN and not patches
     level = alpha if causes.verdict is Verdict.UNKNOWN else SETTLED * alpha
-    base, said = causes.base, (causes.verdict, tuple(refit.effect.name for refit in named))
+    start, said = base, (causes.verdict, tuple(refit.effect.name for refit in named))
+    if settled:
+        start = causes.search.final
     held = tuple(name for name in base.model.parameter_names if name not in base.free)
     if any(refit.effect.traits.says_hold for refit in named):
         return SecondOpinion(*said, False, READ_OTHERWISE)
+    records, rivals = telling(start.model, start.theta, start.free, given), named
+    if _thinned(records, given):
+        kinds = of_any_step(kinds, setting_for(base.model, records[0], np.asarray(base.theta)))
+        rivals = named if all(refit.effect.name in kinds for refit in named) else []
     try:
-        start = causes.search.final if settled else base
         beside = _beside(start, records, held, kinds)
         progress(STAGE, 0.5 * ALARM_SHARE)
         seen = beside.alarm(seed)
@@ -108,7 +113,7 @@ def second_opinion(
             theta,
             levels=(level, SETTLED * alpha),
             kinds=kinds,
-            rivals=_rivals(named),
+            rivals=_rivals(rivals),
             seed=seed,
             progress=part_of(progress, ALARM_SHARE, 1.0),
             whole=() if records == list(given) else given,
@@ -247,7 +252,18 @@ def _part(records: Sequence[Series], given: Sequence[Series]) -> str:
     seen, every = (sum(len(one.samples) for one in some) for some in (records, given))
     if seen == every:
         return ""
+    if fewer := _thinned(records, given):
+        return (
+            f" It was looked at on one in {fewer} of {every} samples; those between say the same."
+        )
     return f" It was looked at on {seen} of {every} samples, in {len(records)} stretches."
+
+
+def _thinned(records: Sequence[Series], given: Sequence[Series]) -> int:
+    """Of how many samples the records keep one; 0 of windows and of the records as given."""
+    steps = [one.steps[0] * one.substeps for one in (records[0], given[0])]
+    k = round(steps[0] / steps[1])
+    return k if k > 1 else 0
 
 
 def _noise_explains(seen: Alarm, extended: bool = False) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.free_run.oversampled import fewer_samples
 from engine.errors import EngineError
 from engine.filters.sigma_point import moment_path
 from engine.simulation.problem import FreeRunProblem
@@ -46,11 +47,17 @@ def windows(records: Sequence[Series], most: int = MOST_ROWS) -> list[Series]:
 def telling(
     model: MixedModel, theta: ThetaLike, free: Sequence[str], records: Sequence[Series]
 ) -> list[Series]:
-    """:func:`windows`, or the records where free parameters are silent on these that the records tell.
+    """:func:`windows`, fewer samples of the records where that will do, or all of these.
 
-    So it is with a table of which every part of a record visits another entry.
+    All where free parameters are silent on windows that the records tell: so it is with a table of which every
+    part of a record visits another entry.
     """
     parts = windows(records)
+    if parts == list(records):
+        return parts
+    fewer = fewer_samples(model, theta, records, MOST_ROWS)
+    if fewer is not None:
+        return fewer
     return list(records) if _too_little(model, theta, free, parts, records) else parts
 
 

@@ -82,7 +82,7 @@ def prepare(
     theta = fitted()
     part = records.main if part is None else part
     setting = setting_for(model, part, theta)
-    if not is_consistent(model, theta, _points(setting)):
+    if not is_consistent(model, theta, sampled(setting)):
         text = (
             f"Model '{model.name}' declares a real time step (continuous=True), but two half-steps do not "
             "agree with one: one step a sample is kept."
@@ -98,7 +98,7 @@ def can_be_finer(setting: Setting, series: Series, theta: Array) -> bool:
     model = setting.model
     if not model.continuous or model.steps_counted or series.dt is None:
         return False
-    return is_consistent(model, theta, _points(setting))
+    return is_consistent(model, theta, sampled(setting))
 
 
 def _regular(series: Series, other: Series) -> bool:
@@ -246,7 +246,7 @@ def _same_effects(one: list[Array], other: list[Array]) -> bool:
     return not errors or float(np.quantile(errors, MOSTLY)) <= BY_EFFECT
 
 
-def _points(setting: Setting) -> Points:
+def sampled(setting: Setting) -> Points:
     """A few samples of the record."""
     points, _ = setting.points(setting.model)
     rows = np.unique(np.linspace(0, len(points.t) - 1, LOOKED_AT).astype(int))
@@ -255,7 +255,7 @@ def _points(setting: Setting) -> Points:
 
 def _sized(setting: Setting, theta: Array) -> list[tuple[Effect, float]]:
     """Effects with sizes at which they move their state by TYPICAL of what it moves over a sample."""
-    model, points = setting.model, _points(setting)
+    model, points = setting.model, sampled(setting)
     states, out = list(setting.states), []
     rows = list(zip(points.x, points.u, points.t, points.dt, strict=True))
     base = np.array([step(model, theta, x[None], u, t, dt)[0] for x, u, t, dt in rows])

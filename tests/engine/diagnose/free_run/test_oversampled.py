@@ -1,0 +1,122 @@
+"""A long record of a slow plant is searched whole, of fewer samples; any other one is not."""
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data.series import Series
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.free_run.oversampled import FEWEST, fewer_samples, of_any_step
+from engine.diagnose.free_run.windows import MOST_ROWS, telling
+
+ROWS, DT = 12_000, 1e-3
+SERVO = engine.get_model("servo")
+QUIET = {"sigma_v": 1e-4, "sigma_load": 1e-3, "sigma_y": 1e-6}
+
+
+def per_step():
+    """A drive whose noise is that of a step, however long it is."""
+    return engine.MixedModel(
+        name="per step",
+        dynamics=lambda a, u, t, dt, th: (
+            [a[:, 0] + dt * (u[0] - th.c * a[:, 0])], np.zeros((1, 0)), [[th.q**2]],
+        ),
+        measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[th.r**2]]),
+        initial=lambda th: (engine.Gaussian([0.0], [[1.0]]), [], np.zeros((0, 0))),
+        nonlinear={"v": "m/s"}, linear={}, inputs={"force": "m/s^2"}, outputs={"y": "m/s"},
+        parameters=[
+            engine.Parameter("c", 1.0, "1/s", (0.0, 9.0)),
+            engine.Parameter("q", 1e-5, "m/s", (1e-9, 1.0)),
+            engine.Parameter("r", 1e-5, "m/s", (1e-9, 1.0)),
+        ],
+    )  # fmt: skip
+
+
+def drive(seconds_held=0.4):
+    rng = np.random.default_rng(1)
+    rows = round(seconds_held / DT)
+    return np.repeat(rng.uniform(-1.0, 1.0, -(-ROWS // rows)), rows)[:ROWS]
+
+
+def record(model, theta, u, told=None):
+    """Of a plant with other parameters than those that it is searched with."""
+    rng = np.random.default_rng(2)
+    return engine.simulate(model, {**(told or {}), **theta}, ROWS, rng, u=u, dt=DT).series
+
+
+def slow(**theta):
+    return record(SERVO, {**QUIET, "offset": -8.0} | theta, 3.0 * drive())
+
+
+def test_a_slow_plant_is_looked_at_on_fewer_samples_of_all_of_the_record():
+    series = slow()
+    (few,) = fewer_samples(SERVO, QUIET, [series], MOST_ROWS)
+    k = round(few.dt / series.dt)
+    assert FEWEST <= len(few) < MOST_ROWS
+    assert np.array_equal(few.y, series.y[::k])
+    assert telling(SERVO, QUIET, ["M", "Fv"], [series])[0].dt == few.dt
+
+
+def test_other_zeros_of_time_and_length_keep_the_same_samples():
+    series = slow()
+    usual = fewer_samples(SERVO, QUIET, [series], MOST_ROWS)
+    shifted = series.replace(y=series.y + 7.0, t=series.t + 1e4)
+    other = fewer_samples(SERVO, QUIET, [shifted], MOST_ROWS)
+    assert [len(one) for one in other] == [len(one) for one in usual]
+
+
+def test_noise_of_the_readings_is_not_thrown_away():
+    """Errors that are new with every sample are worth having."""
+    noisy = {**QUIET, "sigma_y": 0.5}
+    assert fewer_samples(SERVO, noisy, [slow(**noisy, offset=-3.0)], MOST_ROWS) is None
+
+
+def test_a_plant_that_swings_between_the_samples_is_not_looked_at_so():
+    fast = engine.get_model("oscillator")
+    told = {"omega": 1200.0, "zeta": 0.01, "sigma_v": 1e-3, "sigma_y": 2e-4}
+    series = record(fast, {**told, "omega": 1150.0}, drive(0.05))
+    assert fewer_samples(fast, told, [series], MOST_ROWS) is None
+
+
+def test_noise_that_is_counted_by_steps_forbids_it():
+    model = per_step()
+    series = record(model, {"c": 1.3}, drive())
+    assert fewer_samples(model, None, [series], MOST_ROWS) is None
+
+
+def test_irregular_times_forbid_it():
+    series = slow()
+    t = series.t + 2e-4 * np.sin(np.arange(ROWS))
+    assert fewer_samples(SERVO, QUIET, [series.replace(t=t)], MOST_ROWS) is None
+
+
+def test_nothing_that_counts_samples_is_looked_for():
+    series = slow().thinned(10)
+    names = of_any_step(None, setting_for(SERVO, series, np.asarray(SERVO.theta(QUIET))))
+    assert "coulomb:velocity" in names
+    assert not [name for name in names if name.startswith(("delay:", "lag:"))]
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh", "past"])
+def test_inputs_of_fewer_samples_are_their_means(hold):
+    """An integrator is where it was at every sample that is kept."""
+    rng = np.random.default_rng(3)
+    series = Series(
+        np.zeros(23), rng.standard_normal((23, 2)), dt=0.5, hold=hold, extra=np.arange(23.0)
+    )
+    few = series.thinned(4)
+    way, short = (np.cumsum(one.u_step * one.dt, axis=0)[:-1] for one in (series, few))
+    np.testing.assert_allclose(short, way[3::4][: len(short)], atol=1e-12)
+    assert few.t.tolist() == series.t[::4].tolist()
+    assert (few.dt, len(few), len(few.extra)) == (2.0, 6, 6)
+
+
+def test_of_too_few_samples_none_can_be_left_out():
+    series = Series(np.zeros(5), dt=1.0)
+    assert series.thinned(1) is series
+    assert len(series.thinned(4)) == 2
+    for k in (0, 5):
+        with pytest.raises(engine.SeriesError, match="two at least"):
+            series.thinned(k)
+    with pytest.raises(engine.SeriesError, match="refined already"):
+        series.refined(2).thinned(2)
