@@ -33,6 +33,7 @@ from engine.filters.neighbours import followed
 from engine.filters.rbpf import RESAMPLING, rbpf
 from engine.filters.sigma_point import FilterSteps, Thetas, moment_path
 from engine.kernels.excitation import within_bounds
+from engine.kernels.pairs import best_pairs
 from engine.kernels.sensitivities import footprints
 from engine.kernels.whitening import spread, whitened
 from engine.models.registry import get_model
@@ -91,6 +92,8 @@ def warm() -> dict[str, set[Any]]:
     first, x = np.arange(1), np.hstack((run.a, run.z))
     along = Along(walk, np.asarray(run.theta), run.series, x)
     along.by(first, first, np.full(1, 1e-5))
+    one = np.arange(1)
+    best_pairs(np.ones((1, 1)), np.zeros((1, 1)), one, one, np.ones(1, dtype=bool))
     design_kernels()
     return compiled_kernels()
 

@@ -66,8 +66,9 @@ def in_noise_only(model: MixedModel, theta: Theta, series: Series) -> NDArray[np
     record, rng = model.record(theta), np.random.default_rng(0)
     draws = np.asarray(model.start(record).density.sample(rng, DRAWS), dtype=float)
     middle, reach = draws.mean(axis=0), SPREADS * draws.std(axis=0)
-    rows = {0, len(series) // 2, len(series) - 2}
-    for row in {*rows, *np.abs(series.u_step).argmax(axis=0).tolist()}:
+    steps = len(series) - 1  # the last row begins none
+    rows = {0, steps // 2, steps - 1, *np.abs(series.u_step[:steps]).argmax(axis=0).tolist()}
+    for row in rows:
         t, dt = float(series.t[row]), float(series.steps[row])
         for i in range(na):
             a = np.repeat(draws[:1], DRAWS, axis=0)

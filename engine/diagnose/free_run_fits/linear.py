@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from engine.diagnose.free_run_fits.columns import Column
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick
 from engine.diagnose.free_run_fits.folds import Folds
+from engine.kernels.pairs import best_pairs
 from engine.statespace.model import Array
 
 OWN = 1e-6  # of a column: less of it beside Gamma is rounding
@@ -76,7 +77,7 @@ class Linear:
         """The best pairs of effects, each once, the largest share first."""
         z = self.Z @ self.e
         i, j = self._couples
-        shares = self._pair_shares(z[:, None], float(self.e @ self.e))[:, 0]
+        shares = self._pair_shares(z, float(self.e @ self.e))
         best: dict[frozenset[str], Share] = {}
         for at in np.argsort(-shares):
             a, b = int(i[at]), int(j[at])
@@ -107,13 +108,13 @@ class Linear:
         apart = (np.abs(self.C[i, j]) < SAME) & (names[i] != names[j])
         return i[apart], j[apart]
 
-    def _pair_shares(self, z: Array, power: Array | float) -> Array:
+    def _pair_shares(self, z: Array, power: float) -> Array:
         i, j = self._couples
-        c = self.C[i, j][:, None]
+        c = self.C[i, j]
         zi, zj = z[i], z[j]
         share = (zi * zi + zj * zj - 2.0 * c * zi * zj) / (1.0 - c * c) / power
-        up_i = (zi - c * zj > 0.0) | ~self.one_sided[i][:, None]
-        up_j = (zj - c * zi > 0.0) | ~self.one_sided[j][:, None]
+        up_i = (zi - c * zj > 0.0) | ~self.one_sided[i]
+        up_j = (zj - c * zi > 0.0) | ~self.one_sided[j]
         return np.asarray(np.where(up_i & up_j, share, 0.0))
 
     def held_out_gains(self, E: Array, folds: Folds) -> Array:
@@ -132,7 +133,7 @@ class Linear:
             chosen.append((k, k))
         i, j = self._couples
         if len(i):
-            at = np.argmax(self._pair_shares(z, power), axis=0)
+            at = best_pairs(np.ascontiguousarray(z), self.C, i, j, self.one_sided)
             chosen.append((i[at], j[at]))
         gains = [self._gains_of(E, folds, a, b) for a, b in chosen]
         return np.max(gains, axis=0) if gains else np.zeros(E.shape[1])

@@ -188,3 +188,13 @@ def test_a_model_that_raises_where_it_is_never_is_no_reason_to_stop(recwarn):
     found = engine.rbps_em(model, series, n_particles=20, n_iterations=3, seed=0)
     assert np.isfinite(found.theta["out"])
     assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
+
+
+@pytest.mark.parametrize("rows", [2, 3, 40])
+def test_the_last_row_may_have_the_largest_input(rows):
+    """It begins no step."""
+    model = engine.get_model("servo")
+    u = np.zeros((rows, 1))
+    u[-1] = 3.0
+    series = engine.Series(np.linspace(0.0, 0.1, rows), u, dt=0.1)
+    assert not in_noise_only(model, model.theta(), series).any()

@@ -10,6 +10,7 @@ from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run_fits.columns import columns
 from engine.diagnose.free_run_fits.folds import folds_of
 from engine.diagnose.free_run_fits.linear import Linear
+from engine.kernels.pairs import best_pairs
 from engine.simulation.free_run import free_run
 from tests.engine.diagnose.free_run.cubic import MODEL, fit_beside_cubic
 
@@ -64,6 +65,20 @@ def test_shares_are_those_of_least_squares(fit, linear):
             gone = 1.0 - float(_left(fit, a.g, b.g)[1][0]) / whole
             assert pairs[key] >= gone - 1e-6
     assert shares["cubic:position->velocity"].share == max(s.share for s in shares.values())
+
+
+def test_the_best_pair_of_many_series_is_that_of_each(fit, linear):
+    """Also where columns have one sign only, and where no pair may take anything."""
+    rng = np.random.default_rng(1)
+    E = np.column_stack([fit.e, rng.standard_normal((len(fit.e), 20))])
+    z, (i, j) = linear.Z @ linear.beside(E), linear._couples
+    one_sided = linear.one_sided.copy()
+    for sides in (~one_sided, np.ones_like(one_sided), one_sided):
+        linear.one_sided[:] = sides
+        at = best_pairs(z, linear.C, i, j, linear.one_sided)
+        shares = np.array([linear._pair_shares(own, 1.0) for own in z.T]).T
+        assert at.tolist() == np.argmax(shares, axis=0).tolist()
+    assert (best_pairs(-np.abs(z), np.eye(len(z)), i, j, np.ones_like(one_sided)) == 0).all()
 
 
 def test_the_gain_on_rows_left_out_is_that_of_least_squares_on_the_others(fit, linear):
