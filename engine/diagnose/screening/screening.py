@@ -15,7 +15,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.noise_parameters import inside
 from engine.diagnose.screening.score_columns import Projection, effect_columns, parameter_columns
 from engine.diagnose.screening.screen import Screen, Test, make_test, screen
-from engine.diagnose.screening.tails import fit_tails, pit_of, standardised_errors, tail_test
+from engine.diagnose.screening.tails import ROUGH, fit_tails, pit_of, standardised_errors, tail_test
 from engine.diagnose.screening.time_scan import family_test, is_timed
 from engine.distributions import chi2_sf
 from engine.errors import EngineError, OptionError
@@ -95,7 +95,7 @@ def _confirmed(test: Test, fit: QuasiFit, series: Series) -> Test:
     """
     if test.known is None or test.known[1] > TAILS_ALARM:
         return test
-    gain, _ = fit_tails(fit, test.effect, series)
+    gain, _ = fit_tails(fit, test.effect, series, ROUGH)
     ratio = max(gain, 0.0)
     if ratio >= test.known[0]:
         return test

@@ -34,6 +34,7 @@ USUAL = 10.0  # ratio at which the kurtosis is read as a share
 LEAST_RATIO, MOST_RATIO = 2.0, 1e4
 SHARE_LEAST, SHARE_MOST = 1e-3, 0.45
 STEPS = 20  # uphill from the best of the grid
+PRECISE, ROUGH = 1e-6, 2e-3  # of a log-likelihood: gain of a step from which the next is not taken
 LEAST_KNOWN = 1e-300
 LOST = 1e300  # a value that no step is taken to
 LEAST = 20  # values without which a kurtosis means nothing
@@ -122,10 +123,13 @@ def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
         return prediction_pit(filtered, rng)
 
 
-def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Array]:
+def fit_tails(
+    fit: QuasiFit, effect: Effect, series: Series, tolerance: float = PRECISE
+) -> tuple[float, Array]:
     """2 (log-likelihood gained) by outliers and the extended theta: from the best of a grid uphill.
 
-    The usual noise shrinks where outliers made it seem large, so the model's own parameters move, too.
+    The usual noise shrinks where outliers made it seem large, so the model's own parameters move, too; until a
+    step gains less than ``tolerance``.
     """
     ratios = np.outer(RATIOS, _sizes(fit, effect, series)).ravel()
     pairs = np.array([(a, b) for a in SHARES for b in np.unique(np.minimum(ratios, MOST_RATIO))])
@@ -137,7 +141,7 @@ def fit_tails(fit: QuasiFit, effect: Effect, series: Series) -> tuple[float, Arr
 
     total = value(theta, pairs)
     best = int(np.argmax(total))
-    found, theta, own = _uphill(fit, value, float(total[best]), pairs[best])
+    found, theta, own = _uphill(fit, value, float(total[best]), pairs[best], tolerance)
     return 2.0 * (found - fit.log_likelihood), np.concatenate([theta, own])
 
 
@@ -178,7 +182,11 @@ def _sizes(fit: QuasiFit, effect: Effect, series: Series) -> Array:
 
 
 def _uphill(
-    fit: QuasiFit, value: Callable[[Array, Array], Array], best: float, own: Array
+    fit: QuasiFit,
+    value: Callable[[Array, Array], Array],
+    best: float,
+    own: Array,
+    tolerance: float,
 ) -> tuple[float, Array, Array]:
     """The largest value near the fit's theta and ``own`` (share, ratio), with these: a few BFGS steps."""
     model, theta = fit.model, np.asarray(fit.theta)
@@ -208,9 +216,8 @@ def _uphill(
 
     start = np.concatenate([np.zeros(len(indices)), np.log(own)])
     bounds = [(None, None)] * len(indices) + list(map(tuple, ends))
-    end = minimize(
-        slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": STEPS}
-    )
+    options: dict[str, float] = {"maxiter": STEPS, "ftol": tolerance / max(abs(best), 1.0)}
+    end = minimize(slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     if not -float(end.fun) > best:
         return best, theta, own
     thetas, owns = points(end.x[None])
