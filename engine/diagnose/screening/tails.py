@@ -216,8 +216,14 @@ def _uphill(
 
     start = np.concatenate([np.zeros(len(indices)), np.log(own)])
     bounds = [(None, None)] * len(indices) + list(map(tuple, ends))
-    options: dict[str, float] = {"maxiter": STEPS, "ftol": tolerance / max(abs(best), 1.0)}
-    end = minimize(slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    end = minimize(
+        slope,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": STEPS, "ftol": tolerance / max(abs(best), 1.0)},
+    )
     if not -float(end.fun) > best:
         return best, theta, own
     thetas, owns = points(end.x[None])
