@@ -205,7 +205,7 @@ def diagnose(  # noqa: PLR0913
     bootstrapped = None
     if bootstrap:
         clock.start(STAGE)
-        question = Question(causes.base, searched, causes.setting, effects)
+        question = Question(causes.base, searched, causes.setting, causes.kinds)
         bootstrapped = first_round_p(question, found, bootstrap, seed, clock.progress, done)
 
     clock.start("gain")

@@ -10,6 +10,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
 from engine.diagnose.free_run.answer import FreeRunSearch, causes_of
+from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.second_opinion import SecondOpinion, heeding
 from engine.diagnose.free_run_fits.candidates import FAMILIES
 from engine.diagnose.gain.adoption import NOT_MEASURED, falls_short
@@ -162,6 +163,9 @@ class HeldOut:
         gained = search.final.log_likelihood - search.base.log_likelihood
         further = len(search.final.free) - len(search.base.free)
         rows = int(self.searched.observed.any(axis=1).sum())
+        rows *= max(
+            thinned_by(self.searched, self.records.main), 1
+        )  # as many as there are in its time
         return (gained - further) * gain.samples / max(rows, 1)
 
     def _particle_word(self, base: QuasiFit, search: Search) -> tuple[str, bool]:

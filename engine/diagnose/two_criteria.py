@@ -9,17 +9,20 @@ the likelihood has. An answer of the free run that is lost by that stays the one
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from engine.data.series import Series
+from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.free_run.oversampled import fewer_samples, of_any_step, thinned_by
 from engine.diagnose.free_run.second_opinion import SecondOpinion, second_opinion
-from engine.diagnose.free_run.windows import rows_searched
+from engine.diagnose.free_run.windows import STRETCH, rows_searched
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.records import Records
 from engine.diagnose.search.checkpoint import Kept
-from engine.diagnose.search.pipeline import Causes, Clock, find_causes
+from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
 from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
 from engine.statespace.model import MixedModel, ThetaLike
 from engine.words import enumerated
@@ -98,15 +101,11 @@ def ask_both(
 def _with_these_steps(
     model: MixedModel, fine: Prepared, theta: ThetaLike, options: Options, clock: Clock, kept: Kept
 ) -> TwoAnswers:
-    start, train, notes = theta if fine.theta is None else fine.theta, fine.records.train, []
-    begin, end = rows_searched(model, start, options.free, train)
-    searched = train if end - begin == len(train) else train.part(begin, end)
-    if searched is not train:
-        notes.append(
-            f"The likelihood searched {len(searched.samples)} of {len(train.samples)} samples, "
-            f"{'those that move most' if begin else 'the first, as the model says where a record begins'}: "
-            f"from t = {searched.t[0]:g} to {searched.t[-1]:g} {searched.time_unit}."
-        )
+    start, train = theta if fine.theta is None else fine.theta, fine.records.train
+    searched, notes = _searched(model, start, options.free, train, kept)
+    if thinned_by(searched, train):
+        setting = setting_for(model, searched, np.asarray(model.theta(start)))
+        options = replace(options, effects=of_any_step(options.effects, setting))
     causes = find_causes(model, searched, start, **asdict(options), clock=clock, kept=kept)
     silent = np.diag(causes.base.information) == 0.0
     if searched is not train and silent.any():
@@ -134,3 +133,39 @@ def _with_these_steps(
         enough=enough,
     )
     return TwoAnswers(fine, causes, asked, searched, (*notes, *fine.notes, *causes.notes))
+
+
+def _searched(
+    model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, train: Series, kept: Kept
+) -> tuple[Series, list[str]]:
+    """What of a record the likelihood searches, with a sentence where that is not all of it."""
+    begin, end = rows_searched(model, theta, free, train)
+    if end - begin == len(train):
+        return train, []
+    all_of_it, count = _on_fewer_samples(model, theta, free, train, kept), len(train.samples)
+    if all_of_it is not None:
+        return all_of_it, [
+            f"The likelihood searched one in {thinned_by(all_of_it, train)} of {count} samples, those between "
+            "say the same; what remembers a number of samples, as a dead time, was not looked for."
+        ]
+    part = train.part(begin, end)
+    which = (
+        "those that move most" if begin else "the first, as the model says where a record begins"
+    )
+    return part, [
+        f"The likelihood searched {len(part.samples)} of {count} samples, {which}: from t = {part.t[0]:g} to "
+        f"{part.t[-1]:g} {part.time_unit}."
+    ]
+
+
+def _on_fewer_samples(
+    model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, train: Series, kept: Kept
+) -> Series | None:
+    """Every k-th sample of the record, where the model fitted to these says as well that they are enough."""
+    tried = fewer_samples(model, theta, [train], STRETCH)
+    if tried is None:
+        return None
+    own = kept.within("fewer samples")
+    fit = own.fit(model, partial(fit_base, model, tried[0], theta, free))
+    found = fewer_samples(model, fit.theta, [train], STRETCH)
+    return None if found is None else found[0]

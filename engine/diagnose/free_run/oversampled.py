@@ -48,6 +48,14 @@ def fewer_samples(
     return best
 
 
+def thinned_by(few: Series, one: Series) -> int:
+    """Of how many samples of a record ``few`` keeps one; 0 where it keeps them all, or a part of the record."""
+    if few.dt is None or one.dt is None:
+        return 0
+    k = round(few.dt * few.substeps / (one.dt * one.substeps))
+    return k if k > 1 else 0
+
+
 def of_any_step(kinds: Sequence[str] | None, setting: Setting) -> list[str]:
     """The effects that mean the same whatever the step: none that remembers a number of samples."""
     every = all_effects(setting, kinds)

@@ -24,7 +24,7 @@ from engine.diagnose.free_run.answer import (
 )
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.null import Alarm, alarm
-from engine.diagnose.free_run.oversampled import of_any_step
+from engine.diagnose.free_run.oversampled import of_any_step, thinned_by
 from engine.diagnose.free_run.search import STAGE, FreeRound
 from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
@@ -94,7 +94,7 @@ def second_opinion(
     if any(refit.effect.traits.says_hold for refit in named):
         return SecondOpinion(*said, False, READ_OTHERWISE)
     records, rivals = telling(start.model, start.theta, start.free, given), named
-    if _thinned(records, given):
+    if thinned_by(records[0], given[0]):
         kinds = of_any_step(kinds, setting_for(base.model, records[0], np.asarray(base.theta)))
         rivals = named if all(refit.effect.name in kinds for refit in named) else []
     try:
@@ -252,18 +252,11 @@ def _part(records: Sequence[Series], given: Sequence[Series]) -> str:
     seen, every = (sum(len(one.samples) for one in some) for some in (records, given))
     if seen == every:
         return ""
-    if fewer := _thinned(records, given):
+    if fewer := thinned_by(records[0], given[0]):
         return (
             f" It was looked at on one in {fewer} of {every} samples; those between say the same."
         )
     return f" It was looked at on {seen} of {every} samples, in {len(records)} stretches."
-
-
-def _thinned(records: Sequence[Series], given: Sequence[Series]) -> int:
-    """Of how many samples the records keep one; 0 of windows and of the records as given."""
-    steps = [one.steps[0] * one.substeps for one in (records[0], given[0])]
-    k = round(steps[0] / steps[1])
-    return k if k > 1 else 0
 
 
 def _noise_explains(seen: Alarm, extended: bool = False) -> str:

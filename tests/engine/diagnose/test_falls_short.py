@@ -12,6 +12,7 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.gain.adoption import Decision, falls_short
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.held_out import HeldOut
+from engine.diagnose.records import Records
 from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
@@ -83,8 +84,12 @@ def test_a_gain_is_promised_in_proportion_to_the_rows_less_a_nat_for_each_parame
         base=SimpleNamespace(log_likelihood=-120.0, free=("k",)),
         final=SimpleNamespace(log_likelihood=-100.0, free=("k", "size", "another")),
     )
-    judge = HeldOut(None, Series(y, dt=1.0), 1, 0)
+    searched = Series(y, dt=1.0)
+    judge = HeldOut(Records(searched), searched, 1, 0)
     assert judge._promised(search, LOSS) == pytest.approx(promised)
+    # of a record with five times as many samples, one in five was searched
+    judge = HeldOut(Records(Series(np.repeat(y, 5), dt=0.2)), searched, 1, 0)
+    assert judge._promised(search, LOSS) == pytest.approx(promised / 5.0)
 
 
 @dataclass(frozen=True, eq=False)
