@@ -16,7 +16,13 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.free_run.oversampled import fewer_samples, of_any_step, thinned_by
+from engine.diagnose.free_run.oversampled import (
+    DECIDES,
+    error_of_steps,
+    fewer_samples,
+    of_any_step,
+    thinned_by,
+)
 from engine.diagnose.free_run.second_opinion import SecondOpinion, second_opinion
 from engine.diagnose.free_run.windows import STRETCH, rows_searched
 from engine.diagnose.free_run_fits.fitted import Fitted
@@ -161,11 +167,17 @@ def _searched(
 def _on_fewer_samples(
     model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, train: Series, kept: Kept
 ) -> Series | None:
-    """Every k-th sample of the record, where the model fitted to these says as well that they are enough."""
-    tried = fewer_samples(model, theta, [train], STRETCH)
-    if tried is None:
+    """Every k-th sample of the record, where the model fitted to these says as well that they are enough.
+
+    One step ahead they are not where the longer steps are worth anything beside the noise.
+    """
+    few = fewer_samples(model, theta, [train], STRETCH)
+    if few is None:
         return None
     own = kept.within("fewer samples")
-    fit = own.fit(model, partial(fit_base, model, tried[0], theta, free))
-    found = fewer_samples(model, fit.theta, [train], STRETCH)
-    return None if found is None else found[0]
+    fit = own.fit(model, partial(fit_base, model, few[0], theta, free))
+    again = fewer_samples(model, fit.theta, [train], STRETCH)
+    if again is None or thinned_by(again[0], train) < thinned_by(few[0], train):
+        return None
+    worth = error_of_steps(model, np.asarray(fit.theta), train, few[0])
+    return few[0] if worth <= DECIDES else None

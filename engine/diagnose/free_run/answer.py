@@ -11,6 +11,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
+from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, one_round
 from engine.diagnose.free_run.windows import LONG, STRETCH
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
@@ -142,11 +143,16 @@ def setting_of(fit: Fitted, held: tuple[str, ...]) -> Setting:
 
 
 def on_whole(fit: Fitted, noise: QuasiFit, whole: Sequence[Series]) -> QuasiFit:
-    """The fit of windows, gone on with on whole records; the noise is that of the windows."""
+    """The fit of windows, gone on with on whole records; the noise is that of the windows.
+
+    That of every k-th sample is not that of all of them, and is fitted anew.
+    """
     mean, _ = first_state(fit.model, fit.theta)
     found = fit_runs(fit.model, whole, noise.theta, fit.free, np.tile(mean, (len(whole), 1)))
     theta = np.asarray(noise.theta).copy()
     theta[found.problem.active] = np.asarray(found.theta)[found.problem.active]
+    if thinned_by(fit.records[0], whole[0]):
+        return noise_fit(replace(found, theta=fit.model.theta(theta)))
     here = replace(noise, theta=fit.model.theta(theta))
     return replace(here, information=information(found, here))
 

@@ -13,10 +13,13 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.rates import step
 from engine.diagnose.effects.setting import Setting, setting_for
-from engine.diagnose.search.substeps import is_consistent, sampled
+from engine.diagnose.free_run_fits.fitted import Fitted
+from engine.diagnose.search.substeps import MUCH, is_consistent, sampled
 from engine.diagnose.symptoms.runs import start_state
 from engine.errors import EngineError
+from engine.filters.sigma_point import moment_path
 from engine.simulation.step_length import FREE_RUN, change_of_run, run_at_samples
 from engine.statespace.model import Array, MixedModel, ThetaLike
 
@@ -24,6 +27,8 @@ FEWEST = 500  # samples that are kept of all records
 ALIKE = (
     0.95  # correlation of errors from one sample to the next from which the next one says little
 )
+STEPPED = 100  # samples from which a long step and many short ones are compared
+DECIDES = 2.0  # of 2 x log-likelihood: so much more may decide between names
 KEPT = 0.5  # of the share that is kept of the readings: with fewer the samples between them have what there is
 
 
@@ -54,6 +59,48 @@ def thinned_by(few: Series, one: Series) -> int:
         return 0
     k = round(few.dt * few.substeps / (one.dt * one.substeps))
     return k if k > 1 else 0
+
+
+def steps_are_too_long(fit: Fitted, whole: Series) -> bool:
+    """Whether much of what the free run of a fit to a thinned ``whole`` gets wrong is its longer steps.
+
+    As :func:`engine.diagnose.search.substeps.are_too_long`.
+    """
+    few, x1 = fit.records[0], fit.x1[0]
+    theta = np.asarray(fit.theta)
+    run, long = (run_at_samples(fit.model, theta, series, x1) for series in (whole, few))
+    return not change_of_run(few, run[:: thinned_by(few, whole)], long) <= MUCH
+
+
+def error_of_steps(model: MixedModel, theta: Array, one: Series, few: Series) -> float:
+    """How much likelihood the longer steps of ``few`` may cost or win: 2 x log-likelihood, to first order.
+
+    From filtered states of some samples one long step, and as many short ones as there are in it, go on to
+    predictions that differ by d; with S the covariance of the errors of predictions it is the sum of d' S^-1 d.
+    """
+    k = thinned_by(few, one)
+    path = moment_path(model, theta, few)
+    rows = np.unique(np.linspace(0, len(few) - 2, STEPPED).astype(int))
+    total, record = 0.0, model.record(theta)
+
+    def seen(x: Array, row: int) -> Array:
+        h, C, _ = model.observation(x[:, : model.na], few.u[row], float(few.t[row]), record)
+        y: Array = (h + np.einsum("...ij,...j->...i", C, x[:, model.na :]))[0]
+        return y
+
+    for row in rows:
+        start = short = path.filtered[row][None]
+        long = step(model, theta, start, few.u_step[row], float(few.t[row]), float(few.steps[row]))
+        for i in range(k * row, k * row + k):
+            t, dt = float(one.t[i]), float(one.steps[i])
+            short = step(model, theta, short, one.u_step[i], t, dt)
+        d = seen(long, row + 1) - seen(short, row + 1)
+        there = few.observed[row + 1]
+        S = path.S[row + 1][np.ix_(there, there)]
+        scale = np.sqrt(np.diagonal(S))
+        white = np.linalg.solve(S / np.outer(scale, scale), d[there] / scale)
+        total += float(white @ (d[there] / scale))
+    return total * len(few) / len(rows)
 
 
 def of_any_step(kinds: Sequence[str] | None, setting: Setting) -> list[str]:

@@ -24,7 +24,7 @@ from engine.diagnose.free_run.answer import (
 )
 from engine.diagnose.free_run.missing_function import MissingFunction, missing_function
 from engine.diagnose.free_run.null import Alarm, alarm
-from engine.diagnose.free_run.oversampled import of_any_step, thinned_by
+from engine.diagnose.free_run.oversampled import of_any_step, steps_are_too_long, thinned_by
 from engine.diagnose.free_run.search import STAGE, FreeRound
 from engine.diagnose.free_run.windows import telling
 from engine.diagnose.free_run_fits.candidates import FAMILIES, candidates, fit_of
@@ -94,7 +94,12 @@ def second_opinion(
     if any(refit.effect.traits.says_hold for refit in named):
         return SecondOpinion(*said, False, READ_OTHERWISE)
     records, rivals = telling(start.model, start.theta, start.free, given), named
+    close = enough
     if thinned_by(records[0], given[0]):
+
+        def close(fit: Fitted) -> bool:
+            return enough(fit) and not steps_are_too_long(fit, given[0])
+
         kinds = of_any_step(kinds, setting_for(base.model, records[0], np.asarray(base.theta)))
         rivals = named if all(refit.effect.name in kinds for refit in named) else []
     try:
@@ -117,7 +122,7 @@ def second_opinion(
             seed=seed,
             progress=part_of(progress, ALARM_SHARE, 1.0),
             whole=() if records == list(given) else given,
-            enough=enough,
+            enough=close,
         )
     except CANNOT as error:
         return SecondOpinion(*said, False, f"The free run was not asked: {error}")

@@ -6,8 +6,15 @@ import pytest
 import engine
 from engine.data.series import Series
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.free_run.oversampled import FEWEST, fewer_samples, of_any_step
+from engine.diagnose.free_run.oversampled import (
+    DECIDES,
+    FEWEST,
+    error_of_steps,
+    fewer_samples,
+    of_any_step,
+)
 from engine.diagnose.free_run.windows import MOST_ROWS, telling
+from engine.estimation.quasi_ml import quasi_ml
 
 ROWS, DT = 12_000, 1e-3
 SERVO = engine.get_model("servo")
@@ -95,6 +102,35 @@ def test_nothing_that_counts_samples_is_looked_for():
     names = of_any_step(None, setting_for(SERVO, series, np.asarray(SERVO.theta(QUIET))))
     assert "coulomb:velocity" in names
     assert not [name for name in names if name.startswith(("delay:", "lag:"))]
+
+
+FREE = ["M", "Fv", "sigma_v", "sigma_load", "sigma_y"]
+
+
+def test_longer_steps_are_worth_nothing_beside_noise_and_much_without():
+    """One step ahead the same error of the steps is small or large beside what a sensor adds."""
+    worth = []
+    for sigma_y in (1e-4, 1e-6):
+        series = slow(sigma_v=2e-3, sigma_y=sigma_y)
+        few = series.thinned(7)
+        fit = quasi_ml(SERVO, few, {**QUIET, "sigma_v": 2e-3, "sigma_y": sigma_y}, FREE)
+        worth.append(error_of_steps(SERVO, np.asarray(fit.theta), series, few))
+    assert worth[0] < DECIDES < 10.0 * DECIDES < worth[1]
+
+
+@pytest.mark.slow
+def test_what_shows_in_seconds_is_named_by_a_diagnosis():
+    """The offset is 5 N off."""
+    kinds = ["force", "drag", "quadratic", "delay"]
+    series = slow(sigma_v=2e-3, sigma_y=1e-4)
+    found = engine.diagnose(SERVO, series, free=FREE, effects=kinds, seed=1, held_out=0.1)
+    assert found.verdict.value == "named"
+    (cause,) = found.causes
+    assert cause.effect == "force:velocity"
+    assert abs(cause.size - 5.0 / 95.0) < 4.0 * cause.standard_error < 0.03
+    assert any("searched one in" in note and "dead time" in note for note in found.notes)
+    (output,) = found.gain.outputs
+    assert output.rmse_after < output.rmse_before
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "past"])
