@@ -111,7 +111,7 @@ def _with_these_steps(
     searched, notes = _searched(model, start, options.free, train, kept)
     if thinned_by(searched, train):
         setting = setting_for(model, searched, np.asarray(model.theta(start)))
-        options = replace(options, effects=of_any_step(options.effects, setting))
+        options = replace(options, effects=of_any_step(options.effects, setting, options.free))
     causes = find_causes(model, searched, start, **asdict(options), clock=clock, kept=kept)
     silent = np.diag(causes.base.information) == 0.0
     if searched is not train and silent.any():

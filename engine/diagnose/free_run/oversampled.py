@@ -103,9 +103,16 @@ def error_of_steps(model: MixedModel, theta: Array, one: Series, few: Series) ->
     return total * len(few) / len(rows)
 
 
-def of_any_step(kinds: Sequence[str] | None, setting: Setting) -> list[str]:
-    """The effects that mean the same whatever the step: none that remembers a number of samples."""
-    every = all_effects(setting, kinds)
+def of_any_step(
+    kinds: Sequence[str] | None, setting: Setting, free: Sequence[str] | None
+) -> list[str]:
+    """The effects that mean the same whatever the step: none that remembers a number of samples.
+
+    Parameters that are not ``free`` are among them, as held ones.
+    """
+    names = setting.model.parameter_names
+    held = () if free is None else tuple(name for name in names if name not in free)
+    every = all_effects(replace(setting, held=held), kinds)
     return [one.name for one in every if not one.apply(setting.model).steps_counted]
 
 

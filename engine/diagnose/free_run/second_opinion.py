@@ -100,7 +100,8 @@ def second_opinion(
         def close(fit: Fitted) -> bool:
             return enough(fit) and not steps_are_too_long(fit, given[0])
 
-        kinds = of_any_step(kinds, setting_for(base.model, records[0], np.asarray(base.theta)))
+        setting = setting_for(base.model, records[0], np.asarray(base.theta))
+        kinds = of_any_step(kinds, setting, base.free)
         rivals = named if all(refit.effect.name in kinds for refit in named) else []
     try:
         beside = _beside(start, records, held, kinds)

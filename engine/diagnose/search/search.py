@@ -35,7 +35,7 @@ from engine.diagnose.search.calibration import (
 )
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.joint_refit import STAGE, look_back
-from engine.diagnose.search.refits import Refit, with_tails
+from engine.diagnose.search.refits import Refit, cost, with_tails
 from engine.diagnose.search.refitting import (
     FOLLOWED,
     confirmed,
@@ -88,6 +88,7 @@ def search(
     """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already."""
     fit, rounds, alarm, whole = base, [], False, series
     tails: Refit | None = None
+    of_state: _OfState | None = None
     explained, unweighed = "", tuple[str, ...]()
     for k in range(max_effects + 1):
         taken = None if tails is None else tails.effect
@@ -150,8 +151,13 @@ def search(
             continue
         # the moment filter does not see outliers, so they are taken out before it looks again
         tails, alarm = found.refits[0], False
-        if tails.effect.family != "noise" or tails.effect.channel not in model.outputs:
-            break
+        if tails.effect.channel not in model.outputs:
+            other = _of_a_reading(found, model)
+            if other is None:
+                break
+            of_state, tails = _OfState(len(rounds) - 1, found, fit.log_likelihood), other
+            others = tuple(one for one in found.refits if one is not other)
+            rounds[-1] = replace(found, refits=(other, *others), equivalent=(other,))
         usual = replace(fit, theta=fit.model.theta(tails.fit.theta[: len(fit.theta)]))
         series = without_outliers(usual, series, tails.effect.channel, seed)
         fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))
@@ -165,8 +171,37 @@ def search(
     if tails is None:
         return Search(base, fit, tuple(rounds), alarm, explained, unweighed)
     final = tails.fit if series is whole else _told_again(fit, tails, whole)
+    if of_state is not None and not of_state.beaten(rounds[of_state.place :], final, whole):
+        best = of_state.found.refits[0].fit
+        return Search(base, best, (*rounds[: of_state.place], of_state.found), False)
     rounds[:] = [_of_last(found, tails, final, base) for found in rounds]
     return Search(base, final, tuple(rounds), alarm, explained, unweighed)
+
+
+@dataclass(frozen=True, eq=False)
+class _OfState:
+    """A round, at its place, led by outliers of a state, and the log-likelihood before it.
+
+    Those of a reading and an effect beside them may be likelier: a sensor that glitches and was knocked once
+    looks like a state that jumps.
+    """
+
+    place: int
+    found: Round
+    before: float
+
+    def beaten(self, rounds: Sequence[Round], final: QuasiFit, series: Series) -> bool:
+        """Whether outliers of a reading with what was found beside them, to the ``final`` fit, score better."""
+        effects = [found.refits[0].effect for found in rounds if found.equivalent]
+        costs = sum(cost(effect, series) for effect in effects)
+        return 2.0 * (final.log_likelihood - self.before) - costs > self.found.refits[0].score
+
+
+def _of_a_reading(found: Round, model: MixedModel) -> Refit | None:
+    """The likeliest outliers of an output in a round, None without any."""
+    refits = [r for r in found.refits if r.effect.traits.outliers and r.score > 0.0]
+    there = [r for r in refits if r.effect.channel in model.outputs]
+    return max(there, key=lambda r: r.score, default=None)
 
 
 def _told_again(fit: QuasiFit, tails: Refit, series: Series) -> QuasiFit:
