@@ -48,10 +48,7 @@ def read_otherwise(
         own = [first.refits[0].fit.theta[p.name] for p in effect.parameters]
         names = [p.name for p in effect.parameters if p.name not in effect.held]
         extended = quasi_ml(model, series, [*base.theta, *own], [*base.free, *names])
-        other = prepare(
-            base.model, Records(series.held(hold)), lambda: np.asarray(base.theta)
-        ).records.main
-        read = quasi_ml(base.model, other, base.theta, base.free)
+        read, other = read_with(hold, base, series)
         if read.log_likelihood < extended.log_likelihood - AS_GOOD:
             return None
         again = look(read, other)
@@ -68,3 +65,10 @@ def read_otherwise(
         return ReadOtherwise(found, f"{note} So read, it still shows {said}: diagnose it so again.")
     search = replace(found, final=extended, rounds=(first, again.rounds[0]), alarm_left=False)
     return ReadOtherwise(search, f"{note} So read, nothing else is left to see.")
+
+
+def read_with(hold: str, base: QuasiFit, series: Series) -> tuple[QuasiFit, Series]:
+    """A fit of the base model to the record with its inputs read so, and that record. Raises EngineError."""
+    records = Records(series.held(hold))
+    other = prepare(base.model, records, lambda: np.asarray(base.theta)).records.main
+    return quasi_ml(base.model, other, base.theta, base.free), other

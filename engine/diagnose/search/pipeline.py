@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -12,8 +13,9 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
-from engine.diagnose.search.between_samples import read_otherwise
+from engine.diagnose.search.between_samples import read_otherwise, read_with
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import undetermined
 from engine.diagnose.search.feedback import answering, of_own_row, told
@@ -182,13 +184,24 @@ def _seen_by_a_controller(
     inputs = list(setting.model.inputs)
     if not any(of_own_row(effect, setting, inputs) for effect in leading):
         return None
-    inputs = answering(found.final, series)
+    inputs = answering(*_as_said(leading[0], found, series))
     if not any(of_own_row(effect, setting, inputs) for effect in leading):
         return None
     every = all_effects(setting, effects)
     names = [effect.name for effect in every if of_own_row(effect, setting, inputs)]
     others = [effect.name for effect in every if effect.name not in names]
     return _Aside(others, told(names, inputs))
+
+
+def _as_said(first: Effect, found: Search, series: Series) -> tuple[QuasiFit, Series]:
+    """The fit whose errors of prediction are asked, and its record: read as the first effect says, if it does.
+
+    Within a model it says so only nearly, and what is left over depends on the inputs.
+    """
+    if first.traits.says_hold:
+        with suppress(EngineError, np.linalg.LinAlgError):
+            return read_with(first.traits.says_hold, found.base, series)
+    return found.final, series
 
 
 def _widened(found: Search, series: Series, setting: Setting) -> tuple[Search, float]:
