@@ -72,10 +72,9 @@ class OverHorizon:
             if leader is not None:
                 leads.setdefault(leader, []).append(place)
         if len(leads) == 1:
-            ((effects, _),) = leads.items()
-            return (
-                f"{_named(effects)} leads at every horizon and with every budget of process noise."
-            )
+            ((effects, where),) = leads.items()
+            further = " and with every budget of process noise" if where[-1] == places[-1] else ""
+            return f"{_named(effects)} leads at every horizon{further}."
         parts = [f"{_named(effects)} leads {enumerated(where)}" for effects, where in leads.items()]
         return "; ".join(parts) + "." if parts else ""
 

@@ -61,7 +61,8 @@ def page(diagnosis: Diagnosis, every: bool = False) -> str:
 def _head(d: Diagnosis) -> Iterator[str]:
     series = d.series
     outputs = enumerated(list(d.model.outputs))
-    more = f", and {d.records - 1} records more" if d.records > 1 else ""
+    further = d.records - 1
+    more = f", and {further} more record{'s' * (further > 1)}" if further else ""
     yield f"Diagnosis of model '{d.model.name}' on {len(series)} samples of {outputs}{more}"
     yield "=" * WIDTH
     yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")

@@ -255,7 +255,7 @@ def test_several_records_and_several_held_out_ones(client, ended, pushed):
     url = client.post("/jobs", json=job).headers["location"]
     assert ended(client, url, 120.0)["status"] == "successful"
     found = client.get(f"{url}/results").json()["diagnosis"]
-    assert "160 samples of y, and 1 records more" in found["page"]
+    assert "160 samples of y, and 1 more record" in found["page"]
     wrong = client.post(
         "/jobs", json=job | {"test": [{"y": pushed[:50]}, {"y": [[1.0, 2.0]] * 40}]}
     )

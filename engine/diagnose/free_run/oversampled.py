@@ -147,8 +147,8 @@ def _alike(model: MixedModel, theta: Array, one: Series, few: Series, k: int) ->
 def _correlations(e: Array) -> Array:
     """Of errors (n, ny) with those of the sample before; 1 of an output with none in a row."""
     out = np.ones(e.shape[1])
-    for i, own in enumerate(e.T):
-        own = own - np.nanmean(own)
+    for i in np.flatnonzero(np.isfinite(e).any(axis=0)):
+        own = e[:, i] - np.nanmean(e[:, i])
         before, after = own[:-1], own[1:]
         both = np.isfinite(before * after)
         power = float(np.mean(own[np.isfinite(own)] ** 2)) if both.any() else 0.0

@@ -132,7 +132,9 @@ def activity(part: Series, whole: Series) -> float:
     """How far its readings and inputs reach, in their standard deviations over the whole record."""
     total = 0.0
     for own, every in ((part.y, whole.y), (part.u, whole.u)):
-        spread = np.nanstd(every, axis=0) if every.size else np.zeros(0)
+        seen = ~np.isnan(every).all(axis=0)
+        own, every = own[:, seen], every[:, seen]
+        spread = np.nanstd(every, axis=0)
         reach = np.nanmax(np.abs(own - np.nanmean(every, axis=0)), axis=0, initial=0.0)
         total += float(np.sum(np.nan_to_num(reach[spread > 0.0] / spread[spread > 0.0])))
     return total

@@ -68,11 +68,13 @@ def folds_of(records: Sequence[Series]) -> Folds:
 
 
 def _standardised(records: Sequence[Series], k: int) -> Array:
-    """Outputs and inputs (T, ny + nu) in their standard deviations over all records."""
+    """Outputs and inputs (T, n) in their standard deviations over all records; none that was never measured."""
     whole = [np.concatenate((one.y, one.u), axis=1) for one in records]
     stacked = np.concatenate(whole)
-    mean, spread = np.nanmean(stacked, axis=0), np.nanstd(stacked, axis=0)
-    return np.asarray(np.nan_to_num((whole[k] - mean) / np.where(spread > 0.0, spread, 1.0)))
+    seen = ~np.isnan(stacked).all(axis=0)
+    mean, spread = np.nanmean(stacked[:, seen], axis=0), np.nanstd(stacked[:, seen], axis=0)
+    own = (whole[k][:, seen] - mean) / np.where(spread > 0.0, spread, 1.0)
+    return np.asarray(np.nan_to_num(own))
 
 
 def losses(fit: Fitted, folds: Folds) -> Array:

@@ -8,6 +8,10 @@ from enum import Enum
 
 from engine.words import probability
 
+# What is said of a look-alike that is not ruled out.
+AS_LIKELY = "is as likely, but with more parameters to choose"
+LESS_LIKELY = "is less likely, by a factor of"
+
 
 class Verdict(Enum):
     """The four answers; ``value`` is the word used at every edge, ``sentence`` what it means."""

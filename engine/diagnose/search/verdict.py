@@ -9,17 +9,26 @@ import numpy as np
 from engine.diagnose.screening.score_columns import UNTESTABLE
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.search.amplitude import amplitude_of
-from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
+from engine.diagnose.search.findings import (
+    AS_LIKELY,
+    LESS_LIKELY,
+    Cause,
+    Detectable,
+    LookAlike,
+    Verdict,
+)
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.search.search import Search
 from engine.estimation.quasi_ml import QuasiFit
+from engine.words import number
 
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
 PATCHES = 2  # effects in turn that are trusted; more stand for something else
 LEFT = 0.2  # of alpha: a p-value of at most this says that something is left; alpha would fail true names
 SHOWN = 5  # look-alikes listed at most
+RULED_OUT = 6.0  # of 2 x log-likelihood less costs: 20 times as likely; with less none is ruled out
 
 
 def verdict_of(search: Search, alpha: float) -> Verdict:
@@ -121,12 +130,18 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         same = refit is not None and refit.score >= best.score - MARGIN
         followed = refit is not None and not refit.fit.given_up  # only then can it be ruled out
         as_likely = refit is not None and refit.gain >= best.gain - MARGIN
-        ruled_out = followed and not same and not as_likely and other.name not in set_of(found)
+        behind = 0.0 if refit is None else best.score - refit.score
+        worse = followed and not same and not as_likely and other.name not in set_of(found)
+        ruled_out = worse and behind > RULED_OUT
         difference = best.effect.look_alikes.get(other.kind, "")
         if same and other.name not in set_of(found):
             difference = "says the same in other words here"
         elif as_likely and other.name not in set_of(found):
-            difference = "as likely, but with more parameters to choose"
+            difference = AS_LIKELY
+        elif worse and not ruled_out:
+            difference = (
+                f"{LESS_LIKELY} {number(np.exp(0.5 * behind), 2)}, too little to rule it out"
+            )
         out.append(
             LookAlike(other.name, likeness, refit.gain if refit else None, ruled_out, difference)
         )

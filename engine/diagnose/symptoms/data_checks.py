@@ -6,6 +6,8 @@ reader and for the tests themselves, which know of missing values and of informa
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +49,7 @@ def check_data(model: MixedModel, series: Series) -> tuple[str, ...]:
             *_lattice(name, unit, values),
             *_outliers(name, unit, y, series),
         ]
+    notes += _identical(model, series)
     for column, (name, unit) in enumerate(model.inputs.items()):
         u = series.u[:, column]
         if u.min() == u.max():
@@ -54,6 +57,19 @@ def check_data(model: MixedModel, series: Series) -> tuple[str, ...]:
                 f"Input {name} is {with_unit(float(u[0]), unit)} throughout: what it drives is not excited."
             )
     return tuple(notes)
+
+
+def _identical(model: MixedModel, series: Series) -> list[str]:
+    """Outputs whose readings are the same wherever both are there: one channel, given twice."""
+    notes = []
+    for (i, one), (j, other) in combinations(enumerate(model.outputs), 2):
+        both = series.y[series.observed[:, [i, j]].all(axis=1)][:, [i, j]]
+        if len(both) > 1 and np.ptp(both) > 0.0 and np.array_equal(both[:, 0], both[:, 1]):
+            notes.append(
+                f"Outputs {one} and {other} read exactly the same: one channel given twice? Then their noise "
+                "is not that of two sensors, and no parameter can be trusted."
+            )
+    return notes
 
 
 def _length(model: MixedModel, series: Series) -> list[str]:

@@ -125,6 +125,10 @@ def test_only_a_refit_that_has_ended_can_be_ruled_out():
     refits[1].fit.given_up = False
     ruled_out = {x.effect: x.ruled_out for x in _look_alikes(one, refits[0])}
     assert ruled_out == {"cubic:speed": True, "coulomb:speed": False}
+    refits[1].score = refits[1].gain = 37.0  # e^(3 / 2) times as likely is not much
+    told = {x.effect: x for x in _look_alikes(one, refits[0])}["cubic:speed"]
+    assert not told.ruled_out
+    assert told.difference == "is less likely, by a factor of 4.5, too little to rule it out"
 
 
 def test_a_model_far_from_the_data_has_no_named_cause():

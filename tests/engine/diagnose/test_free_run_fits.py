@@ -1,9 +1,12 @@
 """Refits of the second criterion."""
 
 import numpy as np
+import pytest
 
 from engine.data.series import Series
+from engine.diagnose.free_run.windows import stretch
 from engine.diagnose.free_run_fits.fitted import finished, fit_runs
+from engine.diagnose.free_run_fits.folds import folds_of
 from engine.models.registry import get_model
 from engine.simulation.free_run import free_run
 
@@ -22,3 +25,14 @@ def test_a_refit_that_was_left_early_is_followed_to_its_end():
     assert whole.cost < 1e-3 * left.cost
     np.testing.assert_allclose([whole.theta[name] for name in told], list(told.values()), rtol=1e-3)
     assert finished(whole) is whole
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_output_that_was_never_measured_is_no_trouble():
+    """Neither to folds, which are those without it, nor to what says where a record moves most."""
+    rng = np.random.default_rng(0)
+    y = rng.standard_normal((400, 1))
+    both = Series(np.hstack([y, np.full_like(y, np.nan)]), y, dt=0.1)
+    alone = Series(y, y, dt=0.1)
+    assert folds_of([both]).fold.tolist() == folds_of([alone]).fold.tolist()
+    assert stretch(both, 100, 50) == stretch(alone, 100, 50)

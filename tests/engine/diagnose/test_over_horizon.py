@@ -65,6 +65,18 @@ def test_a_patch_leads_one_sample_ahead_only():
     assert table[3] == ["bias:y", "-", "-", "-"]
 
 
+def test_what_was_not_compared_is_not_led():
+    rows = [
+        Candidate((), (1.0, 1.0), (0.0, 0.0)),
+        Candidate(("lag:y",), (0.9, 0.4), (np.nan, np.nan)),
+    ]
+    assert OverHorizon((1, 50), (1.0, 0.1), tuple(rows)).sentence == "lag:y leads at every horizon."
+    rows[1] = replace(rows[1], gains=(9.0, 9.0))
+    assert OverHorizon((1, 50), (1.0, 0.1), tuple(rows)).sentence == (
+        "lag:y leads at every horizon and with every budget of process noise."
+    )
+
+
 def test_a_candidate_that_is_worse_than_the_model_as_given_leads_nowhere():
     rows = [
         Candidate((), (1.0, 1.0), (0.0, 0.0)),

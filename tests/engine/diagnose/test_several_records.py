@@ -50,7 +50,7 @@ def test_the_cause_is_named_and_the_gain_is_of_all_that_is_held_out(found):
     assert found.records == 3
     assert len(found.series) == 200
     assert any("the longest" in note for note in found.notes)
-    assert "and 2 records more" in str(found)
+    assert "and 2 more records" in str(found)
 
 
 @pytest.mark.slow

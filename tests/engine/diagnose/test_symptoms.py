@@ -279,6 +279,20 @@ def test_clean_data_have_no_notes():
             assert check_data(model, series) == ()
 
 
+def test_a_channel_that_is_given_twice_is_noticed():
+    """Wherever both were read; outputs that only nearly agree are two."""
+    rng = np.random.default_rng(3)
+    series = simulate(MIXED, None, 200, rng).series
+    assert MIXED.ny > 1
+    twice = series.y.copy()
+    twice[:, 1] = twice[:, 0]
+    twice[50:60, 1] = np.nan
+    one, other = list(MIXED.outputs)[:2]
+    assert f"Outputs {one} and {other} read exactly the same" in note(MIXED, twice)
+    twice[7, 1] += 1e-9
+    assert "exactly the same" not in note(MIXED, twice)
+
+
 def test_data_checks_name_what_is_odd():
     rng = np.random.default_rng(11)
     y = 3.0 * np.sin(np.arange(400) / 9.0) + 0.05 * rng.standard_normal(400)

@@ -17,6 +17,7 @@ from engine.diagnose import Cause, LookAlike, diagnose, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
+from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY
 from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.symptoms.residuals import autocorrelation
@@ -230,10 +231,13 @@ def test_what_the_data_say_of_others_is_no_more_than_they_do():
             ("colored:room", 12.0, False, ""),
             ("bias:room", None, False, ""),
             ("saturation:air", 41.0, False, SAME),
+            ("force:air", 37.0, False, f"{LESS_LIKELY} 4, too little to rule it out"),
+            ("mode:air", 39.0, False, AS_LIKELY),
         )
     ]
     assert said == [
         "not told apart", "ruled out", "behind, its refit left early", "not ruled out", "the same here",
+        "not ruled out", "not ruled out",
     ]  # fmt: skip
 
 
