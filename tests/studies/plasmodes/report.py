@@ -15,7 +15,7 @@ from tests.studies.report import made_with, markdown
 from tests.studies.study import Row, Study, Tables
 
 RECORDED = tuple(dict.fromkeys(window.record for window in windows.WINDOWS))
-EACH = {"nile": 60, "seatbelts": 60, "tanks": 84, "silverbox": 90, "boucwen": 72, "emps": 60}
+EACH = {"nile": 150, "seatbelts": 120, "tanks": 84, "silverbox": 90, "boucwen": 72, "emps": 60}
 ABOUT = f"""\
 Effects put into the readings of real records, or taken from what they say of their inputs
 (`tests/studies/plasmodes/planted.py`), at random places. Models are first extended until nothing is found in a
