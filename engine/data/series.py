@@ -252,12 +252,15 @@ class Series(Shown):
             raise SeriesError(f"the series is refined already, {self.substeps} steps a sample")
         if k == 1:
             return self
-        u, extra = (self._over(values) for values in (self.u, self.extra))
         rows = np.arange(left + 1) * k
-        # the last sample may begin fewer steps than k, which no step of the thinned series asks for
-        first, count = rows, np.minimum(rows + k, len(self)) - rows
-        means = [np.add.reduceat(values, first, axis=0) / count[:, None] for values in (u, extra)]
-        return self.replace(y=self.y[rows], u=means[0], t=self.t[rows], extra=means[1], hold="zoh")
+        lasts = np.append(self.steps, self.steps[-1])[:, None]  # the last sample begins no step
+
+        def mean(values: Array) -> Array:
+            total = np.add.reduceat(lasts * self._over(values), rows, axis=0)
+            return np.asarray(total / np.add.reduceat(lasts, rows, axis=0))
+
+        u, extra = mean(self.u), mean(self.extra)
+        return self.replace(y=self.y[rows], u=u, t=self.t[rows], extra=extra, hold="zoh")
 
     def _between(self, values: Array, rows: NDArray[np.intp], share: Array) -> Array:
         """Inputs at a share (n,) of the way from each of the rows (n,) to the next."""

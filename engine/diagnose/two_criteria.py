@@ -30,6 +30,7 @@ from engine.diagnose.records import Records
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
 from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
+from engine.errors import EngineError
 from engine.statespace.model import MixedModel, ThetaLike
 from engine.words import enumerated
 
@@ -175,9 +176,12 @@ def _on_fewer_samples(
     if few is None:
         return None
     own = kept.within("fewer samples")
-    fit = own.fit(model, partial(fit_base, model, few[0], theta, free))
-    again = fewer_samples(model, fit.theta, [train], STRETCH)
-    if again is None or thinned_by(again[0], train) < thinned_by(few[0], train):
+    try:
+        fit = own.fit(model, partial(fit_base, model, few[0], theta, free))
+        again = fewer_samples(model, fit.theta, [train], STRETCH)
+        if again is None or thinned_by(again[0], train) < thinned_by(few[0], train):
+            return None
+        worth = error_of_steps(model, np.asarray(fit.theta), train, few[0])
+    except (EngineError, np.linalg.LinAlgError):
         return None
-    worth = error_of_steps(model, np.asarray(fit.theta), train, few[0])
     return few[0] if worth <= DECIDES else None

@@ -24,9 +24,7 @@ from engine.simulation.step_length import FREE_RUN, change_of_run, run_at_sample
 from engine.statespace.model import Array, MixedModel, ThetaLike
 
 FEWEST = 500  # samples that are kept of all records
-ALIKE = (
-    0.95  # correlation of errors from one sample to the next from which the next one says little
-)
+ALIKE = 0.95  # correlation of errors from sample to sample from which the next says little
 STEPPED = 100  # samples from which a long step and many short ones are compared
 DECIDES = 2.0  # of 2 x log-likelihood: so much more may decide between names
 KEPT = 0.5  # of the share that is kept of the readings: with fewer the samples between them have what there is

@@ -306,9 +306,8 @@ def test_emps_thinned(measured_data):
     """Drive data thinned to 20 ms: the data authors give M 95.1, Fv 203.5, Fc 20.4, offset -3.16."""
     folder = measured_data("emps")
     whole = read_series(folder / "estimation.csv", y=["y_m"], u=["u_V"])
-    n = len(whole) // 20
-    u = whole.u[: 20 * n].reshape(n, 20).mean(axis=1)
-    series = Series(whole.y[: 20 * n : 20], u, dt=0.02)
+    series = whole.thinned(20)
+    assert series.dt == pytest.approx(0.02)
     fit = fit_simulation(SERVO, series, free=["M", "Fv", "Fc", "offset"])
     assert fit.rmse < 3e-3
     assert fit.theta["M"] == pytest.approx(95.1, rel=0.08)

@@ -18,14 +18,6 @@ from tests.studies.measured.known import KNOWN
 from tests.studies.study import StudyError, Table
 
 
-def test_thinning_averages_the_input_that_is_held():
-    u = np.arange(10.0)
-    thin = records.thinned(Series(np.arange(10.0) ** 2, u, dt=0.1), 4)
-    np.testing.assert_allclose(thin.y[:, 0], [0.0, 16.0])
-    np.testing.assert_allclose(thin.u[:, 0], [1.5, 5.5])
-    assert thin.dt == pytest.approx(0.4)
-
-
 def test_the_table_of_a_cell_is_a_line_between_its_knots():
     theta = models.CELL.record(models.CELL.theta(None))
     q = np.array([-0.1, 0.0, 0.5, 0.99, 1.1])

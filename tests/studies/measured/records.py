@@ -82,7 +82,7 @@ class Record:
 def _emps(folder: Path) -> Data:
     """The drive, its friction and offset unknown to the model."""
     train, test = (
-        thinned(read_series(folder / f"{name}.csv", y=["y_m"], u=["u_V"], dt=1e-3), EMPS_THINNED)
+        read_series(folder / f"{name}.csv", y=["y_m"], u=["u_V"], dt=1e-3).thinned(EMPS_THINNED)
         for name in ("estimation", "test_pulses")
     )
     options = {
@@ -161,13 +161,6 @@ def _seatbelts(folder: Path) -> Data:
     y, price = np.log(table["drivers_ksi_count"]), np.log(table["petrol_price"])
     whole = Series(y, price, dt=1.0, y_names=["drivers"], u_names=["price"])
     return Data(SEASONAL, whole, {}, {"held_out": 0.0}, settled=0, blocks=True)
-
-
-def thinned(series: Series, n: int) -> Series:
-    """Every n-th reading, with the mean of the inputs until the next one."""
-    T = len(series) // n * n
-    u = series.u[:T].reshape(-1, n, series.u.shape[1]).mean(axis=1)
-    return Series(series.y[:T:n], u, t=series.t[:T:n])
 
 
 RECORDS = {

@@ -145,6 +145,15 @@ def test_inputs_of_fewer_samples_are_their_means(hold):
     assert (few.dt, len(few), len(few.extra)) == (2.0, 6, 6)
 
 
+def test_uneven_steps_count_by_their_length():
+    t = [0.0, 1.0, 3.0, 3.5, 6.0]
+    few = Series(np.arange(5.0), [1.0, 4.0, 2.0, 8.0, 0.0], t=t).thinned(2)
+    assert few.t.tolist() == [0.0, 3.0, 6.0]
+    np.testing.assert_allclose(
+        few.u[:2, 0], [(1.0 + 2.0 * 4.0) / 3.0, (0.5 * 2.0 + 2.5 * 8.0) / 3.0]
+    )
+
+
 def test_of_too_few_samples_none_can_be_left_out():
     series = Series(np.zeros(5), dt=1.0)
     assert series.thinned(1) is series
