@@ -16,8 +16,8 @@ As documented: Coulomb friction, 0.192 m/s^2 x 104 kg = 20 N, and the offset, -3
 force on the square of the velocity runs alike on a record that repeats one movement, so it is a set, and only
 another record can part them. The test error is a fourteenth of the base's, and above that of the reference.
 One step ahead outliers of the reading win, and the free run overrules them. By itself the likelihood would end
-with a worse free run than it began with. PySINDy's seven terms, Coulomb friction among them, run better than the
-two that are named (4.2 mm). Its careful setting names one that is not there.
+with a worse free run than it began with. PySINDy's seven terms, Coulomb friction among them, run better than
+the two that are named (4.2 mm). Its careful setting names one that is not there.
 Readings are thinned. Of every 8th sample the load's random walk that is fitted one step ahead would make free
 runs 100 times as wrong as this one is; so the free run is asked, and ends in a larger set with the same two in
 it (15 mm on the pulses, 96 before). At the full rate the free run looks at one sample in 28 of the whole record
