@@ -7,6 +7,8 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
+MOST_DIGITS = 12  # of an estimate, however small the error that is stated of it
+
 
 def number(value: float | None, digits: int = 3) -> str:
     """``digits`` significant digits; "?" for what is not a finite number."""
@@ -51,7 +53,7 @@ def estimate(value: float | None, error: float | None, unit: str = "") -> str:
         return f"{with_unit(value, unit)}, its standard error not determined by these data"
     if abs(value) < error:
         return f"of no certain size (standard error {with_unit(error, unit, 2)})"
-    digits = max(3, int(math.log10(abs(value) / error)) + 2)
+    digits = min(max(3, int(math.log10(abs(value) / error)) + 2), MOST_DIGITS)
     return f"{number(value, digits)} +- {with_unit(error, unit, 2)}"
 
 

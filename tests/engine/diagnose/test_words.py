@@ -372,3 +372,9 @@ def test_nothing_found_leaves_one_column_of_estimates():
     rows = [line.split() for line in str(clean).splitlines() if line.startswith("  theta ")]
     error = clean.search.final.standard_errors[0]
     assert rows == [["theta", number(float(clean.theta["theta"]), 4), number(error, 2)]]
+
+
+def test_no_estimate_has_more_digits_than_a_number_holds():
+    """A share that is at its bound; a time since 1970 keeps its tenths."""
+    assert estimate(0.99999999999979, 1.7e-13) == "1 +- 1.7e-13"
+    assert estimate(1700000123.4, 0.5, "s") == "1700000123.4 +- 0.5 s"
