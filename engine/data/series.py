@@ -14,15 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from engine.arrays import Array
 from engine.data.channels import check_channels, default_names
 from engine.data.clock import index_of, times_of
+from engine.data.hold import HOLDS, between, means, over_steps
 from engine.errors import ModelError, OptionError, SeriesError
 from engine.units import SECOND
 from engine.views import Shown, View, frame, sheet, tables
 
 if TYPE_CHECKING:
     from engine.statespace.base import BaseModel
-
-
-HOLDS = ("zoh", "foh", "past")  # what an input does between its samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,16 +195,9 @@ class Series(Shown):
 
         The mean of a straight line, which a step of second order asks for. The last row begins no step.
         """
-        over = self._over(self.u)
+        over = over_steps(self.u, self.hold)
         over.setflags(write=False)
         return over
-
-    def _over(self, values: Array) -> Array:
-        """Inputs over the step that begins at each row."""
-        if self.hold == "zoh" or not values.shape[1]:
-            return values
-        following = np.concatenate([values[1:], values[-1:]])
-        return following if self.hold == "past" else 0.5 * (values + following)
 
     @cached_property
     def samples(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -233,16 +224,17 @@ class Series(Shown):
         steps = np.append(self.steps, 0.0)
         return self.replace(
             y=y,
-            u=self._between(self.u, rows, share),
+            u=between(self.u, self.hold, rows, share),
             t=self.t[rows] + share * steps[rows],
-            extra=self._between(self.extra, rows, share),
+            extra=between(self.extra, self.hold, rows, share),
             substeps=k,
         )
 
     def thinned(self, k: int) -> Series:
         """Every k-th sample of a record that was sampled far more often than its plant moves.
 
-        Inputs and extra channels are their means over the time until the next sample that is kept, and held.
+        Inputs and extra channels are their means over the time until the next sample that is kept, and held; a
+        reading that depends on the input of its own row sees that mean.
         Raises SeriesError for k < 1, where fewer than two samples are left, and for a refined series.
         """
         left = (len(self) - 1) // max(k, 1)
@@ -253,24 +245,8 @@ class Series(Shown):
         if k == 1:
             return self
         rows = np.arange(left + 1) * k
-        lasts = np.append(self.steps, self.steps[-1])[:, None]  # the last sample begins no step
-
-        def mean(values: Array) -> Array:
-            total = np.add.reduceat(lasts * self._over(values), rows, axis=0)
-            return np.asarray(total / np.add.reduceat(lasts, rows, axis=0))
-
-        u, extra = mean(self.u), mean(self.extra)
+        u, extra = (means(values, self.hold, self.steps, rows) for values in (self.u, self.extra))
         return self.replace(y=self.y[rows], u=u, t=self.t[rows], extra=extra, hold="zoh")
-
-    def _between(self, values: Array, rows: NDArray[np.intp], share: Array) -> Array:
-        """Inputs at a share (n,) of the way from each of the rows (n,) to the next."""
-        here = np.asarray(values[rows])
-        following = np.asarray(values[np.minimum(rows + 1, len(values) - 1)])
-        if self.hold == "zoh":
-            return here
-        if self.hold == "past":
-            return np.where(share[:, None] > 0.0, following, here)
-        return here + share[:, None] * (following - here)
 
     def held(self, hold: str) -> Series:
         """The samples of this series, not refined, with inputs that do what ``hold`` says between them."""

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from engine.data.series import HOLDS
+from engine.data.hold import HOLDS
 from engine.errors import OptionError, check_count
 from engine.json_values import plain
 from engine.statespace.model import MixedModel

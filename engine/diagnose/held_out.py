@@ -163,9 +163,8 @@ class HeldOut:
         gained = search.final.log_likelihood - search.base.log_likelihood
         further = len(search.final.free) - len(search.base.free)
         rows = int(self.searched.observed.any(axis=1).sum())
-        rows *= max(
-            thinned_by(self.searched, self.records.main), 1
-        )  # as many as there are in its time
+        # as many as there are in its time
+        rows *= max(thinned_by(self.searched, self.records.main), 1)
         return (gained - further) * gain.samples / max(rows, 1)
 
     def _particle_word(self, base: QuasiFit, search: Search) -> tuple[str, bool]:

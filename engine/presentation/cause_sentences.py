@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from engine.data.series import Series
 from engine.diagnose.effects.colored import LATENT
-from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, Cause, LookAlike
+from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, WAS_LIKELIER, Cause, LookAlike
 from engine.units import SECOND
 from engine.words import enumerated, estimate, number, with_unit
 
@@ -108,7 +108,7 @@ def standing(other: LookAlike, equivalent: Sequence[str]) -> str:
         return "not told apart"
     if other.difference == SAME:
         return "the same here"
-    if other.difference.startswith((AS_LIKELY, LESS_LIKELY)):
+    if other.difference.startswith((AS_LIKELY, LESS_LIKELY, WAS_LIKELIER)):
         return "not ruled out"
     return "not ruled out" if other.gain is None else "behind, its refit left early"
 

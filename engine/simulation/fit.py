@@ -386,9 +386,8 @@ def _run_away(runs: Sequence[FreeRun]) -> bool:
         y = np.concatenate([run.series.y[:, i] for run in runs])
         off = np.concatenate([run.residuals[:, i] for run in runs])
         seen = np.isfinite(y)
-        moved = (
-            float(np.ptp(y[seen])) if seen.any() else 0.0
-        )  # of a reading that stands still nothing is known
+        # of a reading that stands still nothing is known
+        moved = float(np.ptp(y[seen])) if seen.any() else 0.0
         if moved > 0.0 and not np.sqrt(np.mean(off[seen] ** 2)) <= AWAY * moved:
             return True
     return False

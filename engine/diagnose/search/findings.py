@@ -11,6 +11,7 @@ from engine.words import probability
 # What is said of a look-alike that is not ruled out.
 AS_LIKELY = "is as likely, but with more parameters to choose"
 LESS_LIKELY = "is less likely, by a factor of"
+WAS_LIKELIER = "was likelier before what was found beside the cause"
 
 
 class Verdict(Enum):

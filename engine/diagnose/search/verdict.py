@@ -12,6 +12,7 @@ from engine.diagnose.search.amplitude import amplitude_of
 from engine.diagnose.search.findings import (
     AS_LIKELY,
     LESS_LIKELY,
+    WAS_LIKELIER,
     Cause,
     Detectable,
     LookAlike,
@@ -134,7 +135,9 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         worse = followed and not same and not as_likely and other.name not in set_of(found)
         ruled_out = worse and behind > RULED_OUT
         difference = best.effect.look_alikes.get(other.kind, "")
-        if same and other.name not in set_of(found):
+        if behind < -MARGIN:  # outliers of a state, see the search
+            difference = WAS_LIKELIER
+        elif same and other.name not in set_of(found):
             difference = "says the same in other words here"
         elif as_likely and other.name not in set_of(found):
             difference = AS_LIKELY

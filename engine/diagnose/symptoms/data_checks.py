@@ -21,6 +21,7 @@ SHORT_SAMPLES = 100  # samples; and ten per parameter
 OUTLIER_DEVIATIONS = 6.0  # robust standard deviations
 FLICKERS = 0.1  # share of short stretches from which a signal ends at zero by a cut
 ANSWER_SAMPLES = 5  # samples after a step of an input in which an answer to it may peak
+COMMON = 20  # readings of two outputs; that fewer are the same may be chance
 MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
 
 
@@ -64,7 +65,7 @@ def _identical(model: MixedModel, series: Series) -> list[str]:
     notes = []
     for (i, one), (j, other) in combinations(enumerate(model.outputs), 2):
         both = series.y[series.observed[:, [i, j]].all(axis=1)][:, [i, j]]
-        if len(both) > 1 and np.ptp(both) > 0.0 and np.array_equal(both[:, 0], both[:, 1]):
+        if len(both) >= COMMON and np.ptp(both) > 0.0 and np.array_equal(both[:, 0], both[:, 1]):
             notes.append(
                 f"Outputs {one} and {other} read exactly the same: one channel given twice? Then their noise "
                 "is not that of two sensors, and no parameter can be trusted."

@@ -129,6 +129,10 @@ def test_only_a_refit_that_has_ended_can_be_ruled_out():
     told = {x.effect: x for x in _look_alikes(one, refits[0])}["cubic:speed"]
     assert not told.ruled_out
     assert told.difference == "is less likely, by a factor of 4.5, too little to rule it out"
+    refits[1].score = refits[1].gain = 50.0  # ahead in its round, beaten with what was found later
+    told = {x.effect: x for x in _look_alikes(one, refits[0])}["cubic:speed"]
+    assert not told.ruled_out
+    assert told.difference == "was likelier before what was found beside the cause"
 
 
 def test_a_model_far_from_the_data_has_no_named_cause():

@@ -15,6 +15,7 @@ from engine.diagnose.free_run.oversampled import (
 )
 from engine.diagnose.free_run.windows import MOST_ROWS, telling
 from engine.estimation.quasi_ml import quasi_ml
+from tests.engine.other_units import Units
 
 ROWS, DT = 12_000, 1e-3
 SERVO = engine.get_model("servo")
@@ -71,6 +72,24 @@ def test_other_zeros_of_time_and_length_keep_the_same_samples():
     shifted = series.replace(y=series.y + 7.0, t=series.t + 1e4)
     other = fewer_samples(SERVO, QUIET, [shifted], MOST_ROWS)
     assert [len(one) for one in other] == [len(one) for one in usual]
+
+
+def test_other_units_of_every_channel_of_time_and_of_parameters_keep_them_too():
+    rng = np.random.default_rng(4)
+    units = Units.of(SERVO, lambda: rng.integers(-20, 20))
+    series, theta = slow(), np.asarray(SERVO.theta(QUIET))
+    usual = fewer_samples(SERVO, theta, [series], MOST_ROWS)
+    there, model = units.series(series), units.model(SERVO)
+    other = fewer_samples(model, theta * units.theta, [there], MOST_ROWS)
+    assert [len(one) for one in other] == [len(one) for one in usual]
+    worth = [
+        error_of_steps(*asked, whole, few[0])
+        for asked, whole, few in (
+            ((SERVO, theta), series, usual),
+            ((model, theta * units.theta), there, other),
+        )
+    ]
+    assert worth[1] == pytest.approx(worth[0], rel=1e-6)
 
 
 def test_noise_of_the_readings_is_not_thrown_away():
