@@ -30,7 +30,7 @@ def between(values: Array, hold: str, rows: NDArray[np.intp], share: Array) -> A
 
 
 def means(values: Array, hold: str, steps: Array, rows: NDArray[np.intp]) -> Array:
-    """Inputs (n, nu) from each of the rows (n,) to the next of these; ``steps`` (T-1,) are those of all rows."""
+    """Inputs (n, nu) from each of some rows (n,) to the next of these; ``steps`` (T-1,) are of all rows."""
     lasts = np.append(steps, steps[-1])[:, None]  # the last row begins no step
     total = np.add.reduceat(lasts * over_steps(values, hold), rows, axis=0)
     return np.asarray(total / np.add.reduceat(lasts, rows, axis=0))
