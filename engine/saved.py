@@ -24,6 +24,7 @@ from engine.diagnose.extended import get_model
 from engine.errors import EngineError, OptionError
 from engine.estimation.em_result import EmResult
 from engine.estimation.outcome import Outcome
+from engine.estimation.uncertainty.observed import StandardErrors
 from engine.models.files import ModelFile, read_models
 from engine.models.registry import model_names
 from engine.simulation.fit import SimulationFit, with_runs
@@ -31,7 +32,9 @@ from engine.statespace.model import MixedModel
 
 FORMAT = 1
 ARRAYS = ("trace", "log_likelihood", "ess", "seconds", "collapsed", "memory")  # of an EmResult
-Kept = EmResult | SimulationFit | Diagnosis
+ERRORS = ("covariance", "score", "score_error", "relative_error")  # of StandardErrors
+SAID = ("decrement", "settled", "warning", "note")
+Kept = EmResult | StandardErrors | SimulationFit | Diagnosis
 
 
 def save(found: Kept, path: str | Path) -> Path:
@@ -39,7 +42,7 @@ def save(found: Kept, path: str | Path) -> Path:
 
     Parameters
     ----------
-    found : EmResult, SimulationFit or Diagnosis
+    found : EmResult, StandardErrors, SimulationFit or Diagnosis
         The result to keep, with the name, file or text of its model.
     path : str or Path
         The file to write.
@@ -84,7 +87,7 @@ def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
 
     Returns
     -------
-    EmResult, SimulationFit or Diagnosis
+    EmResult, StandardErrors, SimulationFit or Diagnosis
         The result as it was saved, with its model.
 
     Raises
@@ -111,6 +114,8 @@ def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
         )
     if kind == "em":
         return _em(found, content)
+    if kind == "errors":
+        return _errors(found, content)
     series = [_series(one) for one in content["series"]]
     if kind == "simulation":
         return with_runs(found, series, content)
@@ -127,6 +132,10 @@ def _content(found: Kept) -> tuple[str, dict[str, Any]]:
         out: dict[str, Any] = {name: getattr(found, name).tolist() for name in ARRAYS}
         out |= {name: list(getattr(found, name)) for name in ("free", "not_estimated", "theta")}
         return "em", out | {"outcome": found.outcome.name, "message": found.message}
+    if isinstance(found, StandardErrors):
+        out = {name: getattr(found, name).tolist() for name in (*ERRORS, "theta")}
+        out |= {name: getattr(found, name) for name in SAID}
+        return "errors", out | {name: list(getattr(found, name)) for name in ("names", "tied")}
     if isinstance(found, SimulationFit):
         return "simulation", {
             "series": [_arrays(run.series) for run in found.runs],
@@ -160,6 +169,16 @@ def _em(model: Any, content: Mapping[str, Any]) -> EmResult:
         free=tuple(content["free"]),
         not_estimated=tuple(content["not_estimated"]),
         **arrays,
+    )
+
+
+def _errors(model: Any, content: Mapping[str, Any]) -> StandardErrors:
+    names = tuple(content["names"])
+    parts: dict[str, Any] = {one: content[one] for one in SAID}
+    parts |= {one: np.array(content[one], dtype=float) for one in ERRORS}
+    parts["covariance"] = parts["covariance"].reshape(len(names), len(names))
+    return StandardErrors(
+        model, model.theta(content["theta"]), names, tied=tuple(content["tied"]), **parts
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,6 +52,27 @@ def test_an_estimate_kept_before_there_was_anything_to_remember(level, tmp_path)
     found = engine.load(path)
     assert found.memory.shape == (2, 0)
     assert len(engine.rbps_em(found.model, nile(), resume=found, n_iterations=3).trace) == 4
+
+
+def test_errors_with_a_tie_and_a_note(tmp_path):
+    model = engine.get_model("local-level")
+    errors = engine.StandardErrors(
+        model,
+        model.theta(),
+        ("q", "r"),
+        np.diag([4.0, 0.0]),
+        *np.eye(3, 2),
+        settled=False,
+        warning="some",
+        tied=("r",),
+    )
+    found = engine.load(errors.save(tmp_path / "errors.json"))
+    assert str(found) == str(errors)
+    assert not found.settled
+    np.testing.assert_array_equal(found.values, errors.values)
+    for name in ("covariance", "score", "score_error", "relative_error"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(errors, name))
+    assert engine.load(replace(errors, names=(), covariance=np.empty((0, 0))).save(tmp_path / "no"))
 
 
 def test_an_extended_model_by_name_and_effects(tmp_path):

@@ -19,6 +19,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -33,7 +34,7 @@ from engine.estimation.uncertainty.ties import undetermined
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.ties import tied, ties_in_words, to_hold
-from engine.views import html, tables
+from engine.views import html, save, tables
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates ...
 MOST_ROUNDS = 15  # ... and so many where a round may not widen a direction as far as it should
@@ -126,9 +127,19 @@ class StandardErrors:
         return out
 
     def interval(self, level: float = 0.95) -> Array:
-        """Symmetric confidence intervals (n_theta, 2); NaN for parameters held, infinite for those tied."""
+        """Confidence intervals (n_theta, 2), theta +- a multiple of its error as far as bounds let it.
+
+        NaN for parameters held, infinite for those tied. An end that is a bound says that the error is too
+        large for a parabola: :func:`engine.likelihood_intervals` follows the likelihood itself.
+        """
         half = float(normal_quantile(0.5 + level / 2.0)) * self.values
-        return np.stack([np.asarray(self.theta) - half, np.asarray(self.theta) + half], axis=1)
+        ends = np.stack([np.asarray(self.theta) - half, np.asarray(self.theta) + half], axis=1)
+        within = np.clip(ends, self.model.lower[:, None], self.model.upper[:, None])
+        return np.where(np.isfinite(ends), within, ends)
+
+    def save(self, path: str | Path) -> Path:
+        """Write it with its model; :func:`engine.load` reads it."""
+        return save(self, path)
 
     def _repr_html_(self) -> str:
         numbers = zip(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,6 +52,23 @@ def test_an_interval_has_its_confidence(level):
     low, high = errors_with(0.25, 0.09).interval(level)[0]
     assert norm.cdf(high, 0.25, 0.3) - norm.cdf(low, 0.25, 0.3) == pytest.approx(level, abs=1e-9)
     assert low + high == pytest.approx(0.5)
+
+
+def test_an_interval_ends_at_the_bounds():
+    """No variance is negative; ends that are not there stay away."""
+    model = engine.get_model("local-level")  # q and r in [0, inf)
+    errors = StandardErrors(
+        model,
+        model.theta({"q": 2.0, "r": 1.0}),
+        ("q", "r"),
+        np.diag([4.0, 0.01]),
+        *np.zeros((3, 2)),
+    )
+    low, high = errors.interval()[:2].T
+    assert low[0] == 0.0
+    assert high[0] == pytest.approx(2.0 + 1.96 * 2.0, abs=1e-3)
+    assert (low[1], high[1]) == pytest.approx((1.0 - 0.196, 1.0 + 0.196), abs=1e-3)
+    assert np.isinf(replace(errors, tied=("q",)).interval()[0]).all()
 
 
 def test_every_iteration_of_em_has_random_numbers_of_its_own():

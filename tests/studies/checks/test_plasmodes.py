@@ -8,6 +8,9 @@ import pytest
 import engine
 from engine.data import nile
 from engine.data.series import Series
+from engine.diagnose import extend
+from engine.diagnose.effects.setting import setting_for
+from engine.estimation.quasi_ml import quasi_ml
 from tests.studies.plasmodes.planted import PUTS, Place, put_in
 from tests.studies.plasmodes.report import in_set, right, wrong
 from tests.studies.plasmodes.runs import NOTHING, answer, cells, work
@@ -31,7 +34,7 @@ def record() -> Base:
 BASE = record()
 
 
-@pytest.mark.parametrize("name", [name for name in PUTS if not PUTS[name].noise])
+@pytest.mark.parametrize("name", [name for name in PUTS if not PUTS[name].scatter])
 def test_an_effect_is_as_strong_as_wanted(name: str) -> None:
     put = PUTS[name]
     size, there = size_for(BASE, put, PLACE, 40.0)
@@ -46,6 +49,32 @@ def test_an_effect_is_as_strong_as_wanted(name: str) -> None:
     assert half.value < there.value
     if size < put.most:
         assert there.value == pytest.approx(40.0, rel=0.1)
+
+
+def test_scatter_that_grows_is_worth_to_a_refit_what_was_wanted() -> None:
+    """The likelihood ratio of the extended model, less what the record shows of it by itself."""
+    put = PUTS["variance:{y}->time"]
+    size, there = size_for(BASE, put, PLACE, 40.0)
+    assert there.value == pytest.approx(40.0, rel=0.1)
+    part = searched(BASE.series)
+    setting = setting_for(BASE.model, part, np.asarray(BASE.theta))
+    extended = extend(BASE.model, ["variance:y->time"], setting)
+    ratios = []
+    for series in (part, searched(put_in(put, BASE.series, size, PLACE))):
+        base = quasi_ml(BASE.model, series, BASE.theta)
+        free = [*BASE.model.parameter_names, extended.parameter_names[-3]]
+        start = extended.theta(dict(zip(BASE.theta.names, base.theta.tolist(), strict=True)))
+        found = quasi_ml(extended, series, start, free).log_likelihood
+        ratios.append(2.0 * (found - base.log_likelihood))
+    assert ratios[1] - ratios[0] == pytest.approx(40.0, rel=0.3)
+
+
+def test_one_reading_is_put_off() -> None:
+    series = Series(np.where(np.arange(50) % 3, np.sin(np.arange(50.0)), np.nan), dt=1.0)
+    moved = put_in(PUTS["pulse:{y}"], series, 4.0, PLACE).y - series.y
+    (row,) = np.flatnonzero(np.nan_to_num(moved))
+    assert 15 <= row <= 36
+    assert moved[row, 0] == pytest.approx(4.0 * np.nanstd(series.y))
 
 
 @pytest.mark.parametrize("shift", [0.0, 273.15])

@@ -18,6 +18,7 @@ from engine.statespace.model import Array
 
 BETWEEN = (0.3, 0.7)  # of the window: where times lie
 PERIODS = (15.0, 60.0)  # samples of a harmonic's period
+OUTLIERS, GROWING = "outliers", "growing"
 OUTLYING = 0.03  # of the readings ...
 SEARCHED = 0.8  # ... before what a diagnosis holds out, since seed 6, of which some had one that was searched
 
@@ -43,7 +44,9 @@ class Put:
     Times are in samples. ``truth`` are words for it, with {y} and {u} for channels and {gain} for the
     parameter that an input is multiplied by; the first is its name. ``first`` is a size to start from, as a
     share of the channel's standard deviation or, with ``samples``, in samples; ``most`` the largest.
-    ``noise``: it adds scatter, not a course. ``over_time``: it depends on time, not on the channel.
+    ``scatter``: it adds none of a course but ``outliers``, or noise that is ``growing``. ``among_noise``: it
+    makes sense where what readings show from one to the next is noise, as what depends on time or on the
+    reading alone does.
     """
 
     truth: tuple[str, ...]
@@ -52,8 +55,8 @@ class Put:
     first: float = 0.1
     most: float = 3.0
     samples: bool = False
-    noise: bool = False
-    over_time: bool = False
+    scatter: str = ""
+    among_noise: bool = False
 
 
 def put_in(what: Put, series: Series, size: float, place: Place) -> Series:
@@ -139,6 +142,19 @@ def _outliers(x: Array, t: Array, size: float, place: Place) -> Array:
     return y
 
 
+def _pulse(x: Array, t: Array, size: float, place: Place) -> Array:
+    """One reading alone, the next that is there."""
+    y, seen = np.array(x), np.flatnonzero(np.isfinite(x))
+    y[seen[np.searchsorted(seen, _at(t, place))]] += size if place.phase < 0.5 else -size
+    return y
+
+
+def _noisier(x: Array, t: Array, size: float, place: Place) -> Array:
+    """Scatter whose standard deviation grows with time by a factor of 20, to this size at the end."""
+    scatter = np.random.default_rng(place.scattered).standard_normal(len(x))
+    return np.asarray(x + size * 20.0 ** (t / t[-1] - 1.0) * scatter)
+
+
 def _early(x: Array, t: Array, size: float, place: Place) -> Array:
     return np.asarray(np.interp(t + size, t, x))
 
@@ -161,20 +177,22 @@ def _less_gain(x: Array, t: Array, size: float, place: Place) -> Array:
 PUTS: dict[str, Put] = {
     put.truth[0]: put
     for put in (
-        Put(("step:{y}",), False, _step, over_time=True),
-        Put(("drift:{y}",), False, _drift, over_time=True),
-        Put(("bias:{y}",), False, _offset),
+        Put(("step:{y}",), False, _step, among_noise=True),
+        Put(("drift:{y}",), False, _drift, among_noise=True),
+        Put(("bias:{y}",), False, _offset, among_noise=True),
         # a wave of a level that nothing else moves is a wave of its readings, said since seed 6
-        Put(("harmonic:{y}", "harmonic:level"), False, _harmonic, over_time=True),
+        Put(("harmonic:{y}", "harmonic:level"), False, _harmonic, among_noise=True),
         Put(("cubic-sensor:{y}",), False, _cubic),
-        Put(("saturation-sensor:{y}",), False, _clipped),
+        Put(("saturation-sensor:{y}",), False, _clipped, among_noise=True),
         Put(("delay:{y}",), False, _late, 0.2, 10.0, samples=True),
         Put(("slow-sensor:{y}", "lag:{y}"), False, _slow, 0.2, 20.0, samples=True),
         Put(("play:{y}",), False, _play),
-        Put(("heavy-tails:{y}",), False, _outliers, most=20.0, noise=True, over_time=True),
+        Put(("heavy-tails:{y}",), False, _outliers, most=20.0, scatter=OUTLIERS, among_noise=True),
+        Put(("pulse:{y}",), False, _pulse, most=20.0, among_noise=True),
+        Put(("variance:{y}->time",), False, _noisier, most=20.0, scatter=GROWING, among_noise=True),
         Put(("input-offset:{u}",), True, _less),
         Put(("delay:{u}",), True, _early, 0.2, 10.0, samples=True),
         Put(("input-deadzone:{u}",), True, _beyond_dead_zone, most=1.0),
-        Put(("parameter-step:{gain}",), True, _less_gain, most=0.9),
+        Put(("parameter-step:{gain}",), True, _less_gain, most=0.9, among_noise=True),
     )
 }

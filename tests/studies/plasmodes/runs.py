@@ -59,7 +59,7 @@ def _fits(put: Put, window: Window) -> bool:
     base = base_of(window)
     if (put.on_input and not base.model.nu) or (not window.gain and "{gain}" in put.truth[0]):
         return False
-    if window.noisy and not put.over_time:
+    if window.noisy and not put.among_noise:
         return False
     setting = setting_for(base.model, base.series, np.asarray(base.theta))
     try:
@@ -87,7 +87,7 @@ def work(record: str, seed: int, run: int) -> Row:
     if name != NOTHING:
         put, place = PUTS[name], Place.drawn(rng)
         truth = truth_of(put, base)
-        wanted = (SHARES if base.window.by_free_run and not put.noise else RATIOS)[level]
+        wanted = (SHARES if base.window.by_free_run and not put.scatter else RATIOS)[level]
         size, there = size_for(base, put, place, wanted)
         series = put_in(put, base.series, size, place)
         counts = "hidden" if there.own >= IMITATED else "clean"

@@ -9,8 +9,8 @@ errors, Gamma has the first states too, and
 
     share = d' M d / (d' M d + e' e).
 
-Of scatter, which moves no innovation in the mean, LR is that of a mixture of two normals against one, the scale
-of the noise being free in both.
+Of scatter, which moves no innovation in the mean, LR is that of a mixture of two normals, or of a variance that
+grows with time, against one normal, the scale of the noise being free in all of them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from engine.estimation.quasi_ml import neighbours, quasi_ml, whitening
 from engine.filters.neighbours import filter_neighbours
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.model import Array
-from tests.studies.plasmodes.planted import OUTLYING, Place, Put, put_in
+from tests.studies.plasmodes.planted import OUTLIERS, OUTLYING, Place, Put, put_in
 from tests.studies.plasmodes.windows import Base
 
 RATIOS = (40.0, 100.0)  # of the likelihood, fixed beforehand
@@ -40,6 +40,7 @@ SHARES = (0.5, 0.8)  # of the free run's squared error, likewise
 IMITATED = 0.02  # of d' d: with less of it left beside Gamma, parameters imitate the effect
 NARROWER = np.geomspace(0.2, 1.0, 30)  # of the standard deviation, that of most innovations ...
 WIDER = np.geomspace(2.0, 50.0, 20)  # ... and of these that of those hit
+GROWTHS = np.linspace(-20.0, 20.0, 201)  # of a log variance over the record
 CLOSE = 0.1  # of the logarithm of what is wanted
 TRIALS = 30
 MOST_STEP = 4.0  # by which a size changes in a trial
@@ -56,10 +57,10 @@ class Strength:
 Measure = Callable[[Series], Strength]
 
 
-def measure_of(base: Base, scatter: bool = False) -> Measure:
+def measure_of(base: Base, scatter: str = "") -> Measure:
     """How strong what was put into the base's series is."""
     if scatter:
-        return _by_likelihood(base)
+        return _by_likelihood(base, _mixture if scatter == OUTLIERS else _growing)
     return _by_free_run(base) if base.window.by_free_run else _by_innovations(base)
 
 
@@ -110,18 +111,17 @@ def _errors(fit: Fitted, series: Series) -> Array:
     return np.asarray(series.y - y)
 
 
-def _by_likelihood(base: Base) -> Measure:
-    """Of scatter: what a mixture of two normals gains over one, both with noise of the size that fits."""
+def _by_likelihood(base: Base, most: Callable[[Array, Array], float]) -> Measure:
+    """Of scatter: what another density of standardised innovations gains over one normal."""
 
     def of(series: Series) -> float:
         f = moment_filter(base.model, np.asarray(base.theta)[None], series)
         root = whitening(f.S[:, 0], series.observed)
-        z = np.einsum("tij,tj->ti", root, np.nan_to_num(f.innovations[:, 0]))[series.observed]
-        scales = np.sqrt(np.mean(z**2)) * NARROWER[:, None, None]
-        mixture = (1.0 - OUTLYING) * _normal(z, scales)
-        mixture = mixture + OUTLYING * _normal(z, scales * WIDER[:, None])
-        best = np.log(mixture).sum(axis=-1).max()
-        return float(2.0 * (best - np.log(_normal(z, np.sqrt(np.mean(z**2)))).sum()))
+        z = np.einsum("tij,tj->ti", root, np.nan_to_num(f.innovations[:, 0]))
+        rows = np.nonzero(series.observed)[0]
+        seen = z[series.observed]
+        one = float(np.log(_normal(seen, np.sqrt(np.mean(seen**2)))).sum())
+        return 2.0 * (most(seen, rows / len(series)) - one)
 
     before = of(base.series)
 
@@ -129,6 +129,21 @@ def _by_likelihood(base: Base) -> Measure:
         return Strength(of(changed) - before, 1.0)
 
     return measure
+
+
+def _mixture(z: Array, when: Array) -> float:
+    """The largest log-likelihood of outliers among normal values."""
+    scales = np.sqrt(np.mean(z**2)) * NARROWER[:, None, None]
+    mixture = (1.0 - OUTLYING) * _normal(z, scales)
+    mixture = mixture + OUTLYING * _normal(z, scales * WIDER[:, None])
+    return float(np.log(mixture).sum(axis=-1).max())
+
+
+def _growing(z: Array, when: Array) -> float:
+    """The largest log-likelihood of normal values whose log variance is linear in time."""
+    shape = np.exp(0.5 * GROWTHS[:, None] * (when - when.mean()))
+    scale = np.sqrt(np.mean((z / shape) ** 2, axis=1))
+    return float(np.log(_normal(z, shape * scale[:, None])).sum(axis=1).max())
 
 
 def _normal(z: Array, sd: Any) -> Array:
@@ -151,7 +166,7 @@ def size_for(base: Base, put: Put, place: Place, wanted: float) -> tuple[float, 
     As strong in the part of the record that a diagnosis searches; the rest is held out. The largest size that
     makes sense where that is not reached.
     """
-    measure = measure_of(replace(base, series=searched(base.series)), put.noise)
+    measure = measure_of(replace(base, series=searched(base.series)), put.scatter)
 
     def strength(size: float) -> Strength:
         try:
