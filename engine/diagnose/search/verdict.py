@@ -37,7 +37,7 @@ def verdict_of(search: Search, alpha: float) -> Verdict:
     named = [r for r in search.rounds if r.equivalent]
     if not named:
         return Verdict.UNKNOWN if search.alarm_left else Verdict.NOTHING
-    if search.alarm_left or any(unnamed_is_better(r) for r in named) or patchwork(search, alpha):
+    if search.alarm_left or any(map(unnamed_is_better, named)) or patchwork(search, alpha):
         return Verdict.UNKNOWN
     return names_of(search)
 
@@ -48,8 +48,8 @@ def names_of(search: Search) -> Verdict:
     return Verdict.NAMED if all(len(set_of(r)) == 1 for r in named) else Verdict.SET
 
 
-def patchwork(search: Search, alpha: float) -> bool:
-    """Whether the effects found in turn look like patches on one cause that is not in the catalogue.
+def patchwork(search: Search, alpha: float) -> str:
+    """Why the effects found in turn look like patches on one cause that is not in the catalogue, "" if not.
 
     So they do where more than two are needed; where one of two is a property of the noise, which is
     how the rest of a cause looks that another effect explains in part; or where something is still
@@ -58,12 +58,16 @@ def patchwork(search: Search, alpha: float) -> bool:
     """
     found = [r.refits[0].effect for r in search.rounds if r.equivalent]
     effects = [effect for effect in found if not effect.traits.outliers]
-    noise = any(effect.family == "noise" for effect in effects)
-    last = search.rounds[-1]
-    left = not last.equivalent and last.screen.p_value <= LEFT * alpha
-    if len(effects) > PATCHES or (noise and len(effects) > 1):
-        return True
-    return left and (noise or len(found) > 1)
+    noises = [effect.name for effect in effects if effect.family == "noise"]
+    if len(effects) > PATCHES:
+        return f"more than {PATCHES} effects are needed"
+    if noises and len(effects) > 1:
+        return f"{noises[0]} is a property of the noise, as what another effect leaves of a cause looks"
+    if (noises or len(found) > 1) and not search.rounds[-1].equivalent:
+        left = search.rounds[-1].screen.p_value
+        if left <= LEFT * alpha:
+            return f"something is still seen beside {' and '.join(e.name for e in found)} (p = {left:.2g})"
+    return ""
 
 
 def unnamed_is_better(found: Round) -> bool:

@@ -56,7 +56,14 @@ def searched(*names, left=0.6, alarm=False, unnamed=None):
 def test_more_than_two_effects_or_noise_beside_another_are_not_trusted(names, left, verdict):
     search = searched(*names, left=left)
     assert verdict_of(search, alpha=0.05).value == verdict
-    assert patchwork(search, 0.05) == (verdict == "unknown")
+    assert bool(patchwork(search, 0.05)) == (verdict == "unknown")
+
+
+def test_why_names_are_not_trusted_is_said():
+    assert patchwork(searched(DRAG, BIAS, STEP), 0.05) == "more than 2 effects are needed"
+    assert patchwork(searched(DRAG, LEVEL), 0.05).startswith(f"{LEVEL} is a property of the noise")
+    said = patchwork(searched(DRAG, BIAS, left=0.008), 0.05)
+    assert said == f"something is still seen beside {DRAG} and {BIAS} (p = 0.008)"
 
 
 def test_an_alarm_that_nothing_explains_is_unknown():

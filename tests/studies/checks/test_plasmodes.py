@@ -15,7 +15,7 @@ from tests.studies.plasmodes.planted import PUTS, Place, put_in
 from tests.studies.plasmodes.report import in_set, right, wrong
 from tests.studies.plasmodes.runs import NOTHING, answer, cells, work
 from tests.studies.plasmodes.sizes import measure_of, searched, size_for
-from tests.studies.plasmodes.windows import WINDOWS, Base
+from tests.studies.plasmodes.windows import WINDOWS, Base, base_of
 from tests.studies.study import Row
 
 PLACE = Place(0.4, 0.3, 7)
@@ -51,21 +51,21 @@ def test_an_effect_is_as_strong_as_wanted(name: str) -> None:
         assert there.value == pytest.approx(40.0, rel=0.1)
 
 
-def test_scatter_that_grows_is_worth_to_a_refit_what_was_wanted() -> None:
+def test_noise_that_grows_is_worth_to_a_refit_what_was_wanted() -> None:
     """The likelihood ratio of the extended model, less what the record shows of it by itself."""
-    put = PUTS["variance:{y}->time"]
-    size, there = size_for(BASE, put, PLACE, 40.0)
+    put, base = PUTS["variance:{y}->time"], base_of(next(w for w in WINDOWS if w.record == "nile"))
+    size, there = size_for(base, put, PLACE, 40.0)
     assert there.value == pytest.approx(40.0, rel=0.1)
-    part = searched(BASE.series)
-    setting = setting_for(BASE.model, part, np.asarray(BASE.theta))
-    extended = extend(BASE.model, ["variance:y->time"], setting)
+    part = searched(base.series)
+    setting = setting_for(base.model, part, np.asarray(base.theta))
+    extended = extend(base.model, ["variance:flow->time"], setting)
+    free = [*base.free, extended.parameter_names[-3]]
     ratios = []
-    for series in (part, searched(put_in(put, BASE.series, size, PLACE))):
-        base = quasi_ml(BASE.model, series, BASE.theta)
-        free = [*BASE.model.parameter_names, extended.parameter_names[-3]]
-        start = extended.theta(dict(zip(BASE.theta.names, base.theta.tolist(), strict=True)))
-        found = quasi_ml(extended, series, start, free).log_likelihood
-        ratios.append(2.0 * (found - base.log_likelihood))
+    for series in (part, searched(put_in(put, base.series, size, PLACE))):
+        start = quasi_ml(base.model, series, base.theta, base.free)
+        values = dict(zip(base.theta.names, start.theta.tolist(), strict=True))
+        found = quasi_ml(extended, series, extended.theta(values), free).log_likelihood
+        ratios.append(2.0 * (found - start.log_likelihood))
     assert ratios[1] - ratios[0] == pytest.approx(40.0, rel=0.3)
 
 

@@ -19,6 +19,7 @@ from engine.statespace.model import Array
 BETWEEN = (0.3, 0.7)  # of the window: where times lie
 PERIODS = (15.0, 60.0)  # samples of a harmonic's period
 OUTLIERS, GROWING = "outliers", "growing"
+NOISE = 0.7  # of the standard deviation of noisy readings
 OUTLYING = 0.03  # of the readings ...
 SEARCHED = 0.8  # ... before what a diagnosis holds out, since seed 6, of which some had one that was searched
 
@@ -43,7 +44,8 @@ class Put:
 
     Times are in samples. ``truth`` are words for it, with {y} and {u} for channels and {gain} for the
     parameter that an input is multiplied by; the first is its name. ``first`` is a size to start from, as a
-    share of the channel's standard deviation or, with ``samples``, in samples; ``most`` the largest.
+    share of the channel's standard deviation or, if ``plain``, in samples or in log variances; ``most`` the
+    largest.
     ``scatter``: it adds none of a course but ``outliers``, or noise that is ``growing``. ``among_noise``: it
     makes sense where what readings show from one to the next is noise, as what depends on time or on the
     reading alone does.
@@ -54,21 +56,21 @@ class Put:
     change: Callable[[Array, Array, float, Place], Array]
     first: float = 0.1
     most: float = 3.0
-    samples: bool = False
+    plain: bool = False
     scatter: str = ""
     among_noise: bool = False
 
 
 def put_in(what: Put, series: Series, size: float, place: Place) -> Series:
-    """The series with it: a size of the channel's own standard deviations, or of samples."""
+    """The series with it: of a size in the channel's own standard deviations, or plain."""
     t = np.arange(len(series), dtype=float)
     if what.on_input:
         u = series.u.copy()
-        scale = 1.0 if what.samples else float(np.std(u[:, 0]))
+        scale = 1.0 if what.plain else float(np.std(u[:, 0]))
         u[:, 0] = what.change(u[:, 0], t, size * scale, place)
         return series.replace(u=u)
     y = series.y.copy()
-    scale = 1.0 if what.samples else float(np.nanstd(y[:, 0]))
+    scale = 1.0 if what.plain else float(np.nanstd(y[:, 0]))
     y[:, 0] = what.change(y[:, 0], t, size * scale, place)
     return series.replace(y=y)
 
@@ -150,9 +152,9 @@ def _pulse(x: Array, t: Array, size: float, place: Place) -> Array:
 
 
 def _noisier(x: Array, t: Array, size: float, place: Place) -> Array:
-    """Scatter whose standard deviation grows with time by a factor of 20, to this size at the end."""
+    """Scatter that makes noise grow, once half of all that is seen: its log variance by so much in the end."""
     scatter = np.random.default_rng(place.scattered).standard_normal(len(x))
-    return np.asarray(x + size * 20.0 ** (t / t[-1] - 1.0) * scatter)
+    return np.asarray(x + NOISE * np.nanstd(x) * np.sqrt(np.expm1(size * t / t[-1])) * scatter)
 
 
 def _early(x: Array, t: Array, size: float, place: Place) -> Array:
@@ -183,15 +185,15 @@ PUTS: dict[str, Put] = {
         # a wave of a level that nothing else moves is a wave of its readings, said since seed 6
         Put(("harmonic:{y}", "harmonic:level"), False, _harmonic, among_noise=True),
         Put(("cubic-sensor:{y}",), False, _cubic),
-        Put(("saturation-sensor:{y}",), False, _clipped, among_noise=True),
-        Put(("delay:{y}",), False, _late, 0.2, 10.0, samples=True),
-        Put(("slow-sensor:{y}", "lag:{y}"), False, _slow, 0.2, 20.0, samples=True),
+        Put(("saturation-sensor:{y}",), False, _clipped),
+        Put(("delay:{y}",), False, _late, 0.2, 10.0, plain=True),
+        Put(("slow-sensor:{y}", "lag:{y}"), False, _slow, 0.2, 20.0, plain=True),
         Put(("play:{y}",), False, _play),
         Put(("heavy-tails:{y}",), False, _outliers, most=20.0, scatter=OUTLIERS, among_noise=True),
         Put(("pulse:{y}",), False, _pulse, most=20.0, among_noise=True),
-        Put(("variance:{y}->time",), False, _noisier, most=20.0, scatter=GROWING, among_noise=True),
+        Put(("variance:{y}->time",), False, _noisier, 1.0, 8.0, True, GROWING, True),
         Put(("input-offset:{u}",), True, _less),
-        Put(("delay:{u}",), True, _early, 0.2, 10.0, samples=True),
+        Put(("delay:{u}",), True, _early, 0.2, 10.0, plain=True),
         Put(("input-deadzone:{u}",), True, _beyond_dead_zone, most=1.0),
         Put(("parameter-step:{gain}",), True, _less_gain, most=0.9, among_noise=True),
     )
