@@ -24,7 +24,7 @@ from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.diagnose.search.rounds import settle
 from engine.diagnose.search.search import LATER, OUTLYING, Search, search
 from engine.diagnose.search.step_error import decides
-from engine.diagnose.search.verdict import patchwork, verdict_of
+from engine.diagnose.search.verdict import doubts, verdict_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done, whitening
 from engine.estimation.start import WarmStart
@@ -128,11 +128,7 @@ def find_causes(
     verdict = verdict_of(found, alpha)
     if aside is not None and not aside.others and verdict in NAMES:
         verdict = Verdict.UNKNOWN
-    if patches := patchwork(found, alpha):
-        notes.append(
-            f"What was found looks like patches on one cause that is not in the catalogue: {patches}. "
-            "Register the effect you suspect and diagnose again."
-        )
+    notes.extend(doubts(found, alpha))
     if found.of_the_steps:
         notes.append(
             f"Beside what was found, {found.of_the_steps} seemed to be seen. Most of it is gone with steps of "

@@ -22,7 +22,7 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.search.search import Search
 from engine.estimation.quasi_ml import QuasiFit
-from engine.words import number
+from engine.words import number, probability
 
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
@@ -48,6 +48,30 @@ def names_of(search: Search) -> Verdict:
     return Verdict.NAMED if all(len(set_of(r)) == 1 for r in named) else Verdict.SET
 
 
+def doubts(search: Search, alpha: float) -> list[str]:
+    """Why the names that were found are not said, in sentences."""
+    named = [r for r in search.rounds if r.equivalent]
+    names = " and ".join(r.refits[0].effect.name for r in named)
+    out = [
+        f"An unnamed force explains what {r.refits[0].effect.name} explains as well: the name is not trusted."
+        for r in named
+        if unnamed_is_better(r)
+    ]
+    if patches := patchwork(search, alpha):
+        out.append(
+            f"What was found one step ahead looks like patches on a cause that is not in the catalogue: {patches}. "
+            "Register the effect you suspect and diagnose again."
+        )
+    elif named and search.alarm_left:
+        last = search.rounds[-1]
+        why = "no effect explains it" if last.refits else "max_effects leaves no room for it"
+        p = probability(last.screen.p_value, last.screen.at_floor)
+        out.append(
+            f"Something more is seen one step ahead beside {names} ({p}), and {why}: no name is trusted."
+        )
+    return out
+
+
 def patchwork(search: Search, alpha: float) -> str:
     """Why the effects found in turn look like patches on one cause that is not in the catalogue, "" if not.
 
@@ -64,9 +88,10 @@ def patchwork(search: Search, alpha: float) -> str:
     if noises and len(effects) > 1:
         return f"{noises[0]} is a property of the noise, as what another effect leaves of a cause looks"
     if (noises or len(found) > 1) and not search.rounds[-1].equivalent:
-        left = search.rounds[-1].screen.p_value
-        if left <= LEFT * alpha:
-            return f"something is still seen beside {' and '.join(e.name for e in found)} (p = {left:.2g})"
+        left = search.rounds[-1].screen
+        if left.p_value <= LEFT * alpha:
+            names = " and ".join(effect.name for effect in found)
+            return f"something is still seen beside {names} ({probability(left.p_value, left.at_floor)})"
     return ""
 
 

@@ -12,7 +12,7 @@ from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
-from engine.diagnose.search.verdict import detectable_of, patchwork, verdict_of
+from engine.diagnose.search.verdict import detectable_of, doubts, patchwork, verdict_of
 from tests.engine.hidden_effects import DRIVE
 
 DRAG, BIAS, STEP = "drag:speed", "bias:reading", "step:reading"
@@ -32,7 +32,7 @@ def searched(*names, left=0.6, alarm=False, unnamed=None):
     for name in names:
         refit = Refit(make_effect(name, Setting(DRIVE)), None, 50.0, 50.0)
         rounds.append(Round(SimpleNamespace(p_value=0.002), (refit,), generic, (refit,)))
-    rounds.append(Round(SimpleNamespace(p_value=left), (), None, ()))
+    rounds.append(Round(SimpleNamespace(p_value=left, at_floor=False), (), None, ()))
     return Search(None, None, tuple(rounds), alarm)
 
 
@@ -64,6 +64,11 @@ def test_why_names_are_not_trusted_is_said():
     assert patchwork(searched(DRAG, LEVEL), 0.05).startswith(f"{LEVEL} is a property of the noise")
     said = patchwork(searched(DRAG, BIAS, left=0.008), 0.05)
     assert said == f"something is still seen beside {DRAG} and {BIAS} (p = 0.008)"
+    assert doubts(searched(DRAG, BIAS), 0.05) == []
+    (said,) = doubts(searched(DRAG, unnamed=51.0), 0.05)
+    assert said.startswith(f"An unnamed force explains what {DRAG} explains as well")
+    (said,) = doubts(searched(DRAG, left=0.03, alarm=True), 0.05)
+    assert f"beside {DRAG} (p = 0.03), and max_effects leaves no room" in said
 
 
 def test_an_alarm_that_nothing_explains_is_unknown():
