@@ -59,8 +59,8 @@ def doubts(search: Search, alpha: float) -> list[str]:
     ]
     if patches := patchwork(search, alpha):
         out.append(
-            f"What was found one step ahead looks like patches on a cause that is not in the catalogue: {patches}. "
-            "Register the effect you suspect and diagnose again."
+            "What was found one step ahead looks like patches on a cause that is not in the catalogue: "
+            f"{patches}. Register the effect you suspect and diagnose again."
         )
     elif named and search.alarm_left:
         last = search.rounds[-1]
