@@ -30,7 +30,7 @@ from engine.statespace.model import Array, Theta
 STAGE = "free run"
 SEEN, ENDED = 0.1, 0.9  # of a round: its alarm, and all but the ends of what survives
 SINGLES, PAIRS = 10, 6  # refitted at most: effects alone, and in pairs
-LEADS, BESIDE = 3, 4  # refits beside which others are looked for; how many beside each
+LEADS, BESIDE = 3, 4  # refits beside which others are looked for; how many, besides held parameters
 LEAST = 0.02  # of the squared error: what an effect takes to first order, to be refitted
 JUDGED = 16  # refits that are judged on rows left out ...
 FAR = 16.0  # ... of squared errors up to so many times the least: a longer way is not made up for there
@@ -168,7 +168,9 @@ def refits(
     for i, lead in enumerate(leads):
         progress(STAGE, 0.5 + 0.3 * i / len(leads))
         others = [effect for effect in effects if effect.name != lead.names[-1]]
-        for share in Linear(lead, columns(lead, others)).singles()[:BESIDE]:
+        shares = Linear(lead, columns(lead, others)).singles()
+        held = [s for s in shares[BESIDE:] if s.picks[0].effect.family == "parameter"]
+        for share in (*shares[:BESIDE], *held):
             if share.share >= LEAST:
                 add(lead, share.picks, share.share)
     return sorted(found.values(), key=lambda f: f.cost)
