@@ -13,18 +13,17 @@ NEAR = 1e-7  # of a state's size, where it is near zero and at rest; in its unit
 
 
 @njit(cache=True, error_model="numpy")
-def beside(a, f, size, dt):
+def beside(a, way, size):
     """a (M, na) with each state moved up, then down: (2 na M, na), M rows for each state and side.
 
-    By a share of what a step ``dt`` (1 or M,) of the rates f (M, nx) moves it by, of its value and of its
-    ``size`` (na,), in whatever unit. Not of the noise, which a run without noise knows nothing of.
+    By a share of its ``way`` (M, na) within the step, of its value and of its ``size`` (na,), in whatever unit.
+    Not of the noise, which a run without noise knows nothing of.
     """
     M, na = a.shape
     out = np.empty((2 * na * M, na))
     for i in range(na):
         for k in range(M):
-            length = dt[k if len(dt) > 1 else 0]
-            h = SHORT * abs(f[k, i]) * length + LEAST * abs(a[k, i]) + NEAR * size[i]
+            h = SHORT * way[k, i] + LEAST * abs(a[k, i]) + NEAR * size[i]
             if not h > 0.0:
                 h = NEAR
             up, down = 2 * i * M + k, (2 * i + 1) * M + k

@@ -59,18 +59,19 @@ def too_long(
     """What twice the steps a sample change, and how many are enough, 0 for none; None for these ``substeps``.
 
     ``change(k)`` says what 2 k steps a sample change beside k; up to ``limit`` is small enough, and a part of
-    it where parameters are estimated anew, as they then fit better.
+    it where parameters are estimated anew, as they then fit better. The ``limit`` has to do where MOST steps do
+    not reach that part.
     """
     first = change(substeps)
     if not first > limit:
         return None
-    k = 2 * substeps
-    while k <= MOST:
+    k, now = substeps, first
+    while 2 * k <= MOST:
+        k *= 2
         now = change(k)
         if now <= SURELY * limit:
             return first, k
-        k *= 2
-    return first, 0
+    return first, k if now <= limit else 0
 
 
 def said_of(substeps: int, what: str, change: float, enough: int) -> str:

@@ -135,7 +135,7 @@ class _Discretized:
         Qc = stacked(
             as_matrix(self.diffusion(a.copy(), u, middle, theta), M, nx, nx, "diffusion: Qc")
         )
-        J = self._jacobian(a, f, u, middle, length, theta)
+        J = self._jacobian(a, f, A, u, middle, length, theta)
         x, step, Q = step_of(a, f, J, stacked(A), Qc, length)
         return (x, step, Q) if len(Q) > 1 else (x, step[0], Q[0])
 
@@ -152,7 +152,9 @@ class _Discretized:
         A = as_matrix(A, M, nx, self.nz, "drift: A")
         return f.copy(), A.copy()
 
-    def _jacobian(self, a: Array, f: Array, u: Any, t: Any, dt: Array, theta: Any) -> Array:
+    def _jacobian(
+        self, a: Array, f: Array, A: Array, u: Any, t: Any, dt: Array, theta: Any
+    ) -> Array:
         """J = df/da, (1 or M, nx, na): of all states and both sides in one call of the drift."""
         M, nx, na = a.shape[0], self.na + self.nz, self.na
         if self.jacobian is not None:
@@ -160,9 +162,17 @@ class _Discretized:
             return stacked(as_matrix(given, M, nx, na, "jacobian: J"))
         if na == 0:
             return np.empty((1, nx, 0))
-        points, times = beside(a, f, self.sizes, dt), 2 * na
+        points, times = beside(a, _way(f, A, dt), self.sizes), 2 * na
         u = np.tile(u, times) if np.ndim(u) > 1 else u
         t = np.tile(t, times) if np.ndim(t) > 0 else t
         rates, _ = self._rates(points, u, t, self.repeated(theta, times))
         J: Array = difference_quotients(points, rates)
         return J
+
+
+def _way(f: Array, A: Array, dt: Array) -> Array:
+    """How far a step dt (1 or M,) moves the nonlinear states (M, na): by their rates, and by those of z."""
+    na = A.shape[-2] - A.shape[-1]
+    by_z = (np.abs(A[..., :na, :]) * np.abs(f[:, None, na:])).sum(axis=-1)
+    length = dt[:, None]
+    return np.asarray(length * np.abs(f[:, :na]) + 0.5 * length**2 * by_z)

@@ -16,6 +16,7 @@ differences alone count.
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,10 +24,11 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.series import Series, as_series_list
 from engine.distributions import normal_quantile, student_quantile
-from engine.errors import ModelError, NotSettledWarning
+from engine.errors import EngineError, ModelError, NotSettledWarning
 from engine.estimation.long_steps import about_predictions
 from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.score import Score, inside, shift_within
@@ -35,6 +37,7 @@ from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.ties import tied, ties_in_words, to_hold
 from engine.views import html, save, tables
+from engine.words import enumerated, percent
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates ...
 MOST_ROUNDS = 15  # ... and so many where a round may not widen a direction as far as it should
@@ -55,6 +58,10 @@ TRUSTED = 0.1  # relative error that it has at least
 NEXT_TO_NOTHING = 1e-10
 DROWNED = 0.25  # variance of whitened differences from which on they tell nothing of the guess ...
 SURELY_OFF = 30.0  # ... unless they are off by so many times that
+PRESSED_NATS = 0.5  # that a parameter next to its bound gains at most on its way there ...
+ON_ITS_SIDE = 0.1  # ... from so near, beside the room on its other side;
+CLOSE = 0.01  # a share of the way before the bound is looked at
+KNOWN = 0.25  # relative error of an error that is not worth a word
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
 
@@ -188,8 +195,9 @@ def standard_errors(
 ) -> StandardErrors:
     """Standard errors at an estimate; observed information by differences of the score.
 
-    A free parameter at one of its bounds is held there. Where theta is no maximum of the likelihood the
-    result is not ``settled``, and a NotSettledWarning is given. Parameters that the data only determine
+    A free parameter at one of its bounds is held, and so is one next to a bound up to which the likelihood
+    rises by next to nothing. Where theta is no maximum of the likelihood the result is not ``settled``, and a
+    NotSettledWarning is given. Parameters that the data only determine
     together are ``tied``: their errors are infinite, and ``warning`` names them.
 
     Parameters
@@ -245,6 +253,10 @@ def standard_errors(
     scores, H = np.array([g for g, _ in centre]), np.mean([h for _, h in centre], axis=0)
     drawn = _drawn_inside(every, scores, np.diag(H))
     scores, H = scores[:, within], H[np.ix_(within, within)]
+    pressed = _pressed(score, scores, seeds)
+    at_bound = [name for name, yes in zip(names, pressed, strict=True) if yes]
+    score, scores = replace(score, indices=score.indices[~pressed]), scores[:, ~pressed]
+    names, H = score.names, H[np.ix_(~pressed, ~pressed)]
     silent = [name for name, h in zip(names, np.diag(H), strict=True) if not h > 0.0]
     if silent:
         raise ModelError(
@@ -283,7 +295,15 @@ def standard_errors(
         decrement=decrement,
         settled=settled,
         warning=" ".join(
-            part for part in (warning, said, ties_in_words(names, directions)) if part
+            part
+            for part in (
+                warning,
+                said,
+                ties_in_words(names, directions),
+                _said_of_bounds(at_bound),
+                _said_of_noise(relative),
+            )
+            if part
         ),
         note=about_predictions(model, theta, all_series),
         tied=tuple(name for name, yes in zip(names, tied(directions), strict=True) if yes),
@@ -355,6 +375,50 @@ def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:
     inward = np.where(score.x <= lower, mean, np.where(score.x >= upper, -mean, 0.0))
     far = inward - 2.0 * noise > SETTLED_ERRORS * np.sqrt(np.maximum(information, 0.0))
     return [name for name, yes in zip(score.names, far, strict=True) if yes and len(scores)]
+
+
+def _pressed(
+    score: Score, scores: Array, seeds: Sequence[np.random.SeedSequence]
+) -> NDArray[np.bool_]:
+    """Which parameters (n,) are as good as at a bound: the likelihood rises up to it, by next to nothing.
+
+    There it need not be curved, and differences of the score over no room say nothing of any parameter.
+    """
+    (lower, upper), x = score.bounds, score.x
+    mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(len(scores))
+    room, other = (
+        np.where(mean < 0.0, *ways) for ways in ((x - lower, upper - x), (upper - x, x - lower))
+    )
+    near: NDArray[np.bool_] = (room < ON_ITS_SIDE * other) & (np.abs(mean) > 2.0 * noise)
+    near &= np.abs(mean) * np.where(near, room, 0.0) < PRESSED_NATS
+    for k in np.flatnonzero(near):
+        there = x.copy()
+        there[k] += np.sign(mean[k]) * (1.0 - CLOSE) * room[k]
+        near[k] = False
+        with contextlib.suppress(EngineError):
+            pull = np.mean([score.at(there, which)[0][k] for which in seeds])
+            near[k] = pull * mean[k] > 0.0
+    return near
+
+
+def _said_of_bounds(names: Sequence[str]) -> str:
+    if not names:
+        return ""
+    return (
+        f"The likelihood rises up to the bound of {enumerated(list(names))}, next to which the estimate is: "
+        "the errors are those with it held."
+    )
+
+
+def _said_of_noise(relative: Array) -> str:
+    """A sentence where errors are not known to a quarter."""
+    worst = float(relative.max(initial=0.0))
+    if worst <= KNOWN:
+        return ""
+    return (
+        f"By the scatter of the particles the errors themselves may be {percent(worst)} off: more n_particles, "
+        "n_trajectories or replicates make them better known."
+    )
 
 
 def _warning(found: Estimate | None, decrement: float, drawn: list[str]) -> str:

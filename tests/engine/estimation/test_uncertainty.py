@@ -10,12 +10,13 @@ import pytest
 from scipy.stats import norm
 
 import engine
+from engine.data import nile
 from engine.errors import NotSettledWarning
 from engine.estimation.em_result import EmResult
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_ml import quasi_ml
-from engine.estimation.uncertainty import StandardErrors, likelihood, observed
+from engine.estimation.uncertainty import StandardErrors, likelihood, observed, standard_errors
 from engine.estimation.uncertainty.score import Score
 
 MODEL = engine.get_model("linear-2")
@@ -69,6 +70,37 @@ def test_an_interval_ends_at_the_bounds():
     assert high[0] == pytest.approx(2.0 + 1.96 * 2.0, abs=1e-3)
     assert (low[1], high[1]) == pytest.approx((1.0 - 0.196, 1.0 + 0.196), abs=1e-3)
     assert np.isinf(replace(errors, tied=("q",)).interval()[0]).all()
+
+
+@pytest.mark.parametrize("q", [1e-4, 1e-2, 1.0])
+def test_a_variance_next_to_its_bound_leaves_the_errors_of_others_alone(q):
+    """Of the Nile with its step the likelihood rises up to q = 0, by less than half a nat from these."""
+    model = engine.get_model("local-level", effects=["step:flow"])
+    told = {"q": 0.0, "r": 16000.0, "level": 1098.0, "step_flow": -248.0, "step_flow_time": 1899.0}
+    free = ["q", "r", "level", "step_flow"]
+    at = model.theta(quasi_ml(model, nile(), told, free).theta).asdict()
+    assert at["q"] == 0.0
+    exact = standard_errors(model, at, nile(), free, exact=True)
+    near = standard_errors(model, {**at, "q": q}, nile(), free, exact=True)
+    assert near.names == exact.names == ("r", "level", "step_flow")
+    assert "up to the bound of q" in near.warning
+    assert near.settled
+    np.testing.assert_allclose(near.values[[1, 2, 3]], exact.values[[1, 2, 3]], rtol=0.02)
+
+
+def test_a_variance_that_is_small_for_good_keeps_its_error():
+    """Of the Nile without its step q has a maximum, a tenth of r."""
+    model = engine.get_model("local-level")
+    best = quasi_ml(model, nile()).theta
+    errors = standard_errors(model, best, nile(), exact=True)
+    assert errors.names[0] == "q"
+    low = standard_errors(model, {**best.asdict(), "q": 0.9 * best["q"]}, nile(), exact=True)
+    assert low.names[0] == "q"
+
+
+def test_errors_that_are_badly_known_are_said_to_be():
+    assert observed._said_of_noise(np.array([0.1, 0.2])) == ""
+    assert "errors themselves may be 89 % off" in observed._said_of_noise(np.array([0.1, 0.89]))
 
 
 def test_every_iteration_of_em_has_random_numbers_of_its_own():
