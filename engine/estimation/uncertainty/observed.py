@@ -59,8 +59,7 @@ NEXT_TO_NOTHING = 1e-10
 DROWNED = 0.25  # variance of whitened differences from which on they tell nothing of the guess ...
 SURELY_OFF = 30.0  # ... unless they are off by so many times that
 PRESSED_NATS = 0.5  # that a parameter next to its bound gains at most on its way there ...
-ON_ITS_SIDE = 0.1  # ... from so near, beside the room on its other side;
-CLOSE = 0.01  # a share of the way before the bound is looked at
+ON_ITS_SIDE = 0.1  # ... from so near, beside all the room there is
 KNOWN = 0.25  # relative error of an error that is not worth a word
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
@@ -253,16 +252,16 @@ def standard_errors(
     scores, H = np.array([g for g, _ in centre]), np.mean([h for _, h in centre], axis=0)
     drawn = _drawn_inside(every, scores, np.diag(H))
     scores, H = scores[:, within], H[np.ix_(within, within)]
-    pressed = _pressed(score, scores, seeds)
-    at_bound = [name for name, yes in zip(names, pressed, strict=True) if yes]
-    score, scores = replace(score, indices=score.indices[~pressed]), scores[:, ~pressed]
-    names, H = score.names, H[np.ix_(~pressed, ~pressed)]
     silent = [name for name, h in zip(names, np.diag(H), strict=True) if not h > 0.0]
     if silent:
         raise ModelError(
             f"the data hold no information on {', '.join(silent)} at this theta; hold it fixed "
             "(free=) or choose other data"
         )
+    pressed = _pressed(score, scores, seeds)
+    at_bound = [name for name, yes in zip(names, pressed, strict=True) if yes]
+    score, scores = replace(score, indices=score.indices[~pressed]), scores[:, ~pressed]
+    names, H = score.names, H[np.ix_(~pressed, ~pressed)]
     directions = undetermined(score, H, seed)
     kept = np.delete(np.arange(len(names)), to_hold(directions))
     score, H = replace(score, indices=score.indices[kept]), H[np.ix_(kept, kept)]
@@ -384,21 +383,26 @@ def _pressed(
 
     There it need not be curved, and differences of the score over no room say nothing of any parameter.
     """
-    (lower, upper), x = score.bounds, score.x
-    mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(len(scores))
-    room, other = (
-        np.where(mean < 0.0, *ways) for ways in ((x - lower, upper - x), (upper - x, x - lower))
-    )
-    near: NDArray[np.bool_] = (room < ON_ITS_SIDE * other) & (np.abs(mean) > 2.0 * noise)
-    near &= np.abs(mean) * np.where(near, room, 0.0) < PRESSED_NATS
-    for k in np.flatnonzero(near):
-        there = x.copy()
-        there[k] += np.sign(mean[k]) * (1.0 - CLOSE) * room[k]
-        near[k] = False
+    (lower, upper), x, n = score.bounds, score.x, len(scores)
+    mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(n)
+    pressed = np.zeros(len(x), dtype=np.bool_)
+    for k in range(len(x)):
+        bound, room = min(
+            ((b, abs(x[k] - b)) for b in (lower[k], upper[k])), key=lambda one: one[1]
+        )
+        if not room < ON_ITS_SIDE * (upper[k] - lower[k]):
+            continue
+        drawn, there = mean[k] * np.sign(bound - x[k]), x.copy()
         with contextlib.suppress(EngineError):
-            pull = np.mean([score.at(there, which)[0][k] for which in seeds])
-            near[k] = pull * mean[k] > 0.0
-    return near
+            if score.exact:  # so near a bound scores drown in rounding, and likelihoods do not
+                there[k] = bound
+                gain = score.value(there) - score.value(x)
+                pressed[k] = 0.0 <= gain < PRESSED_NATS
+            elif 2.0 * noise[k] < drawn < PRESSED_NATS / room:
+                there[k] = 0.5 * (x[k] + bound)
+                further = [score.at(there, which)[0][k] for which in seeds]
+                pressed[k] = np.mean(further) * np.sign(bound - x[k]) > 0.0
+    return pressed
 
 
 def _said_of_bounds(names: Sequence[str]) -> str:

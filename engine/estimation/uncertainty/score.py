@@ -76,6 +76,12 @@ class Score:
         """The parameters it is taken in (n,), at ``theta``."""
         return np.asarray(self.theta)[self.indices]
 
+    def value(self, x: Array) -> float:
+        """The log-likelihood at values x (n,) of the parameters, by the filter of moments or the exact one."""
+        values = np.array(self.theta)
+        values[self.indices] = x
+        return self.likelihood.of(Theta(values, self.theta.names))
+
     def at(self, x: Array, seed: np.random.SeedSequence) -> tuple[Array, Array]:
         """Score (n,) at values x (n,) of the parameters, and complete-data information (n, n)."""
         values = np.array(self.theta)

@@ -72,7 +72,7 @@ def test_an_interval_ends_at_the_bounds():
     assert np.isinf(replace(errors, tied=("q",)).interval()[0]).all()
 
 
-@pytest.mark.parametrize("q", [1e-4, 1e-2, 1.0])
+@pytest.mark.parametrize("q", [1e-9, 1e-4, 0.1])
 def test_a_variance_next_to_its_bound_leaves_the_errors_of_others_alone(q):
     """Of the Nile with its step the likelihood rises up to q = 0, by less than half a nat from these."""
     model = engine.get_model("local-level", effects=["step:flow"])
