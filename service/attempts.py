@@ -15,7 +15,7 @@ from sqlalchemy import Connection, Select, and_, delete, func, insert, or_, sele
 from engine.statespace.model import Array
 from service import transitions
 from service.db_schema import ITERATIONS, connect, documents, iterations, jobs, tasks, turns
-from service.key_values import found_by
+from service.key_values import found_by, reached_by
 from service.reserve import Reserve
 from service.strict_json import dumps, finite
 from service.transitions import KEPT, PRELIMINARY, Attempt, change_job, change_tasks, locked, mine
@@ -217,7 +217,8 @@ class Attempts:
                 name = documents.c.name
                 left_over = or_(name.startswith(KEPT), name == PRELIMINARY)
                 sql.execute(delete(documents).where(documents.c.job == job.seq, left_over))
-                transitions.end(sql, job.seq, "successful", message=message, **found_by(result))
+                told = found_by(result) | reached_by(result)
+                transitions.end(sql, job.seq, "successful", message=message, **told)
             elif set(states) == {"done"}:
                 stage = ends.index(len(states))
                 transitions.add_tasks(sql, attempt.job, ends[stage], ends[stage + 1])

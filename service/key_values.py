@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from engine.json_values import plain
+from service.strict_json import finite
 
 MOST_VALUES = 30  # of a job
 MOST_SUSPECTS = 3  # of a first screen
@@ -23,6 +24,18 @@ def found_by(result: Mapping[str, Any]) -> dict[str, str | None]:
         "outcome": diagnosis.get("verdict") or result.get("outcome"),
         "found": json.dumps(plain({"causes": causes, "values": values[:MOST_VALUES]})),
     }
+
+
+def reached_by(result: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns ``estimate`` and ``log_likelihood`` of an estimation that is done; none of other results.
+
+    Iterates may have ended elsewhere than at the estimate, and their likelihoods are those of one filter each.
+    """
+    estimate, likelihood = result.get("estimate"), result.get("log_likelihood")
+    if not (estimate and likelihood and "trace" in result):
+        return {}
+    values = {name: one["value"] for name, one in estimate.items()}
+    return {"estimate": json.dumps(plain(values)), "log_likelihood": finite(likelihood["value"])}
 
 
 def _of_diagnosis(d: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -24,7 +24,7 @@ from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
-from engine.estimation.wandering import looked_ahead, looked_back, moved_ahead
+from engine.estimation.wandering import kept_best, looked_ahead, looked_back, moved_ahead
 from engine.filters.sigma_point import free_thetas
 from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
@@ -102,6 +102,8 @@ def iterate(
         found = looked_ahead(found, likelihood, particles, loop.seed)
     if particles is None:
         return found
+    if ascent is not None:
+        found = kept_best(found, particles, loop.seed)
     return looked_back(found, likelihood.of, particles, likelihood.rows, loop.seed)
 
 

@@ -186,6 +186,8 @@ class EmResult(Shown):
         if not len(self.log_likelihood):
             return ""
         said, value = "Log-likelihood before the last iteration:", self.log_likelihood[-1]
+        if not np.array_equal(self.theta, self.trace[-1]):
+            said = "Log-likelihood before the last iteration, which did not end at the estimate:"
         error = self.log_likelihood_error
         if error == 0.0 or not np.isfinite(value):
             return f"{said} {value:.2f}."

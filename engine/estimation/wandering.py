@@ -8,7 +8,7 @@ where it says that the end is far less likely, the particle filter is asked, too
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +26,13 @@ EXACT_NATS = 0.5  # by which a point ahead is likelier where the likelihood is e
 MOVED = (
     " The particles' own steps ended {:.2g} nats below a point that {} likelihood found from there; it is "
     "the estimate, as filters with other random numbers, too, find it likelier by {}."
+)
+PASSED_NATS = (
+    2.0  # by which the last iterate is below the likeliest one, for that one to be the estimate
+)
+PASSED = (
+    " The estimate is iterate {}: the likelihood of the last ones is {:.2g} +- {:.1g} nats lower, as the steps "
+    "of few particles may lead downhill. More particles would go on from there."
 )
 UNTOLD = (
     " By {} likelihood a point ahead is {:.2g} nats likelier than the estimate; particle filters of {} "
@@ -111,6 +118,23 @@ def moved_ahead(
     return found
 
 
+def kept_best(found: EmResult, particles: ParticleStep, seed: int) -> EmResult:
+    """The result at the likeliest of its iterates, where the last ones have fallen below it.
+
+    Steps by the score of few particles may lead downhill. Filters with other random numbers must find it
+    likelier, too.
+    """
+    values = np.where(np.isfinite(found.log_likelihood), found.log_likelihood, -np.inf)
+    k, moved = int(np.argmax(values)), not np.array_equal(found.theta, found.trace[-1])
+    if moved or not values[k] - values[-1] > PASSED_NATS:
+        return found
+    best = Theta(found.trace[k], found.theta.names)
+    gain, error, _ = _gain(found.theta, best, particles, PASSED_NATS, seed, more=())
+    if not gain > max(PASSED_NATS, SURE * error):
+        return found
+    return _moved(found, best, PASSED.format(k, gain, error))
+
+
 def _moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
     """The result at another theta; ``said`` joins the message, whose end tells which bounds hold it."""
     before, now = (found.model.held_in_words(one, found.free) for one in (found.theta, theta))
@@ -119,14 +143,19 @@ def _moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
 
 
 def _gain(
-    here: Theta, there: Theta, particles: ParticleStep, least: float, seed: int
+    here: Theta,
+    there: Theta,
+    particles: ParticleStep,
+    least: float,
+    seed: int,
+    more: Sequence[int] = RETRIES,
 ) -> tuple[float, float, int]:
     """By how many nats one theta is likelier than another, the standard error, and by how many particles.
 
-    As many particles are taken, in a few steps, as it takes to tell it from the ``least``.
+    As many particles are taken, up to ``more`` times as many, as it takes to tell it from the ``least``.
     """
     seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(2 * CHECKS)
-    for times in (1, *RETRIES):
+    for times in (1, *more):
         values = np.array(
             [
                 particles.log_likelihood(theta, times, np.random.default_rng(s))
