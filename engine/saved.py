@@ -99,6 +99,8 @@ def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         kind, reference, content = (document[key] for key in ("kind", "model", "result"))
+    except FileNotFoundError:
+        raise OptionError(f"{path}: there is no such file", "path") from None
     except (ValueError, KeyError, TypeError) as error:
         raise OptionError(f"{path}: this is not a saved result of rbps ({error})", "path") from None
     if document.get("rbps") != FORMAT:

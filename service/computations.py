@@ -119,7 +119,8 @@ def simulation_fit(job: Prepared, options: EstimateOptions, progress: Progress) 
         if name in found.tied:
             continue
         value = estimate[name]["value"]
-        interval = [value - NORMAL * error, value + NORMAL * error]
+        low, high = model.parameters[model.index(name)].bounds
+        interval = [max(value - NORMAL * error, low), min(value + NORMAL * error, high)]
         estimate[name] |= {"standard_error": error, "interval": interval}
     for name in found.silent:
         estimate[name]["silent"] = True
@@ -202,11 +203,7 @@ def describe(
     states = _states(job, theta, n, options.trajectories or n, rng, options.method)
     message = found["message"]
     likelihood = log_likelihood(job, theta, n, rng, options.method)
-    if not (likelihood["spread"] or 0.0) < WIDE_NATS:
-        message += (
-            f" The log-likelihood is known poorly, and is probably too low: {LIKELIHOOD_RUNS} passes of the "
-            f"filter scatter by {likelihood['spread']:.2g}. Use more particles."
-        )
+    message = f"{message} {_scattered(likelihood)}".rstrip()
     rest = {
         "outcome": found["outcome"],
         "log_likelihood": likelihood,
@@ -283,6 +280,16 @@ def log_likelihood(
     return {"value": value, "standard_error": mean_error(spread, len(runs)), "spread": spread}
 
 
+def _scattered(likelihood: Mapping[str, Any]) -> str:
+    """A sentence where passes of the filter scatter widely: then the states' bands are too narrow, too."""
+    if (likelihood["spread"] or 0.0) < WIDE_NATS:
+        return ""
+    return (
+        f"The log-likelihood is known poorly, and is probably too low: {LIKELIHOOD_RUNS} passes of the "
+        f"filter scatter by {likelihood['spread']:.2g}. Use more particles."
+    )
+
+
 def mean_error(spread: float, runs: int) -> float:
     """Standard deviation of log mean exp of ``runs`` normal numbers whose own is ``spread``."""
     logs = spread * np.random.default_rng(0).standard_normal((LOGNORMAL_DRAWS, runs))
@@ -298,11 +305,13 @@ def smooth(job: Prepared, request: SmoothRequest, progress: Progress) -> dict[st
     N = request.options.trajectories or n
     rng = np.random.default_rng(request.options.seed)
     states = _states(job, job.theta, n, N, rng, progress=progress)
+    likelihood = log_likelihood(job, job.theta, n, rng, "")
     return {
         "parameters": job.theta.asdict(),
         "model": model_document(job.model),
         "time_unit": job.time_unit,
-        "log_likelihood": log_likelihood(job, job.theta, n, rng, ""),
+        "log_likelihood": likelihood,
+        "message": _scattered(likelihood),
         "states": states_document(job.model, job.series, states),
     }
 

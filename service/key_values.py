@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from engine.json_values import plain
-from service.strict_json import finite
 
 MOST_VALUES = 30  # of a job
 MOST_SUSPECTS = 3  # of a first screen
@@ -35,7 +34,7 @@ def reached_by(result: Mapping[str, Any]) -> dict[str, Any]:
     if not (estimate and likelihood and "trace" in result):
         return {}
     values = {name: one["value"] for name, one in estimate.items()}
-    return {"estimate": json.dumps(plain(values)), "log_likelihood": finite(likelihood["value"])}
+    return {"estimate": json.dumps(plain(values)), "log_likelihood": plain(likelihood["value"])}
 
 
 def _of_diagnosis(d: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -211,8 +211,8 @@ class Series(Shown):
         are subdivided evenly. ``values[series.samples]`` maps what was computed on it back to the samples.
         Raises SeriesError for k < 1 and for a series that is refined already.
         """
-        if k < 1:
-            raise SeriesError(f"k = {k} steps a sample; at least 1 is needed")
+        if k != int(k) or k < 1:
+            raise SeriesError(f"k = {k} steps a sample; a whole number, at least 1, is needed")
         if self.substeps != 1:
             raise SeriesError(f"the series is refined already, {self.substeps} steps a sample")
         if k == 1:
@@ -374,14 +374,30 @@ class Series(Shown):
         return read_series(path, y=y, u=u, t=t, dt=dt, hold=hold, time_unit=time_unit)
 
 
-def as_series_list(series: Series | Sequence[Series], model: BaseModel) -> list[Series]:
-    """One series or several, each checked against the model."""
+def one_series(series: Any, model: BaseModel, measured: bool = True) -> Series:
+    """A single series, checked against the model. Raises ModelError and SeriesError."""
+    if isinstance(series, list | tuple) and len(series) != 1:
+        raise SeriesError(f"{len(series)} series were given; one is needed: call it for each")
+    if isinstance(series, Series):
+        check_model(model)
+        return series.check(model, measured)
+    return as_series_list(series, model)[0]
+
+
+def check_model(model: BaseModel) -> None:
+    """Raise ModelError unless it is a model."""
     if not hasattr(model, "parameters"):
         raise ModelError(
             f"the model is {model!r:.60}, of type {type(model).__name__}; a model is needed, such as "
             "engine.get_model('servo')"
         )
-    all_series = [series] if isinstance(series, Series | np.ndarray) else list(series)
+
+
+def as_series_list(series: Any, model: BaseModel) -> list[Series]:
+    """One series or several, each checked against the model."""
+    check_model(model)
+    several = not (series is None or isinstance(series, Series | np.ndarray))
+    all_series: list[Any] = list(series) if several else [series]
     if not all_series:
         raise SeriesError("no series was given; at least one is needed")
     for one in all_series:

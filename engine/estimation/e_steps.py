@@ -23,6 +23,7 @@ from engine.estimation.expectation import expectation
 from engine.estimation.linear import as_linear
 from engine.estimation.maximization import Objective
 from engine.filters.kalman import kalman_smoother
+from engine.filters.lost import nats_short
 from engine.filters.proposals import Proposal, get_proposal
 from engine.filters.rbpf import Filtered, check_options, rbpf
 from engine.smoothers.exact_conditional import condition_on_trajectories
@@ -35,10 +36,6 @@ from engine.statespace.points import Points
 SMOOTHERS = ("exact", "algorithm-3", "linear-cost")
 LOST_SHARE = 0.05  # a filter that collapses at more than this share of its rows is run again ...
 RETRIES = (4, 16)  # ... with this many times the particles
-FAR_NATS = 20.0  # by which one theta is far less likely than another
-# Two log-likelihoods of the particle filter may differ by so much without meaning it, in standard deviations of
-# one, about sqrt(rows / effective sample size)
-SPREADS = 7.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +54,6 @@ class EStep:
 
 
 Expect: TypeAlias = Callable[[Theta, np.random.Generator], EStep]
-
-
-def nats_apart(rows: int, ess: float) -> float:
-    """Nats by which log-likelihoods of particle filters may differ without meaning it."""
-    return max(FAR_NATS, SPREADS * float(np.sqrt(rows / max(ess, 1.0))))
-
-
-def nats_short(rows: int, ess: float) -> float:
-    """Nats by which that of a particle filter may be below the truth: half its variance is its bias."""
-    return nats_apart(rows, ess) + 0.5 * rows / max(ess, 1.0)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from engine.errors import ModelError, OptionError, check_count
 from engine.estimation.convergence import WINDOW, has_settled, mean_point
-from engine.estimation.e_steps import FAR_NATS, LOST_SHARE, EStep, Expect, ParticleStep, nats_apart
+from engine.estimation.e_steps import LOST_SHARE, EStep, Expect, ParticleStep
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
@@ -25,6 +25,7 @@ from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
 from engine.estimation.wandering import kept_best, looked_ahead, looked_back, moved_ahead
+from engine.filters.lost import FAR_NATS, nats_apart
 from engine.filters.sigma_point import free_thetas
 from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike

@@ -13,10 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from engine.estimation.e_steps import FAR_NATS, RETRIES, ParticleStep, nats_short
+from engine.estimation.e_steps import RETRIES, ParticleStep
 from engine.estimation.em_result import EmResult
 from engine.estimation.likelihood_step import LIKELIER, LikelihoodStep
 from engine.estimation.outcome import Outcome
+from engine.filters.lost import FAR_NATS, nats_short
 from engine.statespace.base import Theta
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
@@ -25,7 +26,7 @@ LIKELIEST = 2  # iterates by their E steps are looked at, besides the start and 
 EXACT_NATS = 0.5  # by which a point ahead is likelier where the likelihood is exact
 MOVED = (
     " The particles' own steps ended {:.2g} nats below a point that {} likelihood found from there; it is "
-    "the estimate, as filters with other random numbers, too, find it likelier by {}."
+    "the estimate, and filters with other random numbers find it likelier by {}."
 )
 PASSED_NATS = (
     2.0  # by which the last iterate is below the likeliest one, for that one to be the estimate

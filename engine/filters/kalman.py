@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.series import Series
+from engine.data.series import Series, one_series
 from engine.errors import ModelError
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, Gaussian, LinearGaussian, MixedModel, Theta, ThetaLike
@@ -272,8 +272,9 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     SeriesError
         Channels or units are not the model's, or nothing was measured; names the channel.
     """
+    series = one_series(series, model)
     theta = model.theta(theta)
-    check_start(model, theta, series.check(model))
+    check_start(model, theta, series)
     record = model.record(theta)
     T, nx = len(series), model.nx
     x_p, x_f = np.empty((T, nx)), np.empty((T, nx))

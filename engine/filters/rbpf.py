@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.data.series import Series
+from engine.data.series import Series, one_series
 from engine.errors import OptionError, check_count
+from engine.filters.lost import lost_in_words
 from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.kernels import resampling as schemes
 from engine.kernels.filtering import advance, predict, weigh
@@ -22,7 +23,7 @@ from engine.statespace.checks import check_readings, check_start
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import squared
-from engine.views import Shown
+from engine.views import Shown, View, sheet, tables
 
 RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
     "multinomial": schemes.multinomial,
@@ -110,6 +111,12 @@ class Filtered(Shown):
         T, _, nz, _ = self.cov.shape
         return np.broadcast_to(self.cov, (T, self.a.shape[1], nz, nz))
 
+    @cached_property
+    def note(self) -> str:
+        """A sentence where the particles have lost the series, by the moment filter; else ""."""
+        ess = float(np.mean(self.ess))
+        return lost_in_words(self.model, self.theta, self.series, self.log_likelihood, ess)
+
     @property
     def collapsed(self) -> NDArray[np.intp]:
         """Rows t at which the weights collapsed onto one particle (or none)."""
@@ -123,6 +130,23 @@ class Filtered(Shown):
             "tm,tmx->tx", self.weights, np.concatenate([self.a, self.z], axis=2)
         )
         return mean
+
+    def _view(self) -> View:
+        model, M = self.model, self.a.shape[1]
+        least = int(np.argmin(self.ess))
+        units = {**model.nonlinear, **model.linear}
+        ends = zip(*(f(self.mean(), axis=0).tolist() for f in (np.min, np.max)), strict=True)
+        rows = [(name, *row, unit) for (name, unit), row in zip(units.items(), ends, strict=True)]
+        return sheet(
+            f"{model.name}: {len(self.a)} samples filtered by {M} particles",
+            tables().line(f"Log-likelihood {self.log_likelihood:.2f}"),
+            tables().line(
+                f"Effective sample size {np.mean(self.ess):.3g} in the mean, at the least "
+                f"{self.ess[least]:.2g} at t = {self.series.t[least]:g}"
+            ),
+            tables().line(self.note),
+            tables().table(("state", "least mean", "largest mean", "unit"), rows),
+        )
 
 
 class Updated(NamedTuple):
@@ -197,8 +221,9 @@ def rbpf(
         A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     rng = generator(rng)
+    series = one_series(series, model)
     theta = model.theta(theta)
-    check_start(model, theta, series.check(model))
+    check_start(model, theta, series)
     scheme = check_options(n_particles, resampling, ess_threshold)
     draw = get_proposal(proposal) if model.na else bootstrap
     M, T, record = n_particles, len(series), model.record(theta)

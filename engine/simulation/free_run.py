@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from engine.data.series import Series
+from engine.data.series import Series, one_series
 from engine.errors import OptionError, SeriesError
 from engine.simulation.simulate import check_finite, noise, propagate
 from engine.simulation.step_length import about_free_runs
@@ -159,7 +159,7 @@ def free_run(
     SeriesError
         Channels or units are not the model's, or nothing was measured; names the channel.
     """
-    series.check(model, measured=initial_rows > 0)
+    series = one_series(series, model, measured=initial_rows > 0)
     vector = model.theta(theta)
     check_start(model, vector, series)
     record = model.record(vector)

@@ -108,6 +108,7 @@ class Smoothed(Shown):
         return sheet(
             f"{model.name}: {len(self.a)} samples smoothed by {self.a.shape[1]} trajectories",
             tables().line(f"Log-likelihood of the filter {self.filtered.log_likelihood:.2f}"),
+            tables().line(self.filtered.note),
             tables().table(("state", "least", "most", "mean sd", "unit"), rows),
         )
 

@@ -45,8 +45,9 @@ def continuous(
 ) -> MixedModel:
     """A model given by differential equations, discretised for the time steps of the data.
 
-    One step a sample is exact for linear equations. Others may need several: ``series.refined(k)`` makes k, and
-    results say where one is too long.
+    One step a sample is exact for linear equations with inputs that are held. Others, and inputs on a
+    straight line (``hold="foh"``), which a step takes at their mean, may need several: ``series.refined(k)``
+    makes k, and results say where one is too long.
 
     Parameters
     ----------

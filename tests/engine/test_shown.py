@@ -32,7 +32,7 @@ def results():
         (LEVEL, ["z' = z + w", "variance of the measurement"]),
         (run, ["60 samples", "every 0.1 s"]),
         (engine.free_run(growth, None, run.series), ["free run over 60 samples"]),
-        (filtered, ["Filtered", "log_likelihood"]),
+        (filtered, ["filtered by 10 particles", "Log-likelihood", "Effective sample size"]),
         (engine.rb_ffbsi(filtered, 10, RNG), ["smoothed by 10 trajectories"]),
         (engine.kalman_smoother(LEVEL, None, nile()), ["KalmanSmoothed"]),
     ]

@@ -56,6 +56,8 @@ SHIPPED: tuple[Kind, ...] = (
     *HELD,
 )
 
+COUNTING = ("lag", "delay", "play")  # kinds that count samples, and so have to know them
+
 _makers: dict[str, tuple[Maker, Channels]] = {kind: (make, where) for kind, make, where in SHIPPED}
 
 
@@ -97,6 +99,12 @@ def make_effect(name: str, setting: Setting) -> Effect:
             f"effect '{name}' is not known{meant(name, _makers)}; kinds are {', '.join(sorted(_makers))}",
             "effects",
         )
+    if kind in COUNTING and not setting.tells_samples:
+        raise OptionError(
+            f"effect '{name}' counts samples, which are at no common step here and have {setting.substeps} "
+            "steps each; it needs samples at a common step, or one step each",
+            "effects",
+        )
     effect = _makers[kind][0](setting, channel)
     if effect is None:
         there = ", ".join(_makers[kind][1](setting)) or "none"
@@ -113,6 +121,8 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
     out: list[Effect] = []
     there = set(setting.model.parameter_names)
     for kind, (maker, channels) in _makers.items():
+        if kind in COUNTING and not setting.tells_samples:
+            continue
         for channel in channels(setting):
             if kinds is not None and kind not in kinds and f"{kind}:{channel}" not in kinds:
                 continue

@@ -52,7 +52,8 @@ class Setting:
     data. ``zeros`` are the known zeros of channels (default: as the model declares and tells), ``afloat``
     channels whose zero means nothing to the model (default: as it tells); ``substeps`` the steps that the
     model makes from one sample to the next; ``hold`` what the series says of its inputs between samples;
-    ``held`` the parameters of the model that are not estimated; ``time_unit`` what its times count.
+    ``held`` the parameters of the model that are not estimated; ``time_unit`` what its times count; ``regular``
+    whether samples are at one common step.
     """
 
     model: MixedModel
@@ -68,6 +69,7 @@ class Setting:
     hold: str = "zoh"
     held: tuple[str, ...] = ()
     time_unit: str = SECOND
+    regular: bool = True
 
     # ---- sizes --------------------------------------------------------------------------------
 
@@ -172,10 +174,15 @@ class Setting:
 
     # ---- time ---------------------------------------------------------------------------------
 
+    @property
+    def tells_samples(self) -> bool:
+        """Whether times tell the samples from the steps between them, as what counts samples needs."""
+        return self.regular or self.substeps == 1
+
     def at_sample(self, t: Any) -> Any:
         """Whether a time t (a number or (M,)) is that of a sample: True, or (M,) where times are refined.
 
-        Only series of regular samples are refined, so the phase tells.
+        What asks this is no effect of irregular samples with several steps each, so the phase tells.
         """
         if self.substeps == 1:
             return True
@@ -321,6 +328,7 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         substeps=series.substeps,
         hold=series.hold,
         time_unit=series.time_unit,
+        regular=series.dt is not None,
     )
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.catalogue import all_effects, extend
+from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.rates import Points, step
 from engine.diagnose.effects.setting import ON_TIME, Setting, setting_for
@@ -71,12 +71,13 @@ def prepare(
     """The records with as many steps a sample as a continuous model needs for its effects.
 
     ``fitted`` estimates the model's theta (n_theta,) on the main record as it is, or on a ``part`` of it that
-    is looked at. A lag or a delay counts samples, so all records, tests too, must be sampled at one common
-    step; else one step a sample is kept.
+    is looked at. A lag or a delay counts samples. So records that are sampled regularly, tests too, must be at
+    one common step, else one step a sample is kept; where the main one is not, nothing that counts is asked.
     """
     if not model.continuous or model.steps_counted:
         return Prepared(records)
-    if not all(_regular(records.main, one) for one in records.every):
+    regular = records.main.dt is not None
+    if regular and not all(_regular(records.main, one) for one in records.every):
         text = "Samples are not at one common step: the model makes one step a sample."
         return Prepared(records, notes=(text,))
     theta = fitted()
@@ -89,14 +90,19 @@ def prepare(
         )
         return Prepared(records, notes=(text,), theta=theta)
     k = choose(setting, part, theta)
-    notes = (f"The model makes {k} steps a sample, so that effects act within it.",)
-    return Prepared(records.refined(k), k, notes if k > 1 else (), theta, finer=k < MOST)
+    notes = [f"The model makes {k} steps a sample, so that effects act within it."]
+    if not regular:
+        notes.append(
+            f"Samples are not at one common step, so nothing that counts samples ({', '.join(COUNTING)}) is "
+            "looked for."
+        )
+    return Prepared(records.refined(k), k, tuple(notes) if k > 1 else (), theta, finer=k < MOST)
 
 
 def can_be_finer(setting: Setting, series: Series, theta: Array) -> bool:
-    """Whether more steps a sample mean anything: a model whose dt is a real one, samples at one common step."""
+    """Whether more steps a sample mean anything: of a model whose dt is a real one."""
     model = setting.model
-    if not model.continuous or model.steps_counted or series.dt is None:
+    if not model.continuous or model.steps_counted:
         return False
     return is_consistent(model, theta, sampled(setting))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.diagnose.effects.catalogue import all_effects, extend, make_effect
+from engine.diagnose.effects.catalogue import COUNTING, all_effects, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.rates import guessed_points
 from engine.diagnose.effects.setting import Setting, setting_for
@@ -20,7 +20,7 @@ from engine.diagnose.search.substeps import (
     prepare,
     steps_for,
 )
-from engine.errors import SeriesError
+from engine.errors import OptionError, SeriesError
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_filter
 from tests.engine.plain_models import heated, pendulum
@@ -176,6 +176,25 @@ def test_what_counts_samples_counts_them_on_a_refined_series_too(own):
     within = 0.1 * abs(change) if channel == "velocity" else 1e-3
     assert abs(change) > 1.0
     assert values[1] == pytest.approx(values[0], abs=within)
+
+
+def test_samples_at_no_common_step_get_several_steps_too():
+    """Once they got one each, whose error with inputs on a straight line was named a direct path."""
+    series, model = swings(dt=0.5).replace(hold="foh"), engine.get_model("oscillator")
+    theta = np.asarray(model.theta())
+    irregular = series.replace(t=series.t + 0.1 * np.sin(np.arange(len(series))))
+    usual, told = (prepare(model, Records(one), lambda: theta) for one in (series, irregular))
+    assert min(usual.k, told.k) > 1
+    assert "nothing that counts samples (lag, delay, play)" in told.notes[1]
+    # what counts samples cannot tell them from the steps between
+    counting = {
+        k: {e.kind for e in all_effects(setting_for(model, irregular.refined(k), theta))}
+        & set(COUNTING)
+        for k in (1, told.k)
+    }
+    assert counting == {1: {"lag", "delay", "play"}, told.k: set()}
+    with pytest.raises(OptionError, match="counts samples, which are at no common step"):
+        make_effect("lag:y", setting_for(model, irregular.refined(2), theta))
 
 
 def test_a_model_that_counts_samples_takes_series_of_its_own_steps_only():

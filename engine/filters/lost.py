@@ -1,0 +1,41 @@
+"""Whether a particle filter has lost a series: whether its likelihood is far below the moment filter's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.errors import EngineError
+from engine.filters.sigma_point import moment_filter
+from engine.statespace.model import MixedModel, Theta
+
+FAR_NATS = 20.0  # by which one theta is far less likely than another
+# Two log-likelihoods of the particle filter may differ by so much without meaning it, in standard deviations of
+# one, about sqrt(rows / effective sample size)
+SPREADS = 7.0
+
+
+def nats_apart(rows: int, ess: float) -> float:
+    """Nats by which log-likelihoods of particle filters may differ without meaning it."""
+    return max(FAR_NATS, SPREADS * float(np.sqrt(rows / max(ess, 1.0))))
+
+
+def nats_short(rows: int, ess: float) -> float:
+    """Nats by which that of a particle filter may be below the truth: half its variance is its bias."""
+    return nats_apart(rows, ess) + 0.5 * rows / max(ess, 1.0)
+
+
+def lost_in_words(
+    model: MixedModel, theta: Theta, series: Series, log_likelihood: float, ess: float
+) -> str:
+    """A sentence where particles with a mean effective sample size ``ess`` have lost the series, else ""."""
+    try:
+        moment = float(moment_filter(model, np.asarray(theta)[None], series).log_likelihood[0])
+    except (EngineError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return ""
+    if not moment - log_likelihood > nats_short(len(series), ess):  # NaN is not
+        return ""
+    return (
+        f"The particles have lost the series: by the moment filter its log-likelihood is {moment:.0f}. States "
+        "and standard deviations by them are not to be trusted; take many more particles."
+    )
