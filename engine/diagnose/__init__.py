@@ -234,7 +234,7 @@ def diagnose(  # noqa: PLR0913
 
     clock.start("symptoms")
     symptoms = find_symptoms(
-        model, judged.before.theta, plain, covariance_of(judged.before), seed=seed
+        model, judged.before.theta, fine.records.train, covariance_of(judged.before), seed=seed
     )
     clock.progress("symptoms", 1.0)
 

@@ -70,11 +70,14 @@ def records_of(
     test: Series | Sequence[Series] | None,
     held_out: float = HELD_OUT,
 ) -> tuple[MixedModel, Records]:
-    """The records, and the model with extra channels of theirs as inputs. Raises SeriesError, OptionError."""
+    """The records, and the model with extra channels of theirs as inputs. Raises SeriesError, OptionError.
+
+    Refined series of a model whose steps are chosen here are taken by their samples.
+    """
     wanted = isinstance(test, Series) or bool(test)
     check_held_out(held_out, wanted)
-    given = as_series_list(series, model)
-    tests = as_series_list(test, model) if test is not None and wanted else []
+    given = _by_samples(model, as_series_list(series, model))
+    tests = _by_samples(model, as_series_list(test, model)) if test is not None and wanted else []
     names = given[0].extra_names
     for k, one in enumerate(given):
         if one.extra_names != names:
@@ -88,6 +91,11 @@ def records_of(
     main, *others = (one.with_extra_inputs() for one in [given.pop(longest), *given])
     apart = tuple(one.with_extra_inputs().check(model) for one in tests)
     return model, Records(main, tuple(others), apart, held_out)
+
+
+def _by_samples(model: MixedModel, given: Sequence[Series]) -> list[Series]:
+    chosen = model.continuous and not model.steps_counted
+    return [one.held(one.hold) if chosen and one.substeps > 1 else one for one in given]
 
 
 def check_held_out(held_out: float, tested: bool) -> None:

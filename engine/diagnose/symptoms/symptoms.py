@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from engine.diagnose.symptoms.error_localization import NOTABLE, NOTABLE_RUN, mo
 from engine.diagnose.symptoms.residuals import Whiteness, auxiliary, standardised, whiteness
 from engine.diagnose.symptoms.runs import draws, noise_free, start_state
 from engine.diagnose.symptoms.sentences import correlated, overall, sentence
-from engine.filters.sigma_point import moment_path
+from engine.filters.sigma_point import MomentPath, moment_path
 from engine.json_values import plain
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.words import with_unit
@@ -88,6 +88,15 @@ class Symptoms:
         }
 
 
+def _at_samples(path: MomentPath, series: Series) -> MomentPath:
+    """What the filter saw at the samples of a refined series, ``F`` from each to the next."""
+    rows, whole = series.samples, np.eye(path.F.shape[-1])
+    for step in range(series.substeps):
+        whole = path.F[rows[:-1] + step] @ whole
+    names = (f.name for f in fields(path) if f.name not in ("F", "log_likelihood"))
+    return replace(path, F=whole, **{name: getattr(path, name)[rows] for name in names})
+
+
 def find_symptoms(
     model: MixedModel,
     theta: ThetaLike,
@@ -100,21 +109,23 @@ def find_symptoms(
     The free run starts at the first state as estimated from the first tenth of the rows and sees no
     measurement after that; its 95 % band holds the uncertainty of the first state, of theta, of the
     process and of the measurement (200 simulations, fewer of more than 20,000 samples). Errors are
-    measured minus simulated or predicted. Raises ModelError where the filter is lost.
+    measured minus simulated or predicted. Of a refined ``series`` the samples are compared. Raises ModelError
+    where the filter is lost.
     """
-    vector = np.asarray(model.theta(theta))
-    path = moment_path(model, vector, series)
+    vector, stepped, at = np.asarray(model.theta(theta)), series, series.samples
+    path = _at_samples(moment_path(model, vector, stepped), stepped)
+    series = stepped.held(stepped.hold)
     z = standardised(path, series)
     one_step = against_predictions(model, series, path, z)
     free, sentences = None, []
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     with np.errstate(over="ignore", invalid="ignore"):
-        mean, P = start_state(model, vector, series)
-        y, states = noise_free(model, vector, series, mean)
+        mean, P = start_state(model, vector, stepped)
+        y, states = (run[at] for run in noise_free(model, vector, stepped, mean))
         row = lost_at(y, series)
         if row is None:
-            n = int(np.clip(SIMULATED_SAMPLES // len(series), FEWEST_SIMULATIONS, SIMULATIONS))
-            drawn = draws(model, vector, series, mean, P, covariance, n, rng)
+            n = int(np.clip(SIMULATED_SAMPLES // len(stepped), FEWEST_SIMULATIONS, SIMULATIONS))
+            drawn = draws(model, vector, stepped, mean, P, covariance, n, rng)[:, at]
             fine = drawn[np.isfinite(drawn).all(axis=(1, 2))]
             if len(fine) < FEWEST_FINITE_RUNS:
                 fine = fine[:0]

@@ -197,6 +197,42 @@ def test_samples_at_no_common_step_get_several_steps_too():
         make_effect("lag:y", setting_for(model, irregular.refined(2), theta))
 
 
+def test_the_page_says_what_is_wrong_with_the_steps_that_were_fitted():
+    """Once the first section was made with one step a sample, and a clean record looked all wrong.
+
+    Of a pendulum by another program, six samples a period; refined by the user or not, the answer is the same.
+    """
+    model = engine.continuous(
+        name="swing",
+        drift=lambda a, u, t, th: ([0.0, 4.0 * u[0] - th.g * np.sin(a[:, 0])], [[1.0], [-th.c]]),
+        diffusion=lambda a, u, t, th: np.diag([0.0, th.q]),
+        measurement=lambda a, u, t, th: ([a[:, 0]], [[0.0]], [[th.r]]),
+        initial=lambda th: (engine.Gaussian([0.0], [[0.1]]), [0.0], [[0.1]]),
+        nonlinear={"angle": "rad"},
+        linear={"rate": "rad/s"},
+        inputs={"torque": "1"},
+        outputs={"y": "rad"},
+        parameters=[
+            engine.Parameter("g", 8.5, "1/s^2", (0.0, 100.0)),
+            engine.Parameter("c", 0.4, "1/s", (0.0, 10.0)),
+            engine.Parameter("q", 1e-3, "1/s^3", (0.0, 1.0)),
+            engine.Parameter("r", 1e-4, "rad^2", (1e-8, 1.0)),
+        ],
+    )
+    series = by_runge_kutta(120, 0.35)
+    found = [
+        engine.diagnose(model, one, effects=["drag", "bias"], max_effects=1)
+        for one in (series, series.refined(2))
+    ]
+    assert found[0].substeps > 1
+    (run,) = found[0].symptoms.free_run.fits
+    assert run.rmse < 2.0 * run.expected_rmse
+    assert found[0].symptoms.whiteness[0].variance < 2.0
+    assert len(found[0].symptoms.z) == len(found[0].symptoms.series) < len(series)
+    assert len(found[0].symptoms.of_states) == len(found[0].symptoms.z) - 1
+    assert str(found[1]).split("Notes")[0] == str(found[0]).split("Notes")[0]
+
+
 def test_a_model_that_counts_samples_takes_series_of_its_own_steps_only():
     """Once a delay of three samples was one of three steps, a fourth of it, and others paid for it."""
     model, series = engine.get_model("oscillator"), swings()
