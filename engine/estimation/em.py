@@ -18,6 +18,7 @@ from engine.estimation.em_result import EmResult as EmResult
 from engine.estimation.em_result import Iteration as Iteration
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.long_steps import about_predictions
+from engine.estimation.outcome import Outcome
 from engine.estimation.particle_likelihood import likelihood_of
 from engine.estimation.quasi_ml import with_scales
 from engine.estimation.quasi_newton import Ascent
@@ -28,6 +29,7 @@ from engine.statespace.model import MixedModel, Theta, ThetaLike
 
 METHODS = ("quasi-newton", "em")
 UPHILL = "uphill"
+STANDS_STILL = "Converged: the iterates stand still."
 WORTH = 20.0  # nats per parameter and ``tolerance`` that Monte Carlo noise may cost
 
 
@@ -217,7 +219,10 @@ def rts_em(
     ascent = _ascent(likelihood, model.free_indices(free), tolerance, True) if newton else None
     expect = rts_step(model, all_series)
     found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent)
-    message = found.message + remark(given, found, all_series)
+    said = found.message.replace(
+        Outcome.CONVERGED.value, STANDS_STILL
+    )  # there is no Monte Carlo noise
+    message = said + remark(given, found, all_series)
     return replace(found, model=given, message=message)
 
 

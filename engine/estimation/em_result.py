@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.estimation.convergence import WINDOW, drift
+from engine.estimation.convergence import WINDOW, drift, mean_point
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import width
 from engine.statespace.base import Array, BaseModel, Theta
@@ -186,7 +186,8 @@ class EmResult(Shown):
         if not len(self.log_likelihood):
             return ""
         said, value = "Log-likelihood before the last iteration:", self.log_likelihood[-1]
-        if not np.array_equal(self.theta, self.trace[-1]):
+        usual = (self.trace[-1], mean_point(self.trace[-WINDOW:]))
+        if not any(np.array_equal(self.theta, one) for one in usual):
             said = "Log-likelihood before the last iteration, which did not end at the estimate:"
         error = self.log_likelihood_error
         if error == 0.0 or not np.isfinite(value):

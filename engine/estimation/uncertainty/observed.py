@@ -60,6 +60,8 @@ DROWNED = 0.25  # variance of whitened differences from which on they tell nothi
 SURELY_OFF = 30.0  # ... unless they are off by so many times that
 PRESSED_NATS = 0.5  # that a parameter next to its bound gains at most on its way there ...
 ON_ITS_SIDE = 0.1  # ... from so near, beside all the room there is
+FURTHER = 1e9  # times the way to the bound: there the likelihood has to be another ...
+ROUNDING = 1e-12  # ... by more than this share of it
 KNOWN = 0.25  # relative error of an error that is not worth a word
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
@@ -392,17 +394,29 @@ def _pressed(
         )
         if not room < ON_ITS_SIDE * (upper[k] - lower[k]):
             continue
-        drawn, there = mean[k] * np.sign(bound - x[k]), x.copy()
+        drawn = mean[k] * np.sign(bound - x[k])
         with contextlib.suppress(EngineError):
             if score.exact:  # so near a bound scores drown in rounding, and likelihoods do not
-                there[k] = bound
-                gain = score.value(there) - score.value(x)
-                pressed[k] = 0.0 <= gain < PRESSED_NATS
+                way = np.sign(x[k] - bound) * min(
+                    ON_ITS_SIDE * (upper[k] - lower[k]), FURTHER * room
+                )
+                here, least, far = (
+                    score.value(_moved(x, k, at)) for at in (x[k], bound, bound + way)
+                )
+                rounding = ROUNDING * (1.0 + abs(here))
+                # one that nothing depends on is at no bound
+                pressed[k] = -rounding < least - here < PRESSED_NATS and not far > here - rounding
             elif 2.0 * noise[k] < drawn < PRESSED_NATS / room:
-                there[k] = 0.5 * (x[k] + bound)
+                there = _moved(x, k, 0.5 * (x[k] + bound))
                 further = [score.at(there, which)[0][k] for which in seeds]
                 pressed[k] = np.mean(further) * np.sign(bound - x[k]) > 0.0
     return pressed
+
+
+def _moved(x: Array, k: int, value: float) -> Array:
+    out = x.copy()
+    out[k] = value
+    return out
 
 
 def _said_of_bounds(names: Sequence[str]) -> str:

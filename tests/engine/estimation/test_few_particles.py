@@ -10,10 +10,11 @@ import pytest
 import engine
 from engine import Outcome, get_model
 from engine.estimation import e_steps
-from engine.estimation.e_steps import FAR_NATS, rbps_step
+from engine.estimation.e_steps import rbps_step
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.wandering import moved_ahead
+from engine.filters.lost import FAR_NATS
 from engine.words import held_by_bounds
 
 OSCILLATOR = get_model("oscillator")
