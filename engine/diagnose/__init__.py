@@ -225,8 +225,11 @@ def diagnose(  # noqa: PLR0913
     names = tuple(cause.effect for cause in judged.causes)
     beside = over_horizon(judged.before, after, names, judged.search, searched)
 
-    looked_at = model.continuous and judged.causes and plain.dt is not None
-    if looked_at and not is_enough(after.model, np.asarray(after.theta), plain, fine.k):
+    if (
+        model.continuous
+        and judged.causes
+        and not is_enough(after.model, np.asarray(after.theta), plain, fine.k)
+    ):
         notes.append(
             f"With what was found, the free run changes by more than a tenth of its error with {2 * fine.k} "
             f"steps a sample: the sizes are those of {fine.k}."

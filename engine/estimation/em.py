@@ -29,7 +29,7 @@ from engine.statespace.model import MixedModel, Theta, ThetaLike
 
 METHODS = ("quasi-newton", "em")
 UPHILL = "uphill"
-STANDS_STILL = "Converged: the iterates stand still."
+STANDS_STILL = "Converged: the iterates stand still."  # there is no Monte Carlo noise
 WORTH = 20.0  # nats per parameter and ``tolerance`` that Monte Carlo noise may cost
 
 
@@ -219,9 +219,7 @@ def rts_em(
     ascent = _ascent(likelihood, model.free_indices(free), tolerance, True) if newton else None
     expect = rts_step(model, all_series)
     found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent)
-    said = found.message.replace(
-        Outcome.CONVERGED.value, STANDS_STILL
-    )  # there is no Monte Carlo noise
+    said = found.message.replace(Outcome.CONVERGED.value, STANDS_STILL)
     message = said + remark(given, found, all_series)
     return replace(found, model=given, message=message)
 

@@ -28,9 +28,7 @@ MOVED = (
     " The particles' own steps ended {:.2g} nats below a point that {} likelihood found from there; it is "
     "the estimate, and filters with other random numbers find it likelier by {}."
 )
-PASSED_NATS = (
-    2.0  # by which the last iterate is below the likeliest one, for that one to be the estimate
-)
+PASSED_NATS = 2.0  # by which the last iterate must be below the likeliest one
 PASSED = (
     " The estimate is iterate {}: the likelihood of the last ones is {:.2g} +- {:.1g} nats lower, as the steps "
     "of few particles may lead downhill. More particles would go on from there."
