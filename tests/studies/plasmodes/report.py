@@ -24,7 +24,9 @@ likelihood ratio ({RATIOS[0]:g} and {RATIOS[1]:g}), or where the noise is so sma
 the share of the free run's squared error ({SHARES[0]:g} and {SHARES[1]:g}). An effect of which parameters
 imitate all but {100 * IMITATED:g} % counts as clean; one that does not reach its strength at any size that
 makes sense is left out. After seed 6 was seen, outliers are put among the readings that are searched (some
-records had one of them there), and a wave of a free level counts as one of its readings; judged on seed 7.
+records had one of them there), and a wave of a free level counts as one of its readings. After seed 7, of four
+kinds of effects, noisy records also take one reading alone, noise that grows and a gain that changes; the shape
+of that noise was chosen on seed 108. Judged on seed 8.
 
 *Right*: named, or a set of nothing but words for it, and nothing else. Words for it have |cos| of footprints
 above {SAME:g} with it in the first screen of these data. *Wrong*: named, and not right. *In set*: the truth is
