@@ -129,8 +129,8 @@ def diagnose(  # noqa: PLR0913
     callback : callable, optional
         ``callback(stage, fraction)``; stops the run by raising StopIteration.
     bootstrap : int
-        Number of simulated series for a second p-value of the first round, 99 or more, or 0 for none. Each
-        takes as long as a fit and a screen.
+        Number n of simulated series for a second p-value of the first round, 1 / (n + 1) at least: some 99, or
+        0 for none. Each takes as long as a fit and a screen.
     kept : mutable mapping, optional
         Empty at first; finished parts are put there as JSON values. A run that was stopped goes on from them,
         when the same version is called with the same arguments, and gives the same numbers as one that was

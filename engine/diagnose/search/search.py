@@ -53,6 +53,10 @@ from engine.statespace.model import MixedModel
 FIRST = 0.7  # of alpha, for the first screen; the rest is for refits of what noise has swallowed
 LATER = 0.1  # of alpha, for screens after the first, as each round is a new chance
 LOOKED_BACK = 0.9  # of looking back: all but the last fit
+AFTER, PASSES = (
+    3,
+    3,
+)  # samples after an outlier that are judged again without it, and how often at most
 OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
 
 
@@ -245,10 +249,23 @@ def _finished(fit: QuasiFit, series: Series, told: Callable[[int], Any]) -> Quas
 
 
 def without_outliers(fit: QuasiFit, series: Series, output: str, seed: int) -> Series:
-    """The series with an output's outlying values missing."""
-    j = list(fit.model.outputs).index(output)
-    path = moment_path(fit.model, np.asarray(fit.theta), series)
-    errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))[:, j]
-    y = series.y.copy()
-    y[np.abs(np.nan_to_num(errors)) > OUTLYING, j] = np.nan
-    return series.replace(y=y)
+    """The series with an output's outlying values missing.
+
+    A filter that took an outlier for true is off for a while, so what follows one is judged again without it.
+    """
+    j, after = list(fit.model.outputs).index(output), AFTER * series.substeps
+    suspect = np.ones(len(series), dtype=bool)
+    for _ in range(PASSES):
+        path = moment_path(fit.model, np.asarray(fit.theta), series)
+        errors = standardised_errors(path, series.observed, pit_of(fit, series, seed))[:, j]
+        sizes = np.abs(np.nan_to_num(errors))
+        outlying = np.flatnonzero((sizes > OUTLYING) & suspect)
+        sure = [t for t in outlying if sizes[t] > sizes[max(t - after, 0) : t].max(initial=0.0)]
+        if not sure:
+            break
+        y, suspect = series.y.copy(), np.isin(np.arange(len(series)), outlying)
+        for t in sure:
+            y[t, j] = np.nan
+            suspect[t : t + after + 1] = True
+        series = series.replace(y=y)
+    return series

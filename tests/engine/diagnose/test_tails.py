@@ -1,13 +1,18 @@
 """Tails of the one-step errors, against SciPy's test of the kurtosis and by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import kurtosistest, norm
 
+import engine
 from engine import simulate
 from engine.diagnose import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.tails import standardised_errors, tail_test
+from engine.diagnose.search.search import without_outliers
+from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_path
 from tests.engine.hidden_effects import DRIVE, DT, levels
 
@@ -84,3 +89,19 @@ def test_the_kurtosis_tells_the_share_of_outliers(drive):
     test = tail_test(READING, DRIVE, path, np.concatenate([usual, outliers])[:, None])
     assert float(test.s.sum()) == pytest.approx(1e-3, rel=0.25)
     assert test.at == ((10.0,),)
+
+
+def test_two_outliers_in_a_row_are_taken_out_and_the_good_reading_after_them_is_not():
+    """The first moves the level, so that the second looks usual and the third does not."""
+    model = engine.get_model("local-level")
+    rng = np.random.default_rng(4)
+    y = 10.0 + np.cumsum(rng.standard_normal(80)) + rng.standard_normal(80)
+    y[[20, 21, 50]] += [9.0, 9.0, -9.0]
+    series = engine.Series(y, dt=1.0, y_names=["flow"])
+    theta = model.theta({"q": 1.0, "r": 1.0, "level": 10.0})
+    fit = replace(quasi_ml(model, series, theta, ["q"], max_iterations=1), theta=theta)
+    left = without_outliers(fit, series, "flow", 0)
+    assert np.flatnonzero(np.isnan(left.y[:, 0])).tolist() == [20, 21, 50]
+    # a level that has moved for good is not taken for outliers
+    moved = series.replace(y=np.where(np.arange(80)[:, None] >= 60, series.y + 9.0, series.y))
+    assert np.isnan(without_outliers(fit, moved, "flow", 0).y[60:]).sum() <= 3
