@@ -36,6 +36,6 @@ def lost_in_words(
     if not moment - log_likelihood > nats_short(len(series), ess):  # NaN is not
         return ""
     return (
-        f"The particles have lost the series: by the moment filter its log-likelihood is {moment:.0f}. States "
-        "and standard deviations by them are not to be trusted; take many more particles."
+        f"The particles seem to have lost the series: by the moment filter its log-likelihood is {moment:.0f}. "
+        "States and standard deviations by them are not to be trusted then; take many more particles."
     )

@@ -50,6 +50,29 @@ def test_a_name_is_no_model():
             ask("local-level", series)
 
 
+def test_what_is_no_series_or_not_one(tmp_path):
+    level, series = engine.get_model("local-level"), engine.Series(Y, dt=1.0)
+    for ask in (
+        lambda one: engine.rbpf(level, None, one, 10, 0),
+        lambda one: engine.kalman_smoother(level, None, one),
+        lambda one: engine.free_run(level, None, one),
+    ):
+        with pytest.raises(SeriesError, match="2 series were given; one is needed"):
+            ask([series, series])
+        with pytest.raises(SeriesError, match="of type ndarray; a series is needed"):
+            ask(Y)
+        assert ask([series])
+    for several in (engine.rbps_em, engine.diagnose, engine.fit_simulation):
+        with pytest.raises(SeriesError, match="of type NoneType; a series is needed"):
+            several(level, None)
+    with pytest.raises(ModelError, match="the model is 'ct', of type str"):
+        engine.rbpf("ct", None, series, 10, 0)
+    with pytest.raises(SeriesError, match="a whole number"):
+        series.refined(1.5)
+    with pytest.raises(OptionError, match="there is no such file"):
+        engine.load(tmp_path / "none.json")
+
+
 @pytest.mark.parametrize(
     ("parameter", "told"),
     [

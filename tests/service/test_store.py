@@ -154,6 +154,20 @@ def test_stages_follow_each_other_whoever_runs_them(store, estimation):
     assert store.job(made).status == "successful"
 
 
+def test_the_status_of_a_finished_estimation_tells_its_estimate(store):
+    """Not the last iterate, which may be another, nor the likelihood of one filter there."""
+    made = store.create("estimate", "linear-2", {}, 10)
+    attempt = store.claim("a")
+    assert store.record(attempt, 1, {}, {"theta": 0.9}, -77.0)
+    assert json.loads(store.job(made).estimate) == {"theta": 0.9}
+    estimate = {"theta": {"value": 0.3, "standard_error": None, "unit": "1"}}
+    likelihood = {"value": -75.5, "standard_error": 0.1}
+    result = {"estimate": estimate, "log_likelihood": likelihood, "trace": {}}
+    assert store.finish(attempt, result)
+    assert json.loads(store.job(made).estimate) == {"theta": 0.3}
+    assert store.job(made).log_likelihood == -75.5
+
+
 def test_many_claim_and_each_task_is_given_once_in_order(store):
     made = [store.create("simulate", "linear-2", {}, 1) for _ in range(40)]
     claimed, errors = {str(i): [] for i in range(8)}, []

@@ -16,7 +16,6 @@ differences alone count.
 
 from __future__ import annotations
 
-import contextlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,20 +23,20 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from engine.data.series import Series, as_series_list
 from engine.distributions import normal_quantile, student_quantile
-from engine.errors import EngineError, ModelError, NotSettledWarning
+from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.long_steps import about_predictions
 from engine.estimation.quasi_newton import bounded
+from engine.estimation.uncertainty.at_bounds import pressed_onto_bounds, said_of_bounds
 from engine.estimation.uncertainty.score import Score, inside, shift_within
 from engine.estimation.uncertainty.ties import undetermined
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.ties import tied, ties_in_words, to_hold
 from engine.views import html, save, tables
-from engine.words import enumerated, percent
+from engine.words import percent
 
 ROUNDS = 3  # of finding the directions; only the last uses all replicates ...
 MOST_ROUNDS = 15  # ... and so many where a round may not widen a direction as far as it should
@@ -58,10 +57,6 @@ TRUSTED = 0.1  # relative error that it has at least
 NEXT_TO_NOTHING = 1e-10
 DROWNED = 0.25  # variance of whitened differences from which on they tell nothing of the guess ...
 SURELY_OFF = 30.0  # ... unless they are off by so many times that
-PRESSED_NATS = 0.5  # that a parameter next to its bound gains at most on its way there ...
-ON_ITS_SIDE = 0.1  # ... from so near, beside all the room there is
-FURTHER = 1e9  # times the way to the bound: there the likelihood has to be another ...
-ROUNDING = 1e-12  # ... by more than this share of it
 KNOWN = 0.25  # relative error of an error that is not worth a word
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
@@ -260,7 +255,7 @@ def standard_errors(
             f"the data hold no information on {', '.join(silent)} at this theta; hold it fixed "
             "(free=) or choose other data"
         )
-    pressed = _pressed(score, scores, seeds)
+    pressed = pressed_onto_bounds(score, scores, seeds)
     at_bound = [name for name, yes in zip(names, pressed, strict=True) if yes]
     score, scores = replace(score, indices=score.indices[~pressed]), scores[:, ~pressed]
     names, H = score.names, H[np.ix_(~pressed, ~pressed)]
@@ -285,6 +280,13 @@ def standard_errors(
         warnings.warn(warning, NotSettledWarning, stacklevel=2)
     mean = scores.mean(axis=0)
     error = scores.std(axis=0, ddof=min(len(scores) - 1, 1)) / np.sqrt(len(scores))
+    sentences = (
+        warning,
+        said,
+        ties_in_words(names, directions),
+        said_of_bounds(at_bound),
+        _said_of_noise(relative),
+    )
     return StandardErrors(
         model=model,
         theta=theta,
@@ -295,17 +297,7 @@ def standard_errors(
         relative_error=relative,
         decrement=decrement,
         settled=settled,
-        warning=" ".join(
-            part
-            for part in (
-                warning,
-                said,
-                ties_in_words(names, directions),
-                _said_of_bounds(at_bound),
-                _said_of_noise(relative),
-            )
-            if part
-        ),
+        warning=" ".join(filter(None, sentences)),
         note=about_predictions(model, theta, all_series),
         tied=tuple(name for name, yes in zip(names, tied(directions), strict=True) if yes),
     )
@@ -376,56 +368,6 @@ def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:
     inward = np.where(score.x <= lower, mean, np.where(score.x >= upper, -mean, 0.0))
     far = inward - 2.0 * noise > SETTLED_ERRORS * np.sqrt(np.maximum(information, 0.0))
     return [name for name, yes in zip(score.names, far, strict=True) if yes and len(scores)]
-
-
-def _pressed(
-    score: Score, scores: Array, seeds: Sequence[np.random.SeedSequence]
-) -> NDArray[np.bool_]:
-    """Which parameters (n,) are as good as at a bound: the likelihood rises up to it, by next to nothing.
-
-    There it need not be curved, and differences of the score over no room say nothing of any parameter.
-    """
-    (lower, upper), x, n = score.bounds, score.x, len(scores)
-    mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(n)
-    pressed = np.zeros(len(x), dtype=np.bool_)
-    for k in range(len(x)):
-        bound, room = min(
-            ((b, abs(x[k] - b)) for b in (lower[k], upper[k])), key=lambda one: one[1]
-        )
-        if not room < ON_ITS_SIDE * (upper[k] - lower[k]):
-            continue
-        drawn = mean[k] * np.sign(bound - x[k])
-        with contextlib.suppress(EngineError):
-            if score.exact:  # so near a bound scores drown in rounding, and likelihoods do not
-                way = np.sign(x[k] - bound) * min(
-                    ON_ITS_SIDE * (upper[k] - lower[k]), FURTHER * room
-                )
-                here, least, far = (
-                    score.value(_moved(x, k, at)) for at in (x[k], bound, bound + way)
-                )
-                rounding = ROUNDING * (1.0 + abs(here))
-                # one that nothing depends on is at no bound
-                pressed[k] = -rounding < least - here < PRESSED_NATS and not far > here - rounding
-            elif 2.0 * noise[k] < drawn < PRESSED_NATS / room:
-                there = _moved(x, k, 0.5 * (x[k] + bound))
-                further = [score.at(there, which)[0][k] for which in seeds]
-                pressed[k] = np.mean(further) * np.sign(bound - x[k]) > 0.0
-    return pressed
-
-
-def _moved(x: Array, k: int, value: float) -> Array:
-    out = x.copy()
-    out[k] = value
-    return out
-
-
-def _said_of_bounds(names: Sequence[str]) -> str:
-    if not names:
-        return ""
-    return (
-        f"The likelihood rises up to the bound of {enumerated(list(names))}, next to which the estimate is: "
-        "the errors are those with it held."
-    )
 
 
 def _said_of_noise(relative: Array) -> str:

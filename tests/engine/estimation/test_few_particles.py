@@ -13,7 +13,7 @@ from engine.estimation import e_steps
 from engine.estimation.e_steps import rbps_step
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.quasi_ml import quasi_ml
-from engine.estimation.wandering import moved_ahead
+from engine.estimation.wandering import kept_best, moved_ahead
 from engine.filters.lost import FAR_NATS
 from engine.words import held_by_bounds
 
@@ -190,3 +190,21 @@ def test_the_bounds_told_are_those_of_where_an_estimate_has_moved_to(bounds, mov
     found = moved_ahead(at, LikelihoodStep(model, [series]), particles, 0)
     assert found.theta["zeta"] == pytest.approx(moved, rel=0.3)
     assert ("Stopped by a bound" in found.message) == (moved == 0.1)
+
+
+@pytest.mark.parametrize(("larger", "kept"), [(1.8, True), (1.02, False)])
+def test_an_iterate_that_is_clearly_likelier_than_the_last_is_the_estimate(larger, kept):
+    """The last noise is too large, by a few nats or by next to nothing, whatever one filter said of it."""
+    series = swung(0)
+    last = OSCILLATOR.theta({**QUIET.asdict(), "sigma_y": larger * QUIET["sigma_y"]})
+    of = LikelihoodStep(OSCILLATOR, [series]).of
+    assert (of(QUIET) - of(last) > 4.0) == kept
+    even = np.ones(2)
+    at = engine.EmResult(
+        OSCILLATOR, ("sigma_y",), last, np.array([QUIET, last, last]), np.array([200.0, 195.0]),
+        even, even, 0.0 * even, Outcome.ITERATIONS_USED_UP, Outcome.ITERATIONS_USED_UP.value,
+    )  # fmt: skip
+    found = kept_best(at, rbps_step(OSCILLATOR, [series], 400, 2), 0)
+    np.testing.assert_array_equal(found.theta, QUIET if kept else last)
+    assert ("The estimate is iterate 0" in found.message) == kept
+    assert ("which did not end at the estimate" in str(found)) == kept

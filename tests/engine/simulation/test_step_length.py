@@ -102,6 +102,8 @@ def test_how_many_steps_are_enough():
     assert too_long(falling, 1, 2.0) == (4.0, 4)  # of a change that is small enough, a part
     assert too_long(falling, 4, 0.2) == (0.25, 16)
     assert too_long(lambda k: 1.0, 1, 0.1) == (1.0, 0)
+    # as many as there may be, where they will just do: the warning asks for no more
+    assert too_long(falling, 8, 0.05) == (0.0625, 16)
     assert too_long(lambda k: np.nan, 1, 0.1) is None
 
 

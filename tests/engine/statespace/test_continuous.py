@@ -312,3 +312,28 @@ def test_slopes_are_right_at_rest_whatever_the_unit():
         F = np.array([[0.0, 1.0], [-W2, -DAMPING]])
         exact, _, _ = engine.discretize(F, None, None, dt=0.1)
         np.testing.assert_allclose(A.reshape(2, 1), exact[:, 1:], rtol=1e-7)
+
+
+@pytest.mark.parametrize("push", [1e-6, 1.0, 1e6])
+def test_a_linear_model_is_one_however_large_its_input(push):
+    """Differences over a way that is short beside what the input does were rounding."""
+
+    def drift(a, u, t, theta):
+        return [0.0 * a[:, 0], 9807.0 * u[0] - theta.w2 * a[:, 0]], [[1.0], [-1.2]]
+
+    model = engine.continuous(
+        name="storey",
+        drift=drift,
+        diffusion=lambda a, u, t, theta: np.diag([0.0, 1.0]),
+        measurement=lambda a, u, t, theta: ([a[:, 0]], [[0.0]], [[0.01]]),
+        initial=lambda theta: (engine.Gaussian([0.0], [[0.01]]), [0.0], [[1.0]]),
+        nonlinear={"x": "mm"},
+        linear={"v": "mm/s"},
+        inputs={"ground": "g"},
+        outputs={"y": "mm"},
+        parameters=[engine.Parameter("w2", 576.0, "1/s^2", (0.0, 1e6))],
+    )
+    for dt in (0.002, 0.02, 0.1, 1.0):
+        u = push * np.sign(np.sin(np.arange(40.0)))
+        series = engine.Series(np.zeros(40), u, dt=dt, y_names=["y"], u_names=["ground"])
+        assert np.isfinite(engine.kalman_smoother(model, None, series).log_likelihood)

@@ -72,9 +72,8 @@ class Base:
 WINDOWS = (
     Window("nile", 0, 100, noisy=True),
     Window("nile", 28, 100, noisy=True),
-    Window(
-        "seatbelts", 0, 168, noisy=True, gain="b"
-    ),  # before the law, which falls into what is held out
+    # before the law, which falls into what is held out
+    Window("seatbelts", 0, 168, noisy=True, gain="b"),
     Window("tanks", 0, 512, gain="k4"),
     Window("tanks", 512, 1024, gain="k4"),
     Window("tanks", 0, 512, part="test", gain="k4"),
