@@ -87,7 +87,7 @@ def rbps_em(  # noqa: PLR0913
         Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function
         of a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
     resampling : str
-        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+        ``multinomial``, ``stratified``, ``systematic``, ``residual`` or ``sorted``, as for :func:`rbpf`.
     ess_threshold : float
         Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
     smoother : str

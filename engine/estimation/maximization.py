@@ -18,6 +18,8 @@ SCORING_STEPS = 8  # scoring steps at most; one is exact where theta enters line
 GAIN_NATS = 1e-7  # an expected gain in Q (nats) below this is not worth a step
 # After a full step with an expected gain below this, what is left is not worth another.
 LAST_NATS = 1e-2
+DAMPING = 4.0  # factor by which the damping grows until no component is longer than its reach ...
+MOST_DAMPING = 1e12  # ... or it is this
 SCALED_RIDGE = 1e-10  # of the scaled scoring matrix, for parameters the data say nothing about
 
 
@@ -92,6 +94,18 @@ def scoring_step(x: Array, g: Array, H: Array, lower: Array, upper: Array, ridge
         scaled = H * scale[:, None] * scale[None, :] + ridge * np.eye(len(scale))
         direction[moving] = np.linalg.solve(scaled, g[moving] * scale) * scale
     return direction
+
+
+def step_within(
+    x: Array, g: Array, H: Array, lower: Array, upper: Array, ridge: float, reach: Array
+) -> Array:
+    """The scoring step, damped where a component would be longer than its ``reach`` (n,)."""
+    d = scoring_step(x, g, H, lower, upper, ridge)
+    damping = DAMPING
+    while (np.abs(d) > reach).any() and damping < MOST_DAMPING:
+        d = scoring_step(x, g, H + np.diag(damping / reach**2), lower, upper, ridge)
+        damping *= DAMPING
+    return np.asarray(np.clip(d, -reach, reach))
 
 
 def _bfgs(q: Objective, theta: Array, free: NDArray[np.intp]) -> Array:

@@ -6,6 +6,11 @@ for Gaussian, and its maximum is that of the model without outliers. Parameters 
 which the Q-function is no guide either, are then moved by the particle filter's likelihood: by differences over
 a third of a standard error to either side with common random numbers, and the outer products of the scores of
 single rows (Berndt, Hall, Hall, Hausman 1974).
+
+With common random numbers this likelihood still jumps where resampling chooses otherwise. Particles resampled
+at every row in the order of their predictions hardly jump where these lie on a line (Malik, Pitt 2011). Where
+they lie in space some jumps are left, and more particles are taken. What is left in the slopes of single rows
+differs from filter to filter; products of slopes of different filters do not have it in their mean.
 """
 
 from __future__ import annotations
@@ -15,12 +20,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import either_side, parameter_scale
 from engine.estimation.likelihood_step import LIKELIHOOD_STEPS, LikelihoodStep
-from engine.estimation.maximization import scoring_step
+from engine.estimation.maximization import step_within
 from engine.estimation.quasi_ml import derivatives
 from engine.filters.rbpf import rbpf
 from engine.filters.sigma_point import free_thetas
@@ -29,12 +35,19 @@ from engine.statespace.model import Array, MixedModel, Theta, stacked
 DRAWS = 16  # of a_1, on which it is tried where nonlinear states show ...
 SPREADS = 10.0  # ... and so many standard deviations away: a share of outliers may start at next to nothing
 SEEDS = 3  # filters whose mean is taken
+IN_SPACE = 200  # particles at least where predictions do not lie on a line
+LEAST_INFORMATION = 0.02  # of what the slopes of all filters say with their noise ...
+RIDGE = 1e-6  # ... whose products, scaled to a unit diagonal, may be singular
 STEP_ERRORS = 0.3  # standard errors that differences reach to either side ...
 STEP_SHARE = 0.05  # ... or this share of a parameter's size, where the moment filter knows none ...
 MOST_SHARE = 0.3  # ... and at most this one
 LEAST_SHARE = 1e-4  # of it: what is far better known is no matter of particles
 TRIES = (1.0, 0.4, 0.1)  # shares of a step, of which the best is taken
-RIDGES = (1e-6, 0.1, 1.0)  # of the information, where steps without one gain nothing
+REACHES = (
+    2.0,
+    0.5,
+    0.1,
+)  # typical sizes of a parameter that it moves at most, where longer steps gain nothing
 PATIENCE = 2  # steps in turn that gain next to nothing
 ENOUGH = 0.02  # nats: less is not climbed for
 FAILURES = (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError)
@@ -159,15 +172,15 @@ class ParticleLikelihood(LikelihoodStep):
         """Gradient (n,) and information (n, n) in the parameters ``indices``. Raises ModelError."""
         return self._slopes(np.asarray(theta), indices)
 
+    def _filter(self, theta: Array, one: Series, seed: int) -> Array:
+        n = max(self.n_particles, IN_SPACE if self.model.nx > 1 else 1)
+        run = rbpf(self.model, theta, one, n, seed, resampling="sorted", ess_threshold=1.0)
+        return np.asarray(run.log_likelihood_terms)
+
     def _terms(self, theta: Array, which: Sequence[Series] | None = None) -> Array:
         """log p(y_t | y_{1:t-1}) (seeds, rows), all series one after the other; raises where not finite."""
         model, every = self.model, self.all_series if which is None else which
-        out = [
-            np.concatenate(
-                [rbpf(model, theta, one, self.n_particles, k).log_likelihood_terms for one in every]
-            )
-            for k in self.seeds
-        ]
+        out = [np.concatenate([self._filter(theta, one, k) for one in every]) for k in self.seeds]
         if not np.isfinite(out).all():
             raise ModelError(f"model '{model.name}': the likelihood is not finite here")
         return np.array(out)
@@ -180,24 +193,24 @@ class ParticleLikelihood(LikelihoodStep):
         return self.known[key]
 
     def _differences(self, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
-        each = np.zeros((len(indices), self.rows))
+        each = np.zeros((len(indices), len(self.seeds), self.rows))
         for i, (k, step) in enumerate(zip(indices, self._steps(theta, indices), strict=True)):
             each[i] = self._slope(theta, int(k), step)
             # the moment filter may know nothing of it, or too much
             size = parameter_scale(self.model, theta, int(k))
-            own = STEP_ERRORS / np.sqrt(max(float(each[i] @ each[i]), 1e-300))
-            wider = min(own, MOST_SHARE * size)
+            known = float(information_of(each[i : i + 1])[0, 0])
+            wider = min(STEP_ERRORS / np.sqrt(max(known, 1e-300)), MOST_SHARE * size)
             if wider > 2.0 * step:
                 each[i] = self._slope(theta, int(k), wider)
-        return each.sum(axis=1), each @ each.T
+        return each.mean(axis=1).sum(axis=1), information_of(each)
 
     def _slope(self, theta: Array, k: int, step: float) -> Array:
-        """Of each row's term (rows,), by parameter k over ``step`` to either side, within its bounds."""
+        """Of each row's term (seeds, rows), by parameter k over ``step`` to either side, within its bounds."""
         ends = np.array([theta, theta])
         ends[:, k] = np.clip(
             theta[k] + np.array([-step, step]), self.model.lower[k], self.model.upper[k]
         )
-        low, high = (self._terms(end).mean(axis=0) for end in ends)
+        low, high = (self._terms(end) for end in ends)
         return np.asarray((high - low) / (ends[1, k] - ends[0, k]))
 
     def _steps(self, theta: Array, indices: NDArray[np.intp]) -> Array:
@@ -227,8 +240,9 @@ class ParticleLikelihood(LikelihoodStep):
         for _ in range(most):
             g, H = self._slopes(x, indices)
             found = value, x
-            for ridge in RIDGES:
-                step = scoring_step(x[indices], g, H, lower, upper, ridge)
+            sizes = np.array([parameter_scale(model, x, int(k)) for k in indices])
+            for reach in REACHES:
+                step = step_within(x[indices], g, H, lower, upper, RIDGE, reach * sizes)
                 if not float(g @ step) > worth:
                     continue
                 for share in TRIES:
@@ -244,3 +258,26 @@ class ParticleLikelihood(LikelihoodStep):
             if same or little == PATIENCE:
                 break
         return Theta(x, theta.names), value - first, H
+
+
+def information_of(slopes: Array) -> Array:
+    """The information (n, n) in the slopes (n, seeds, rows) of single rows by several filters.
+
+    The mean product of slopes of two filters, which have only the likelihood in common; in every direction at
+    least a small share of what the product of the mean slopes is, in which noise counts as information.
+    """
+    mean = slopes.mean(axis=1)
+    noisy, seeds = mean @ mean.T, slopes.shape[1]
+    scale = np.sqrt(np.diag(noisy))
+    known = scale > 0.0
+    if seeds < 2 or not known.any():
+        return np.asarray(noisy)
+    own = np.einsum("isr,jsr->ij", slopes, slopes)
+    found = (seeds**2 * noisy - own) / (seeds * (seeds - 1))
+    square, scale = np.ix_(known, known), scale[known]
+    each = np.outer(scale, scale)
+    values, vectors = eigh(found[square] / each, noisy[square] / each + RIDGE * np.eye(len(scale)))
+    root = np.linalg.inv(vectors).T
+    out = np.zeros_like(noisy)
+    out[square] = each * ((root * np.clip(values, LEAST_INFORMATION, 1.0)) @ root.T)
+    return out

@@ -87,7 +87,7 @@ def ps_em(  # noqa: PLR0913
     proposal : str or callable
         Density that new particles are drawn from, as for :func:`rbps_em`; general models need ``bootstrap``.
     resampling : str
-        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+        ``multinomial``, ``stratified``, ``systematic``, ``residual`` or ``sorted``, as for :func:`rbpf`.
     ess_threshold : float
         Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
     recover : bool

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from engine.estimation.convergence import mean_point
 from engine.estimation.expectation import parameter_scale
-from engine.estimation.maximization import scoring_step
+from engine.estimation.maximization import scoring_step, step_within
 from engine.filters.sigma_point import free_thetas
 from engine.statespace.base import Array, BaseModel
 
@@ -48,8 +48,6 @@ CHI2_95 = 3.84  # quantile of chi^2 with one degree of freedom
 REACH_SIZES = 2.0  # typical sizes of a parameter that it may move in one step
 EDGE_ERRORS = 0.05  # standard errors from a bound count as being there
 EDGE_SHARE = 0.5  # of the way to a bound, at most, is gone in a step
-DAMPING = 4.0  # factor by which the damping grows until no component is longer than its reach ...
-MOST_DAMPING = 1e12  # ... or it is this
 TINY = 1e-300
 RIDGE = 1e-10  # of the metric scaled to a unit diagonal
 LEAST, MOST = 1e-4, 1.2  # of the complete-data information is in the metric
@@ -223,12 +221,9 @@ class Ascent:
         margin = EDGE_ERRORS / np.sqrt(np.maximum(np.diag(metric), TINY))
         margin = np.minimum(margin, 0.25 * (upper - lower))
         low, high = lower + margin, upper - margin
-        d = scoring_step(x, score, metric, low, high, RIDGE)
-        length, damping = float(np.sqrt(max(float(score @ d), 0.0))), DAMPING
-        while (np.abs(d) > reach).any() and damping < MOST_DAMPING:
-            d = scoring_step(x, score, metric + np.diag(damping / reach**2), low, high, RIDGE)
-            damping *= DAMPING
-        return np.clip(d, -reach, reach), length
+        whole = float(score @ scoring_step(x, score, metric, low, high, RIDGE))
+        d = step_within(x, score, metric, low, high, RIDGE, reach)
+        return d, float(np.sqrt(max(whole, 0.0)))
 
     def _within(self, x: Array, d: Array) -> Array:
         """x + d, at most a share of the way to a bound."""

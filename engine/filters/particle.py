@@ -119,7 +119,7 @@ def particle_filter(
     proposal : str or callable
         Density that new particles are drawn from, as for :func:`rbpf`; the report's is ``bootstrap``.
     resampling : str
-        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+        ``multinomial``, ``stratified``, ``systematic``, ``residual`` or ``sorted``, as for :func:`rbpf`.
     ess_threshold : float
         Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
 

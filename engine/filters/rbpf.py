@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from engine.errors import OptionError, check_count
 from engine.filters.lost import lost_in_words
 from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal
 from engine.kernels import resampling as schemes
+from engine.kernels.curve import along_curve
 from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.randomness import Rng, generator
@@ -30,7 +31,9 @@ RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
     "stratified": schemes.stratified,
     "systematic": schemes.systematic,
     "residual": schemes.residual,
+    "sorted": schemes.systematic,
 }
+Resample: TypeAlias = Callable[[Array, Array, Array], NDArray[np.int64]]
 
 COLLAPSED = 1.5  # an effective sample size below this means that one particle is left
 
@@ -202,7 +205,9 @@ def rbpf(
         Density that new particles are drawn from: ``adapted`` uses y_t, ``bootstrap`` does not; or a function
         of a :class:`engine.filters.proposals.Step` that returns draws (M, na) and their log-densities (M,).
     resampling : str
-        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+        ``multinomial``, ``stratified``, ``systematic``, ``residual``, or ``sorted``: systematic, of particles
+        in the order of their predictions along a curve (Malik, Pitt 2011; Gerber, Chopin 2015). With
+        ``ess_threshold=1`` and the same random numbers its log-likelihood is nearly smooth in theta.
     ess_threshold : float
         Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
 
@@ -224,7 +229,7 @@ def rbpf(
     series = one_series(series, model)
     theta = model.theta(theta)
     check_start(model, theta, series)
-    scheme = check_options(n_particles, resampling, ess_threshold)
+    resample = check_options(n_particles, resampling, ess_threshold)
     draw = get_proposal(proposal) if model.na else bootstrap
     M, T, record = n_particles, len(series), model.record(theta)
     y, u, times, steps = np.array(series.y), series.u, series.t.tolist(), series.steps.tolist()
@@ -268,21 +273,19 @@ def rbpf(
             break
 
         # 5. Resampling, and the prediction of each particle from which the next step starts
-        if model.na and ess <= ess_threshold * M:
-            ancestors = scheme(w, rng.random(M))
-            log_w = even
-        else:
-            ancestors = own
         f, A, Q = model.transition(a, series.u_step[t], times[t], steps[t], record)
         predicted.append(Predicted(*predict(f, stacked(A), stacked(Q), z, Z)))
         mu, L = predicted[-1][:2]
+        if model.na and ess <= ess_threshold * M:
+            ancestors = resample(w, rng.random(M), mu)
+            log_w = even
+        else:
+            ancestors = own
     return Filtered(model, theta, series, **over_time(updated), **over_time(predicted))
 
 
-def check_options(
-    n_particles: int, resampling: str, ess_threshold: float
-) -> Callable[[Array, Array], NDArray[np.int64]]:
-    """The resampling function, after checking the options of the filter. Raises OptionError."""
+def check_options(n_particles: int, resampling: str, ess_threshold: float) -> Resample:
+    """Ancestors (M,) by weights, uniform numbers (both (M,)) and predictions (M, n). Raises OptionError."""
     check_count("n_particles", n_particles)
     if resampling not in RESAMPLING:
         raise OptionError(
@@ -293,7 +296,15 @@ def check_options(
             f"ess_threshold = {ess_threshold} is not within [0, 1] (a share of n_particles)",
             "ess_threshold",
         )
-    return RESAMPLING[resampling]
+    scheme = RESAMPLING[resampling]
+    if resampling != "sorted":
+        return lambda w, u, _: scheme(w, u)
+
+    def along(w: Array, u: Array, mu: Array) -> NDArray[np.int64]:
+        order = along_curve(mu)
+        return np.asarray(order[scheme(w[order], u)])
+
+    return along
 
 
 def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:

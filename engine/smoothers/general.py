@@ -73,7 +73,7 @@ def filter_general(
     rng : numpy.random.Generator or int
         Source of all random numbers, or the seed of one.
     resampling : str
-        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+        ``multinomial``, ``stratified``, ``systematic``, ``residual`` or ``sorted``, as for :func:`rbpf`.
     ess_threshold : float
         Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
 
@@ -95,7 +95,7 @@ def filter_general(
     theta = model.theta(theta)
     check_rows(series.check(model))
     check_general(model, theta, series)
-    scheme = check_options(n_particles, resampling, ess_threshold)
+    resample = check_options(n_particles, resampling, ess_threshold)
     M, T, record = n_particles, len(series), model.record(theta)
     x = np.asarray(model.initial(record).sample(rng, M), dtype=float)
     points, weights, log_weights = np.empty((T, M, model.nx)), np.empty((T, M)), np.empty((T, M))
@@ -116,7 +116,7 @@ def filter_general(
         log_weights[t] = log_w
         if t < T - 1:
             if ess[t] <= ess_threshold * M:
-                ancestors[t + 1] = scheme(weights[t], rng.random(M))
+                ancestors[t + 1] = resample(weights[t], rng.random(M), x)
                 x, log_w = x[ancestors[t + 1]], even
             x = model.draw_next(x, series.u_step[t], time, float(series.steps[t]), record, rng)
     return GeneralFiltered(

@@ -132,7 +132,7 @@ def rbpf_special(
     rng : numpy.random.Generator or int
         Source of all random numbers, or the seed of one.
     resampling : str
-        ``multinomial``, ``stratified``, ``systematic`` or ``residual``.
+        ``multinomial``, ``stratified``, ``systematic``, ``residual`` or ``sorted``, as for :func:`rbpf`.
     ess_threshold : float
         Resample where the effective sample size is at most this share of M (1: at every step, 0: never).
 
@@ -154,7 +154,7 @@ def rbpf_special(
     model = case.model
     theta = model.theta(theta)
     series.check(model)
-    scheme = check_options(n_particles, resampling, ess_threshold)
+    resample = check_options(n_particles, resampling, ess_threshold)
     M, T, record = n_particles, len(series), model.record(theta)
     own: NDArray[np.int64] = np.arange(M)
     even, nothing, none = np.full(M, -np.log(M)), np.zeros(M), np.empty((M, 0))
@@ -181,7 +181,7 @@ def rbpf_special(
             break
         ancestors, u, dt = own, series.u_step[t], float(series.steps[t])
         if ess <= ess_threshold * M:
-            ancestors, log_w = scheme(w, rng.random(M)), even
+            ancestors, log_w = resample(w, rng.random(M), np.hstack((a, z))), even
         predicted.append(Predicted(*predict(*case.linear(a, u, time, dt, record), z, Z)))
         mu, L = predicted[-1][:2]
         a = np.ascontiguousarray(

@@ -91,7 +91,7 @@ def checkpoint(trace, k):
         (
             {"resampling": "wheel"},
             "resampling",
-            "'wheel' is not known; use multinomial, stratified, systematic, residual",
+            "'wheel' is not known; use multinomial, stratified, systematic, residual, sorted",
         ),
         ({"ess_threshold": 1.5}, "ess_threshold", r"1.5 is not within \[0, 1\]"),
         ({"ess_threshold": NAN}, "ess_threshold", r"nan is not within \[0, 1\]"),
