@@ -278,6 +278,6 @@ def information_of(slopes: Array) -> Array:
     each = np.outer(scale, scale)
     values, vectors = eigh(found[square] / each, noisy[square] / each + RIDGE * np.eye(len(scale)))
     root = np.linalg.inv(vectors).T
-    out = np.zeros_like(noisy)
+    out: Array = np.zeros_like(noisy)
     out[square] = each * ((root * np.clip(values, LEAST_INFORMATION, 1.0)) @ root.T)
     return out
