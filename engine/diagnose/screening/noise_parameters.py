@@ -54,6 +54,31 @@ def noise_of(fit: QuasiFit, series: Series) -> NDArray[np.bool_]:
     return noise_only(model, theta, model.free_indices(fit.free), series, path)
 
 
+def noise_left_to_states(fit: QuasiFit, series: Series) -> str:
+    """A sentence where a fit leaves nothing to the noise of readings, and so all to that of states; else ""."""
+    model, theta = fit.model, np.asarray(fit.theta)
+    free = model.free_indices(fit.free)
+    path = moment_path(model, theta, series)
+    names = [
+        (
+            model.parameter_names[k],
+            theta[k] <= model.lower[k],
+            *_covariances(model, theta, k, series, path),
+        )
+        for k in free[noise_only(model, theta, free, series, path)].tolist()
+    ]
+    readings = [name for name, low, x, y in names if low and y and not x]
+    states = [name for name, low, x, _ in names if x and not low]
+    if not readings or not states:
+        return ""
+    return (
+        f"The noise of readings was estimated at its bound ({', '.join(readings)}): whatever the model gets "
+        f"wrong counts as noise of the states ({', '.join(states)}), which may hide a cause. Where the noise of "
+        "the sensor is known, from its data sheet or from a record at rest, hold it there (theta=, free=) and "
+        "ask again."
+    )
+
+
 def inside(
     model: MixedModel, theta: Array, indices: NDArray[np.intp], series: Series, path: MomentPath
 ) -> NDArray[np.intp]:
@@ -79,3 +104,12 @@ def apart(columns: Sequence[Column], noise: NDArray[np.bool_], readings: int) ->
         none = np.zeros(readings)
         out.append(Column(column.s, np.concatenate([none, E, z] if own else [z, E, none])))
     return out
+
+
+def _covariances(
+    model: MixedModel, theta: Array, k: int, series: Series, path: MomentPath
+) -> tuple[bool, bool]:
+    """Whether parameter k changes covariances of states a step on, and whether those of readings."""
+    ends = either_side(model, theta, k, DIFFERENCE)
+    one, other = (along_path(model, end, model, series, path) for end in ends)
+    return not np.array_equal(one[1], other[1]), not np.array_equal(one[3], other[3])

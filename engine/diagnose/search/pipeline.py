@@ -15,6 +15,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
+from engine.diagnose.screening.noise_parameters import noise_left_to_states
 from engine.diagnose.search.between_samples import read_otherwise, read_with
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import undetermined
@@ -157,6 +158,9 @@ def find_causes(
             "everything that was found: the model is far from these data, or badly started (theta=)."
         )
         verdict = Verdict.UNKNOWN
+    if verdict not in NAMES:
+        left = noise_left_to_states(base, series)
+        notes.extend([left] if left else [])
     clock.stop()
     kinds = effects if aside is None else aside.others
     coarse, another = worth > 0.0, shape is not None

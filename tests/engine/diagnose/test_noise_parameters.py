@@ -1,11 +1,13 @@
 """Noise parameters among what a screen projects out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import engine
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.screening.noise_parameters import inside
+from engine.diagnose.screening.noise_parameters import inside, noise_left_to_states
 from engine.diagnose.screening.screening import screen_effects
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.sigma_point import moment_path
@@ -55,3 +57,22 @@ def test_a_parameter_of_the_mean_at_its_bound_is_projected_out(quiet):
     every = model.free_indices(["k", "b", "r"])
     path = moment_path(model, theta, series)
     assert inside(model, theta, every, series, path).tolist() == every.tolist()
+
+
+def test_it_is_said_when_the_noise_of_readings_is_estimated_at_nothing():
+    """Whatever the model gets wrong is then noise of its states."""
+    model = drive(q=0.02)
+    free = [replace(p, bounds=(1e-9, 1.0)) if p.name == "r" else p for p in model.parameters]
+    model = replace(model, parameters=free)
+    u = np.repeat(np.random.default_rng(3).uniform(-6.0, 6.0, 8), 10)
+    series = engine.simulate(model, {"r": 1e-9}, 80, 5, u=u, dt=0.1).series
+    fit = quasi_ml(model, series, None, ["k", "b", "q", "r"])
+    ends = {name: model.lower[model.index(name)] for name in ("r", "q")}
+    for names, said in ((["r"], True), (["q"], False), (["r", "q"], False), ([], False)):
+        values = {**fit.theta.asdict(), "r": 1e-3, **{name: ends[name] for name in names}}
+        at = replace(fit, theta=model.theta(values))
+        note = noise_left_to_states(at, series)
+        assert bool(note) == said
+    at = replace(fit, theta=model.theta({**fit.theta.asdict(), "r": ends["r"]}))
+    assert "(r)" in noise_left_to_states(at, series)
+    assert "(q)" in noise_left_to_states(at, series)
