@@ -26,6 +26,10 @@ NOT_MEASURED = (
     "Nothing was held out: what the extension gains on other data was not measured "
     "(held_out=, or test=)."
 )
+TELLING_FIT = (
+    10.0  # % of a free run's fit below which it is hardly better than a constant: its loss ...
+)
+TELLING_LOSS = 1.25  # ... contradicts nothing, unless the error grows by this factor
 RUN_SHARE = 0.01  # of a free run's rms error: a smaller change, however sure, is none
 
 
@@ -79,10 +83,19 @@ def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
 
 
 def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
-    """Outputs whose free run is significantly better, and those where it is significantly worse."""
+    """Outputs whose free run is significantly better, and those where it is significantly worse.
+
+    A run that was hardly better than a constant, as that of a model whose states are driven by noise, is no
+    worse for being a little further off.
+    """
     changed = [o for o in outputs if abs(o.difference) > RUN_SHARE * o.rmse_before]
     better = [o for o in changed if o.interval_difference[1] < 0.0]
-    return better, [o for o in changed if o.interval_difference[0] > 0.0]
+    worse = [o for o in changed if o.interval_difference[0] > 0.0]
+    return better, [
+        o
+        for o in worse
+        if not o.fit_before < TELLING_FIT or o.rmse_after > TELLING_LOSS * o.rmse_before
+    ]
 
 
 def in_short(gain: Gain) -> str:

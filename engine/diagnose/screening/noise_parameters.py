@@ -72,10 +72,10 @@ def noise_left_to_states(fit: QuasiFit, series: Series) -> str:
     if not readings or not states:
         return ""
     return (
-        f"The noise of readings was estimated at its bound ({', '.join(readings)}): whatever the model gets "
-        f"wrong counts as noise of the states ({', '.join(states)}), which may hide a cause. Where the noise of "
-        "the sensor is known, from its data sheet or from a record at rest, hold it there (theta=, free=) and "
-        "ask again."
+        f"The noise of readings was estimated at its bound ({', '.join(readings)}): whatever the model "
+        f"gets wrong counts as noise of the states ({', '.join(states)}), which may hide a cause. Where the "
+        "noise of the sensor is known, from its data sheet or from a record at rest, hold it there (theta=, "
+        "free=) and ask again."
     )
 
 

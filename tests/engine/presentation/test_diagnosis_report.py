@@ -117,7 +117,7 @@ def test_an_extension_that_predicts_worse_is_not_adopted():
     assert gain.log_density < 0.0
 
 
-def output(name, before, after, low, high):
+def output(name, before, after, low, high, fit=60.0):
     """The change of a free run's rms error with its 95 % interval."""
     return OutputGain(
         name,
@@ -128,8 +128,8 @@ def output(name, before, after, low, high):
         (low, high),
         after - before,
         (low, high),
-        0,
-        0,
+        fit,
+        fit,
         0,
         None,
     )
@@ -137,6 +137,10 @@ def output(name, before, after, low, high):
 
 BETTER, WORSE = output("x", 4.0, 3.0, -1.5, -0.5), output("y", 1.0, 2.0, 0.5, 1.5)
 SAME, HARDLY = output("z", 1.0, 0.9, -0.3, 0.1), output("w", 1.0, 0.999, -0.002, -0.0005)
+
+USELESS = output("v", 1.0, 1.1, 0.02, 0.18, fit=1.0)  # no better than a constant before
+HARMED = output("s", 1.0, 1.5, 0.2, 0.8, fit=1.0)
+USEFUL = output("r", 1.0, 1.1, 0.02, 0.18)
 
 
 @pytest.mark.parametrize(
@@ -152,6 +156,9 @@ SAME, HARDLY = output("z", 1.0, 0.9, -0.3, 0.1), output("w", 1.0, 0.999, -0.002,
         (0.99, -67.0, (BETTER,), Decision.LOSES),  # better in the one does not outweigh the other
         (0.001, 20.0, (WORSE,), Decision.LOSES),
         (0.6, -0.2, (BETTER, WORSE), Decision.LOSES),
+        (0.001, 20.0, (USELESS,), Decision.ADOPTED),
+        (0.001, 20.0, (HARMED,), Decision.LOSES),
+        (0.001, 20.0, (USEFUL,), Decision.LOSES),
         (0.99, -1.01, (), Decision.LOSES),
         (0.99, -0.99, (), Decision.NO_EVIDENCE),  # a sure loss below a likelihood ratio of e
         (0.94, -50.0, (), Decision.NO_EVIDENCE),
