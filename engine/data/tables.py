@@ -30,6 +30,8 @@ TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 DATED = re.compile(r"\d+([./-])\d+\1\d+")  # how a date begins, in whatever order
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "#n/a", "none", "-"))
 DELIMITERS = (",", ";", "\t")
+DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # or three decimals
 LARGEST_BYTES = 4 << 30  # an .npz may unpack to, and memory for reading a .mat
 MAT_TO_NPZ = Path(__file__).with_name("mat_to_npz.py")  # a program of its own
 LONGEST_CELL = 131_072  # characters of a cell; as csv has it, whose own limit anybody may change
@@ -101,7 +103,7 @@ class Table:
             return float(text)
         hint = ""
         if text.count(",") == 1 and _is_number(text.replace(",", ".")):
-            hint = "; it has a decimal comma, write a decimal point"
+            hint = "; if it has a decimal comma, write decimal points throughout"
         elif DATED.match(text):
             hint = "; dates of a column of times are read as 2024-03-01 13:45:00"
         raise SeriesError(f"{self._place(name, row)}: '{text[:40]}' is not a number{hint}")
@@ -113,7 +115,10 @@ class Table:
 
 
 def read_csv(data: bytes, file: str) -> Table:
-    """A CSV with one header line; delimiter comma, semicolon or tab; leading # lines skipped."""
+    """A CSV with one header line; delimiter comma, semicolon or tab; leading # lines skipped.
+
+    Where commas do not part cells they may be those of decimals.
+    """
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -157,11 +162,34 @@ def read_csv(data: bytes, file: str) -> Table:
         raise SeriesError(f"{file}, line {first + reader.line_num}: {reason}") from error
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
+    if delimiter != "," and has_decimal_commas(rows):
+        rows = [[_pointed(cell) for cell in row] for row in rows]
     columns = dict(zip(names, zip(*rows, strict=True), strict=True))
     table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
     table.hold = hold[-1] if hold else None
     table.time_unit = time_unit[-1] if time_unit else None
     return table
+
+
+def has_decimal_commas(rows: Iterable[Iterable[str]]) -> bool:
+    """Whether commas in the cells are those of decimals, of which one at least cannot part thousands.
+
+    False where a number has a decimal point.
+    """
+    surely = False
+    for row in rows:
+        for cell in row:
+            if "," in cell:
+                surely = surely or (
+                    DECIMAL_COMMA.fullmatch(cell) is not None and THOUSANDS.fullmatch(cell) is None
+                )
+            elif "." in cell and _is_number(cell.strip()):
+                return False
+    return surely
+
+
+def _pointed(cell: str) -> str:
+    return cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
 
 
 def _short_cells(rows: Iterable[list[str]]) -> Iterator[list[str]]:

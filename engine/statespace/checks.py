@@ -14,11 +14,11 @@ from engine.data.series import Series
 from engine.errors import EngineError, ModelError
 from engine.statespace.compare import Result, differ, sizes_of
 from engine.statespace.model import Array, Gaussian, MixedModel
+from engine.statespace.shapes import ROUNDING, is_symmetric
 from engine.statespace.trial import UNREPEATED, UnrepeatedError
 
 TRIED_DRAWS = 3  # draws of a_1 tried at once: enough to tell (M, n) from (n,)
 TRIED_ROWS = 8  # rows of a series on which functions are tried
-ROUNDING = 1e-9  # of a standard deviation each, what a covariance may be off
 
 
 def check_start(model: MixedModel, theta: Array, series: Series) -> None:
@@ -75,7 +75,7 @@ def check_covariance(model: MixedModel, where: str, S: Array) -> None:
         return
     variance = np.diagonal(S, axis1=1, axis2=2)
     size = np.sqrt(np.abs(variance[:, :, None] * variance[:, None, :]))
-    if (np.abs(S - np.swapaxes(S, 1, 2)) > ROUNDING * size).any():
+    if not is_symmetric(S):
         raise ModelError(f"model '{model.name}', {where} is not symmetric:\n{S.squeeze()}")
     with np.errstate(divide="ignore", invalid="ignore"):
         scaled = np.where(S == 0.0, 0.0, S / size)  # +-inf beside a variance of zero

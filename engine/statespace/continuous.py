@@ -27,10 +27,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from engine.errors import ModelError
 from engine.kernels.local_linearization import beside, difference_quotients, step_of
 from engine.statespace.model import Array, MixedModel
 from engine.statespace.rows import frozen, is_rows
-from engine.statespace.shapes import as_matrix, as_rows, stacked
+from engine.statespace.shapes import as_matrix, as_rows, is_symmetric, stacked
 
 Drift: TypeAlias = Callable[[Array, Any, Any, Any], tuple[Any, Any]]
 Matrix: TypeAlias = Callable[[Array, Any, Any, Any], Any]
@@ -136,6 +137,9 @@ class _Discretized:
         Qc = stacked(
             as_matrix(self.diffusion(a.copy(), u, middle, theta), M, nx, nx, "diffusion: Qc")
         )
+        if not is_symmetric(Qc):  # what follows would take the mean of both halves
+            name = self.fields["name"]
+            raise ModelError(f"model '{name}', diffusion: Qc is not symmetric:\n{Qc.squeeze()}")
         J = self._jacobian(a, f, A, u, middle, length, theta)
         x, step, Q = step_of(a, f, J, stacked(A), Qc, length)
         return (x, step, Q) if len(Q) > 1 else (x, step[0], Q[0])

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from engine.errors import OptionError
 from engine.kernels.van_loan import van_loan
 from engine.statespace.model import Array
+from engine.statespace.shapes import is_symmetric
 
 
 def discretize(
@@ -67,6 +68,8 @@ def discretize(
         raise OptionError(f"G has shape {G.shape}; {n} rows are needed, as F has", "G")
     if Qc.shape[-2:] != (n, n):
         raise OptionError(f"Qc has shape {Qc.shape}; ({n}, {n}) is needed, as F has", "Qc")
+    if not is_symmetric(Qc):
+        raise OptionError(f"Qc is not symmetric: {Qc}", "Qc")
     step = np.asarray(dt, dtype=float)
     if not (np.isfinite(step).all() and (step > 0.0).all()):
         raise OptionError(f"dt = {dt} s; positive time steps are needed", "dt")
@@ -78,7 +81,7 @@ def discretize(
         shape = matrix.shape[-2:]
         return np.array(np.broadcast_to(matrix, (*batch, *shape))).reshape(len(steps), *shape)
 
-    symmetric = 0.5 * (Qc + np.swapaxes(Qc, -1, -2))
+    symmetric = 0.5 * (Qc + np.swapaxes(Qc, -1, -2))  # to the last bit
     found = van_loan(rows(F), rows(G), rows(symmetric), steps)
     A, B, Q = (matrix.reshape(*batch, *matrix.shape[-2:]) for matrix in found)
     return A, B, Q

@@ -9,6 +9,8 @@ import numpy as np
 from engine.errors import ModelError
 from engine.statespace.rows import Array
 
+ROUNDING = 1e-9  # of a standard deviation each, what a covariance may be off
+
 
 def as_rows(value: Any, M: int, n: int, where: str) -> Array:
     """(M, n) float array from an array or a list of n rows, each a number or (M,)."""
@@ -108,3 +110,12 @@ def _is_number(value: Any) -> bool:
 
 def _shape_error(where: str, got: tuple[int, ...], needed: str) -> ModelError:
     return ModelError(f"{where} has shape {got}; {needed} is needed")
+
+
+def is_symmetric(S: Array) -> bool:
+    """Whether covariances (..., n, n) are symmetric, up to rounding of the standard deviations they hold."""
+    other = np.swapaxes(S, -1, -2)
+    if not (other != S).any():
+        return True
+    spread = np.sqrt(np.abs(np.diagonal(S, axis1=-2, axis2=-1)))
+    return not (np.abs(S - other) > ROUNDING * spread[..., None] * spread[..., None, :]).any()

@@ -367,7 +367,7 @@ def test_wrong_input_is_said_beside_its_field(visit, tmp_path):
     assert page.get_attribute('tr[data-name="r"] .value', "aria-invalid") == "true"
     visit.expect("422")
     commas = tmp_path / "commas.csv"
-    commas.write_text("day;flow\n1;12,5\n2;13,5\n3;14\n")
+    commas.write_text("day;flow\n1;12,500\n2;13,500\n3;14\n")
     page.set_input_files("#file", commas)
     page.wait_for_selector("#data-facts .notice")
     assert "decimal comma" in page.inner_text("#data-facts")

@@ -102,6 +102,15 @@ def test_missing_cells(cell):
     assert series.y[1, 1] == 5
 
 
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_decimal_commas_are_read_where_they_part_no_cells(delimiter):
+    rows = [["t", "u [V]", "y"], ["0", "1,250", "-0,5"], ["1", "-2,5e-3", ""], ["2", "3", ",75"]]
+    text = "\n".join(delimiter.join(row) for row in rows)
+    series = read_series_bytes(text.encode(), "a.csv")
+    np.testing.assert_array_equal(series.u[:, 0], [1.25, -2.5e-3, 3.0])
+    np.testing.assert_array_equal(series.y[:, 0], [-0.5, np.nan, 0.75])
+
+
 def test_empty_line_in_one_column_is_missing():
     series = read_series_bytes(b"y\n1\n\n3\n", "a.csv")
     np.testing.assert_array_equal(series.y[:, 0], [1, np.nan, 3])
@@ -119,7 +128,9 @@ def test_semicolons_tabs_comments_quotes_and_byte_order_mark():
     ("text", "options", "message"),
     [
         (b"u,y\n1,2\n3,x4\n", {}, r"a.csv, line 3, column 'y': 'x4' is not a number$"),
-        (b"u;y\n1;2\n3;4,5\n", {}, r"line 3, column 'y': '4,5' is not a number; .*decimal comma"),
+        (b"u;y\n1.5;2\n3;4,5\n", {}, r"line 3, column 'y': '4,5' is not a number; .*decimal comma"),
+        (b"u;y\n1;1,250\n3;2,500\n", {}, r"line 2, column 'y': '1,250' is not a number; .*decimal"),
+        (b"u;y\n1;0,5\n3;1,2,5\n", {}, r"line 3, column 'y': '1,2,5' is not a number$"),
         (b"u,y\n1,5,2,5\n", {}, r"line 2: 4 cells for 2 columns \(u, y\); are these decimal comm"),
         (b"u,y\n1,2\n3\n", {}, r"line 3: 1 cells for 2 columns \(u, y\)$"),
         (b"1,2\n3,4\n", {}, r"line 1: the first line holds numbers; it must name the columns"),

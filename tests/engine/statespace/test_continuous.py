@@ -193,6 +193,8 @@ def test_a_diagnosis_may_make_more_steps_a_sample():
         ({"drift": lambda a, u, t, theta: ([0.0, 0.0], [[1.0]])}, "drift: A is not a list of 2 rows"),
         ({"diffusion": lambda a, u, t, theta: np.eye(3)}, r"diffusion: Qc has shape \(3, 3\)"),
         ({"jacobian": lambda a, u, t, theta: np.eye(2)}, r"jacobian: J has shape \(2, 2\)"),
+        ({"diffusion": lambda a, u, t, theta: np.array([[1.0, 0.5], [0.0, 1.0]])},
+         "diffusion: Qc is not symmetric"),
         ({"diffusion": lambda a, u, t, theta: -np.eye(2)}, "dynamics: Q has the negative eigenvalue"),
     ],
 )  # fmt: skip

@@ -189,3 +189,10 @@ def test_without_input_and_noise():
 def test_errors(arguments, dt, message):
     with pytest.raises(OptionError, match=message):
         discretize(*arguments, dt=dt)
+
+
+def test_an_asymmetric_intensity_is_refused_in_any_unit():
+    for scale in (1.0, 1e-18):
+        with pytest.raises(OptionError, match="Qc is not symmetric"):
+            discretize(np.eye(2), Qc=scale * np.array([[1.0, 0.2], [0.1, 1.0]]), dt=0.1)
+        discretize(np.eye(2), Qc=scale * np.array([[1.0, 0.2 + 1e-12], [0.2, 1.0]]), dt=0.1)
