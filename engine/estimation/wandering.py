@@ -19,6 +19,7 @@ from engine.estimation.likelihood_step import LIKELIER, LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.filters.lost import FAR_NATS, nats_short
 from engine.statespace.base import Theta
+from engine.words import number
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
 SURE = 3.0  # standard errors of a difference of log-likelihoods
@@ -34,8 +35,8 @@ PASSED = (
     "of few particles may lead downhill. More particles would go on from there."
 )
 UNTOLD = (
-    " By {} likelihood a point ahead is {:.2g} nats likelier than the estimate; particle filters of {} "
-    "particles cannot tell ({:.2g} +- {:.1g} nats). More particles would."
+    " By {} likelihood a point ahead is {:.2g} nats likelier than the estimate: {}. Particle filters of {} "
+    "particles cannot tell ({:.2g} +- {:.1g} nats). More particles would; or start there."
 )
 AGAINST = (
     " By the moment filter the iterates passed parameters that are {:.0f} nats likelier than these; the "
@@ -113,8 +114,20 @@ def moved_ahead(
     if min(gain, ahead) > FAR_NATS:  # far off filters scatter widely
         return _moved(found, there, MOVED.format(ahead, whose, f"more than {FAR_NATS:g} nats"))
     if ahead > LIKELIER and gain + SURE * error > ahead:
-        return replace(found, message=found.message + UNTOLD.format(whose, ahead, n, gain, error))
+        return _undecided(found, UNTOLD.format(whose, ahead, _values(there, found), n, gain, error))
     return found
+
+
+def _undecided(found: EmResult, said: str) -> EmResult:
+    """The result where nothing can tell whether it is the maximum; other outcomes stay what they are."""
+    outcome = Outcome.UNDECIDED if found.outcome is Outcome.CONVERGED else found.outcome
+    message = found.message.replace(found.outcome.value, outcome.value) + said
+    return replace(found, outcome=outcome, message=message)
+
+
+def _values(theta: Theta, found: EmResult) -> str:
+    """Those of the free parameters, in words."""
+    return ", ".join(f"{name} = {number(theta[name], 4)}" for name in found.free)
 
 
 def kept_best(found: EmResult, particles: ParticleStep, seed: int) -> EmResult:

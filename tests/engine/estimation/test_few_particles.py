@@ -208,3 +208,31 @@ def test_an_iterate_that_is_clearly_likelier_than_the_last_is_the_estimate(large
     np.testing.assert_array_equal(found.theta, QUIET if kept else last)
     assert ("The estimate is iterate 0" in found.message) == kept
     assert ("which did not end at the estimate" in str(found)) == kept
+
+
+@pytest.mark.parametrize("scatter", [30.0, 0.0])
+def test_a_likelier_point_that_particles_cannot_judge_is_told_and_nothing_has_converged(scatter):
+    """With filters that scatter by 30 nats; by others the estimate stays, and is one."""
+    series = swung(0)
+    at = OSCILLATOR.theta({**QUIET.asdict(), "sigma_y": 1.5 * QUIET["sigma_y"]})
+    settled = engine.EmResult(
+        OSCILLATOR, ("sigma_y",), at, np.array([at]), *np.zeros((4, 0)),
+        Outcome.CONVERGED, Outcome.CONVERGED.value,
+    )  # fmt: skip
+
+    class Scattered:
+        n_particles = 50
+
+        def log_likelihood(self, theta, times, rng):
+            return 100.0 + scatter * rng.standard_normal()
+
+    found = moved_ahead(settled, LikelihoodStep(OSCILLATOR, [series]), Scattered(), 0)
+    if not scatter:
+        assert found is settled
+        return
+    assert found.outcome is Outcome.UNDECIDED
+    assert found.message.startswith("Settled, but perhaps short of the maximum")
+    assert "sigma_y = " in found.message
+    told = float(found.message.split("sigma_y = ")[1].split(". ")[0])
+    assert told == pytest.approx(QUIET["sigma_y"], rel=0.2)
+    np.testing.assert_array_equal(found.theta, at)
