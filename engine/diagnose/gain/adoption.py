@@ -26,10 +26,8 @@ NOT_MEASURED = (
     "Nothing was held out: what the extension gains on other data was not measured "
     "(held_out=, or test=)."
 )
-TELLING_FIT = (
-    10.0  # % of a free run's fit below which it is hardly better than a constant: its loss ...
-)
-TELLING_LOSS = 1.25  # ... contradicts nothing, unless the error grows by this factor
+TELLING_FIT = 10.0  # % of fit: a free run below it is hardly better than a constant, and a loss ...
+TELLING_LOSS = 1.25  # ... contradicts nothing unless its error grows by this factor
 RUN_SHARE = 0.01  # of a free run's rms error: a smaller change, however sure, is none
 
 
