@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.data.series import Series, as_series_list
+from engine.data.given import as_series_list
+from engine.data.series import Series
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.errors import OptionError, SeriesError
 from engine.statespace.model import MixedModel

@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.data.series import Series, as_series_list
+from engine.data.given import as_series_list
+from engine.data.series import Series
 from engine.errors import OptionError
 from engine.estimation.e_steps import rbps_step, rts_step
 from engine.estimation.em_loop import Callback, Loop, iterate

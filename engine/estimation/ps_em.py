@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.series import Series, as_series_list
+from engine.data.given import as_series_list
+from engine.data.series import Series
 from engine.errors import OptionError
 from engine.estimation.e_steps import ParticleStep
 from engine.estimation.em import Checkpoint, EmResult, first_of, remark, scaled

@@ -18,7 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.data.series import Series, as_series_list
+from engine.data.given import as_series_list
+from engine.data.series import Series
 from engine.errors import ModelError
 from engine.estimation.expectation import either_side, parameter_scale
 from engine.estimation.maximization import scoring_step

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.series import Series, one_series
+from engine.data.given import one_series
+from engine.data.series import Series
 from engine.errors import ModelError
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, Gaussian, LinearGaussian, MixedModel, Theta, ThetaLike

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.data.series import Series, one_series
+from engine.data.given import one_series
+from engine.data.series import Series
 from engine.errors import OptionError, check_count
 from engine.filters.lost import lost_in_words
 from engine.filters.proposals import Proposal, Step, bootstrap, get_proposal

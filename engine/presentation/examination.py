@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.series import Series, as_series_list
+from engine.data.given import as_series_list
+from engine.data.series import Series
 from engine.diagnose.symptoms.symptoms import find_symptoms
 from engine.errors import EngineError, ModelError
 from engine.estimation.em import EmResult

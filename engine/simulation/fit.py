@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
-from engine.data.series import Series, as_series_list
+from engine.data.given import as_series_list
+from engine.data.series import Series
 from engine.errors import SeriesError
 from engine.randomness import check_seed
 from engine.simulation.free_run import (

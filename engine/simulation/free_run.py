@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from engine.data.series import Series, one_series
+from engine.data.given import one_series
+from engine.data.series import Series
 from engine.errors import OptionError, SeriesError
 from engine.simulation.simulate import check_finite, noise, propagate
 from engine.simulation.step_length import about_free_runs

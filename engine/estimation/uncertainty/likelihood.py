@@ -35,7 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from engine.data.series import Series, as_series_list
+from engine.data.given import as_series_list
+from engine.data.series import Series
 from engine.distributions import chi2_quantile
 from engine.errors import ModelError, NotSettledWarning, OptionError
 from engine.estimation.uncertainty.observed import StandardErrors, standard_errors

@@ -24,7 +24,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from engine.data.series import Series, as_series_list
+from engine.data.given import as_series_list
+from engine.data.series import Series
 from engine.distributions import normal_quantile, student_quantile
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.long_steps import about_predictions

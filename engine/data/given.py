@@ -1,0 +1,53 @@
+"""What a user gives as data, one series or several, checked against the model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.errors import ModelError, SeriesError
+
+if TYPE_CHECKING:
+    from engine.statespace.base import BaseModel
+
+
+def one_series(series: Any, model: BaseModel, measured: bool = True) -> Series:
+    """A single series, checked against the model. Raises ModelError and SeriesError."""
+    if isinstance(series, list | tuple) and len(series) != 1:
+        raise SeriesError(f"{len(series)} series were given; one is needed: call it for each")
+    if isinstance(series, Series):
+        must_be_model(model)
+        return series.check(model, measured)
+    return as_series_list(series, model)[0]
+
+
+def must_be_model(model: BaseModel) -> None:
+    """Raise ModelError unless it is a model."""
+    if not hasattr(model, "parameters"):
+        raise ModelError(
+            f"the model is {model!r:.60}, of type {type(model).__name__}; a model is needed, such as "
+            "engine.get_model('servo')"
+        )
+
+
+def as_series_list(series: Any, model: BaseModel) -> list[Series]:
+    """One series or several, each checked against the model."""
+    must_be_model(model)
+    several = not (series is None or isinstance(series, Series | np.ndarray))
+    all_series: list[Any] = list(series) if several else [series]
+    if not all_series:
+        raise SeriesError("no series was given; at least one is needed")
+    for one in all_series:
+        if not isinstance(one, Series):
+            raise SeriesError(
+                f"the data are of type {type(one).__name__}; a series is needed: engine.Series(y, u, dt=...)"
+            )
+        one.check(model)
+        if one.time_unit != all_series[0].time_unit:
+            raise SeriesError(
+                f"times of one series are in {all_series[0].time_unit}, of another in {one.time_unit}; all "
+                "need the same unit"
+            )
+    return all_series
