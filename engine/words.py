@@ -9,6 +9,8 @@ from difflib import get_close_matches
 
 MOST_DIGITS = 12  # of an estimate, however small the error that is stated of it
 
+SYMBOL = r"[^\W\d]|[%‰°]"  # a character of the name of a unit
+
 
 def number(value: float | None, digits: int = 3) -> str:
     """``digits`` significant digits; "?" for what is not a finite number."""
@@ -25,12 +27,14 @@ def tidy(unit: str) -> str:
     """
     # (), (1), (^2), ()^2
     text = re.sub(r"\((?:1(?:\^-?\d+)?|\^-?\d+)?\)(?:\^-?\d+)?", "1", unit.strip())
-    text = re.sub(r"(?<![\w.)])1?\^-?\d+", "1", text)  # powers of one
+    text = re.sub(r"(?:^|(?<=[(/* ]))1?\^-?\d+", "1", text)  # powers of one
     text = re.sub(r"(?<![\w.])1[ *](?=\S)|(?<=\S)[ *]1(?![\w./^])", "", text)  # factors of one
     text = re.sub(r"\^1(?![\d.])", "", text)
     text = re.sub(r"/1(?![\w.^])", "", text)
-    text = re.sub(r"/\(([^\W\d]+(?:\^\d+)?)\)(?!\^)", r"/\1", text)  # brackets around a single unit
-    text = re.sub(r"\(([^\W\d]+)\)\^", r"\1^", text)
+    text = re.sub(
+        rf"/\((({SYMBOL})+(?:\^\d+)?)\)(?!\^)", r"/\1", text
+    )  # brackets around a single unit
+    text = re.sub(rf"\((({SYMBOL})+)\)\^", r"\1^", text)
     text = re.sub(r"(^|\()/", r"\g<1>1/", text)
     return "" if text in ("1", "(1)") else text
 

@@ -46,6 +46,9 @@ from engine.words import bounds, estimate, fit_quality, held_by_bounds, number, 
         ("(/s)^2", "(1/s)^2"), ("V/()", "V"), ("s 1", "s"), ("m^1", "m"), ("(degC)^2", "degC^2"),
         ("degC/s/(degC^2)", "degC/s/degC^2"), ("m/s/s/(m/s)^2", "m/s/s/(m/s)^2"), ("1e8 m^3", "1e8 m^3"),
         ("1/(kg m^2)", "1/(kg m^2)"), ("m^10", "m^10"), ("m^1.5", "m^1.5"), ("N s/m", "N s/m"),
+        ("%^2/s", "%^2/s"),
+        ("1/(%^2)", "1/%^2"),
+        ("1/(°C)", "1/°C"),
     ],
 )  # fmt: skip
 def test_units_without_what_says_nothing(unit, said):
