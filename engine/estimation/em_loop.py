@@ -24,7 +24,13 @@ from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
-from engine.estimation.wandering import kept_best, looked_ahead, looked_back, moved_ahead
+from engine.estimation.wandering import (
+    kept_best,
+    likelihood_by_filters,
+    looked_ahead,
+    looked_back,
+    moved_ahead,
+)
 from engine.filters.lost import FAR_NATS, nats_apart
 from engine.filters.sigma_point import free_thetas
 from engine.randomness import check_seed
@@ -65,13 +71,13 @@ def iterate(
     ``likelihood`` moves the parameters to which the Q-function is no guide. ``ascent`` replaces the M step
     where it can. ``particles`` are ``expect`` where more of them may be taken, as few may lose the series.
     """
-    n, compared = loop.n_iterations, None if particles is None else particles.compared
+    n = loop.n_iterations
     check_count("n_iterations", n)
     check_seed(loop.seed)
     check_m_step(loop.m_step)
     indices = model.free_indices(loop.free)
     log = _Log(model, loop, len(indices) if ascent is not None else 0)
-    steps = _Steps(expect, indices, loop, better_starts, likelihood, ascent, compared)
+    steps = _Steps(expect, indices, loop, better_starts, likelihood, ascent, particles)
     outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
@@ -150,7 +156,12 @@ class _Steps:
     better_starts: Callable[[Theta], Sequence[Theta]] | None
     likelihood: LikelihoodStep | None
     ascent: Ascent | None
-    compared: Expect | None
+    particles: ParticleStep | None
+
+    @property
+    def compared(self) -> Expect | None:
+        """The E step by filters that do not fall short of the moment filter."""
+        return None if self.particles is None else self.particles.compared
 
     def move(
         self, k: int, theta: Theta, memory: Sequence[Memory | None], least: float
@@ -175,12 +186,28 @@ class _Steps:
         at, origin = theta, seen
         if k == 1 and self.better_starts is not None:
             by = FAR_NATS if self.ascent is None else 0.0
-            for other in self.better_starts(theta):
+            for other in self._likeliest(self.better_starts(theta)):
                 there = compared(other, rng)
                 gain = there.log_likelihood - origin.log_likelihood
+                if self.particles is not None and not by and abs(gain) < FAR_NATS:
+                    gain = self._by_filters(other) - self._by_filters(theta)
                 if np.isfinite(there.log_likelihood) and not gain < by:  # nats
                     at, origin, by = other, there, 0.0
         return _Expected(seen, at, origin)
+
+    def _likeliest(self, starts: Sequence[Theta]) -> Sequence[Theta]:
+        """The one of several starts that particles find likeliest, where they may be asked.
+
+        One filter of few particles cannot tell maxima that are some nats apart.
+        """
+        if len(starts) < 2 or self.particles is None:
+            return starts
+        return [max(starts, key=self._by_filters)]
+
+    def _by_filters(self, theta: Theta) -> float:
+        """A log-likelihood that one filter cannot tell well enough."""
+        assert self.particles is not None
+        return likelihood_by_filters(self.particles, self.loop.seed, theta)
 
     def least(self, rows: Sequence[tuple[float, ...]]) -> float:
         """Log-likelihood below which a filter may have lost the series: far below that of one before, ``rows``.

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine import Gaussian, MixedModel, Parameter, Series, get_model, rbps_em, simulate
+from engine import Gaussian, MixedModel, Parameter, Series, get_model, rbpf, rbps_em, simulate
 from engine.errors import OptionError
 from engine.estimation import start as module
+from engine.estimation.e_steps import rbps_step
+from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.start import WarmStart
+from engine.estimation.wandering import likelihood_by_filters
 
 # a start from which plain EM ends at theta_4 = 0, about 40 below in log-likelihood
 LOST = {"theta_1": 1.86, "theta_2": 0.47, "theta_3": 0.57, "theta_4": 0.17, "theta_5": 0.22}
@@ -124,3 +127,40 @@ def test_a_search_that_is_left_is_given_up(series):
     assert not found.converged
     assert found.iterations == 2
     assert found.log_likelihood == seen[-1]
+
+
+def test_the_higher_of_two_maxima_is_told_by_more_than_one_filter():
+    """They are 4 nats apart, and the log-likelihood of one filter of 50 particles scatters by 2."""
+    model = get_model("mixed-4")
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(1, 0)))
+    series = simulate(model, None, 200, rng).series
+    high = model.theta([0.77, 1.29, 0.26, 0.945, 0.33])
+    low = model.theta([0.51, 1.56, -0.20, 0.954, -0.335])
+    single = [
+        rbpf(model, high, series, 50, k).log_likelihood
+        < rbpf(model, low, series, 50, k + 100).log_likelihood
+        for k in range(40)
+    ]
+    assert any(single)
+    particles = rbps_step(model, [series], 50, 50)
+    for seed in range(5):
+        lead = likelihood_by_filters(particles, seed, high) - likelihood_by_filters(
+            particles, seed, low
+        )
+        assert lead > 2.0
+    found = [
+        rbps_em(model, series, low, n_iterations=1, seed=seed, warm_start=True).trace[1]
+        for seed in range(3)
+    ]
+    assert all(theta[2] > 0.0 for theta in found)
+
+
+def test_a_start_at_which_few_particles_are_lost_is_judged_by_more():
+    model = get_model("oscillator")
+    quiet = model.theta({"sigma_v": 1e-6, "sigma_y": 1e-3})
+    push = np.sin(0.7 * np.arange(60))
+    series = simulate(model, quiet, 60, np.random.default_rng(0), push, dt=0.05).series
+    moment = LikelihoodStep(model, [series]).of
+    alone = likelihood_by_filters(rbps_step(model, [series], 2, 2), 0, quiet)
+    judged = likelihood_by_filters(rbps_step(model, [series], 2, 2, moment=moment), 0, quiet)
+    assert judged > alone + 10.0
