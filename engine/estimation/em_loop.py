@@ -25,8 +25,8 @@ from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
 from engine.estimation.wandering import (
+    clearly_likelier,
     kept_best,
-    likelihood_by_filters,
     looked_ahead,
     looked_back,
     moved_ahead,
@@ -189,25 +189,23 @@ class _Steps:
             for other in self._likeliest(self.better_starts(theta)):
                 there = compared(other, rng)
                 gain = there.log_likelihood - origin.log_likelihood
-                if self.particles is not None and not by and abs(gain) < FAR_NATS:
-                    gain = self._by_filters(other) - self._by_filters(theta)
                 if np.isfinite(there.log_likelihood) and not gain < by:  # nats
                     at, origin, by = other, there, 0.0
         return _Expected(seen, at, origin)
 
     def _likeliest(self, starts: Sequence[Theta]) -> Sequence[Theta]:
-        """The one of several starts that particles find likeliest, where they may be asked.
+        """The first of several starts, or one that particles, where they may be asked, find clearly likelier.
 
-        One filter of few particles cannot tell maxima that are some nats apart.
+        One filter of few particles cannot tell maxima that are some nats apart. What no data can tell is left
+        to whoever chose where to start.
         """
         if len(starts) < 2 or self.particles is None:
             return starts
-        return [max(starts, key=self._by_filters)]
-
-    def _by_filters(self, theta: Theta) -> float:
-        """A log-likelihood that one filter cannot tell well enough."""
-        assert self.particles is not None
-        return likelihood_by_filters(self.particles, self.loop.seed, theta)
+        best = starts[0]
+        for other in starts[1:]:
+            if clearly_likelier(best, other, self.particles, self.loop.seed):
+                best = other
+        return [best]
 
     def least(self, rows: Sequence[tuple[float, ...]]) -> float:
         """Log-likelihood below which a filter may have lost the series: far below that of one before, ``rows``.

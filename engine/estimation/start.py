@@ -59,12 +59,16 @@ class WarmStart:
             one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
         ]
         self.note = ""
+        self.above: Theta | None = (
+            None  # the maximum above the start, where it is among those found
+        )
 
     def __call__(self, theta: Theta) -> list[Theta]:
-        """The maxima found, the highest first; none with a ``note``."""
+        """The maxima found, first the one above theta, then the highest; none with a ``note``."""
         try:
             if not self._blind(theta):
-                return self.maxima(theta)
+                found = self.maxima(theta)
+                return sorted(found, key=lambda one: one is not self.above)
             self.note = (
                 "EM started from the start values: nonlinear states enter noise only, where the moment filter, "
                 "which would search for a better start, does not see them."
@@ -97,6 +101,7 @@ class WarmStart:
         climb = partial(quasi_ml, model, self.searched, free=names, hope=HOPE, visited=visited)
         found: list[QuasiFit] = []
         lost: Exception | None = None
+        uphill: QuasiFit | None = None
         for i, start in enumerate(sorted(starts, key=lambda k: -values[k])):
             highest = max((fit.log_likelihood for fit in found), default=-np.inf)
 
@@ -109,6 +114,7 @@ class WarmStart:
                 known = found if self.once else ()
                 leave = partial(_arrives, found=known, indices=indices)
                 fit = climb(candidates[start], target=least, callback=tell, leave=leave)
+                uphill = fit if start == 0 else uphill
                 if not (fit.given_up and leave(fit.theta, fit.log_likelihood, fit.information)):
                     found.append(fit)
             except (ModelError, np.linalg.LinAlgError) as error:
@@ -121,7 +127,11 @@ class WarmStart:
             near = fit.log_likelihood >= found[0].log_likelihood - self.rivals
             if near and not any(_same(fit, other, indices) for other in apart):
                 apart.append(fit)
-        return [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
+        out = [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
+        each = zip(out, apart, strict=False)
+        same = [one for one, fit in each if uphill is not None and _same(uphill, fit, indices)]
+        self.above = same[0] if same else None
+        return out
 
     def _blind(self, theta: Theta) -> bool:
         """Whether the moment filter sees none of the nonlinear states in any series."""

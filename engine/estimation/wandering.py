@@ -18,7 +18,7 @@ from engine.estimation.em_result import EmResult
 from engine.estimation.likelihood_step import LIKELIER, LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.filters.lost import FAR_NATS, nats_short
-from engine.statespace.base import Array, Theta
+from engine.statespace.base import Theta
 from engine.words import number
 
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
@@ -168,8 +168,13 @@ def _gain(
     """
     seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(2 * CHECKS)
     for times in (1, *more):
-        halves = ((here, seeds[:CHECKS]), (there, seeds[CHECKS:]))
-        values = np.array([_by_filters(theta, particles, times, some) for theta, some in halves])
+        values = np.array(
+            [
+                particles.log_likelihood(theta, times, np.random.default_rng(s))
+                for theta, some in ((here, seeds[:CHECKS]), (there, seeds[CHECKS:]))
+                for s in some
+            ]
+        ).reshape(2, CHECKS)
         if not np.isfinite(values).all():  # lost
             return -np.inf, 0.0, times * particles.n_particles
         spread = values.var(axis=1, ddof=1)
@@ -181,30 +186,10 @@ def _gain(
     return gain, error, times * particles.n_particles
 
 
-def _by_filters(
-    theta: Theta, particles: ParticleStep, times: int, seeds: Sequence[np.random.SeedSequence]
-) -> Array:
-    """Log-likelihoods (n,) by filters of ``times`` as many particles."""
-    rngs = map(np.random.default_rng, seeds)
-    return np.array([particles.log_likelihood(theta, times, rng) for rng in rngs])
-
-
-def likelihood_by_filters(particles: ParticleStep, seed: int, theta: Theta) -> float:
-    """The log-likelihood by the mean likelihood of a few filters; -inf where one is lost.
-
-    By more particles where these are far from what the moment filter says, as few may lose the series.
-    """
-    seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(CHECKS)
-    moment = particles.moment
-    wanted = -np.inf if moment is None else sum(moment(theta, s) for s in particles.all_series)
-    value = -np.inf
-    for times in (1, *RETRIES):
-        values = _by_filters(theta, particles, times, seeds)
-        if np.isfinite(values).all():
-            value = float(np.logaddexp.reduce(values)) - np.log(CHECKS)
-        if not value < wanted - FAR_NATS:
-            break
-    return value
+def clearly_likelier(here: Theta, there: Theta, particles: ParticleStep, seed: int) -> bool:
+    """Whether a theta is likelier than another by more than filters of particles may be wrong."""
+    gain, error, _ = _gain(here, there, particles, LIKELIER, seed)
+    return gain > max(LIKELIER, SURE * error)
 
 
 def _by_particles(
