@@ -107,9 +107,9 @@ def rbps_em(  # noqa: PLR0913
         Carlo noise may cost is 20 nats per parameter times it. None uses all iterations.
     warm_start : bool or "uphill"
         True searches around ``theta0`` for the maxima of the moment filter's approximate likelihood, and starts
-        from the best where ``theta0`` is far less likely; "uphill" climbs to the one above ``theta0`` alone, in
-        a fraction of the time, where starts are spread already or lie near the maximum; False always starts
-        at ``theta0``.
+        from the one above ``theta0``, or from another that particles find clearly likelier; "uphill" climbs to
+        the one above ``theta0`` alone, in a fraction of the time, where starts are spread already or lie near
+        the maximum; False always starts at ``theta0``.
     method : str
         ``quasi-newton`` takes steps on the log-likelihood by the score that each E step gives, and steps of EM
         where it cannot; ``em`` is Algorithm 1 of the paper.

@@ -58,6 +58,8 @@ TRUSTED = 0.1  # relative error that it has at least
 NEXT_TO_NOTHING = 1e-10
 DROWNED = 0.25  # variance of whitened differences from which on they tell nothing of the guess ...
 SURELY_OFF = 30.0  # ... unless they are off by so many times that
+SURELY_DROWNED = 0.5  # the same, where not all of them are made: as much as all would leave
+WELL_KNOWN = 0.25 * TRUSTED**2  # from which on further ones would hardly make it better known
 KNOWN = 0.25  # relative error of an error that is not worth a word
 FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
@@ -267,7 +269,7 @@ def standard_errors(
     said = ""
     if kept.size:
         known, known_relative, said = (
-            _guessed(score, H, seeds) if guessing else None
+            _guessed(score, H, seeds, scores[:, kept]) if guessing else None
         ) or _differences(score, H, np.random.SeedSequence(seed).spawn(most))
         covariance[np.ix_(kept, kept)], relative[kept] = known, known_relative
     if said:  # scores that tell nothing of the errors tell nothing of the distance, either
@@ -324,23 +326,31 @@ def _differences(
 
 
 def _guessed(
-    score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence]
+    score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence], scores: Array
 ) -> tuple[Array, Array, str] | None:
     """The same from the moment filter's information and what differences add; None where it is no guide.
 
-    With a remark where differences, which drown in noise, do not check it.
+    With a remark where differences, which drown in noise, do not check it. No more of them are made than it
+    takes: ``scores`` (R, n) at theta tell beforehand how they will scatter.
     """
     found = score.likelihood.information(np.asarray(score.theta), score.indices)
     guess = None if found is None else bounded(found, complete, NEXT_TO_NOTHING)
     if guess is None:
         return None
     L = _root(np.asarray(np.linalg.inv(guess)))
-    G = np.array([_whitened_information(score, L, which) for which in seeds])
-    off, n = G.mean(axis=0) - np.eye(len(L)), len(seeds)
-    noise = float(G.var(axis=0, ddof=1).mean() / n)
-    deviation = float((off**2).mean())
-    if noise > DROWNED and deviation < SURELY_OFF * noise:
-        return L @ L.T, np.full(len(L), TRUSTED), UNCHECKED
+    expected = float((scores @ L).var(axis=0, ddof=1).mean())
+    made: list[Array] = []
+    for which in seeds:
+        made.append(_whitened_information(score, L, which))
+        G = np.array(made)
+        n = len(made)
+        noise = float(G.var(axis=0, ddof=1).mean() / n) if n > 1 else expected
+        deviation = float(((G.mean(axis=0) - np.eye(len(L))) ** 2).mean())
+        least = SURELY_DROWNED * len(seeds) / n if n < len(seeds) else DROWNED
+        if noise > least and deviation < SURELY_OFF * noise:
+            return L @ L.T, np.full(len(L), TRUSTED), UNCHECKED
+        if n > 1 and max(noise, expected / n) < WELL_KNOWN:
+            break
     error = max(deviation - noise, TRUSTED**2)
     share = error / (error + noise)  # of a deviation that is believed
     believed = np.eye(len(L)) + share * (G - np.eye(len(L)))
