@@ -38,6 +38,10 @@ UNTOLD = (
     " By {} likelihood a point ahead is {:.2g} nats likelier than the estimate: {}. Particle filters of {} "
     "particles cannot tell ({:.2g} +- {:.1g} nats). More particles would; or start there."
 )
+LOST_THERE = (
+    " By {} likelihood a point ahead is {:.2g} nats likelier than the estimate: {}. Particle filters of {} "
+    "particles lose the series there, and cannot tell. More particles would, or a larger noise that is held."
+)
 AGAINST = (
     " By the moment filter the iterates passed parameters that are {:.0f} nats likelier than these; the "
     "particle filter does not say so. More particles would tell which is right."
@@ -114,7 +118,10 @@ def moved_ahead(
     if min(gain, ahead) > FAR_NATS:  # far off filters scatter widely
         return _moved(found, there, MOVED.format(ahead, whose, f"more than {FAR_NATS:g} nats"))
     if ahead > LIKELIER and gain + SURE * error > ahead:
-        return _undecided(found, UNTOLD.format(whose, ahead, _values(there, found), n, gain, error))
+        known = whose, ahead, _values(there, found), n
+        lost = error > FAR_NATS
+        said = LOST_THERE.format(*known) if lost else UNTOLD.format(*known, gain, error)
+        return _undecided(found, said)
     return found
 
 
