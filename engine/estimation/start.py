@@ -59,9 +59,7 @@ class WarmStart:
             one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
         ]
         self.note = ""
-        self.above: Theta | None = (
-            None  # the maximum above the start, where it is among those found
-        )
+        self.above: Theta | None = None  # of those found, the maximum above the start
 
     def __call__(self, theta: Theta) -> list[Theta]:
         """The maxima found, first the one above theta, then the highest; none with a ``note``."""

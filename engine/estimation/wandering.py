@@ -24,6 +24,7 @@ from engine.words import number
 CHECKS = 7  # particle filters at either of two points that the moment filter tells apart
 SURE = 3.0  # standard errors of a difference of log-likelihoods
 LIKELIEST = 2  # iterates by their E steps are looked at, besides the start and the last
+LOST_NATS = 100.0  # by which filters scatter that have lost the series
 EXACT_NATS = 0.5  # by which a point ahead is likelier where the likelihood is exact
 MOVED = (
     " The particles' own steps ended {:.2g} nats below a point that {} likelihood found from there; it is "
@@ -119,7 +120,7 @@ def moved_ahead(
         return _moved(found, there, MOVED.format(ahead, whose, f"more than {FAR_NATS:g} nats"))
     if ahead > LIKELIER and gain + SURE * error > ahead:
         known = whose, ahead, _values(there, found), n
-        lost = error > FAR_NATS
+        lost = error > LOST_NATS
         said = LOST_THERE.format(*known) if lost else UNTOLD.format(*known, gain, error)
         return _undecided(found, said)
     return found
