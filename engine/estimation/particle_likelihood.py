@@ -36,11 +36,8 @@ DRAWS = 16  # of a_1, on which it is tried where nonlinear states show ...
 SPREADS = 10.0  # ... and so many standard deviations away: a share of outliers may start at next to nothing
 SEEDS = 3  # filters whose mean is taken
 IN_SPACE = 200  # particles at least where predictions do not lie on a line
-LEAST_INFORMATION = (
-    0.2  # of what the slopes of all filters say with their noise, for steps that nobody checks ...
-)
-CLIMBED = 0.02  # ... and for those that must gain
-RIDGE = 1e-6  # of these products, which may be singular, scaled to a unit diagonal
+LEAST_INFORMATION = 0.02  # of what the slopes of all filters say with their noise ...
+RIDGE = 1e-6  # ... whose products, scaled to a unit diagonal, may be singular
 STEP_ERRORS = 0.3  # standard errors that differences reach to either side ...
 STEP_SHARE = 0.05  # ... or this share of a parameter's size, where the moment filter knows none ...
 MOST_SHARE = 0.3  # ... and at most this one
@@ -115,7 +112,7 @@ class ParticleLikelihood(LikelihoodStep):
 
     n_particles: int = 50
     seeds: tuple[int, ...] = tuple(range(SEEDS))
-    known: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)
+    known: dict[tuple[bytes, bytes], tuple[Array, Array]] = field(default_factory=dict)
 
     @property
     def whose(self) -> str:
@@ -188,18 +185,14 @@ class ParticleLikelihood(LikelihoodStep):
             raise ModelError(f"model '{model.name}': the likelihood is not finite here")
         return np.array(out)
 
-    def _slopes(
-        self, theta: Array, indices: NDArray[np.intp], least: float = LEAST_INFORMATION
-    ) -> tuple[Array, Array]:
-        """Gradient (n,) and information (n, n), at ``least`` a share of what noise would make of it."""
+    def _slopes(self, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Gradient (n,) and information (n, n): over some of a standard error to either side, within bounds."""
         key = theta.tobytes(), indices.tobytes()
         if key not in self.known:
             self.known[key] = self._differences(theta, indices)
-        each = self.known[key]
-        return each.mean(axis=1).sum(axis=1), information_of(each, least)
+        return self.known[key]
 
-    def _differences(self, theta: Array, indices: NDArray[np.intp]) -> Array:
-        """Slopes (n, seeds, rows): over some of a standard error to either side, within bounds."""
+    def _differences(self, theta: Array, indices: NDArray[np.intp]) -> tuple[Array, Array]:
         each = np.zeros((len(indices), len(self.seeds), self.rows))
         for i, (k, step) in enumerate(zip(indices, self._steps(theta, indices), strict=True)):
             each[i] = self._slope(theta, int(k), step)
@@ -209,7 +202,7 @@ class ParticleLikelihood(LikelihoodStep):
             wider = min(STEP_ERRORS / np.sqrt(max(known, 1e-300)), MOST_SHARE * size)
             if wider > 2.0 * step:
                 each[i] = self._slope(theta, int(k), wider)
-        return each
+        return each.mean(axis=1).sum(axis=1), information_of(each)
 
     def _slope(self, theta: Array, k: int, step: float) -> Array:
         """Of each row's term (seeds, rows), by parameter k over ``step`` to either side, within its bounds."""
@@ -245,7 +238,7 @@ class ParticleLikelihood(LikelihoodStep):
         first = value = float(self._terms(x).sum(axis=1).mean())
         H, little = np.zeros((len(indices), len(indices))), 0
         for _ in range(most):
-            g, H = self._slopes(x, indices, CLIMBED)
+            g, H = self._slopes(x, indices)
             found = value, x
             sizes = np.array([parameter_scale(model, x, int(k)) for k in indices])
             for reach in REACHES:
@@ -267,11 +260,11 @@ class ParticleLikelihood(LikelihoodStep):
         return Theta(x, theta.names), value - first, H
 
 
-def information_of(slopes: Array, least: float = LEAST_INFORMATION) -> Array:
+def information_of(slopes: Array) -> Array:
     """The information (n, n) in the slopes (n, seeds, rows) of single rows by several filters.
 
     The mean product of slopes of two filters, which have only the likelihood in common; in every direction at
-    ``least`` a share of what the product of the mean slopes is, in which noise counts as information.
+    least a small share of what the product of the mean slopes is, in which noise counts as information.
     """
     mean = slopes.mean(axis=1)
     noisy, seeds = mean @ mean.T, slopes.shape[1]
@@ -286,5 +279,5 @@ def information_of(slopes: Array, least: float = LEAST_INFORMATION) -> Array:
     values, vectors = eigh(found[square] / each, noisy[square] / each + RIDGE * np.eye(len(scale)))
     root = np.linalg.inv(vectors).T
     out: Array = np.zeros_like(noisy)
-    out[square] = each * ((root * np.clip(values, least, 1.0)) @ root.T)
+    out[square] = each * ((root * np.clip(values, LEAST_INFORMATION, 1.0)) @ root.T)
     return out
