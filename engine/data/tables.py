@@ -162,7 +162,7 @@ def read_csv(data: bytes, file: str) -> Table:
         raise SeriesError(f"{file}, line {first + reader.line_num}: {reason}") from error
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
-    if delimiter != "," and has_decimal_commas(rows):
+    if delimiter != "," and _has_decimal_commas(rows):
         rows = [[_pointed(cell) for cell in row] for row in rows]
     columns = dict(zip(names, zip(*rows, strict=True), strict=True))
     table = Table(file, dict(columns), {name: [name] for name in names}, numbers)
@@ -171,7 +171,7 @@ def read_csv(data: bytes, file: str) -> Table:
     return table
 
 
-def has_decimal_commas(rows: Iterable[Iterable[str]]) -> bool:
+def _has_decimal_commas(rows: Iterable[Iterable[str]]) -> bool:
     """Whether commas in the cells are those of decimals, of which one at least cannot part thousands.
 
     False where a number has a decimal point.

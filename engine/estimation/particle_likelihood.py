@@ -47,7 +47,7 @@ REACHES = (
     2.0,
     0.5,
     0.1,
-)  # sizes of a parameter that it moves at most, where longer steps gain nothing
+)  # sizes of a parameter that it moves at most, if longer steps gain nothing
 PATIENCE = 2  # steps in turn that gain next to nothing
 ENOUGH = 0.02  # nats: less is not climbed for
 FAILURES = (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError)

@@ -32,7 +32,7 @@ MOVED = (
 )
 PASSED_NATS = 2.0  # by which the last iterate must be below the likeliest one
 PASSED = (
-    " The estimate is iterate {}: the likelihood of the last ones is {:.2g} +- {:.1g} nats lower, as the steps "
+    " The estimate is iterate {}: the likelihood of the last ones is {} lower, as the steps "
     "of few particles may lead downhill. More particles would go on from there."
 )
 UNTOLD = (
@@ -115,15 +115,21 @@ def moved_ahead(
         return found
     gain, error, n = _gain(found.theta, there, particles, least, seed)
     if gain > (-SURE * error if likelihood.trusted else max(least, SURE * error)):
-        return _moved(found, there, MOVED.format(ahead, whose, f"{gain:.2g} +- {error:.1g} nats"))
+        return _moved(found, there, MOVED.format(ahead, whose, _nats(gain, error)))
     if min(gain, ahead) > FAR_NATS:  # far off filters scatter widely
-        return _moved(found, there, MOVED.format(ahead, whose, f"more than {FAR_NATS:g} nats"))
+        return _moved(found, there, MOVED.format(ahead, whose, _nats(np.inf, 0.0)))
     if ahead > LIKELIER and gain + SURE * error > ahead:
         known = whose, ahead, _values(there, found), n
         lost = error > LOST_NATS
         said = LOST_THERE.format(*known) if lost else UNTOLD.format(*known, gain, error)
         return _undecided(found, said)
     return found
+
+
+def _nats(gain: float, error: float) -> str:
+    """A gain in words."""
+    finite = np.isfinite(gain)
+    return f"{gain:.2g} +- {error:.1g} nats" if finite else f"more than {FAR_NATS:g} nats"
 
 
 def _undecided(found: EmResult, said: str) -> EmResult:
@@ -152,7 +158,7 @@ def kept_best(found: EmResult, particles: ParticleStep, seed: int) -> EmResult:
     gain, error, _ = _gain(found.theta, best, particles, PASSED_NATS, seed, more=())
     if not gain > max(PASSED_NATS, SURE * error):
         return found
-    return _moved(found, best, PASSED.format(k, gain, error))
+    return _moved(found, best, PASSED.format(k, _nats(gain, error)))
 
 
 def _moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
@@ -172,7 +178,8 @@ def _gain(
 ) -> tuple[float, float, int]:
     """By how many nats one theta is likelier than another, the standard error, and by how many particles.
 
-    As many particles are taken, up to ``more`` times as many, as it takes to tell it from the ``least``.
+    As many particles are taken, up to ``more`` times as many, as it takes to tell it from the ``least``. The
+    gain is infinite where no particle is left at one of them.
     """
     seeds = np.random.SeedSequence(seed, spawn_key=(0,)).spawn(2 * CHECKS)
     for times in (1, *more):
@@ -183,8 +190,9 @@ def _gain(
                 for s in some
             ]
         ).reshape(2, CHECKS)
-        if not np.isfinite(values).all():  # lost
-            return -np.inf, 0.0, times * particles.n_particles
+        there_is, lost = np.isfinite(values[1]).all(), not np.isfinite(values).all()
+        if lost:
+            return np.inf if there_is else -np.inf, 0.0, times * particles.n_particles
         spread = values.var(axis=1, ddof=1)
         gain = float(np.diff(values.mean(axis=1))[0])
         # half the variance of such a log-likelihood is its bias

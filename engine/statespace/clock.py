@@ -13,7 +13,9 @@ def about_clock(model: MixedModel, all_series: Sequence[Series]) -> str:
     """A sentence where a unit of the model counts time otherwise than the records; "" where none does."""
     clock, parameters = all_series[0].time_unit, {p.name: p.unit for p in model.parameters}
     channels = {**model.nonlinear, **model.linear, **model.inputs, **model.outputs}
-    if clock != SECOND and any(is_per(unit, clock) for unit in parameters.values()):
+    rates = list(parameters.values())
+    own, other = (any(is_per(unit, of) for unit in rates) for of in (clock, SECOND))
+    if own and not other:
         return ""  # its rates are the record's; a channel may well be counted per second
     found = {k: unit for k, unit in (channels | parameters).items() if is_per(unit, SECOND)}
     counted = SECOND

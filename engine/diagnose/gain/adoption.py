@@ -86,14 +86,19 @@ def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[
     A run that was hardly better than a constant, as that of a model whose states are driven by noise, is no
     worse for being a little further off.
     """
+    better, worse = _changed(outputs)
+    return better, [o for o in worse if _tells(o)]
+
+
+def _changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
     changed = [o for o in outputs if abs(o.difference) > RUN_SHARE * o.rmse_before]
     better = [o for o in changed if o.interval_difference[1] < 0.0]
-    worse = [o for o in changed if o.interval_difference[0] > 0.0]
-    return better, [
-        o
-        for o in worse
-        if not o.fit_before < TELLING_FIT or o.rmse_after > TELLING_LOSS * o.rmse_before
-    ]
+    return better, [o for o in changed if o.interval_difference[0] > 0.0]
+
+
+def _tells(o: OutputGain) -> bool:
+    """Whether a free run that is worse says something."""
+    return not o.fit_before < TELLING_FIT or o.rmse_after > TELLING_LOSS * o.rmse_before
 
 
 def in_short(gain: Gain) -> str:
@@ -125,6 +130,9 @@ def in_full(gain: Gain) -> str:
         for o in runs_changed(gain.outputs)[0]
     ]
     but = "" if predicts else f"; {_one_step(gain)}"
+    aside = [o for o in _changed(gain.outputs)[1] if not _tells(o)]
+    if aside:
+        but += f"; {enumerated(_runs(aside))}, but it was hardly better than a constant before"
     return f"Adopted: on data that it has not seen it does significantly better {enumerated(reasons)}{but}."
 
 
@@ -145,10 +153,17 @@ def _losses(gain: Gain) -> list[str]:
             f"its log-density one step ahead is lower by {number(-gain.log_density)} "
             f"({probability(gain.p_loss)} of no loss)"
         )
-    for o in runs_changed(gain.outputs)[1]:
-        before, after = number(o.rmse_before), with_unit(o.rmse_after, o.unit)
-        out.append(f"its free run of {o.output} is wrong by {after} rms instead of {before}")
+    out += _runs(runs_changed(gain.outputs)[1])
     return out or ["its filter or its free run is lost there"]
+
+
+def _runs(outputs: Sequence[OutputGain]) -> list[str]:
+    """How much worse each free run is."""
+    return [
+        f"its free run of {o.output} is wrong by {with_unit(o.rmse_after, o.unit)} rms instead of "
+        f"{number(o.rmse_before)}"
+        for o in outputs
+    ]
 
 
 def _names(outputs: Sequence[OutputGain]) -> str:

@@ -335,10 +335,13 @@ def test_a_model_that_counts_time_in_another_unit(unit, clock, told):
         assert ("Times are in" in fitted.message) == bool(said)
 
 
-@pytest.mark.parametrize(("unit", "told"), [("1/d", False), ("1", True)])
-def test_rates_in_the_records_unit_of_time_are_enough(unit, told):
-    """A flow may well be counted per second by equations whose rates are per day."""
-    model = replace(furnace(), parameters=[engine.Parameter("g", 1.0, unit)])
+@pytest.mark.parametrize(
+    ("units", "told"), [(["1/d"], False), (["1"], True), (["1/d", "1/s"], True)]
+)
+def test_rates_in_the_records_unit_of_time_are_enough(units, told):
+    """A flow may well be counted per second by equations whose rates are per day, if all of them are."""
+    parameters = [engine.Parameter(f"g{i}", 1.0, unit) for i, unit in enumerate(units)]
+    model = replace(furnace(), parameters=parameters)
     model = replace(model, outputs=dict.fromkeys(model.outputs, "m^3/s"))
     series = engine.Series(np.arange(9.0), np.ones(9), dt=1.0, time_unit="d")
     assert bool(about_clock(model, [series])) == told

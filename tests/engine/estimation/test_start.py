@@ -164,3 +164,15 @@ def test_between_maxima_that_the_data_do_not_tell_apart_the_start_decides():
         for seed in range(3):
             found = rbps_em(model, series, [start], n_iterations=1, seed=seed)
             assert found.trace[1][0] == pytest.approx(np.sign(start) * 0.1, abs=0.03)
+
+
+def test_a_start_without_a_particle_left_is_left_for_one_that_has_some():
+    class Lost:
+        n_particles = 50
+
+        def log_likelihood(self, theta, times, rng):
+            return -np.inf if theta == "lost" else -300.0 + rng.standard_normal()
+
+    assert clearly_likelier("lost", "fine", Lost(), 0)
+    assert not clearly_likelier("fine", "lost", Lost(), 0)
+    assert not clearly_likelier("lost", "lost", Lost(), 0)

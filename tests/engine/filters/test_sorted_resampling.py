@@ -35,7 +35,7 @@ def test_coordinates_without_spread_are_left_out():
 
 
 def test_with_the_same_random_numbers_the_likelihood_hardly_jumps():
-    """Slopes over a hundredth of a standard error of eq. (35)'s parameters differ no more than over a tenth."""
+    """Along a thousandth of a parameter's size it leaves a parabola by less than that of the plain scheme."""
     model = engine.get_model("mixed-4")
     series = engine.simulate(model, None, 100, 1).series
 

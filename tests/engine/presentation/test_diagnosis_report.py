@@ -188,6 +188,9 @@ def test_the_reason_names_what_decided():
     assert "its loss one step ahead is within chance (p = 0.4)" in said(0.6, -0.2, ())
     assert "its gain one step ahead is within chance (p = 0.3)" in said(0.3, 2.0, ())
     assert "lower by 67" in said(0.99, -67.0, ())
+    aside = said(0.001, 20.0, (USELESS,))
+    assert aside.startswith("Adopted")
+    assert "free run of v is wrong by 1.1 m rms instead of 1, but it was hardly better" in aside
     lost = said(0.001, 20.0, (WORSE, BETTER))
     assert "free run of y is wrong by 2 m rms instead of 1" in lost
     assert "its free run of x is better" in lost
