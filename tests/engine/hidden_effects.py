@@ -120,6 +120,7 @@ CASES = {
         {"heavy_tails_reading_share": 0.05, "heavy_tails_reading_ratio": 8.0},
     ),
     "input-offset": ("force", {"input_offset_force": 0.6}),
+    "input-gain": ("force", {"input_gain_force": 0.5}),
     "input-deadzone": ("force", {"input_deadzone_force": 0.5}),
     "input-saturation": (
         "force",

@@ -44,6 +44,27 @@ def _input_offset(setting: Setting, channel: str, name: str) -> Effect:
 INPUT_OFFSET = at_inputs("input-offset", _input_offset)
 
 
+def _input_gain(setting: Setting, channel: str, name: str) -> Effect:
+    """The system sees (1 + size) times what is recorded."""
+    origin = Origin(setting, name, channel)
+    return Effect(
+        "input-gain",
+        channel,
+        "input",
+        f"gain error of the input {channel}",
+        f"{channel} -> {channel} + {name} * {origin.text(channel)}",
+        extend=lambda model: change_inputs(
+            model, channel, lambda u, own: u + own[0] * (u - origin.of(own))
+        ),
+        look_alikes={
+            "gain": "acts on the reading, not on what drives the system",
+            "path": "follows the input with a lag",
+            "input-saturation": "acts on large inputs only",
+        },
+        **origin.proportional(Parameter(name, 0.0, "1", (-0.99, 10.0), "relative gain error")),
+    )
+
+
 def _input_dead_zone(setting: Setting, channel: str, name: str) -> Effect:
     origin = Origin(setting, name, channel)
     bounds = setting.limits(0.0, WIDEST * setting.distance(channel, 0.7), 0.0)
@@ -183,6 +204,7 @@ def _each_extra(setting: Setting) -> list[str]:
 
 KINDS: list[Kind] = [
     INPUT_OFFSET,
+    at_inputs("input-gain", _input_gain),
     at_inputs("input-deadzone", _input_dead_zone),
     at_inputs("input-saturation", _input_saturation),
     at_inputs("hold", _hold),

@@ -101,7 +101,7 @@ def _path(setting: Setting, channel: str) -> Effect | None:
         f"{'' if at_output else 'dt * '}{name} * {origin.text('l')}",
         extend=lambda model: _with_path(model, setting, source, target, origin),
         look_alikes=alike,
-        traits=Traits(contains=("direct",)),
+        traits=Traits(contains=("direct", "input-gain")),
         spread=spread.name,
         **{**members, "held": (before.name, spread.name, *members["held"])},
     )

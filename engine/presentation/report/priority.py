@@ -9,7 +9,7 @@ FIRST_EFFECTS = 12  # effects that are listed; the rest is a click or an option 
 
 # Kinds by how often they are met: friction, sensors, timing, limits, then noise and what happens once.
 _KINDS = (
-    "coulomb", "bias", "drag", "gain", "delay", "input-offset", "cubic", "lag", "input-deadzone",
+    "coulomb", "bias", "drag", "gain", "delay", "input-offset", "input-gain", "cubic", "lag", "input-deadzone",
     "saturation", "step", "heavy-tails", "drift", "harmonic", "input-saturation", "deadzone", "stribeck",
     "slow-sensor", "overflow", "play", "direct", "path", "extra-input", "parameter-step", "colored",
     "hysteresis", "boucwen", "cogging", "linear", "start",

@@ -146,6 +146,7 @@ def test_an_error_of_the_sensor_is_added_to_the_reading_alone(name, own, added):
 
 INPUTS = [
     ("input-offset:force", [0.4], lambda u: u + 0.4),
+    ("input-gain:force", [0.4, 0.3], lambda u: u + 0.4 * (u - 0.3)),
     ("input-deadzone:force", [0.4, 0.3], lambda u: 0.3 + beyond(u - 0.3, 0.4)),
     ("input-saturation:force", [0.8, 0.6, 0.0, 0.3], lambda u: u - 0.8 * excess(u, 0.6, 0, 0.3)),
     ("input-saturation:force", [0.8, 0.6, 1.0, 0.3], lambda u: u - 0.8 * excess(u, 0.6, 1, 0.3)),

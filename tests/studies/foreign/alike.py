@@ -128,8 +128,8 @@ def imitated(system: str, hidden: str) -> bool:
     return nearest().get((system, hidden), ("", 0.0))[1] > IMITATED
 
 
-def likenesses(cell: Cell) -> dict[str, float]:
-    """Mean |cos| of the fault's footprint with every other effect's, over the pilots.
+def likenesses(cell: Cell, kinds: Sequence[str] | None = None) -> dict[str, float]:
+    """Mean |cos| of the fault's footprint with every other effect's (of these kinds), over the pilots.
 
     On clean series; where the effect has a time or a frequency, which a clean series does not tell, on
     series with the fault.
@@ -138,7 +138,7 @@ def likenesses(cell: Cell) -> dict[str, float]:
     found: dict[str, list[float]] = {}
     for run in range(SERIES):
         drawn = cell if timed else Cell(cell.system, CLEAN, cell.level)
-        seen = _screened(drawn, run)
+        seen = _screened(drawn, run, None if kinds is None else (cell.hidden, *kinds))
         if seen is None:
             continue
         screen = seen.search.rounds[0].screen
@@ -152,14 +152,16 @@ def likenesses(cell: Cell) -> dict[str, float]:
     return {name: float(np.mean(values)) for name, values in found.items()}
 
 
-def won_back(cell: Cell) -> dict[str, float]:
+def won_back(cell: Cell, kinds: Sequence[str] | None = None) -> dict[str, float]:
     """The root of the share of a fault's likelihood ratio that each refitted effect wins back."""
     found: dict[str, list[float]] = {}
     for run in range(SERIES):
         train = series_of(cell, LARGER * size_of(cell), [PILOT, run])[0]
         fit = fit_base(cell, train)
         lost = 2.0 * (without(cell.system, cell.level, run) - fit.log_likelihood)
-        causes = find_causes(fit.model, train, fit.theta, free=fit.free, max_effects=1, seed=run)
+        causes = find_causes(
+            fit.model, train, fit.theta, free=fit.free, max_effects=1, effects=kinds, seed=run
+        )
         for refit in causes.search.rounds[0].refits:
             share = float(np.clip(refit.gain / lost, 0.0, 1.0))
             found.setdefault(refit.effect.name, []).append(share)
@@ -167,28 +169,34 @@ def won_back(cell: Cell) -> dict[str, float]:
 
 
 @lru_cache(maxsize=16)
-def _screened(cell: Cell, run: int) -> Causes | None:
+def _screened(cell: Cell, run: int, effects: Sequence[str] | None) -> Causes | None:
     plan = cell.plan
     train = series_of(cell, size_of(cell), [PILOT, run])[0]
     base = plan.base(cell.level)
     theta = base.theta(plan.truth(cell.level))
     try:
         free = plan.free(cell.level)
-        return find_causes(base, train, theta, free=free, alpha=EVERY, max_effects=0, seed=run)
+        return find_causes(
+            base, train, theta, free=free, alpha=EVERY, max_effects=0, effects=effects, seed=run
+        )
     except (EngineError, np.linalg.LinAlgError):
         return None
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure all, or some systems again."""
+    """Measure all, or some systems again, or as other words kinds that the catalogue got since."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.foreign.alike")
     parser.add_argument("--systems", default="", help="only these, separated by commas, made again")
-    asked = [text for text in parser.parse_args(arguments).systems.split(",") if text]
-    rows, near = _kept(FILE, asked), _kept(NEAREST, asked)
+    parser.add_argument("--kinds", default="", help="only these kinds as other words, made again")
+    options = parser.parse_args(arguments)
+    asked, kinds = (
+        [text for text in given.split(",") if text] for given in (options.systems, options.kinds)
+    )
+    rows, near = _kept(FILE, asked, kinds), _kept(NEAREST, asked, kinds)
     for cell in every_cell():
         if not cell.hidden or (asked and cell.system not in asked):
             continue
-        found = won_back(cell) if cell.outside else likenesses(cell)
+        found = (won_back if cell.outside else likenesses)(cell, kinds or None)
         alike = sorted(((c, n) for n, c in found.items() if c > SAME), reverse=True)
         print(cell.name, cell.hidden, len(found), alike, flush=True)
         rows += [[cell.system, cell.hidden, name, f"{cos:.4f}"] for cos, name in alike]
@@ -196,15 +204,30 @@ def main(arguments: list[str] | None = None) -> None:
         if cell.outside and found:
             cos, name = max((c, n) for n, c in found.items())
             near.append([cell.system, cell.hidden, name, f"{cos:.4f}"])
-            _write(NEAREST, near)
+            _write(NEAREST, _best(near))
 
 
-def _kept(path: Path, asked: Sequence[str]) -> list[list[str]]:
-    """Rows of the systems that are not made again."""
-    if not (asked and path.exists()):
+def _best(rows: Sequence[list[str]]) -> list[list[str]]:
+    """Of each fault the effect that wins back most."""
+    best: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        key = (row[0], row[1])
+        if key not in best or float(row[3]) > float(best[key][3]):
+            best[key] = row
+    return list(best.values())
+
+
+def _kept(path: Path, systems: Sequence[str], kinds: Sequence[str]) -> list[list[str]]:
+    """Rows that are not made again: of other systems, or of other kinds."""
+    if not ((systems or kinds) and path.exists()):
         return []
     with path.open(newline="") as file:
-        return [row for row in list(csv.reader(file))[1:] if row[0] not in asked]
+        rows = list(csv.reader(file))[1:]
+    return [
+        row
+        for row in rows
+        if (systems and row[0] not in systems) or (kinds and row[2].partition(":")[0] not in kinds)
+    ]
 
 
 def _write(path: Path, rows: Sequence[Sequence[str]]) -> None:

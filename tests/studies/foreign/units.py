@@ -167,7 +167,14 @@ def size_factor(effect: str, model: MixedModel, units: Units) -> float | None:
         "start": x,
         "slow-sensor": k,
     }
-    plain = ("gain", "lag", "delay", "rectification", "saturation-sensor", "input-saturation")
-    if kind in plain or kind in ("heavy-tails", "level", "variance", "correlation", "hold"):
+    plain = ("gain", "input-gain", "lag", "delay", "rectification", "saturation-sensor")
+    if kind in plain or kind in (
+        "input-saturation",
+        "heavy-tails",
+        "level",
+        "variance",
+        "correlation",
+        "hold",
+    ):
         return 1.0
     return known.get(kind)
