@@ -86,6 +86,28 @@ class ParticleStep:
         n = times * self.n_particles
         return float(sum(self.run(theta, s, n, rng).log_likelihood for s in self.all_series))
 
+    def follow(self, theta: Theta, rng: np.random.Generator) -> bool:
+        """Whether filters do not fall short of the moment filter, if need be with more particles."""
+        return all(self._filtered(theta, s, self.moment, rng)[2] for s in self.all_series)
+
+    def _filtered(
+        self,
+        theta: Theta,
+        one: Series,
+        moment: Callable[[Theta, Series], float] | None,
+        rng: np.random.Generator,
+    ) -> tuple[Any, int, bool]:
+        """The filter of one series, by how many times the particles, and whether they followed it."""
+        wanted = -np.inf if moment is None or not self.recover else moment(theta, one)
+        for times in (1, *RETRIES) if self.recover else (1,):
+            filtered = self.run(theta, one, times * self.n_particles, rng)
+            kept = len(filtered.collapsed) <= LOST_SHARE * len(one)
+            short = nats_short(len(one), float(filtered.ess.mean()))
+            followed = kept and not filtered.log_likelihood < wanted - short
+            if followed:
+                break
+        return filtered, times, followed
+
     def _step(
         self,
         theta: Theta,
@@ -94,13 +116,7 @@ class ParticleStep:
     ) -> EStep:
         smoothed, log_likelihood, ess, lost, most = [], 0.0, 0.0, 0, 1
         for one in self.all_series:
-            wanted = -np.inf if moment is None or not self.recover else moment(theta, one)
-            for times in (1, *RETRIES) if self.recover else (1,):
-                filtered = self.run(theta, one, times * self.n_particles, rng)
-                kept = len(filtered.collapsed) <= LOST_SHARE * len(one)
-                short = nats_short(len(one), float(filtered.ess.mean()))
-                if kept and not filtered.log_likelihood < wanted - short:
-                    break
+            filtered, times, _ = self._filtered(theta, one, moment, rng)
             smoothed.append(self.smooth(filtered, one, rng))
             log_likelihood += filtered.log_likelihood
             ess += float(filtered.ess.sum())

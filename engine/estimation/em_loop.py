@@ -20,6 +20,7 @@ from engine.estimation.convergence import WINDOW, has_settled, mean_point
 from engine.estimation.e_steps import LOST_SHARE, EStep, Expect, ParticleStep
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
 from engine.estimation.expectation import parameter_scale
+from engine.estimation.followable import followable
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, check_m_step, maximize
 from engine.estimation.outcome import Outcome
@@ -77,7 +78,7 @@ def iterate(
     check_m_step(loop.m_step)
     indices = model.free_indices(loop.free)
     log = _Log(model, loop, len(indices) if ascent is not None else 0)
-    steps = _Steps(expect, indices, loop, better_starts, likelihood, ascent, particles)
+    steps = _Steps(model, expect, indices, loop, better_starts, likelihood, ascent, particles)
     outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
@@ -150,6 +151,7 @@ class _Maximized:
 class _Steps:
     """The two steps of an iteration; iteration k depends on theta_{k-1} and on nothing else."""
 
+    model: BaseModel
     expect: Expect
     indices: NDArray[np.intp]
     loop: Loop
@@ -186,12 +188,22 @@ class _Steps:
         at, origin = theta, seen
         if k == 1 and self.better_starts is not None:
             by = FAR_NATS if self.ascent is None else 0.0
-            for other in self._likeliest(self.better_starts(theta)):
+            starts = self.better_starts(theta)
+            for other in self._likeliest([self.followable(one) for one in starts]):
                 there = compared(other, rng)
                 gain = there.log_likelihood - origin.log_likelihood
                 if np.isfinite(there.log_likelihood) and not gain < by:  # nats
                     at, origin, by = other, there, 0.0
         return _Expected(seen, at, origin)
+
+    def followable(self, point: Theta) -> Theta:
+        """The point, or one beside it where particles can follow the series."""
+        if self.particles is None:
+            return point
+        loop, model = self.loop, self.model
+        return followable(
+            model, point, model.theta(loop.theta0), self.indices, self.particles, loop.seed
+        )
 
     def _likeliest(self, starts: Sequence[Theta]) -> Sequence[Theta]:
         """The first of several starts, or one that particles, where they may be asked, find clearly likelier.

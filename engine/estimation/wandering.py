@@ -15,6 +15,7 @@ import numpy as np
 
 from engine.estimation.e_steps import RETRIES, ParticleStep
 from engine.estimation.em_result import EmResult
+from engine.estimation.followable import followable
 from engine.estimation.likelihood_step import LIKELIER, LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.filters.lost import FAR_NATS, nats_short
@@ -113,6 +114,10 @@ def moved_ahead(
     there, ahead = likelihood.ahead(found.theta, found.free, least / 2.0)
     if not ahead > least:
         return found
+    indices, first = found.model.free_indices(found.free), Theta(found.trace[0], found.theta.names)
+    beside = followable(found.model, there, first, indices, particles, seed)
+    if beside is not there:
+        there, ahead = beside, likelihood.of(beside) - likelihood.of(found.theta)
     gain, error, n = _gain(found.theta, there, particles, least, seed)
     if gain > (-SURE * error if likelihood.trusted else max(least, SURE * error)):
         return _moved(found, there, MOVED.format(ahead, whose, _nats(gain, error)))
