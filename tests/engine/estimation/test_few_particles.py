@@ -221,7 +221,7 @@ def test_a_likelier_point_that_particles_cannot_judge_is_told_and_nothing_has_co
     )  # fmt: skip
 
     class Scattered:
-        n_particles = 50
+        n_particles, moment = 50, None
 
         def log_likelihood(self, theta, times, rng):
             return 100.0 + scatter * rng.standard_normal()
