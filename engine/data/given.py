@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,22 +33,33 @@ def must_be_model(model: BaseModel) -> None:
         )
 
 
-def as_series_list(series: Any, model: BaseModel) -> list[Series]:
-    """One series or several, each checked against the model."""
+def as_series_list(series: Any, model: BaseModel, what: str = "record") -> list[Series]:
+    """One series or several, each checked against the model; ``what`` they are, in errors."""
     must_be_model(model)
     several = not (series is None or isinstance(series, Series | np.ndarray))
     all_series: list[Any] = list(series) if several else [series]
     if not all_series:
         raise SeriesError("no series was given; at least one is needed")
-    for one in all_series:
+    for k, one in enumerate(all_series):
         if not isinstance(one, Series):
             raise SeriesError(
                 f"the data are of type {type(one).__name__}; a series is needed: engine.Series(y, u, dt=...)"
             )
-        one.check(model)
+        try:
+            one.check(model)
+        except SeriesError as error:
+            if len(all_series) == 1:
+                raise
+            raise SeriesError(f"{what} {k}: {error}") from None
+    same_clock(all_series)
+    return all_series
+
+
+def same_clock(all_series: Sequence[Series]) -> None:
+    """Raise SeriesError where the times of two series are in different units."""
+    for one in all_series:
         if one.time_unit != all_series[0].time_unit:
             raise SeriesError(
                 f"times of one series are in {all_series[0].time_unit}, of another in {one.time_unit}; all "
                 "need the same unit"
             )
-    return all_series

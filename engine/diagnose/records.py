@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from engine.data.given import as_series_list
+from engine.data.given import as_series_list, same_clock
 from engine.data.series import Series
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.errors import OptionError, SeriesError
@@ -78,7 +78,12 @@ def records_of(
     wanted = isinstance(test, Series) or bool(test)
     check_held_out(held_out, wanted)
     given = _by_samples(model, as_series_list(series, model))
-    tests = _by_samples(model, as_series_list(test, model)) if test is not None and wanted else []
+    tests = (
+        _by_samples(model, as_series_list(test, model, "test"))
+        if test is not None and wanted
+        else []
+    )
+    same_clock([*given, *tests])
     names = given[0].extra_names
     for k, one in enumerate(given):
         if one.extra_names != names:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.given import as_series_list
+from engine.data.given import as_series_list, same_clock
 from engine.data.series import Series
 from engine.diagnose.symptoms.symptoms import find_symptoms
 from engine.errors import EngineError, ModelError
@@ -103,6 +103,8 @@ def examine(
             f"model '{model.name}' is no mixed model; there is nothing to smooth it by"
         )
     all_series = as_series_list(series, model)
+    tests = [] if test is None else as_series_list(test, model, "test")
+    same_clock([*all_series, *tests])
     check_seed(seed)
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     states = [
@@ -117,7 +119,7 @@ def examine(
         "trace": trace_document(model.parameter_names, vars(found)),
     }
     if test is not None:
-        document["held_out"] = held_out(model, found.theta, as_series_list(test, model), all_series)
+        document["held_out"] = held_out(model, found.theta, tests, all_series)
     return Examination(plain(document))
 
 

@@ -96,6 +96,25 @@ def test_records_need_the_same_channels(parts):
         ask([])
 
 
+def test_which_of_many_records_is_wrong_is_said(parts):
+    with pytest.raises(SeriesError, match="^record 2: every value of y is missing"):
+        ask([*parts[:2], parts[2].replace(y=np.full((140, 1), np.nan))])
+    with pytest.raises(SeriesError, match="^test 1: u has 0 channels"):
+        ask(parts[0], [parts[1], Series(parts[2].y, dt=DT)])
+    with pytest.raises(SeriesError, match="^every value of y is missing"):
+        ask(parts[0].replace(y=np.full((200, 1), np.nan)))
+
+
+def test_a_test_on_another_clock_is_refused(parts):
+    hours = parts[1].replace(time_unit="h")
+    with pytest.raises(SeriesError, match="in s, of another in h"):
+        ask(parts[0], hours)
+    model = cart(inputs=1)
+    fit = engine.rbps_em(model, parts[0], n_iterations=1)
+    with pytest.raises(SeriesError, match="in s, of another in h"):
+        engine.examine(fit, parts[0], test=hours)
+
+
 @pytest.mark.parametrize(
     ("series", "test", "message"),
     [
