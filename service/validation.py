@@ -98,7 +98,7 @@ def prepare(request: Request) -> Prepared:
     if isinstance(request, DiagnoseRequest):
         longest = longest_of(series)
         with _at(f"series[{longest}].y"):
-            check_searched(series[longest])
+            check_searched(series[longest], [one for one in series if one is not series[longest]])
     if k > 1 and not model.continuous:
         raise invalid("options.substeps", one_step(model, k))
     series = [one.refined(k) for one in series]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -52,10 +52,11 @@ def _seconds_of(unit: str) -> float:
     return sizes[0]
 
 
-def times_of(t: Any, dt: float | None, T: int, unit: str) -> Array:
+def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] = ()) -> Array:
     """Times (T,) of rows: ``t``, as :func:`times_in` takes it, or else from 0 at the step ``dt``, 1 by default.
 
-    Given both, t counts and must have that step: on average, and nearly each. Raises SeriesError.
+    Given both, t counts and must have that step: on average, and nearly each. At ``begins`` t may fall back.
+    Raises SeriesError.
     """
     if t is None:
         dt = 1.0 if dt is None else _step_in(dt, unit)
@@ -68,7 +69,9 @@ def times_of(t: Any, dt: float | None, T: int, unit: str) -> Array:
     bad = np.flatnonzero(~np.isfinite(times))
     if bad.size:
         raise SeriesError(f"t is not finite at row {bad[0]}")
-    bad = np.flatnonzero(np.diff(times) <= 0)
+    falls = np.diff(times) <= 0
+    falls[np.array(begins, dtype=np.intp) - 1] = False
+    bad = np.flatnonzero(falls)
     if bad.size:
         row = int(bad[0]) + 1
         kind = "repeats" if times[row] == times[row - 1] else "decreases"

@@ -24,6 +24,15 @@ def one_series(series: Any, model: BaseModel, measured: bool = True) -> Series:
     return as_series_list(series, model)[0]
 
 
+def must_be_one(series: Series) -> Series:
+    """The series, unless it holds several records. Raises SeriesError."""
+    if series.begins:
+        raise SeriesError(
+            f"the series holds {1 + len(series.begins)} records (begins); give each as a series of its own"
+        )
+    return series
+
+
 def must_be_model(model: BaseModel) -> None:
     """Raise ModelError unless it is a model."""
     if not hasattr(model, "parameters"):

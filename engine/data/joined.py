@@ -14,6 +14,26 @@ def past_of(test: Series, records: Sequence[Series]) -> Series | None:
     return next((one for one in records if test.follows(one)), None)
 
 
+def together(records: Sequence[Series]) -> Series:
+    """Records of the same channels as one series, each from a first state of its own and on its own clock."""
+    first = records[0]
+    ends = np.cumsum([len(one) for one in records])
+    columns = {
+        name: np.concatenate([getattr(one, name) for one in records])
+        for name in ("y", "u", "t", "extra")
+    }
+    return first.replace(**columns, begins=tuple(ends[:-1].tolist()))
+
+
+def apart(series: Series) -> list[Series]:
+    """The records of a series that :func:`together` made, or that one alone."""
+    if not series.begins:
+        return [series]
+    between = series.substeps - 1  # rows after a record's last sample
+    ends = [*(row - between for row in series.begins), len(series)]
+    return [series.part(start, end) for start, end in zip((0, *series.begins), ends, strict=True)]
+
+
 def joined(one: Series, other: Series) -> Series:
     """Two series one after the other; times that do not follow go on with the usual step.
 

@@ -59,6 +59,9 @@ class Series(Shown):
         are to be in the same unit of time.
     units : mapping of str to str, optional
         Units of channels by name; :meth:`check` compares them with those that a model declares.
+    begins : sequence of int
+        Rows, beside the first, at which another record begins: there the filters and simulations go on from the
+        model's first state, and times may fall back. See :func:`engine.data.joined.together`.
 
     Raises
     ------
@@ -79,6 +82,7 @@ class Series(Shown):
     hold: str
     time_unit: str
     units: Mapping[str, str]
+    begins: tuple[int, ...]
 
     def __init__(  # noqa: PLR0913
         self,
@@ -94,6 +98,7 @@ class Series(Shown):
         hold: str = "zoh",
         time_unit: str = SECOND,
         units: Mapping[str, str] | None = None,
+        begins: Sequence[int] = (),
     ) -> None:
         if t is None and dt is None:
             t = index_of((y, u))
@@ -136,7 +141,8 @@ class Series(Shown):
         set_(self, "y", y_)
         set_(self, "u", u_)
         set_(self, "extra", extra_)
-        set_(self, "t", times_of(t, dt, T, time_unit.strip()))
+        set_(self, "begins", tuple(map(int, begins)))
+        set_(self, "t", times_of(t, dt, T, time_unit.strip(), self.begins))
         set_(self, "substeps", int(substeps))
         set_(self, "hold", hold)
         set_(self, "time_unit", time_unit.strip())
@@ -162,7 +168,10 @@ class Series(Shown):
         """The time steps dt_t = t_{t+1} - t_t in ``time_unit``, (T-1,); all the same where ``dt`` is one."""
         if self.dt is not None:
             return np.full(len(self) - 1, self.dt)
-        return np.diff(self.t).astype(float)
+        steps = np.diff(self.t).astype(float)
+        into = np.array(self.begins, dtype=np.intp) - 1
+        steps[into] = np.median(np.delete(steps, into))  # none is made: any that is usual
+        return steps
 
     @cached_property
     def dt(self) -> float | None:
@@ -171,8 +180,8 @@ class Series(Shown):
         The number of twelve digits that the times allow, if there is one: 0.1, also of a part that begins
         at 37.3, for a model may remember what belongs to a step.
         """
-        steps = np.diff(self.t).astype(float)
-        mean = float((self.t[-1] - self.t[0]) / len(steps))
+        steps = np.delete(np.diff(self.t).astype(float), np.array(self.begins, np.intp) - 1)
+        mean = float(steps.mean()) if self.begins else float((self.t[-1] - self.t[0]) / len(steps))
         if not np.allclose(steps, mean, rtol=1e-6, atol=0.0):
             return None
         short = float(f"{mean:.12g}")
@@ -228,6 +237,7 @@ class Series(Shown):
             t=self.t[rows] + share * steps[rows],
             extra=between(self.extra, self.hold, rows, share),
             substeps=k,
+            begins=[k * row for row in self.begins],
         )
 
     def thinned(self, k: int) -> Series:
@@ -283,6 +293,9 @@ class Series(Shown):
     def _rows(self, rows: slice | NDArray[np.intp], **changes: Any) -> Series:
         """Some of the rows, with other fields changed too."""
         own = {name: getattr(self, name)[rows] for name in ("y", "u", "t", "extra")}
+        if self.begins:
+            places = np.arange(len(self))[rows]
+            own["begins"] = [k for k, row in enumerate(places) if k and row in self.begins]
         return self.replace(**own, **changes)
 
     def masked(self, rows: ArrayLike) -> Series:

@@ -109,8 +109,9 @@ def diagnose(  # noqa: PLR0913
     model : MixedModel
         The model, paper, eq. (1).
     series : Series or sequence of Series
-        The data: y (T, ny) with NaN where missing, u (T, nu), times. Of several records, each with a first
-        state of its own, the likelihood searches the longest and the free run searches all.
+        The data: y (T, ny) with NaN where missing, u (T, nu), times. Several records are searched together,
+        each with a first state of its own. The likelihood takes those that are sampled like the longest and
+        begin where the model says, the free run all. The page shows the longest.
     theta : Theta, mapping, array or None
         Start values (n_theta,); where None, they are searched for.
     test : Series or sequence of Series, optional
@@ -175,16 +176,11 @@ def diagnose(  # noqa: PLR0913
     }
     given = (as_given, series, test, {**options, "bootstrap": bootstrap})
     parts = {} if kept is None else kept
-    check_searched(records.main)
+    check_searched(records.main, records.others)
     # whatever was finished before: a resumed run has the same digits
     model.transitions.look_again(records.main.u_step)
     model.observations.look_again(records.main.u)
-    notes = list(check_data(model, records.main))
-    if records.others:
-        notes.append(
-            f"Of {1 + len(records.others)} records the likelihood searched one, the longest, with "
-            f"{len(records.main)} samples; what is wrong is shown on it. The free run was asked on all."
-        )
+    notes = list(check_data(model, records.main, sum(map(len, records.others))))
     clock = Clock(callback)
     done = kept_of(parts, model, records, options, clock.spent)
     plain = records.train
@@ -223,7 +219,8 @@ def diagnose(  # noqa: PLR0913
         )
 
     names = tuple(cause.effect for cause in judged.causes)
-    beside = over_horizon(judged.before, after, names, judged.search, searched)
+    shown = fine.records.train if searched.begins else searched
+    beside = over_horizon(judged.before, after, names, judged.search, shown)
 
     if (
         model.continuous

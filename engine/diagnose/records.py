@@ -1,13 +1,14 @@
-"""One record or several: the longest is searched by the likelihood, the free run is asked on all of them."""
+"""One record or several: those that are alike are searched together, and the longest is what is shown."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from engine.data.given import as_series_list, same_clock
+from engine.data.joined import together
 from engine.data.series import Series
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.errors import OptionError, SeriesError
@@ -16,6 +17,7 @@ from engine.statespace.model import MixedModel
 LEAST = 30  # measured rows without which nothing can be said
 HELD_OUT = 0.2  # share of the longest record kept back where no test series is given
 MOST = 0.5  # of it
+ON_TIME = 1e-6  # of a step, by which the steps of two records may differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,19 @@ class Records:
     def keeps_back(self) -> bool:
         """Whether the main record's last part is not searched."""
         return not self.tests and self.share > 0.0
+
+    def searched(self, fits: Callable[[Series], bool], most: int) -> Series:
+        """What the likelihood searches: the main record, and behind it the others that are sampled alike.
+
+        Each begins at a first state of its own, which must be one of the model's, as ``fits`` says. The longest
+        come first, up to ``most`` samples in all.
+        """
+        taken = [self.train.held(self.main.hold)]
+        for one in sorted(self.others, key=len, reverse=True):
+            alike = one.hold == self.main.hold and _same_step(one, self.main)
+            if alike and sum(map(len, taken)) + len(one.samples) <= most and fits(one):
+                taken.append(one.held(one.hold))
+        return self.train if len(taken) == 1 else together(taken).refined(self.main.substeps)
 
     @property
     def _cut(self) -> int:
@@ -99,6 +114,13 @@ def records_of(
     return model, Records(main, tuple(others), apart, held_out)
 
 
+def _same_step(one: Series, other: Series) -> bool:
+    """Whether both are sampled at one step, or neither at any."""
+    if one.dt is None or other.dt is None:
+        return one.dt is other.dt
+    return abs(one.dt / other.dt - 1.0) < ON_TIME
+
+
 def _by_samples(model: MixedModel, given: Sequence[Series]) -> list[Series]:
     chosen = model.continuous and not model.steps_counted
     return [one.held(one.hold) if chosen and one.substeps > 1 else one for one in given]
@@ -119,14 +141,14 @@ def check_held_out(held_out: float, tested: bool) -> None:
         )
 
 
-def check_searched(series: Series) -> None:
-    """Raise SeriesError where the longest record is too short to be searched, or one of its outputs is dead."""
-    rows = int(series.observed.any(axis=1).sum())
+def check_searched(series: Series, others: Sequence[Series] = ()) -> None:
+    """Raise SeriesError where records are too short to be searched, or an output of the longest is dead."""
+    rows = series.n_measured + sum(one.n_measured for one in others)
     if rows < LEAST:
         raise SeriesError(
-            f"only {rows} rows hold a measurement; a diagnosis needs at least {LEAST} in one record, as it "
-            "fits the model, tests dozens of effects beside its parameters, and keeps rows back to judge what "
-            "it finds: give a longer record"
+            f"only {rows} rows hold a measurement; a diagnosis needs at least {LEAST}, of all records "
+            "together, as it fits the model, tests dozens of effects beside its parameters, and keeps rows "
+            "back to judge what it finds: give a longer record, or more of them"
         )
     for name, y in zip(series.y_names, series.y.T, strict=True):
         seen = y[~np.isnan(y)]

@@ -30,10 +30,13 @@ from engine.diagnose.records import Records
 from engine.diagnose.search.checkpoint import Kept
 from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
 from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
+from engine.distributions import chi2_sf
 from engine.errors import EngineError
-from engine.statespace.model import MixedModel, ThetaLike
+from engine.filters.sigma_point import moment_path
+from engine.statespace.model import Array, Gaussian, MixedModel, ThetaLike
 from engine.words import enumerated
 
+UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
 ENOUGH = 4  # steps a sample, with which names that they decide between are left as a set
 
 
@@ -110,12 +113,16 @@ def _with_these_steps(
 ) -> TwoAnswers:
     start, train = theta if fine.theta is None else fine.theta, fine.records.train
     searched, notes = _searched(model, start, options.free, train, kept)
+    if fine.records.others:
+        if searched is train:
+            start, searched = _with_others(model, start, options.free, fine.records, kept)
+        notes.append(_of_records(fine.records, 1 + len(searched.begins)))
     if thinned_by(searched, train):
         setting = setting_for(model, searched, np.asarray(model.theta(start)))
         options = replace(options, effects=of_any_step(options.effects, setting, options.free))
     causes = find_causes(model, searched, start, **asdict(options), clock=clock, kept=kept)
     silent = np.diag(causes.base.information) == 0.0
-    if searched is not train and silent.any():
+    if searched is not train and not searched.begins and silent.any():
         untold = [name for name, none in zip(causes.base.free, silent, strict=True) if none]
         notes.append(
             f"Of {enumerated(untold)} these samples tell nothing: one step ahead they keep their start values."
@@ -163,6 +170,50 @@ def _searched(
         f"The likelihood searched {len(part.samples)} of {count} samples, {which}: from t = {part.t[0]:g} to "
         f"{part.t[-1]:g} {part.time_unit}."
     ]
+
+
+def _with_others(
+    model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, records: Records, kept: Kept
+) -> tuple[ThetaLike, Series]:
+    """Theta fitted to the main record, and what the likelihood searches of all."""
+    own = kept.within("the longest record")
+    fit = own.fit(model, partial(fit_base, model, records.train, theta, free))
+    expected = partial(_begins_as_expected, model, np.asarray(fit.theta))
+    return fit.theta, records.searched(expected, STRETCH)
+
+
+def _of_records(records: Records, taken: int) -> str:
+    """A sentence about how many of several records the likelihood has searched."""
+    n = 1 + len(records.others)
+    if taken == n:
+        return (
+            f"The likelihood searched all {n} records together, each from a first state of its own; what is "
+            "wrong is shown on the longest."
+        )
+    which = "one, the longest" if taken == 1 else f"{taken} together"
+    return (
+        f"Of {n} records the likelihood searched {which}; what is wrong is shown on the longest. The others "
+        "are too long for that, are sampled at other steps, or begin where the model's first state is not. "
+        "The free run was asked on all."
+    )
+
+
+def _begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
+    """Whether the first readings of a record are what the model's first state lets expect."""
+    rows = np.flatnonzero(one.observed.any(axis=1))[: model.nx]
+    if not isinstance(model.start(model.record(theta)).density, Gaussian) or not rows.size:
+        return False
+    try:
+        path = moment_path(model, theta, one.part(0, max(int(rows[-1]) + 1, 2)))
+    except (EngineError, np.linalg.LinAlgError):
+        return False
+    square, count = 0.0, 0
+    for t in rows:
+        there = one.observed[t]
+        nu, S = path.innovations[t][there], path.S[t][np.ix_(there, there)]
+        square += float(nu @ np.linalg.solve(S, nu))
+        count += int(there.sum())
+    return bool(chi2_sf(square, count) > UNLIKELY)
 
 
 def _on_fewer_samples(

@@ -49,7 +49,7 @@ def outlier_log_terms(
         if t < T - 1:
             a = m[K:, : model.na]
             m, P, _ = run.through(run.transition, t, m, P)
-            if not at_output:
+            if not at_output and t + 1 not in series.begins:
                 Q = model.transition(a, series.u_step[t], time, float(series.steps[t]), record)[2]
                 P[K:] += wider * Q
     return terms

@@ -22,6 +22,7 @@ from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.randomness import Rng, generator
 from engine.statespace.checks import check_readings, check_start
+from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import squared
@@ -274,7 +275,11 @@ def rbpf(
             break
 
         # 5. Resampling, and the prediction of each particle from which the next step starts
-        f, A, Q = model.transition(a, series.u_step[t], times[t], steps[t], record)
+        if t + 1 in series.begins:
+            mean, Q = moments_of_first(model, record)
+            f, A = np.repeat(mean[None], M, axis=0), np.zeros((1, model.nx, model.nz))
+        else:
+            f, A, Q = model.transition(a, series.u_step[t], times[t], steps[t], record)
         predicted.append(Predicted(*predict(f, stacked(A), stacked(Q), z, Z)))
         mu, L = predicted[-1][:2]
         if model.na and ess <= ess_threshold * M:

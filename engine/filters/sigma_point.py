@@ -28,7 +28,8 @@ from engine.kernels.moments import (
     slopes,
     transform,
 )
-from engine.statespace.model import Array, Gaussian, MixedModel, stacked
+from engine.statespace.first_state import moments_of_first
+from engine.statespace.model import Array, MixedModel, stacked
 from engine.statespace.refutation import refutations, repeated_if_refuted
 from engine.views import Shown
 
@@ -242,12 +243,20 @@ class FilterSteps:
         return h, stacked(C), stacked(R)
 
     def transition(self, t: int, a: Array) -> tuple[Array, Array, Array]:
-        """f (K S, nx), A and Q (1 or K S, ., .) at the points a (K S, na)."""
+        """f (K S, nx), A and Q (1 or K S, ., .) at the points a (K S, na); x_1 where a record begins next."""
+        if t + 1 in self.series.begins:
+            return self._begin_again(len(a) // self.thetas.K)
         record = self.thetas.record(len(a) // self.thetas.K)
         f, A, Q = self.model.transition(
             a, self.series.u_step[t], self.times[t], self.steps[t], record
         )
         return f, stacked(A), stacked(Q)
+
+    def _begin_again(self, copies: int) -> tuple[Array, Array, Array]:
+        m, P = self._first
+        model, each = self.model, copies if self.thetas.K > 1 else 1
+        nothing = np.zeros((1, model.nx, model.nz))
+        return np.repeat(m, copies, axis=0), nothing, np.repeat(P, each, axis=0)
 
     def through(self, function: Any, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
         """Mean, covariance and cross-covariance with x of a function of x ~ N(m, P)."""
@@ -260,24 +269,8 @@ class FilterSteps:
 
 
 def first_moments(model: MixedModel, theta: Array) -> tuple[Array, Array]:
-    """Mean (nx,) and covariance (nx, nx) of x_1 at theta, z_{1|0}(a_1) by sigma points."""
-    start = model.start(model.record(theta))
-    na, nz = model.na, model.nz
-    if isinstance(start.density, Gaussian):
-        mean, cov = start.density.mean, start.density.cov
-    else:
-        draws = start.density.sample(np.random.default_rng(0), 2000)
-        mean, cov = draws.mean(axis=0), np.cov(draws.T).reshape(na, na)
-    m = np.concatenate([mean, np.zeros(nz)])[None]
-    P = np.zeros((1, na + nz, na + nz))
-    P[0, :na, :na] = cov
-    a, z, V, offsets = sigma_points(m, P, na)
-    z1, P1 = start.linear(a[0])
-    f = np.concatenate([a[0], z1], axis=1)
-    Q = np.zeros((len(f), na + nz, na + nz))
-    Q[:, na:, na:] = P1
-    mean, cov, _ = transform(f, np.zeros((1, na + nz, nz)), Q, z, V, offsets, na)
-    return mean[0], cov[0]
+    """Mean (nx,) and covariance (nx, nx) of x_1 at theta."""
+    return moments_of_first(model, model.record(theta))
 
 
 def free_thetas(theta: Array, indices: NDArray[np.intp], values: Array) -> Array:

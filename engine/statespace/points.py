@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
+from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, LinearGaussian, MixedModel
 
 
@@ -34,11 +35,26 @@ class Points:
         return self.at(np.arange(self.T) if rows is None else rows, record, False)
 
     def at(self, rows: Any, record: Any, transition: bool) -> LinearGaussian:
-        """The transition or the observation at the given rows."""
+        """The transition or the observation at the given rows; x_1 where a record begins next."""
         n, N = len(rows), self.N
         function = self.model.transitions if transition else self.model.observations
         value, slope, cov = function(*self.arguments(rows, transition), record)
-        return value.reshape(n, N, -1), _unstack(slope, n, N), _unstack(cov, n, N)
+        found = value.reshape(n, N, -1), _unstack(slope, n, N), _unstack(cov, n, N)
+        if transition and self.series.begins:
+            return self._begun(np.asarray(rows), record, *found)
+        return found
+
+    def _begun(
+        self, rows: NDArray[np.intp], record: Any, f: Array, A: Array, Q: Array
+    ) -> LinearGaussian:
+        """The transition at the given rows, into x_1 of whatever record begins next."""
+        into = np.isin(rows + 1, self.series.begins)
+        if not into.any():
+            return f, A, Q
+        f, A, Q = (np.array(np.broadcast_to(x, (len(rows), *x.shape[1:]))) for x in (f, A, Q))
+        f[into], Q[into] = moments_of_first(self.model, record)
+        A[into] = 0.0
+        return f, A, Q
 
     def arguments(
         self, rows: NDArray[np.intp], transition: bool

@@ -72,7 +72,7 @@ WRONG = {
     ),
     "alpha": (("diagnose", "flows.csv", *LEVEL, "--alpha", "5"), "--alpha 5: a probability"),
     "effects to look for": (("diagnose", "flows.csv", *LEVEL, "--effects", "ghost"), "--effects ghost: there is no such effect"),
-    "a short series": (("diagnose", "short.csv", *LEVEL), "only 3 rows hold a measurement; a diagnosis needs at least 30 in one record, as it fits the model"),
+    "a short series": (("diagnose", "short.csv", *LEVEL), "only 3 rows hold a measurement; a diagnosis needs at least 30, of all records together, as it fits the model"),
     "no length": (("simulate", *LEVEL), "--samples is missing"),
     "no input": (SERVO, "model 'servo' has the input 'drive'"),
     "an odd input": ((*SERVO, "--excite", "drive=noise:1:1"), "KIND:SIZE:SECONDS is needed"),

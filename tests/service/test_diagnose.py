@@ -134,7 +134,10 @@ def test_what_is_wrong_is_named(client, pushed, change, field, word):
 def test_too_few_measurements_are_refused_with_the_reason(client):
     answer = client.post("/jobs", json=request([[0.1 * i] for i in range(20)]))
     assert answer.status_code == 422
-    assert "needs at least 30 in one record, as it fits" in answer.json()["errors"][0]["message"]
+    assert (
+        "needs at least 30, of all records together, as it fits"
+        in answer.json()["errors"][0]["message"]
+    )
 
 
 @pytest.mark.slow

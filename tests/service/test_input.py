@@ -58,7 +58,7 @@ BAD = {
     "too short for a diagnosis": (
         {"kind": "diagnose", "model": "local-level",
          "series": [{"y": [[1.0]] * 2}, {"y": [[1.0], [2.0], [1.5], [3.0]]}]},
-        "series[1].y", None, "only 4 rows hold a measurement; a diagnosis needs at least 30",
+        "series[1].y", None, "only 6 rows hold a measurement; a diagnosis needs at least 30",
     ),
     "nothing but one value": (
         {"kind": "diagnose", "model": "local-level", "series": [{"y": [[1.0]] * 40}]},

@@ -317,10 +317,11 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
             resolution[name] = step
     t = series.t[rows]
     steps = np.diff(t)
+    steps[steps <= 0.0] = np.median(steps)  # where another record begins
     return Setting(
         model,
         {name: _spread(value) for name, value in values.items()},
-        (float(t[0]), float(t[-1])),
+        (float(t.min()), float(t.max())),
         float(np.median(steps)),
         tuple(name for name in series.extra_names if name in model.inputs),
         resolution,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from engine.data.joined import apart
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
 from engine.diagnose.effects.effect import Effect
@@ -54,7 +55,7 @@ def leading(
     with the effect, with the noise that is then left. Empty where no free run can be had.
     """
     try:
-        fit = fit_of(start, [series])
+        fit = fit_of(start, apart(series))
         shares = Linear(fit, columns(fit, candidates(fit, setting, kinds))).singles()
     except CANNOT:
         return {}

@@ -97,7 +97,7 @@ def best_frequencies(
 
 def _fourier_sums(scores: Array, series: Series, frequencies: Array) -> NDArray[np.complex128]:
     """Sums (m,) of scores_t exp(-2 pi i f (t - t_1)) at equally spaced frequencies (m,)."""
-    if series.dt is not None:
+    if series.dt is not None and not series.begins:
         turn = -2j * np.pi * series.dt
         first, step = frequencies[0], frequencies[1] - frequencies[0]
         return _chirp(scores, len(frequencies), turn * first, turn * step)

@@ -189,12 +189,32 @@ def _slopes(
 
 
 def _scatter(path: MomentPath) -> list[Array]:
-    """Typical standard deviations and variances of what :func:`along_path` returns, 1 where there are none."""
-    x = np.sqrt(np.median(np.diagonal(path.P_predicted, axis1=1, axis2=2), axis=0))
-    y = np.sqrt(np.median(np.diagonal(path.S, axis1=1, axis2=2), axis=0))
-    spread = np.std(path.predicted, axis=0)
-    x = np.where(x > 0.0, x, np.where(spread > 0.0, spread, 1.0))
-    return [x, np.outer(x, x), y, np.outer(y, y), np.outer(x, y), x, np.outer(x, x)]
+    """Standard deviations and variances of what :func:`along_path` returns, 1 where there are none.
+
+    Of each row, but not below the usual ones: at the first the model may know next to nothing, and a step that
+    is small there would be lost in rounding at all others.
+    """
+    x = np.sqrt(np.diagonal(path.P_predicted, axis1=1, axis2=2))
+    y = np.sqrt(np.diagonal(path.S, axis1=1, axis2=2))
+    usual, spread = np.median(x, axis=0), np.std(path.predicted, axis=0)
+    usual = np.where(usual > 0.0, usual, np.where(spread > 0.0, spread, 1.0))
+    x, least = np.maximum(x, usual), np.median(y, axis=0)
+    y = np.maximum(y, np.where(least > 0.0, least, 1.0))
+    after, first = x[1:], x[0]
+    return [
+        after,
+        _outer(after, after),
+        y,
+        _outer(y, y),
+        _outer(x, y),
+        first,
+        np.outer(first, first),
+    ]
+
+
+def _outer(one: Array, other: Array) -> Array:
+    """Products (T, n, m) of each row's (T, n) and (T, m)."""
+    return one[:, :, None] * other[:, None, :]
 
 
 def along_path(
@@ -218,7 +238,8 @@ def along_path(
     record = extended.record(theta)
     out = []
     for transition, function in ((True, extended.dynamics), (False, extended.measurement)):
-        if by >= 0 and ignores(function, by):
+        begun = transition and series.begins and not ignores(extended.initial, by)
+        if by >= 0 and ignores(function, by) and not begun:
             shape = (T - 1, nx) if transition else (T, ny)
             out.append((np.zeros(shape), np.zeros((*shape, shape[1])), np.zeros((*shape, nx))))
             continue

@@ -59,7 +59,7 @@ def grid(effect: Effect, series: Series) -> Array:
     t = series.t[series.samples]
     T = len(t)
     if effect.traits.course is Course.HARMONIC:
-        length, step = float(t[-1] - t[0]), float(np.median(np.diff(t)))
+        length, step = float(np.ptp(t)), float(np.median(np.diff(t)))
         first, last = 1.5 / length, 0.48 / step
         wanted = (last - first) * length * FINER
         if series.dt is None:  # where long gaps make the record long, not fine
@@ -71,7 +71,7 @@ def grid(effect: Effect, series: Series) -> Array:
     )
     n = max(2, min(most, last - first + 1))
     rows = np.unique(np.linspace(first, max(last, first + 1), n).astype(int))
-    return np.asarray(t[rows])
+    return np.unique(t[rows])
 
 
 def _gates(
@@ -118,6 +118,7 @@ def _driver(
         b = path.F[:, :, states.index(effect.channel)] * series.steps[:, None]
     else:
         b[:, states.index(effect.channel)] = series.steps
+    b[np.array(series.begins, np.intp) - 1] = 0.0
     return b, e
 
 

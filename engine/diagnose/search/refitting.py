@@ -173,7 +173,7 @@ def _at_other_frequencies(refits: Sequence[Refit], leading: Refit, series: Serie
     if leading.effect.traits.course is not Course.HARMONIC:
         return []
 
-    length = float(series.t[-1] - series.t[0])
+    length = float(np.ptp(series.t))
 
     def cycles(found: Refit) -> float:
         return float(found.fit.theta[found.effect.timing.name]) * length

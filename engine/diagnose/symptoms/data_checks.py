@@ -25,9 +25,12 @@ COMMON = 20  # readings of two outputs; that fewer are the same may be chance
 MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
 
 
-def check_data(model: MixedModel, series: Series) -> tuple[str, ...]:
-    """Notes on a series as data for a model, in words with units; empty where nothing is odd."""
-    notes = [*_length(model, series), *_times(series)]
+def check_data(model: MixedModel, series: Series, beside: int = 0) -> tuple[str, ...]:
+    """Notes on a series as data for a model, in words with units; empty where nothing is odd.
+
+    ``beside`` is the number of samples of other records that are looked at with it.
+    """
+    notes = [*_length(model, len(series) + beside), *_times(series)]
     if told := about_clock(model, [series]):
         notes.append(told)
     for column, (name, unit) in enumerate(model.outputs.items()):
@@ -73,8 +76,8 @@ def _identical(model: MixedModel, series: Series) -> list[str]:
     return notes
 
 
-def _length(model: MixedModel, series: Series) -> list[str]:
-    T, n = len(series), len(model.parameters)
+def _length(model: MixedModel, T: int) -> list[str]:
+    n = len(model.parameters)
     if max(SHORT_SAMPLES, 10 * n) <= T:
         return []
     return [

@@ -1,10 +1,11 @@
-"""Several records of one model: in any order, each from its own first state, the longest for the likelihood."""
+"""Several records of one model: in any order, each from its own first state."""
 
 import numpy as np
 import pytest
 
 import engine
 from engine.data.series import Series
+from engine.diagnose.effects.hide import hide
 from engine.diagnose.free_run.windows import windows
 from engine.diagnose.gain.gain import measure_gain
 from engine.errors import SeriesError
@@ -97,11 +98,11 @@ def test_records_need_the_same_channels(parts):
 
 
 def test_which_of_many_records_is_wrong_is_said(parts):
-    with pytest.raises(SeriesError, match="^record 2: every value of y is missing"):
+    with pytest.raises(SeriesError, match=r"^record 2: every value of y is missing"):
         ask([*parts[:2], parts[2].replace(y=np.full((140, 1), np.nan))])
-    with pytest.raises(SeriesError, match="^test 1: u has 0 channels"):
+    with pytest.raises(SeriesError, match=r"^test 1: u has 0 channels"):
         ask(parts[0], [parts[1], Series(parts[2].y, dt=DT)])
-    with pytest.raises(SeriesError, match="^every value of y is missing"):
+    with pytest.raises(SeriesError, match=r"^every value of y is missing"):
         ask(parts[0].replace(y=np.full((200, 1), np.nan)))
 
 
@@ -127,3 +128,42 @@ def test_a_record_counts_once(series, test, message):
     a, b = record(60, 1), record(60, 2)
     with pytest.raises(SeriesError, match=message):
         ask(series(a, b), None if test is None else test(a, b))
+
+
+OSCILLATOR = engine.get_model("oscillator")
+STIFF = {"cubic_position__velocity": -8.0}
+
+
+def short_records(own, seed, n=8, T=25):
+    rng, out = np.random.default_rng(seed), []
+    for _ in range(n):
+        u = np.repeat(rng.uniform(-1.0, 1.0, T // 8 + 1), 8)[:T]
+        names = ["cubic:position->velocity"] if own else []
+        out.append(hide(OSCILLATOR, names, own, T, rng, u=u, dt=DT).series)
+    return out
+
+
+def asked(records):
+    kinds = ["cubic:position->velocity", "bias", "linear", "drag", "cubic-sensor"]
+    return engine.diagnose(OSCILLATOR, records, effects=kinds, seed=1)
+
+
+def test_many_short_records_tell_together_what_none_could_alone():
+    """25 samples each: fewer than a diagnosis of one needs."""
+    found = asked(short_records(STIFF, 3))
+    assert [cause.effect for cause in found.causes] == ["cubic:position->velocity"]
+    assert found.causes[0].size == pytest.approx(-8.0, rel=0.1)
+    assert any("searched all 8 records together" in note for note in found.notes)
+    with pytest.raises(SeriesError, match="only 25 rows hold a measurement"):
+        asked(short_records(STIFF, 3, n=1))
+
+
+def test_many_short_records_of_a_right_model_show_nothing():
+    assert asked(short_records({}, 4)).causes == ()
+
+
+def test_a_record_that_begins_where_the_model_does_not_is_left_to_the_free_run():
+    records = short_records({}, 5, n=4, T=40)
+    records[2] = records[2].replace(y=records[2].y + 30.0)
+    found = asked(records)
+    assert any("Of 4 records the likelihood searched 3 together" in note for note in found.notes)
