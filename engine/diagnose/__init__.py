@@ -47,7 +47,7 @@ from engine.diagnose.search.checkpoint import Parts, kept_of
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.search.pipeline import FIRST_FIT_SHARE, Callback, Clock, fit_base
 from engine.diagnose.search.substeps import is_enough, prepare
-from engine.diagnose.search.verdict import detectable_of
+from engine.diagnose.search.verdict import at_most_in_words, detectable_of
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
@@ -232,6 +232,7 @@ def diagnose(  # noqa: PLR0913
             f"steps a sample: the sizes are those of {fine.k}."
         )
 
+    notes.extend(at_most_in_words(after.model, after.theta, judged.causes))
     clock.start("symptoms")
     symptoms = find_symptoms(
         model, judged.before.theta, fine.records.train, covariance_of(judged.before), seed=seed

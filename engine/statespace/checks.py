@@ -83,7 +83,8 @@ def check_covariance(model: MixedModel, where: str, S: Array) -> None:
     if low < -ROUNDING or (variance < 0.0).any():
         raise ModelError(
             f"model '{model.name}', {where} has the negative eigenvalue "
-            f"{float(np.linalg.eigvalsh(S).min()):g}; a covariance must be non-negative:\n{S.squeeze()}"
+            f"{float(np.linalg.eigvalsh(S).min()):g}; a covariance must be non-negative"
+            + (f":\n{S.squeeze()}" if S.size > 1 else "")
         )
 
 

@@ -157,7 +157,10 @@ def _parameter_change(kind: str, title: str) -> Kind:
             extend,
             probes=(tuple(p.default for p in further),),
             held=() if steps else tuple(p.name for p in further),
-            look_alikes={"cubic": "depends on the state", "step": "a force, whatever the state"},
+            look_alikes={
+                "cubic": "depends on the state",
+                "step": "changes once, whatever the state",
+            },
             traits=Traits(
                 Course.STEP if steps else Course.DRIFT, of_parameter=True, swallowed=steps
             ),

@@ -90,7 +90,7 @@ class Detectable:
 
     ``smallest`` is the size found with 80 % probability at the family-wise level, in ``unit``;
     ``rho`` the share of its information left beside the fitted parameters; ``testable`` False where
-    the parameters take up all of it, or the data do not excite it.
+    the parameters take up all of it, the data do not excite it, or no size that it may have is so large.
     """
 
     effect: str

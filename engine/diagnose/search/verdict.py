@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,8 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.search.search import Search
 from engine.estimation.quasi_ml import QuasiFit
-from engine.words import number, probability
+from engine.statespace.model import MixedModel, Theta
+from engine.words import number, probability, with_unit
 
 POWER = 0.84  # normal quantile of 80 %
 ALIKE = 0.7  # |cos| from which two effects are called look-alikes
@@ -187,8 +189,9 @@ def detectable_of(seen: Screen) -> tuple[Detectable, ...]:
     for score in seen.scores:
         if score.effect.traits.unnamed or score.effect.traits.outliers:
             continue  # a detector, and a test whose power is not in its size
-        testable = bool(np.isfinite(score.se) and score.rho > UNTESTABLE)
         smallest = (np.sqrt(seen.threshold * score.boldness) + POWER) * score.se
+        testable = bool(np.isfinite(score.se) and score.rho > UNTESTABLE)
+        testable = testable and smallest <= max(map(abs, score.effect.size.bounds))
         out.append(
             Detectable(
                 score.effect.name,
@@ -200,3 +203,19 @@ def detectable_of(seen: Screen) -> tuple[Detectable, ...]:
             )
         )
     return tuple(sorted(out, key=lambda d: d.effect))
+
+
+def at_most_in_words(extended: MixedModel, theta: Theta, causes: Sequence[Cause]) -> list[str]:
+    """Sentences about causes whose size is the most that is looked for, such as a delay's longest."""
+    out = []
+    for cause in causes:
+        name = next((one for one in cause.parameters if extended.at_bounds(theta, [one])), "")
+        if name != next(iter(cause.parameters), None):
+            continue  # it is the size that comes first
+        p = extended.parameters[extended.index(name)]
+        if theta[name] > np.mean(p.bounds):
+            size = with_unit(float(p.bounds[1]), p.unit)
+            out.append(
+                f"The size of {cause.effect} is the most that is looked for, {size}: it may be more."
+            )
+    return out

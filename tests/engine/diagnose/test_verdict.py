@@ -12,7 +12,13 @@ from engine.diagnose.screening.screen import Score
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
-from engine.diagnose.search.verdict import detectable_of, doubts, patchwork, verdict_of
+from engine.diagnose.search.verdict import (
+    at_most_in_words,
+    detectable_of,
+    doubts,
+    patchwork,
+    verdict_of,
+)
 from tests.engine.hidden_effects import DRIVE
 
 DRAG, BIAS, STEP = "drag:speed", "bias:reading", "step:reading"
@@ -115,3 +121,21 @@ def test_what_the_parameters_explain_or_leaves_no_trace_is_not_detectable_at_any
         assert not found.testable
         assert found.smallest == np.inf
     assert detectable().testable
+
+
+def test_nor_is_what_no_allowed_size_would_show():
+    """A share above one, a correlation of five."""
+    score = Score(make_effect("lag:reading", Setting(DRIVE)), 2.0, 0.1, 0.5, 0.2, 0.5, ())
+    (found,) = detectable_of(SimpleNamespace(scores=(score,), threshold=9.0))
+    assert not found.testable
+
+
+@pytest.mark.parametrize(("samples", "said"), [(12.0, True), (3.0, False)])
+def test_a_delay_that_is_as_long_as_any_that_is_looked_for_says_so(samples, said):
+    model = make_effect("delay:force", Setting(DRIVE)).apply(DRIVE)
+    theta = model.theta({"delay_force": samples})
+    cause = SimpleNamespace(effect="delay:force", parameters={"delay_force": samples})
+    told = at_most_in_words(model, theta, [cause])
+    assert told == said * [
+        "The size of delay:force is the most that is looked for, 12 samples: it may be more."
+    ]
