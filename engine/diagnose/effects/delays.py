@@ -22,7 +22,6 @@ from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.rows import with_input
 
 LONGEST_DELAY = 12  # samples
-LONGEST_BY_MEMORY = 4  # of an input that does not simply add: nonlinear states cost more
 AFFINE = 1e-9  # share of its change by which a function may bend and count as straight
 
 
@@ -136,7 +135,6 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
     """An input that arrives some samples late, or a part of it does."""
     unit, before = setting.unit(channel), setting.first(channel)
     spread = spread_at_first(setting, name, channel)
-    latest = LONGEST_DELAY if _adds(setting, setting.model, channel) else LONGEST_BY_MEMORY
 
     def extend(model: MixedModel) -> MixedModel:
         late = _late_input if _adds(setting, model, channel) else _late_input_by_memory
@@ -150,13 +148,15 @@ def _input_delay(setting: Setting, channel: str, name: str) -> Effect:
         f"{channel} -> {channel}_t + {name} / d ({channel}_(t-d) - {channel}_t),  d = {name}_samples; "
         f"{channel}_(t-{name}) where that is longer",
         (
-            Parameter(name, 0.0, "samples", (0.0, float(latest)), "mean delay"),
-            Parameter(f"{name}_samples", 1.0, "samples", (1.0, float(latest)), "latest part"),
+            Parameter(name, 0.0, "samples", (0.0, float(LONGEST_DELAY)), "mean delay"),
+            Parameter(
+                f"{name}_samples", 1.0, "samples", (1.0, float(LONGEST_DELAY)), "latest part"
+            ),
             Parameter(f"{name}_before", before, unit, description="input before the first sample"),
             spread,
         ),
         extend,
-        probes=tuple((float(d), before, spread.default) for d in range(1, latest + 1)),
+        probes=tuple((float(d), before, spread.default) for d in range(1, LONGEST_DELAY + 1)),
         look_alikes={
             "lag": "delays the reading, not the input",
             "hold": "looks half a sample ahead, not back",
@@ -310,7 +310,7 @@ def _register(setting: Setting, channel: str, depth: int) -> dict[str, str]:
 
 def _late_input_by_memory(model: MixedModel, setting: Setting, channel: str) -> MixedModel:
     """For an input that does not simply add: the last ones as nonlinear states."""
-    split, index, depth = Split(model), list(model.inputs).index(channel), LONGEST_BY_MEMORY
+    split, index, depth = Split(model), list(model.inputs).index(channel), LONGEST_DELAY
 
     def driven(last: Array, u: Any, parts: Array) -> Any:
         late = (parts.T * (last - u[index])).sum(axis=0)
