@@ -15,7 +15,6 @@ from engine.randomness import Rng, generator
 from engine.simulation.steps import observations
 from engine.simulation.whole_record import whole_record
 from engine.statespace.checks import check_start
-from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import through
@@ -197,7 +196,6 @@ def _states(
     A run ``alone`` without noise is found as a whole as far as that goes, the rest by a loop over time.
     """
     na, inputs = model.na, series.u_step
-    alone = alone and not series.begins
     known = whole_record(model, record, series, x1[0], guess)[:, None] if alone else x1[None]
     a_all, z_all = (np.empty((len(series), len(x1), n)) for n in (na, model.nz))
     a_all[: len(known)], z_all[: len(known)] = known[..., :na], known[..., na:]
@@ -205,12 +203,8 @@ def _states(
         return a_all, z_all
     steps, times = step_lengths(series).tolist(), series.t.tolist()
     for t in range(len(known) - 1, len(series) - 1):
-        if t + 1 in series.begins:
-            mean, Q = moments_of_first(model, record)
-            x = np.repeat(mean[None], len(x1), axis=0)
-        else:
-            f, A, Q = model.transition(a_all[t], inputs[t], times[t], steps[t], record)
-            x = f + through(A, z_all[t])
+        f, A, Q = model.transition(a_all[t], inputs[t], times[t], steps[t], record)
+        x = f + through(A, z_all[t])
         if rng is not None:
             x += noise(Q, x.shape, rng)
         a_all[t + 1], z_all[t + 1] = x[:, :na], x[:, na:]

@@ -10,7 +10,7 @@ import numpy as np
 from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
 from engine.diagnose.effects.effect import Effect, Split, identifier
 from engine.diagnose.effects.kinds import Kind, each_output
-from engine.diagnose.effects.setting import FREQUENCIES, Setting
+from engine.diagnose.effects.setting import FREQUENCIES, SLOWEST_PROBE, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.units import product
@@ -124,7 +124,7 @@ def _each_latent(setting: Setting) -> list[str]:
 
 
 def _time_parameter(name: str, setting: Setting) -> Parameter:
-    bounds = setting.limits(0.3 * setting.dt, max(setting.length, 10.0 * setting.dt))
+    bounds = setting.limits(0.3 * setting.dt, max(setting.length, SLOWEST_PROBE * setting.dt))
     return setting.time(f"{name}_time", 5.0 * setting.dt, bounds, "correlation time")
 
 

@@ -15,7 +15,7 @@ from engine.diagnose.effects.augmentation import (
 )
 from engine.diagnose.effects.effect import Effect, Split
 from engine.diagnose.effects.kinds import Kind, at_pairs, each_moved, each_state
-from engine.diagnose.effects.setting import FREQUENCIES, Setting
+from engine.diagnose.effects.setting import FREQUENCIES, SLOWEST_PROBE, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 
@@ -126,7 +126,7 @@ def _pole(setting: Setting, channel: str, name: str, source: str, target: str) -
             spread,
         ),
         extend,
-        probes=tuple((k * setting.dt, spread.default) for k in (5.0, 30.0)),
+        probes=tuple((k * setting.dt, spread.default) for k in (5.0, SLOWEST_PROBE)),
         held=(spread.name,),
         spread=spread.name,
         look_alikes={"coupling": "acts without delay", "latent": "is not driven by the states"},

@@ -16,7 +16,7 @@ from engine.diagnose.effects.effect import (
 )
 from engine.diagnose.effects.kinds import Kind, each_input, each_output, each_path
 from engine.diagnose.effects.origin import Origin
-from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.setting import SLOWEST_PROBE, Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import product
@@ -84,7 +84,7 @@ def _path(setting: Setting, channel: str) -> Effect | None:
         setting.time_constant(f"{name}_time", "time constant"),
         before,
         spread,
-        probes=[(samples * setting.dt, first, spread.default) for samples in (5.0, 30.0)],
+        probes=[(samples * setting.dt, first, spread.default) for samples in (5.0, SLOWEST_PROBE)],
     )
     alike = {
         "direct": "follows the input at once",

@@ -19,6 +19,7 @@ from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.units import SECOND, frequency_in, product
 
+SLOWEST_PROBE = 30.0  # samples: the longest time constant that a probe of an effect has
 PROBED = 32  # rows of a record at which a model's structure is looked at
 NARROWEST, WIDEST = 1e-3, 10.0  # of a channel's typical distance from its zero: bounds of a width
 ZEROS_OUTSIDE = (0.5, 2.0, 10.0)  # of a channel's range, beyond it: where its zero is looked for
@@ -231,12 +232,13 @@ class Setting:
 
     def time_constant(self, name: str, what: str = "") -> Parameter:
         """Of a lag that can be told from none and from a constant."""
-        fast, slow = 2.0 * self.dt, 0.5 * self.length
-        return self.time(name, 10.0 * self.dt, self.limits(fast, max(slow, 2.0 * fast)), what)
+        fast, slow = 2.0 * self.dt, max(0.5 * self.length, SLOWEST_PROBE * self.dt)
+        return self.time(name, 10.0 * self.dt, self.limits(fast, slow), what)
 
     def frequency(self, name: str) -> Parameter:
         """Of an oscillation that takes part of the record, and several samples."""
-        slowest, fastest = 0.5 / max(self.length, 10.0 * self.dt), 0.48 / self.dt
+        slowest = min(0.5 / max(self.length, 10.0 * self.dt), min(FREQUENCIES) / self.dt)
+        fastest = 0.48 / self.dt
         unit = frequency_in(self.time_unit)
         return Parameter(name, 0.1 / self.dt, unit, self.limits(slowest, fastest))
 

@@ -80,6 +80,7 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
     unit = setting.unit(channel) if at_output else setting.rate(channel)
     lowest, highest = 0.5 / max(setting.length, setting.dt), 0.5 / setting.dt
     bounds, per_time = setting.limits(lowest, highest), frequency_in(setting.time_unit)
+    usual = min(10.0 * lowest, bounds[1])
     # counted from afar, as years are, the phase would turn many times where the frequency moves by little
     middle = 0.5 * (setting.span[0] + setting.span[1])
 
@@ -100,11 +101,11 @@ def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
         (
             Parameter(name, 0.0, unit, description="amplitude of the cosine"),
             Parameter(f"{name}_sine", 0.0, unit, description="amplitude of the sine"),
-            Parameter(f"{name}_frequency", 10.0 * lowest, per_time, bounds, "frequency"),
+            Parameter(f"{name}_frequency", usual, per_time, bounds, "frequency"),
             setting.time(f"{name}_origin", middle, what="from when its phase counts"),
         ),
         extend,
-        probes=((0.0, 10.0 * lowest, middle),),
+        probes=((0.0, usual, middle),),
         held=(f"{name}_origin",),
         look_alikes={"pole": "a lightly damped missing mode rings, a harmonic does not decay"},
         traits=Traits(Course.HARMONIC, swallowed=True),

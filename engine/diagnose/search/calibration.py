@@ -28,6 +28,7 @@ from functools import partial
 
 import numpy as np
 
+from engine.data.joined import apart
 from engine.data.series import Series
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.screen import Screen
@@ -128,12 +129,15 @@ def simulated(question: Question, rng: np.random.Generator) -> tuple[QuasiFit, S
 
 
 def drawn_from(fit: QuasiFit, like: Series, rng: np.random.Generator) -> Series:
-    """A series drawn from the fit, with the inputs, times and gaps of another one."""
-    clock = like.time_unit
-    run = simulate(
-        fit.model, fit.theta, len(like), rng, u=like.u, t=like.t, hold=like.hold, time_unit=clock
-    )
-    return like.replace(y=np.where(like.observed, run.y, np.nan))
+    """A series drawn from the fit, with the inputs, times and gaps of another one, record by record."""
+    y = np.full(like.y.shape, np.nan)
+    for first, one in zip((0, *like.begins), apart(like), strict=True):
+        clock, n = one.time_unit, len(one)
+        run = simulate(
+            fit.model, fit.theta, n, rng, u=one.u, t=one.t, hold=one.hold, time_unit=clock
+        )
+        y[first : first + n] = run.y
+    return like.replace(y=np.where(like.observed, y, np.nan))
 
 
 def screen_of_simulated(

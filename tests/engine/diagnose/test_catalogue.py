@@ -71,6 +71,19 @@ def test_at_size_zero_the_extended_model_is_the_model():
         assert likelihood == pytest.approx(base, abs=1e-7), effect.name
 
 
+@pytest.mark.parametrize("samples", [10, 25, 40, 200])
+def test_what_an_effect_begins_with_is_within_its_bounds_however_short_the_record(samples):
+    model, _, series = mixed_case()
+    series = engine.simulate(
+        model, None, samples, 1, u=np.resize(series.u, (samples, 2)), dt=DT
+    ).series
+    for effect in all_effects(setting_for(model, series, np.asarray(model.theta()))):
+        extended = effect.apply(model)
+        further = extended.parameter_names[-len(effect.parameters) :][1:]
+        for probe in effect.probes:
+            extended.theta(dict(zip(further, probe, strict=False)))  # those of outliers are none
+
+
 def test_two_effects_with_states_of_their_own_have_as_many_names_as_states():
     """Bouc-Wen's hysteresis beside a plain one of the same signal: both remember where it was."""
     model = engine.get_model("mixed-4")

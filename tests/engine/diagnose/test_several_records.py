@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 import engine
+from engine.data.joined import together
 from engine.data.series import Series
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.free_run.windows import windows
 from engine.diagnose.gain.gain import measure_gain
+from engine.diagnose.search.calibration import drawn_from
 from engine.errors import SeriesError
+from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.diagnose.free_run.test_other_models import cart
 
 KINDS = ["drag", "cubic", "quadratic"]
@@ -167,3 +170,17 @@ def test_a_record_that_begins_where_the_model_does_not_is_left_to_the_free_run()
     records[2] = records[2].replace(y=records[2].y + 30.0)
     found = asked(records)
     assert any("Of 4 records the likelihood searched 3 together" in note for note in found.notes)
+
+
+def test_simulations_of_many_records_begin_each_anew():
+    """They say how bold p-values are; where none can be made nothing would be said."""
+    whole = together(short_records({}, 6))
+    fit = quasi_ml(OSCILLATOR, whole)
+    drawn = drawn_from(fit, whole, np.random.default_rng(1))
+    assert drawn.begins == whole.begins
+    np.testing.assert_array_equal(drawn.observed, whole.observed)
+    assert quasi_ml(OSCILLATOR, drawn).log_likelihood == pytest.approx(
+        fit.log_likelihood, abs=8.0 * np.sqrt(0.5 * len(whole))
+    )
+    found = engine.diagnose(OSCILLATOR, short_records(STIFF, 3), effects=["drag"], bootstrap=9)
+    assert found.p_bootstrap == pytest.approx(0.1)
