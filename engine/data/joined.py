@@ -1,4 +1,4 @@
-"""Records one after the other: a test that goes on where a record ended begins at no state of its own."""
+"""Records one after the other: each from a first state of its own, or a test that goes on where one ended."""
 
 from __future__ import annotations
 

@@ -141,6 +141,8 @@ class Series(Shown):
         set_(self, "y", y_)
         set_(self, "u", u_)
         set_(self, "extra", extra_)
+        if not all(0 < row < T for row in begins):
+            raise SeriesError(f"begins = {tuple(begins)}: rows from 1 to {T - 1} are needed")
         set_(self, "begins", tuple(map(int, begins)))
         set_(self, "t", times_of(t, dt, T, time_unit.strip(), self.begins))
         set_(self, "substeps", int(substeps))

@@ -129,6 +129,10 @@ def test_times_may_fall_back_only_where_a_record_begins():
     assert (whole.steps > 0.0).all()
     with pytest.raises(engine.SeriesError, match="decreases at row 80"):
         whole.replace(begins=())
+    with pytest.raises(engine.SeriesError, match="rows from 1 to 189"):
+        whole.replace(begins=(0, 80))
+    with pytest.raises(engine.SeriesError, match="holds 3 records"):
+        engine.free_run(engine.get_model("tanks"), None, whole)
 
 
 def test_a_fit_of_records_together_is_that_of_their_list():
