@@ -115,7 +115,9 @@ def _with_these_steps(
     searched, notes = _searched(model, start, options.free, train, kept)
     if fine.records.others:
         if searched is train:
-            start, searched = _with_others(model, start, options.free, fine.records, kept)
+            searched = _with_others(model, start, options.free, fine.records, kept)
+            # what one short record says may lie far along a ridge that all of them close
+            start = theta if searched.begins else start
         notes.append(_of_records(fine.records, 1 + len(searched.begins)))
     if thinned_by(searched, train):
         setting = setting_for(model, searched, np.asarray(model.theta(start)))
@@ -174,12 +176,12 @@ def _searched(
 
 def _with_others(
     model: MixedModel, theta: ThetaLike, free: Sequence[str] | None, records: Records, kept: Kept
-) -> tuple[ThetaLike, Series]:
-    """Theta fitted to the main record, and what the likelihood searches of all."""
+) -> Series:
+    """What the likelihood searches of all records, those that begin where a fit to the main one says."""
     own = kept.within("the longest record")
     fit = own.fit(model, partial(fit_base, model, records.train, theta, free))
     expected = partial(_begins_as_expected, model, np.asarray(fit.theta))
-    return fit.theta, records.searched(expected, STRETCH)
+    return records.searched(expected, STRETCH)
 
 
 def _of_records(records: Records, taken: int) -> str:
