@@ -15,22 +15,16 @@ if TYPE_CHECKING:
 
 
 def one_series(series: Any, model: BaseModel, measured: bool = True) -> Series:
-    """A single series, checked against the model. Raises ModelError and SeriesError."""
+    """A single series, which may hold records together, checked against the model.
+
+    Raises ModelError and SeriesError.
+    """
     if isinstance(series, list | tuple) and len(series) != 1:
         raise SeriesError(f"{len(series)} series were given; one is needed: call it for each")
     if isinstance(series, Series):
         must_be_model(model)
         return series.check(model, measured)
-    return as_series_list(series, model)[0]
-
-
-def must_be_one(series: Series) -> Series:
-    """The series, unless it holds several records. Raises SeriesError."""
-    if series.begins:
-        raise SeriesError(
-            f"the series holds {1 + len(series.begins)} records (begins); give each as a series of its own"
-        )
-    return series
+    return as_series_list(series, model, together=True)[0]
 
 
 def must_be_model(model: BaseModel) -> None:
@@ -42,8 +36,13 @@ def must_be_model(model: BaseModel) -> None:
         )
 
 
-def as_series_list(series: Any, model: BaseModel, what: str = "record") -> list[Series]:
-    """One series or several, each checked against the model; ``what`` they are, in errors."""
+def as_series_list(
+    series: Any, model: BaseModel, what: str = "record", together: bool = False
+) -> list[Series]:
+    """One series or several, each checked against the model; ``what`` they are, in errors.
+
+    None may hold several records unless they may be ``together``.
+    """
     must_be_model(model)
     several = not (series is None or isinstance(series, Series | np.ndarray))
     all_series: list[Any] = list(series) if several else [series]
@@ -55,7 +54,7 @@ def as_series_list(series: Any, model: BaseModel, what: str = "record") -> list[
                 f"the data are of type {type(one).__name__}; a series is needed: engine.Series(y, u, dt=...)"
             )
         try:
-            one.check(model)
+            (one if together else one.alone()).check(model)
         except SeriesError as error:
             if len(all_series) == 1:
                 raise

@@ -60,8 +60,9 @@ class Series(Shown):
     units : mapping of str to str, optional
         Units of channels by name; :meth:`check` compares them with those that a model declares.
     begins : sequence of int
-        Rows, beside the first, at which another record begins: there the filters and simulations go on from the
-        model's first state, and times may fall back. See :func:`engine.data.joined.together`.
+        Rows, beside the first, at which another record begins, where times may fall back. Of
+        :func:`engine.data.joined.together`, for filters and the likelihood, which go on from the model's first
+        state there; all else takes a list of records.
 
     Raises
     ------
@@ -247,9 +248,10 @@ class Series(Shown):
 
         Inputs and extra channels are their means over the time until the next sample that is kept, and held; a
         reading that depends on the input of its own row sees that mean.
-        Raises SeriesError for k < 1, where fewer than two samples are left, and for a refined series.
+        Raises SeriesError for k < 1, where fewer than two samples are left, for a refined series and for
+        several records together.
         """
-        left = (len(self) - 1) // max(k, 1)
+        left = (len(self.alone()) - 1) // max(k, 1)
         if k < 1 or left < 1:
             raise SeriesError(f"k = {k} of {len(self)} samples; two at least must be left")
         if self.substeps != 1:
@@ -271,6 +273,14 @@ class Series(Shown):
         names = {name for key in ("y_names", "u_names", "extra_names") for name in made[key] or ()}
         made.setdefault("units", {k: v for k, v in self.units.items() if k in names})
         return Series(**made)
+
+    def alone(self) -> Series:
+        """Return self unless it holds several records. Raises SeriesError."""
+        if self.begins:
+            raise SeriesError(
+                f"the series holds {1 + len(self.begins)} records (begins); give each as a series of its own"
+            )
+        return self
 
     def follows(self, before: Series) -> bool:
         """Whether its times go on where those of ``before`` end, a usual step later, in the same channels."""

@@ -33,7 +33,7 @@ from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
 from engine.distributions import chi2_sf
 from engine.errors import EngineError
 from engine.filters.sigma_point import moment_path
-from engine.statespace.model import Array, Gaussian, MixedModel, ThetaLike
+from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.words import enumerated
 
 UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
@@ -203,7 +203,7 @@ def _of_records(records: Records, taken: int) -> str:
 def _begins_as_expected(model: MixedModel, theta: Array, one: Series) -> bool:
     """Whether the first readings of a record are what the model's first state lets expect."""
     rows = np.flatnonzero(one.observed.any(axis=1))[: model.nx]
-    if not isinstance(model.start(model.record(theta)).density, Gaussian) or not rows.size:
+    if not rows.size:
         return False
     try:
         path = moment_path(model, theta, one.part(0, max(int(rows[-1]) + 1, 2)))

@@ -186,24 +186,22 @@ class _Steps:
             rng = np.random.default_rng(seed)  # the same numbers, should the moment filter agree
             seen = compared(theta, rng)
         at, origin = theta, seen
-        if k == 1 and self.better_starts is not None:
+        if k == 1:
             by = FAR_NATS if self.ascent is None else 0.0
-            starts = self.better_starts(theta)
-            for other in self._likeliest([self.followable(one) for one in starts]):
+            for other in self._likeliest(self._starts(theta)):
                 there = compared(other, rng)
                 gain = there.log_likelihood - origin.log_likelihood
                 if np.isfinite(there.log_likelihood) and not gain < by:  # nats
                     at, origin, by = other, there, 0.0
         return _Expected(seen, at, origin)
 
-    def followable(self, point: Theta) -> Theta:
-        """The point, or one beside it where particles can follow the series."""
+    def _starts(self, theta: Theta) -> Sequence[Theta]:
+        """Better starts than theta, or points beside them where particles can follow the series."""
+        starts = [] if self.better_starts is None else self.better_starts(theta)
         if self.particles is None:
-            return point
-        loop, model = self.loop, self.model
-        return followable(
-            model, point, model.theta(loop.theta0), self.indices, self.particles, loop.seed
-        )
+            return starts
+        free, particles, seed = self.indices, self.particles, self.loop.seed
+        return [followable(self.model, one, theta, free, particles, seed) for one in starts]
 
     def _likeliest(self, starts: Sequence[Theta]) -> Sequence[Theta]:
         """The first of several starts, or one that particles, where they may be asked, find clearly likelier.

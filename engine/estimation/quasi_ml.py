@@ -129,7 +129,7 @@ def quasi_ml(  # noqa: PLR0913
     before each iteration.
     Raises ModelError where the model cannot be used or the likelihood is not finite at the start.
     """
-    all_series = as_series_list(series, model)
+    all_series = as_series_list(series, model, together=True)
     theta = np.asarray(model.theta(theta0))
     indices = model.free_indices(free)
     for one in all_series:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.given import must_be_one, one_series
+from engine.data.given import one_series
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.statespace.checks import check_start
@@ -273,7 +273,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     SeriesError
         Channels or units are not the model's, or nothing was measured; names the channel.
     """
-    series = must_be_one(one_series(series, model))
+    series = one_series(series, model).alone()
     theta = model.theta(theta)
     check_start(model, theta, series)
     record = model.record(theta)

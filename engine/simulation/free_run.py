@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from engine.data.given import must_be_one, one_series
+from engine.data.given import one_series
 from engine.data.series import Series
 from engine.errors import OptionError, SeriesError
 from engine.simulation.simulate import check_finite, noise, propagate
@@ -160,7 +160,7 @@ def free_run(
     SeriesError
         Channels or units are not the model's, or nothing was measured; names the channel.
     """
-    series = must_be_one(one_series(series, model, measured=initial_rows > 0))
+    series = one_series(series, model, measured=initial_rows > 0).alone()
     vector = model.theta(theta)
     check_start(model, vector, series)
     record = model.record(vector)

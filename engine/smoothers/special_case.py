@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.data.given import must_be_one
 from engine.data.series import Series
 from engine.errors import ModelError, check_count
 from engine.filters.rbpf import Filtered, Predicted, Updated, check_options, over_time
@@ -154,7 +153,7 @@ def rbpf_special(
     rng = generator(rng)
     model = case.model
     theta = model.theta(theta)
-    must_be_one(series.check(model))
+    series.check(model).alone()
     resample = check_options(n_particles, resampling, ess_threshold)
     M, T, record = n_particles, len(series), model.record(theta)
     own: NDArray[np.int64] = np.arange(M)

@@ -221,8 +221,10 @@ class Setting:
 
     @property
     def length(self) -> float:
-        """The time from the first sample to the last."""
-        return self.span[1] - self.span[0]
+        """The time from the first sample to the last; of records that lie apart, that during them."""
+        width = self.span[1] - self.span[0]
+        during = width if self.record is None else float(self.record.dt[:-1].sum())
+        return during if during < (1.0 - ON_TIME) * width else width
 
     def time(
         self, name: str, default: float, bounds: tuple[float, float] = ANY_TIME, what: str = ""
@@ -319,7 +321,8 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
             resolution[name] = step
     t = series.t[rows]
     steps = np.diff(t)
-    steps[steps <= 0.0] = np.median(steps)  # where another record begins
+    into = np.searchsorted(rows, np.array(series.begins, dtype=np.intp)) - 1
+    steps[into] = np.median(np.delete(steps, into))  # none is made into another record
     return Setting(
         model,
         {name: _spread(value) for name, value in values.items()},

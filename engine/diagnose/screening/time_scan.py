@@ -62,7 +62,7 @@ def grid(effect: Effect, series: Series) -> Array:
         length, step = float(np.ptp(t)), float(np.median(np.diff(t)))
         first, last = 1.5 / length, 0.48 / step
         wanted = (last - first) * length * FINER
-        if series.dt is None:  # where long gaps make the record long, not fine
+        if series.dt is None or series.begins:  # where long gaps make the record long, not fine
             wanted = min(wanted, FINER * T, MOST_IRREGULAR)
         return np.asarray(np.linspace(first, last, max(2, int(wanted))))
     first, last = int(EDGE * T) + 2, T - int(EDGE * T) - 3

@@ -209,13 +209,15 @@ def at_most_in_words(extended: MixedModel, theta: Theta, causes: Sequence[Cause]
     """Sentences about causes whose size is the most that is looked for, such as a delay's longest."""
     out = []
     for cause in causes:
-        name = next((one for one in cause.parameters if extended.at_bounds(theta, [one])), "")
-        if name != next(iter(cause.parameters), None):
-            continue  # it is the size that comes first
+        name = next(iter(cause.parameters), "")  # the size comes first
+        if not extended.at_bounds(theta, [name]):
+            continue
         p = extended.parameters[extended.index(name)]
-        if theta[name] > np.mean(p.bounds):
-            size = with_unit(float(p.bounds[1]), p.unit)
+        most = float(p.bounds[1])
+        whole = most == 1.0 and p.unit == "1"  # a share: a sensor that clips does so entirely
+        if theta[name] > np.mean(p.bounds) and not whole:
             out.append(
-                f"The size of {cause.effect} is the most that is looked for, {size}: it may be more."
+                f"The size of {cause.effect} is the most that is looked for, {with_unit(most, p.unit)}: it may "
+                "be more."
             )
     return out

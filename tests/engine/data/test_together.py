@@ -8,17 +8,14 @@ from engine.data.joined import apart, together
 from engine.diagnose import all_effects, make_effect
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.score_columns import effect_columns
+from engine.diagnose.screening.time_scan import FINER, grid
 from engine.estimation.quasi_ml import derivatives, quasi_ml
 from engine.filters.gaussian_sum import outlier_log_terms
 from engine.filters.sigma_point import moment_filter, moment_path
 
 STEP = {"oscillator": 0.05, "mixed-4": 0.05, "tanks": 4.0, "servo": 0.05}
-BENT = {
-    "rectification",
-    "saturation-sensor",
-    "deadzone",
-    "stribeck",
-}  # kinks: slopes by differences
+# kinks: slopes by differences
+BENT = {"rectification", "saturation-sensor", "deadzone", "stribeck"}
 
 
 def records(name, lengths=(80, 50, 60)):
@@ -103,9 +100,8 @@ def test_the_footprint_of_every_effect_is_that_in_each(name):
             continue
         s = np.concatenate([one[0][1].s for one in alone])
         off = np.linalg.norm(found[0][1].s - s)
-        own = (
-            effect.apply(model).nx > model.nx
-        )  # the step of its slope depends on a record's length
+        # of states of its own the step of the slope depends on a record's length
+        own = effect.apply(model).nx > model.nx
         assert off <= (3e-2 if own else 1e-3) * np.linalg.norm(s), effect.name
         compared += 1
     assert compared > 40
@@ -131,8 +127,34 @@ def test_times_may_fall_back_only_where_a_record_begins():
         whole.replace(begins=())
     with pytest.raises(engine.SeriesError, match="rows from 1 to 189"):
         whole.replace(begins=(0, 80))
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda model, whole: engine.free_run(model, None, whole),
+        lambda model, whole: engine.rbps_em(model, whole, n_iterations=1),
+        lambda model, whole: engine.fit_simulation(model, whole),
+        lambda model, whole: engine.diagnose(model, whole),
+        lambda model, whole: whole.thinned(2),
+    ],
+)
+def test_what_takes_a_list_of_records_takes_none_that_are_put_together(use):
+    model, _, each = records("tanks")
     with pytest.raises(engine.SeriesError, match="holds 3 records"):
-        engine.free_run(engine.get_model("tanks"), None, whole)
+        use(model, together(each))
+
+
+@pytest.mark.parametrize("days", [0.0, 1.0, 3000.0])
+def test_time_between_records_is_none_in_which_anything_is_looked_for(days):
+    """Waves were tried at 100,000 frequencies of records a day apart."""
+    model, theta, each = records("oscillator")
+    whole = together([one.replace(t=one.t + 86400.0 * days * k) for k, one in enumerate(each)])
+    setting = setting_for(model, whole, theta)
+    assert setting.length <= sum(one.t[-1] + 0.05 for one in each)
+    assert (setting.record.dt < 0.1).all()
+    wave = make_effect("harmonic:y", setting)
+    assert len(grid(wave, whole)) <= FINER * len(whole)
 
 
 def test_a_fit_of_records_together_is_that_of_their_list():

@@ -130,6 +130,13 @@ def test_nor_is_what_no_allowed_size_would_show():
     assert not found.testable
 
 
+def test_a_sensor_that_clips_entirely_does_so_and_no_more():
+    model = make_effect("saturation-sensor:reading", Setting(DRIVE)).apply(DRIVE)
+    theta = model.theta({"saturation_sensor_reading": 1.0})
+    cause = SimpleNamespace(effect="any", parameters={"saturation_sensor_reading": 1.0})
+    assert at_most_in_words(model, theta, [cause]) == []
+
+
 @pytest.mark.parametrize(("samples", "said"), [(12.0, True), (3.0, False)])
 def test_a_delay_that_is_as_long_as_any_that_is_looked_for_says_so(samples, said):
     model = make_effect("delay:force", Setting(DRIVE)).apply(DRIVE)
