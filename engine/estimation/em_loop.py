@@ -13,27 +13,23 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from engine.errors import ModelError, OptionError, check_count
+from engine.errors import OptionError, check_count
 from engine.estimation.convergence import WINDOW, has_settled, mean_point
-from engine.estimation.e_steps import LOST_SHARE, EStep, Expect, ParticleStep
+from engine.estimation.e_steps import LOST_SHARE, Expect, ParticleStep
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
+from engine.estimation.em_steps import Maximized, Steps
 from engine.estimation.expectation import parameter_scale
-from engine.estimation.followable import followable
-from engine.estimation.likelihood_step import LikelihoodStep, score_of
-from engine.estimation.maximization import Objective, check_m_step, maximize
+from engine.estimation.likelihood_step import LikelihoodStep
+from engine.estimation.maximization import check_m_step
 from engine.estimation.outcome import Outcome
-from engine.estimation.quasi_newton import Ascent, Memory, Seen, width
+from engine.estimation.quasi_newton import Ascent, Memory, width
 from engine.estimation.wandering import (
-    clearly_likelier,
     kept_best,
     looked_ahead,
     looked_back,
     moved_ahead,
 )
-from engine.filters.lost import FAR_NATS, nats_apart
-from engine.filters.sigma_point import free_thetas
 from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
 
@@ -78,7 +74,9 @@ def iterate(
     check_m_step(loop.m_step)
     indices = model.free_indices(loop.free)
     log = _Log(model, loop, len(indices) if ascent is not None else 0)
-    steps = _Steps(model, expect, indices, loop, better_starts, likelihood, ascent, particles)
+    steps = Steps(
+        model, expect, indices, loop.seed, loop.m_step, better_starts, likelihood, ascent, particles
+    )
     outcome, last = Outcome.ITERATIONS_USED_UP, None
     settled = log.settled(indices)
     for k in range(log.k + 1, n + 1):
@@ -113,193 +111,6 @@ def iterate(
     if ascent is not None:
         found = kept_best(found, particles, loop.seed)
     return looked_back(found, likelihood.of, particles, likelihood.rows, loop.seed)
-
-
-@dataclass(frozen=True, eq=False)
-class _Expected:
-    """The E step at theta_{k-1}, and the point ``at`` that the M step leaves from with its own, ``origin``."""
-
-    seen: EStep
-    at: Theta
-    origin: EStep
-
-
-@dataclass(frozen=True, eq=False)
-class _Maximized:
-    """theta_k with the E step before it, the point that the M step left from, and how it went."""
-
-    theta: Theta
-    seen: EStep
-    finite: bool
-    q: Objective
-    at: Theta
-    by_likelihood: tuple[str, ...] = ()
-    whose: str = ""
-    stuck: tuple[str, ...] = ()
-    memory: Memory | None = None
-
-    def not_moved(self, indices: Sequence[int]) -> tuple[str, ...]:
-        """Names of the free parameters that neither Q nor the likelihood depends on."""
-        silent = ~(np.diag(self.q.derivatives(self.at, np.array(indices, np.intp))[2]) > 0.0)
-        moved = self.by_likelihood
-        there = (self.theta.names[k] for k, quiet in zip(indices, silent, strict=True) if quiet)
-        names = {*self.stuck, *(name for name in there if name not in moved)}
-        return tuple(name for name in self.theta.names if name in names)
-
-
-@dataclass(frozen=True, eq=False)
-class _Steps:
-    """The two steps of an iteration; iteration k depends on theta_{k-1} and on nothing else."""
-
-    model: BaseModel
-    expect: Expect
-    indices: NDArray[np.intp]
-    loop: Loop
-    better_starts: Callable[[Theta], Sequence[Theta]] | None
-    likelihood: LikelihoodStep | None
-    ascent: Ascent | None
-    particles: ParticleStep | None
-
-    @property
-    def compared(self) -> Expect | None:
-        """The E step by filters that do not fall short of the moment filter."""
-        return None if self.particles is None else self.particles.compared
-
-    def move(
-        self, k: int, theta: Theta, memory: Sequence[Memory | None], least: float
-    ) -> _Maximized:
-        """Iteration k from theta, ``memory`` being what those before it left; ``least`` as for the E step."""
-        expected = self.e_step(k, theta, least)
-        ascended = self._ascend(k, expected, memory) if self.ascent is not None else None
-        return self.m_step(expected) if ascended is None else ascended
-
-    def e_step(self, k: int, theta: Theta, least: float) -> _Expected:
-        """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point.
-
-        A log-likelihood below ``least`` is not believed without comparison.
-        """
-        seed = np.random.SeedSequence(self.loop.seed, spawn_key=(k,))
-        rng = np.random.default_rng(seed)
-        compared = self.compared or self.expect
-        seen = (compared if least == np.inf else self.expect)(theta, rng)
-        if seen.log_likelihood < least < np.inf:
-            rng = np.random.default_rng(seed)  # the same numbers, should the moment filter agree
-            seen = compared(theta, rng)
-        at, origin = theta, seen
-        if k == 1:
-            by = FAR_NATS if self.ascent is None else 0.0
-            for other in self._likeliest(self._starts(theta)):
-                there = compared(other, rng)
-                gain = there.log_likelihood - origin.log_likelihood
-                if np.isfinite(there.log_likelihood) and not gain < by:  # nats
-                    at, origin, by = other, there, 0.0
-        return _Expected(seen, at, origin)
-
-    def _starts(self, theta: Theta) -> Sequence[Theta]:
-        """Better starts than theta, or points beside them where particles can follow the series."""
-        starts = [] if self.better_starts is None else self.better_starts(theta)
-        if self.particles is None:
-            return starts
-        free, particles, seed = self.indices, self.particles, self.loop.seed
-        return [followable(self.model, one, theta, free, particles, seed) for one in starts]
-
-    def _likeliest(self, starts: Sequence[Theta]) -> Sequence[Theta]:
-        """The first of several starts, or one that particles, where they may be asked, find clearly likelier.
-
-        One filter of few particles cannot tell maxima that are some nats apart. What no data can tell is left
-        to whoever chose where to start.
-        """
-        if len(starts) < 2 or self.particles is None:
-            return starts
-        best = starts[0]
-        for other in starts[1:]:
-            if clearly_likelier(best, other, self.particles, self.loop.seed):
-                best = other
-        return [best]
-
-    def least(self, rows: Sequence[tuple[float, ...]]) -> float:
-        """Log-likelihood below which a filter may have lost the series: far below that of one before, ``rows``.
-
-        The first is as likely as it may be, and gives the second nothing to be compared with.
-        """
-        if self.compared is None or self.likelihood is None or not rows:
-            return -np.inf
-        value, ess = max((row[:2] for row in rows if np.isfinite(row[0])), default=(np.inf, 1.0))
-        return np.inf if len(rows) == 1 else value - nats_apart(self.likelihood.rows, ess)
-
-    def _ascend(
-        self, k: int, expected: _Expected, memory: Sequence[Memory | None]
-    ) -> _Maximized | None:
-        """theta_k by a step on the log-likelihood; None where it should be EM's."""
-        at, q = expected.at, expected.origin.q
-        before: list[Memory] = []
-        for one in reversed(memory):
-            if one is None:
-                break
-            before.insert(0, one)
-        x, n = np.asarray(at)[self.indices], len(self.indices)
-        value, exact = expected.origin.log_likelihood, np.zeros(n, bool)
-        score, complete = np.full(n, np.nan), np.zeros((n, n))
-        if np.isfinite(value):
-            try:
-                score, complete, exact = score_of(q, at, self.indices, self.likelihood)
-            except ModelError:
-                return None
-        found = None
-        if self.ascent is not None and n:
-            wide = nats_apart(self.ascent.rows, expected.origin.ess)
-            seen = Seen(np.asarray(at), x, score, complete, value, wide)
-            found = self.ascent.next(seen, before, k)
-        if found is None:
-            return None
-        new = Theta(free_thetas(np.asarray(at), self.indices, found[0][None])[0], at.names)
-        silent = exact & ~(np.diag(complete) > 0.0)
-        names = np.array(at.names)[self.indices]
-        return _Maximized(
-            new,
-            expected.seen,
-            True,
-            q,
-            at,
-            tuple(names[exact & ~silent]),
-            "" if self.likelihood is None else self.likelihood.whose,
-            tuple(names[silent]),
-            found[1],
-        )
-
-    def ties(self, last: _Maximized) -> str:
-        """Which of the parameters that it moved are only determined together, in a sentence."""
-        silent = last.not_moved(list(self.indices))
-        moved = np.array([k for k in self.indices if last.at.names[k] not in silent], np.intp)
-        if self.likelihood is None or not moved.size:
-            return ""
-        try:
-            complete = score_of(last.q, last.at, moved, self.likelihood)[1]
-        except ModelError:
-            return ""
-        return self.likelihood.ties(last.at, moved, complete)
-
-    def m_step(self, expected: _Expected) -> _Maximized:
-        """theta_k = arg max Q; what enters without noise is moved by the likelihood instead."""
-        seen, at, q = expected.seen, expected.at, expected.origin.q
-        if not np.isfinite(expected.origin.log_likelihood):
-            return _Maximized(at, seen, False, q, at)
-        names = np.array(at.names)
-        exact = q.moves_noise_free(at, self.indices)  # Q says nothing, or too little, about these
-        new = Theta(maximize(q, at, self.indices[~exact], self.loop.m_step), at.names)
-        stuck = exact.copy()
-        if exact.any() and self.likelihood is not None:
-            new, stuck[exact] = self.likelihood(new, self.indices[exact])
-        return _Maximized(
-            new,
-            seen,
-            bool(np.isfinite(np.asarray(new)).all()),
-            q,
-            at,
-            tuple(names[self.indices[exact & ~stuck]]),
-            "" if self.likelihood is None else self.likelihood.whose,
-            tuple(names[self.indices[stuck]]),
-        )
 
 
 def _said_of_noise_free(names: Sequence[str], whose: str) -> str:
@@ -352,7 +163,7 @@ class _Log:
     def theta(self) -> Theta:
         return self.trace[-1]
 
-    def add(self, k: int, done: _Maximized, seconds: float) -> Iteration:
+    def add(self, k: int, done: Maximized, seconds: float) -> Iteration:
         step, n = done.seen, self.loop.n_iterations
         self.trace.append(done.theta)
         self.memory.append(done.memory)
@@ -382,7 +193,7 @@ class _Log:
         return outcome is Outcome.CONVERGED or (outcome is Outcome.ITERATIONS_USED_UP and enough)
 
     def result(
-        self, names: tuple[str, ...], outcome: Outcome, last: _Maximized | None, ties: str
+        self, names: tuple[str, ...], outcome: Outcome, last: Maximized | None, ties: str
     ) -> EmResult:
         trace = np.array([np.asarray(row) for row in self.trace])
         log_likelihood, ess, seconds, collapsed = np.array(self.rows).reshape(-1, 4).T

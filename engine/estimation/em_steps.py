@@ -1,0 +1,214 @@
+"""One iteration of an EM: the E step from theta_{k-1}, and the M step, or the step that takes its place.
+
+All random numbers of iteration k come from ``SeedSequence(seed, spawn_key=(k,))``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import ModelError
+from engine.estimation.e_steps import EStep, Expect, ParticleStep
+from engine.estimation.followable import followable
+from engine.estimation.likelihood_step import LikelihoodStep, score_of
+from engine.estimation.maximization import Objective, maximize
+from engine.estimation.quasi_newton import Ascent, Memory, Seen
+from engine.estimation.wandering import clearly_likelier
+from engine.filters.lost import FAR_NATS, nats_apart
+from engine.filters.sigma_point import free_thetas
+from engine.statespace.base import BaseModel, Theta
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """The E step at theta_{k-1}, and the point ``at`` that the M step leaves from with its own, ``origin``."""
+
+    seen: EStep
+    at: Theta
+    origin: EStep
+
+
+@dataclass(frozen=True, eq=False)
+class Maximized:
+    """theta_k with the E step before it, the point that the M step left from, and how it went."""
+
+    theta: Theta
+    seen: EStep
+    finite: bool
+    q: Objective
+    at: Theta
+    by_likelihood: tuple[str, ...] = ()
+    whose: str = ""
+    stuck: tuple[str, ...] = ()
+    memory: Memory | None = None
+
+    def not_moved(self, indices: Sequence[int]) -> tuple[str, ...]:
+        """Names of the free parameters that neither Q nor the likelihood depends on."""
+        silent = ~(np.diag(self.q.derivatives(self.at, np.array(indices, np.intp))[2]) > 0.0)
+        moved = self.by_likelihood
+        there = (self.theta.names[k] for k, quiet in zip(indices, silent, strict=True) if quiet)
+        names = {*self.stuck, *(name for name in there if name not in moved)}
+        return tuple(name for name in self.theta.names if name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """The two steps of an iteration; iteration k depends on theta_{k-1}, ``seed`` and on nothing else.
+
+    ``by`` is how the M step maximises; the others as in :func:`engine.estimation.em_loop.iterate`.
+    """
+
+    model: BaseModel
+    expect: Expect
+    indices: NDArray[np.intp]
+    seed: int
+    by: str
+    better_starts: Callable[[Theta], Sequence[Theta]] | None
+    likelihood: LikelihoodStep | None
+    ascent: Ascent | None
+    particles: ParticleStep | None
+
+    @property
+    def compared(self) -> Expect | None:
+        """The E step by filters that do not fall short of the moment filter."""
+        return None if self.particles is None else self.particles.compared
+
+    def move(
+        self, k: int, theta: Theta, memory: Sequence[Memory | None], least: float
+    ) -> Maximized:
+        """Iteration k from theta, ``memory`` being what those before it left; ``least`` as for the E step."""
+        expected = self.e_step(k, theta, least)
+        ascended = self._ascend(k, expected, memory) if self.ascent is not None else None
+        return self.m_step(expected) if ascended is None else ascended
+
+    def e_step(self, k: int, theta: Theta, least: float) -> Expected:
+        """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point.
+
+        A log-likelihood below ``least`` is not believed without comparison.
+        """
+        seed = np.random.SeedSequence(self.seed, spawn_key=(k,))
+        rng = np.random.default_rng(seed)
+        compared = self.compared or self.expect
+        seen = (compared if least == np.inf else self.expect)(theta, rng)
+        if seen.log_likelihood < least < np.inf:
+            rng = np.random.default_rng(seed)  # the same numbers, should the moment filter agree
+            seen = compared(theta, rng)
+        at, origin = theta, seen
+        if k == 1:
+            by = FAR_NATS if self.ascent is None else 0.0
+            for other in self._likeliest(self._starts(theta)):
+                there = compared(other, rng)
+                gain = there.log_likelihood - origin.log_likelihood
+                if np.isfinite(there.log_likelihood) and not gain < by:  # nats
+                    at, origin, by = other, there, 0.0
+        return Expected(seen, at, origin)
+
+    def _starts(self, theta: Theta) -> Sequence[Theta]:
+        """Better starts than theta, or points beside them where particles can follow the series."""
+        starts = [] if self.better_starts is None else self.better_starts(theta)
+        if self.particles is None:
+            return starts
+        free, particles, seed = self.indices, self.particles, self.seed
+        return [followable(self.model, one, theta, free, particles, seed) for one in starts]
+
+    def _likeliest(self, starts: Sequence[Theta]) -> Sequence[Theta]:
+        """The first of several starts, or one that particles, where they may be asked, find clearly likelier.
+
+        One filter of few particles cannot tell maxima that are some nats apart. What no data can tell is left
+        to whoever chose where to start.
+        """
+        if len(starts) < 2 or self.particles is None:
+            return starts
+        best = starts[0]
+        for other in starts[1:]:
+            if clearly_likelier(best, other, self.particles, self.seed):
+                best = other
+        return [best]
+
+    def least(self, rows: Sequence[tuple[float, ...]]) -> float:
+        """Log-likelihood below which a filter may have lost the series: far below that of one before, ``rows``.
+
+        The first is as likely as it may be, and gives the second nothing to be compared with.
+        """
+        if self.compared is None or self.likelihood is None or not rows:
+            return -np.inf
+        value, ess = max((row[:2] for row in rows if np.isfinite(row[0])), default=(np.inf, 1.0))
+        return np.inf if len(rows) == 1 else value - nats_apart(self.likelihood.rows, ess)
+
+    def _ascend(
+        self, k: int, expected: Expected, memory: Sequence[Memory | None]
+    ) -> Maximized | None:
+        """theta_k by a step on the log-likelihood; None where it should be EM's."""
+        at, q = expected.at, expected.origin.q
+        before: list[Memory] = []
+        for one in reversed(memory):
+            if one is None:
+                break
+            before.insert(0, one)
+        x, n = np.asarray(at)[self.indices], len(self.indices)
+        value, exact = expected.origin.log_likelihood, np.zeros(n, bool)
+        score, complete = np.full(n, np.nan), np.zeros((n, n))
+        if np.isfinite(value):
+            try:
+                score, complete, exact = score_of(q, at, self.indices, self.likelihood)
+            except ModelError:
+                return None
+        found = None
+        if self.ascent is not None and n:
+            wide = nats_apart(self.ascent.rows, expected.origin.ess)
+            seen = Seen(np.asarray(at), x, score, complete, value, wide)
+            found = self.ascent.next(seen, before, k)
+        if found is None:
+            return None
+        new = Theta(free_thetas(np.asarray(at), self.indices, found[0][None])[0], at.names)
+        silent = exact & ~(np.diag(complete) > 0.0)
+        names = np.array(at.names)[self.indices]
+        return Maximized(
+            new,
+            expected.seen,
+            True,
+            q,
+            at,
+            tuple(names[exact & ~silent]),
+            "" if self.likelihood is None else self.likelihood.whose,
+            tuple(names[silent]),
+            found[1],
+        )
+
+    def ties(self, last: Maximized) -> str:
+        """Which of the parameters that it moved are only determined together, in a sentence."""
+        silent = last.not_moved(list(self.indices))
+        moved = np.array([k for k in self.indices if last.at.names[k] not in silent], np.intp)
+        if self.likelihood is None or not moved.size:
+            return ""
+        try:
+            complete = score_of(last.q, last.at, moved, self.likelihood)[1]
+        except ModelError:
+            return ""
+        return self.likelihood.ties(last.at, moved, complete)
+
+    def m_step(self, expected: Expected) -> Maximized:
+        """theta_k = arg max Q; what enters without noise is moved by the likelihood instead."""
+        seen, at, q = expected.seen, expected.at, expected.origin.q
+        if not np.isfinite(expected.origin.log_likelihood):
+            return Maximized(at, seen, False, q, at)
+        names = np.array(at.names)
+        exact = q.moves_noise_free(at, self.indices)  # Q says nothing, or too little, about these
+        new = Theta(maximize(q, at, self.indices[~exact], self.by), at.names)
+        stuck = exact.copy()
+        if exact.any() and self.likelihood is not None:
+            new, stuck[exact] = self.likelihood(new, self.indices[exact])
+        return Maximized(
+            new,
+            seen,
+            bool(np.isfinite(np.asarray(new)).all()),
+            q,
+            at,
+            tuple(names[self.indices[exact & ~stuck]]),
+            "" if self.likelihood is None else self.likelihood.whose,
+            tuple(names[self.indices[stuck]]),
+        )
