@@ -29,9 +29,10 @@ from engine.data.series import Series
 from engine.diagnose.screening.tails import prediction_pit
 from engine.estimation.em import rbps_em, rts_em
 from engine.estimation.quasi_ml import quasi_ml
+from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.neighbours import followed
 from engine.filters.rbpf import RESAMPLING, rbpf
-from engine.filters.sigma_point import FilterSteps, Thetas, moment_path
+from engine.filters.sigma_point import moment_path
 from engine.kernels.excitation import within_bounds
 from engine.kernels.pairs import best_pairs
 from engine.kernels.sensitivities import footprints

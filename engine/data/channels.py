@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,8 @@ def default_names(n: int, prefix: str) -> tuple[str, ...]:
 def check_channels(series: Series, model: BaseModel) -> None:
     """Raise SeriesError unless the channels are the model's, in their order.
 
-    Names are free, but for those of the model's own channels: these belong where the model has them.
+    Names are free, but for those of the model's own channels: these belong where the model has them, and so
+    does a name with one of them in it, as ``speed_measured`` has it.
     """
     for names, own, what in _kinds(series, model):
         if len(names) != len(own):
@@ -32,12 +34,24 @@ def check_channels(series: Series, model: BaseModel) -> None:
         if names == default_names(len(names), what):
             continue
         for name, channel in zip(names, own, strict=True):
-            if name != channel and name in {**model.outputs, **model.inputs}:
+            elsewhere = name != channel and name in {**model.outputs, **model.inputs}
+            if elsewhere or _meant(name, own) not in (None, channel):
                 raise SeriesError(
                     f"{what} has channels {', '.join(names)}; model '{model.name}' takes {', '.join(own)}, in "
                     f"this order, and '{name}' would be used as '{channel}': reorder the columns or rename them"
                 )
     check_units(series, model)
+
+
+def _meant(name: str, own: Mapping[str, str]) -> str | None:
+    """The model's channel that a name has in it as a word; None where it has none, or several."""
+
+    def has(channel: str) -> bool:
+        word = rf"(?<![^\W_]){re.escape(channel)}(?![^\W_])"
+        return re.search(word, name, re.IGNORECASE) is not None
+
+    found = [channel for channel in own if has(channel)]
+    return found[0] if len(found) == 1 else None
 
 
 def check_units(series: Series, model: BaseModel) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.estimation.expectation import either_side
-from engine.filters.sigma_point import first_moments
+from engine.filters.filter_steps import first_moments
 from engine.kernels.trajectory import carry
 from engine.simulation.free_run import run_rows
 from engine.simulation.steps import Steps, sizes, tested

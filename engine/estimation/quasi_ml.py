@@ -308,6 +308,9 @@ def derivatives(
         # a lost neighbour: the value is -inf below
         with np.errstate(invalid="ignore", over="ignore"):
             g += (total[2::2] - total[1::2]) / distances
+            if model.random_scales:
+                H += _products(f.log_terms, distances)
+                continue
             d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
             d_S = f.S[:, 2::2] - f.S[:, 1::2]
             root = whitening(f.S[:, 0], one.observed)
@@ -319,6 +322,15 @@ def derivatives(
     if not (np.isfinite(g).all() and np.isfinite(H).all()):
         value = -np.inf
     return value, g, H
+
+
+def _products(terms: Array, distances: Array) -> Array:
+    """Information (n, n) from the slopes of single rows (Berndt, Hall, Hall, Hausman 1974).
+
+    Of outliers, whose information the moments of y do not have.
+    """
+    slopes = (terms[:, 2::2] - terms[:, 1::2]) / distances
+    return np.asarray(slopes.T @ slopes)
 
 
 def whitening(S: Array, observed: NDArray[np.bool_]) -> Array:

@@ -119,6 +119,7 @@ class WarmStart:
                 lost = lost or error
         if not found and lost is not None:
             raise lost
+        found.extend(self._scales_again(found, theta, climb))
         found.sort(key=lambda fit: -fit.log_likelihood)
         apart: list[QuasiFit] = []
         for fit in found:
@@ -131,10 +132,32 @@ class WarmStart:
         self.above = same[0] if same else None
         return out
 
+    def _scales_again(
+        self, found: Sequence[QuasiFit], theta: Theta, climb: Callable[..., QuasiFit]
+    ) -> list[QuasiFit]:
+        """Maxima from the highest one found with the parameters of random scales as at the start again.
+
+        Far from the data all readings are outliers, and a search that began there may have ended without any.
+        """
+        model = self.model
+        own = {model.index(name) for one in model.random_scales for name in one.parameters}
+        again = [k for k in self.indices if k in own]
+        if not again or not found:
+            return []
+        highest = max(found, key=lambda fit: fit.log_likelihood)
+        start = np.array(highest.theta)
+        start[again] = np.asarray(theta)[again]
+        try:
+            return [climb(start)]
+        except (ModelError, np.linalg.LinAlgError):
+            return []
+
     def _blind(self, theta: Theta) -> bool:
         """Whether the moment filter sees none of the nonlinear states in any series."""
-        seen = (in_noise_only(self.model, theta, one) for one in self.searched)
-        return self.model.na > 0 and all(one.all() for one in seen)
+        told = [one.state for one in self.model.random_scales]  # it goes through these one by one
+        others = ~np.isin(list(self.model.nonlinear), told)
+        seen = (in_noise_only(self.model, theta, one)[others] for one in self.searched)
+        return bool(others.any()) and all(one.all() for one in seen)
 
     def _likely(self, thetas: Array) -> Array:
         """Log-likelihoods of thetas (K, n_theta), -inf where there is none."""

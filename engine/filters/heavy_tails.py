@@ -26,6 +26,7 @@ from engine.filters.proposals import Step
 from engine.filters.scale_mixture_proposal import MixingProposal
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import product
+from engine.statespace.random_scale import RandomScale
 
 LARGEST = 23.0  # of log s: noise a hundred thousand times as large is as good as no measurement
 FAR = 8.0  # |g| beyond which s is held constant; it is never drawn
@@ -226,6 +227,10 @@ def _with_mixing(
         measurement=Scaled(model, mixing, mask, where == "measurement"),
         initial=initial,
         equations=[*model.equations, f"{where}: noise scaled by s({state}), {state} ~ N(m, 1)"],
+        random_scales=[
+            *model.random_scales,
+            RandomScale(state, tuple(new), mixing.mean, mixing.edges),
+        ],
     )
 
 

@@ -26,12 +26,10 @@ from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.errors import ModelError
+from engine.filters.filter_steps import FilterSteps, Thetas, first_moments
 from engine.filters.sigma_point import (
-    FilterSteps,
     MomentFiltered,
     MomentPath,
-    Thetas,
-    first_moments,
     moment_filter,
     run_filter,
     usable,
@@ -92,7 +90,7 @@ def filter_neighbours(
     ``visited``, by a filter of this model and series at another theta, is brought up to date.
     """
     run = FilterSteps(model, Thetas(model, thetas), series)
-    if not _worth_it(run, visited):
+    if model.random_scales or not _worth_it(run, visited):
         return moment_filter(model, thetas, series)
     found = followed(run, visited)
     return moment_filter(model, thetas, series) if found is None else found
@@ -108,6 +106,8 @@ def filter_all(
     And from the points ``visited`` at another theta, where the model takes one parameter vector a call, or
     there are few.
     """
+    if model.random_scales:
+        return moment_filter(model, thetas, series)
     run = FilterSteps(model, Thetas(model, thetas), series)
     if model.na == 0:
         found = followed(run)

@@ -10,26 +10,18 @@ word (see :mod:`engine.diagnose`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.errors import ModelError
+from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
+from engine.filters.strata import StrataSteps, filter_in_strata, path_in_strata
 from engine.kernels.gaussian import psd_cholesky_many
-from engine.kernels.moments import (
-    gaussian_update,
-    observe,
-    predict,
-    sigma_points,
-    slopes,
-    transform,
-)
-from engine.statespace.first_state import moments_of_first
-from engine.statespace.model import Array, MixedModel, stacked
+from engine.kernels.moments import gaussian_update, observe, predict, sigma_points, slopes
+from engine.statespace.model import Array, MixedModel
 from engine.statespace.refutation import refutations, repeated_if_refuted
 from engine.views import Shown
 
@@ -81,27 +73,15 @@ _Kept: TypeAlias = tuple[MixedModel, bytes, int, MomentPath]
 _KEPT: WeakKeyDictionary[Series, tuple[_Kept, ...]] = WeakKeyDictionary()
 
 
-class Thetas:
-    """K parameter vectors (K, n_theta) and their records."""
-
-    def __init__(self, model: MixedModel, thetas: Array) -> None:
-        self.model = model
-        self.thetas = np.atleast_2d(np.asarray(thetas, dtype=float))
-        self.K = len(self.thetas)
-        self._records: dict[int, Any] = {}
-
-    def record(self, copies: int) -> Any:
-        """The record of K ``copies`` rows, ``copies`` for each parameter vector in turn."""
-        if copies not in self._records:  # the same at every time step
-            self._records[copies] = self.model.records(self.thetas, copies)
-        return self._records[copies]
-
-
 @repeated_if_refuted
 @np.errstate(all="ignore")
 def moment_filter(model: MixedModel, thetas: Array, series: Series) -> MomentFiltered:
     """Filter a series with each of the parameter vectors ``thetas`` (K, n_theta)."""
-    return run_filter(FilterSteps(model, Thetas(model, thetas), series))
+    run = Thetas(model, thetas)
+    if model.random_scales:
+        innovations, S, terms = filter_in_strata(StrataSteps(model, run, series))
+        return MomentFiltered(innovations, S, usable(terms, innovations, S, series))
+    return run_filter(FilterSteps(model, run, series))
 
 
 def run_filter(run: FilterSteps, visited: tuple[Array, Array] | None = None) -> MomentFiltered:
@@ -155,9 +135,20 @@ def moment_path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
 @repeated_if_refuted
 @np.errstate(all="ignore")
 def _path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
-    run = FilterSteps(model, Thetas(model, theta), series)
-    T, nx, ny = len(series), model.nx, model.ny
-    kept: dict[str, Array] = {
+    thetas = Thetas(model, theta)
+    run = FilterSteps(model, thetas, series)
+    kept = _nothing_kept(model, len(series))
+    if model.random_scales:
+        total = path_in_strata(StrataSteps(model, thetas, series), kept)
+    else:
+        total = _keep(run, kept)
+    _slopes_without_variance(run, kept)
+    return MomentPath(**kept, log_likelihood=total)
+
+
+def _nothing_kept(model: MixedModel, T: int) -> dict[str, Array]:
+    nx, ny = model.nx, model.ny
+    return {
         "predicted": np.empty((T, nx)),
         "P_predicted": np.empty((T, nx, nx)),
         "filtered": np.empty((T, nx)),
@@ -168,6 +159,11 @@ def _path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
         "H": np.empty((T, ny, nx)),
         "F": np.empty((T - 1, nx, nx)),
     }
+
+
+def _keep(run: FilterSteps, kept: dict[str, Array]) -> float:
+    """All steps of one filter, ``kept``, and its log-likelihood."""
+    model, series, T = run.model, run.series, len(run.series)
     total = 0.0
     m, P = run.start()
     for t in range(T):
@@ -183,16 +179,12 @@ def _path(model: MixedModel, theta: Array, series: Series) -> MomentPath:
         kept["filtered"][t], kept["P_filtered"][t] = m[0], P[0]
         total += float(term[0])
         if not (np.isfinite(m).all() and np.isfinite(total)):
-            raise ModelError(
-                f"model '{model.name}': the filter is lost at row {t} (t = {series.t[t]:g}); its "
-                "mean or likelihood is not finite. Check theta and the first state's density"
-            )
+            raise lost_at(model, series, t)
         if t < T - 1:
             before = P
             m, P, cross = run.through(run.transition, t, m, P)
             kept["F"][t] = slopes(cross[0], before[0])
-    _slopes_without_variance(run, kept)
-    return MomentPath(**kept, log_likelihood=total)
+    return total
 
 
 def _slopes_without_variance(run: FilterSteps, kept: dict[str, Array]) -> None:
@@ -214,63 +206,6 @@ def _slopes_without_variance(run: FilterSteps, kept: dict[str, Array]) -> None:
             wide = covs[t] + least
             _, _, cross = run.through(function, int(t), means[t][None], wide[None])
             kept[name][t] = slopes(cross[0], wide)
-
-
-class FilterSteps:
-    """The model's part of each step, for K copies of the filter."""
-
-    def __init__(self, model: MixedModel, thetas: Thetas, series: Series) -> None:
-        series.check(model)
-        self.model, self.thetas, self.series = model, thetas, series
-        self.times, self.steps = series.t.tolist(), series.steps.tolist()
-        model.transitions.look_again(series.u_step)
-        model.observations.look_again(series.u)
-
-    def start(self) -> tuple[Array, Array]:
-        """Mean (K, nx) and covariance (K, nx, nx) of x_1 before any measurement."""
-        means, covs = self._first
-        return means.copy(), covs.copy()
-
-    @cached_property
-    def _first(self) -> tuple[Array, Array]:
-        starts = [first_moments(self.model, theta) for theta in self.thetas.thetas]
-        return np.array([m for m, _ in starts]), np.array([P for _, P in starts])
-
-    def observation(self, t: int, a: Array) -> tuple[Array, Array, Array]:
-        """h (K S, ny), C and R (1 or K S, ., .) at the points a (K S, na)."""
-        record = self.thetas.record(len(a) // self.thetas.K)
-        h, C, R = self.model.observation(a, self.series.u[t], self.times[t], record)
-        return h, stacked(C), stacked(R)
-
-    def transition(self, t: int, a: Array) -> tuple[Array, Array, Array]:
-        """f (K S, nx), A and Q (1 or K S, ., .) at the points a (K S, na); x_1 where a record begins next."""
-        if t + 1 in self.series.begins:
-            return self._begin_again(len(a) // self.thetas.K)
-        record = self.thetas.record(len(a) // self.thetas.K)
-        f, A, Q = self.model.transition(
-            a, self.series.u_step[t], self.times[t], self.steps[t], record
-        )
-        return f, stacked(A), stacked(Q)
-
-    def _begin_again(self, copies: int) -> tuple[Array, Array, Array]:
-        m, P = self._first
-        model, each = self.model, copies if self.thetas.K > 1 else 1
-        nothing = np.zeros((1, model.nx, model.nz))
-        return np.repeat(m, copies, axis=0), nothing, np.repeat(P, each, axis=0)
-
-    def through(self, function: Any, t: int, m: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Mean, covariance and cross-covariance with x of a function of x ~ N(m, P)."""
-        na = self.model.na
-        a, z, V, offsets = sigma_points(m, P, na)
-        rows = a.reshape(a.shape[0] * a.shape[1], na)
-        f, A, Q = function(t, rows)
-        mean, cov, cross = transform(f, A, Q, z, V, offsets, na)
-        return mean, cov, cross
-
-
-def first_moments(model: MixedModel, theta: Array) -> tuple[Array, Array]:
-    """Mean (nx,) and covariance (nx, nx) of x_1 at theta."""
-    return moments_of_first(model, model.record(theta))
 
 
 def free_thetas(theta: Array, indices: NDArray[np.intp], values: Array) -> Array:

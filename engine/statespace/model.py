@@ -55,6 +55,7 @@ from engine.statespace.base import Theta as Theta
 from engine.statespace.base import ThetaLike as ThetaLike
 from engine.statespace.declared import check_declared
 from engine.statespace.evaluation import ModelFunction
+from engine.statespace.random_scale import RandomScale
 from engine.statespace.shapes import as_matrix as as_matrix
 from engine.statespace.shapes import as_rows as as_rows
 from engine.statespace.shapes import stacked as stacked
@@ -169,6 +170,9 @@ class MixedModel(BaseModel):
     steps_counted : int
         Steps from one sample to the next for which its memory of samples was made, as that of a delay is; only
         series with as many (:meth:`engine.Series.refined`) can be used. 0 where it counts none.
+    random_scales : sequence of RandomScale
+        States without memory that only scale noise, as :func:`engine.with_mixture` adds them: filters of
+        moments go through their values one by one.
 
     Raises
     ------
@@ -192,9 +196,10 @@ class MixedModel(BaseModel):
     reference: Mapping[str, float] = field(default_factory=dict)
     continuous: bool = False
     steps_counted: int = 0
+    random_scales: Sequence[RandomScale] = ()
 
     def __post_init__(self) -> None:
-        for name in ("parameters", "equations", "kinematic"):
+        for name in ("parameters", "equations", "kinematic", "random_scales"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         states = {"nonlinear states": self.nonlinear, "linear states": self.linear}
         every = {**states, "inputs": self.inputs, "outputs": self.outputs}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import engine
-from engine.filters.sigma_point import FilterSteps
+from engine.filters.filter_steps import FilterSteps
 from service.diagnoses import Percent
 from service.serializers import job_status
 from service.store import Store

@@ -52,7 +52,7 @@ def decide(
     given is not.
     """
     better, worse = runs_changed(outputs)
-    if lost or worse or (p_loss < TEST_LEVEL and log_density < -LOSS_NATS):
+    if lost or worse or _predicts_worse(p_loss, log_density):
         return Decision.LOSES
     return Decision.ADOPTED if p_gain <= TEST_LEVEL or better else Decision.NO_EVIDENCE
 
@@ -62,11 +62,20 @@ def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
 
     ``expected`` nats are what the likelihood gained in the search promises for so many rows. An effect that
     the held-out data do not excite gains nothing there and loses nothing; one that stands in for something
-    else loses. What is adopted for its free run is not contradicted by it, and nothing by a few rows, whose
-    scatter is not known. ``noise`` says how that was fitted, where otherwise than for the gain that is shown.
+    else loses. Where it is significantly worse one step ahead and in the free run nothing need be expected, as
+    of a step that was gone again. What is adopted for its free run is not contradicted, and nothing by a few
+    rows, whose scatter is not known. ``noise`` says how that was fitted, where otherwise than for the gain
+    that is shown.
     """
     if gain.adopt or gain.samples < TELLING_ROWS:
         return ""
+    worse = runs_changed(gain.outputs)[1]
+    if worse and _predicts_worse(gain.p_loss, gain.log_density):
+        return (
+            f"On data that it has not seen the extension predicts worse, by {number(-gain.log_density)} in "
+            f"log-density{noise} ({probability(gain.p_loss)} of no loss), and simulates {_names(worse)} "
+            "worse: it stands in for something else, so no cause is named."
+        )
     error = gain.standard_error * gain.samples
     if not (math.isfinite(gain.log_density) and gain.log_density < -LOSS_NATS and error > 0.0):
         return ""
@@ -78,6 +87,11 @@ def falls_short(gain: Gain, expected: float, noise: str = "") -> str:
         f"where {number(expected)} were to be gained ({probability(p_value)} of so little): it stands in for "
         "something else, so no cause is named."
     )
+
+
+def _predicts_worse(p_loss: float, log_density: float) -> bool:
+    """Whether the predictions one step ahead are significantly worse."""
+    return p_loss < TEST_LEVEL and log_density < -LOSS_NATS
 
 
 def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
@@ -148,7 +162,7 @@ def _one_step(gain: Gain) -> str:
 
 def _losses(gain: Gain) -> list[str]:
     out = []
-    if gain.p_loss < TEST_LEVEL and gain.log_density < -LOSS_NATS:
+    if _predicts_worse(gain.p_loss, gain.log_density):
         out.append(
             f"its log-density one step ahead is lower by {number(-gain.log_density)} "
             f"({probability(gain.p_loss)} of no loss)"

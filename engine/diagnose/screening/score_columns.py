@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.estimation.quasi_ml import neighbours, whitening
+from engine.filters.filter_steps import first_moments
 from engine.filters.neighbours import Visited, filter_all, filter_neighbours, visited_on
-from engine.filters.sigma_point import MomentFiltered, MomentPath, first_moments
+from engine.filters.sigma_point import MomentFiltered, MomentPath
 from engine.kernels.moments import sigma_points, transform
 from engine.kernels.sensitivities import sensitivities
 from engine.statespace.model import Array, MixedModel

@@ -21,9 +21,8 @@ from engine.diagnose.effects.effect import Effect
 from engine.diagnose.screening.screen import Test
 from engine.distributions import kurtosis_z, normal_sf
 from engine.estimation.quasi_ml import DIFFERENCE, QuasiFit, neighbours
-from engine.filters.gaussian_sum import outlier_log_terms
 from engine.filters.rbpf import Filtered, rbpf
-from engine.filters.sigma_point import MomentPath, moment_path
+from engine.filters.sigma_point import MomentPath, moment_filter, moment_path
 from engine.kernels.filtering import condition, draw_prior
 from engine.statespace.model import Array, MixedModel, stacked
 
@@ -133,11 +132,11 @@ def fit_tails(
     """
     ratios = np.outer(RATIOS, _sizes(fit, effect, series)).ravel()
     pairs = np.array([(a, b) for a in SHARES for b in np.unique(np.minimum(ratios, MOST_RATIO))])
-    theta, channel = np.asarray(fit.theta), effect.channel
+    theta, extended = np.asarray(fit.theta), effect.apply(fit.model)
 
     def value(thetas: Array, own: Array) -> Array:
-        total = outlier_log_terms(fit.model, thetas, series, channel, *own.T).sum(axis=0)
-        return np.where(np.isfinite(total), total, -np.inf)
+        each = np.broadcast_to(thetas, (len(own), len(theta)))
+        return moment_filter(extended, np.hstack([each, own]), series).log_likelihood
 
     total = value(theta, pairs)
     best = int(np.argmax(total))
@@ -157,7 +156,7 @@ def tails_information(fit: QuasiFit, effect: Effect, series: Series, extended: A
     beside = own + np.repeat(np.diag(steps), 2, axis=0) * [[-1.0], [1.0], [-1.0], [1.0]]
     every = np.concatenate([thetas[1:], np.repeat(theta[None], 4, axis=0)])
     pairs = np.concatenate([np.repeat(own[None], 2 * len(indices), axis=0), beside])
-    terms = outlier_log_terms(fit.model, every, series, effect.channel, *pairs.T)
+    terms = moment_filter(effect.apply(fit.model), np.hstack([every, pairs]), series).log_terms
     slopes = (terms[:, 1::2] - terms[:, 0::2]) / np.concatenate([distances, 2.0 * steps])
     known = np.nan_to_num(slopes)
     return np.asarray(known.T @ known)

@@ -10,7 +10,6 @@ from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.screening.score_columns import effect_columns
 from engine.diagnose.screening.time_scan import FINER, grid
 from engine.estimation.quasi_ml import derivatives, quasi_ml
-from engine.filters.gaussian_sum import outlier_log_terms
 from engine.filters.sigma_point import moment_filter, moment_path
 
 STEP = {"oscillator": 0.05, "mixed-4": 0.05, "tanks": 4.0, "servo": 0.05}
@@ -61,10 +60,12 @@ def test_particles_begin_each_record_anew():
 def test_so_do_those_that_know_outliers(channel):
     model, theta, each = records("tanks")
 
+    where = "measurement" if channel in model.outputs else "dynamics"
+    known = engine.with_mixture(model, where, channels=[channel])
+    at = np.append(theta, [0.05, 8.0])[None]
+
     def terms(series):
-        return outlier_log_terms(
-            model, theta, series, channel, np.array([0.05]), np.array([8.0])
-        ).sum()
+        return moment_filter(known, at, series).log_likelihood[0]
 
     assert terms(together(each)) == pytest.approx(sum(map(terms, each)), abs=1e-8)
 

@@ -311,6 +311,11 @@ def test_channels_called_like_others_of_the_model_are_refused():
     engine.Series(y, y[:, 0], dt=1.0, y_names=["room", "y1"]).check(two)
     with pytest.raises(SeriesError, match="takes room, y1, in this order, and 'y1' would be used"):
         engine.Series(y, y[:, 0], dt=1.0, y_names=["y1", "room"]).check(two)
+    for names in (["room_measured", "y1.a"], ["Room", "Y1"], ["a room beside y1", "b"]):
+        engine.Series(y, y[:, 0], dt=1.0, y_names=names).check(two)
+    for names in (["y1_measured", "a"], ["a", "Room [degC]"]):
+        with pytest.raises(SeriesError, match="would be used as"):
+            engine.Series(y, y[:, 0], dt=1.0, y_names=names).check(two)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.gain.adoption import Decision, falls_short
 from engine.diagnose.gain.gain import Gain
+from engine.diagnose.gain.simulation_gain import OutputGain
 from engine.diagnose.held_out import HeldOut
 from engine.diagnose.records import Records
 from engine.diagnose.search.findings import Verdict
@@ -38,6 +39,25 @@ def test_a_loss_where_a_gain_was_promised_contradicts():
     assert "log-density (as otherwise fitted), where" in falls_short(
         LOSS, 10.0, " (as otherwise fitted)"
     )
+
+
+def output(after: float, difference: tuple[float, float]) -> OutputGain:
+    return OutputGain(
+        "y", "m", 1.0, after, (0.9, 1.1), (0.9, 1.1), after - 1.0, difference, 50.0, 40.0, 0.1, None
+    )
+
+
+def test_worse_one_step_ahead_and_in_the_free_run_contradicts_whatever_was_promised():
+    """As of a step of the record that is gone again where the data go on."""
+    worse = replace(LOSS, outputs=(output(1.4, (0.1, 0.7)),))
+    said = falls_short(worse, 0.0, " (as otherwise fitted)")
+    assert "predicts worse, by 20 in log-density (as otherwise fitted)" in said
+    assert "simulates y worse" in said
+    perhaps = replace(LOSS, outputs=(output(1.4, (-0.1, 0.7)),))
+    assert falls_short(perhaps, 0.0) == ""
+    by_chance = replace(worse, p_loss=0.2)
+    assert falls_short(by_chance, 0.0) == ""
+    assert falls_short(replace(worse, log_density=-0.5), 0.0) == ""
 
 
 @pytest.mark.parametrize(

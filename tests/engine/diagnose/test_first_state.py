@@ -14,7 +14,8 @@ from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.windows import rows_searched, stretch
 from engine.diagnose.gain.narrowing import narrowed
 from engine.diagnose.screening.score_columns import effect_columns, innovation_columns
-from engine.filters.sigma_point import first_moments, moment_filter, moment_path
+from engine.filters.filter_steps import first_moments
+from engine.filters.sigma_point import moment_filter, moment_path
 from tests.engine.hidden_effects import DRIVE, hidden
 
 

@@ -11,6 +11,7 @@ import pytest
 from engine import Series, get_model, simulate
 from engine.estimation.quasi_ml import derivatives, neighbours
 from engine.filters import neighbours as module
+from engine.filters.filter_steps import FilterSteps, Thetas
 from engine.filters.neighbours import (
     Visited,
     filter_all,
@@ -18,7 +19,7 @@ from engine.filters.neighbours import (
     followed,
     visited_on,
 )
-from engine.filters.sigma_point import FilterSteps, Thetas, moment_filter, moment_path, run_filter
+from engine.filters.sigma_point import moment_filter, moment_path, run_filter
 
 MODELS = ("mixed-4", "servo", "tanks", "linear-2", "oscillator")
 

@@ -2,19 +2,28 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
+from scipy.stats import t as student_t
 
 import engine
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.tails import fit_tails
 from engine.estimation.quasi_ml import quasi_ml
-from engine.filters.gaussian_sum import outlier_log_terms
-from engine.filters.heavy_tails import with_mixture
-from engine.filters.sigma_point import moment_filter
+from engine.filters.heavy_tails import with_mixture, with_student_t
+from engine.filters.sigma_point import moment_filter, moment_path
 from tests.engine.estimation.test_particle_likelihood import decay, mixture, most_likely, record
 from tests.engine.hidden_effects import DRIVE, hidden
 
 THETA = np.asarray(DRIVE.theta())
+
+
+def outlier_log_terms(model, thetas, series, channel, shares, ratios):
+    """One-step log-densities (T, K) with these shares and ratios of outliers in a channel."""
+    where = "measurement" if channel in model.outputs else "dynamics"
+    known = with_mixture(model, where, channels=[channel])
+    each = np.broadcast_to(thetas, (len(shares), len(model.parameters)))
+    return moment_filter(known, np.column_stack([each, shares, ratios]), series).log_terms
 
 
 @pytest.mark.parametrize("channel", ["reading", "speed", "load"])
@@ -112,3 +121,60 @@ def test_size_gain_and_errors_are_those_of_the_exact_mixture(seed):
     gained = 2.0 * (most_likely(series) - plain.log_likelihood)
     assert cause.gain == pytest.approx(gained, abs=0.5)
     assert abs(share - 7 / 60) < 3.0 * cause.standard_error < 3.0 * 0.12
+
+
+def constant(ny=1):
+    """A constant, known to be zero, read with unit noise: every reading is independent of the others."""
+    return engine.MixedModel(
+        name="constant",
+        linear={"x": "1"},
+        outputs={f"y{i}": "1" for i in range(ny)},
+        parameters=[engine.Parameter("r", 1.0, "1", (1e-3, 1e3))],
+        dynamics=lambda a, u, t, dt, theta: (np.zeros((len(a), 1)), [[1.0]], [[0.0]]),
+        measurement=lambda a, u, t, theta: (
+            np.zeros((len(a), ny)),
+            np.ones((ny, 1)),
+            theta.r**2 * np.eye(ny),
+        ),
+        initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), [0.0], [[0.0]]),
+    )
+
+
+@pytest.mark.parametrize("nu", [1.0, 3.0, 30.0])
+def test_student_t_is_its_density(nu):
+    """Within 4 % at usual readings, within a quarter of a nat at those up to 15 scales away."""
+    y = np.concatenate([np.linspace(-4.0, 4.0, 33), [-15.0, -8.0, 8.0, 15.0]])
+    model, series = with_student_t(constant(), nu_default=nu), engine.Series(y, dt=1.0)
+    terms = moment_filter(model, np.asarray(model.theta())[None], series).log_terms[:, 0]
+    exact = student_t.logpdf(y, nu)
+    usual = np.abs(y) <= 4.0
+    np.testing.assert_allclose(terms[usual], exact[usual], atol=0.04)
+    if nu < 10.0:
+        np.testing.assert_allclose(terms, exact, atol=0.25)
+
+
+def test_the_score_of_a_shift_is_that_of_the_mixture():
+    """S of the path is the one by which the slope of the log-density, -r / S, comes out."""
+    y = np.array([0.3, -1.2, 6.0, 2.5])
+    model = with_mixture(constant(), share_default=0.1, ratio_default=5.0)
+    theta, h = np.asarray(model.theta()), 1e-5
+    path = moment_path(model, theta, engine.Series(y, dt=1.0))
+
+    def log_density(y):
+        return moment_filter(model, theta[None], engine.Series(y, dt=1.0)).log_terms[:, 0]
+
+    slope = (log_density(y + h) - log_density(y - h)) / (2.0 * h)
+    np.testing.assert_allclose(-path.innovations[:, 0] / path.S[:, 0, 0], slope, rtol=1e-6)
+    assert path.log_likelihood == pytest.approx(log_density(y).sum())
+
+
+def test_outliers_of_two_kinds_are_told_by_all_their_combinations():
+    one = with_mixture(constant(2), channels=["y0"], share_default=0.2, ratio_default=4.0, name="a")
+    both = with_mixture(one, channels=["y1"], share_default=0.1, ratio_default=8.0, name="b")
+    y = np.random.default_rng(1).normal(0.0, 2.0, (20, 2))
+    found = moment_filter(both, np.asarray(both.theta())[None], engine.Series(y, dt=1.0))
+    alone = [
+        np.log((1.0 - share) * norm.pdf(v) + share * norm.pdf(v, scale=ratio))
+        for v, share, ratio in zip(y.T, (0.2, 0.1), (4.0, 8.0), strict=True)
+    ]
+    np.testing.assert_allclose(found.log_terms[:, 0], sum(alone), rtol=1e-12)

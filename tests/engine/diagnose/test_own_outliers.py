@@ -1,0 +1,41 @@
+"""Outliers on both sides: of a model that knows them, and of what a diagnosis extends one by."""
+
+import numpy as np
+import pytest
+
+import engine
+
+LEVEL = engine.get_model("local-level")
+KNOWING = engine.with_mixture(LEVEL, share_default=0.08, ratio_default=8.0)
+
+
+def record(seed: int) -> engine.Series:
+    return engine.simulate(KNOWING, None, 300, np.random.default_rng(seed)).series
+
+
+@pytest.mark.parametrize("seed", [101, 103])
+def test_a_model_that_knows_its_outliers_lacks_nothing(seed):
+    found = engine.diagnose(KNOWING, record(seed), seed=seed)
+    assert found.verdict.value == "nothing", str(found)
+
+
+@pytest.mark.parametrize("seed", [101, 103])
+def test_what_outliers_gain_on_held_out_data_is_what_particles_say(seed):
+    """By the filter that knows them, not by one that takes the noise for Gaussian and loses there."""
+    series = record(seed)
+    found = engine.diagnose(LEVEL, series, effects=["heavy-tails", "bias", "step"], seed=seed)
+    assert [cause.effect for cause in found.causes] == ["heavy-tails:flow"]
+    assert found.gain.adopt
+    first = len(series) - found.gain.samples
+
+    def of_held_out(model, theta):
+        def value(part, k):
+            return engine.rbpf(model, theta, part, 500, np.random.default_rng(k)).log_likelihood
+
+        past = series.part(0, first)
+        return np.mean([value(series, k) - value(past, k) for k in range(3)])
+
+    before, after = found.before, found.after
+    gained = of_held_out(after.model, after.theta) - of_held_out(before.model, before.theta)
+    assert found.gain.log_density == pytest.approx(gained, abs=0.5)
+    assert gained > 10.0
