@@ -1,9 +1,9 @@
 """The particle filter's likelihood as a guide to what has no noise, where the moment filter is blind.
 
-A nonlinear state that enters covariances alone, such as a volatility, shows in no moment of y: the moment filter
-takes the noise for Gaussian. The random size of an outlier's noise (:mod:`engine.filters.heavy_tails`) it goes
-through by :mod:`engine.filters.strata`, which is no more than a start where other states are far from Gaussian.
-Parameters that move what has no noise, to
+A nonlinear state that enters covariances alone, such as a volatility, shows in no moment of y: the moment
+filter takes the noise for Gaussian. The random size of an outlier's noise (:mod:`engine.filters.heavy_tails`)
+it goes through by :mod:`engine.filters.strata`, which is no more than a start where other states are far from
+Gaussian. Parameters that move what has no noise, to
 which the Q-function is no guide either, are then moved by the particle filter's likelihood: by differences over
 a third of a standard error to either side with common random numbers, and the outer products of the scores of
 single rows (Berndt, Hall, Hall, Hausman 1974).
