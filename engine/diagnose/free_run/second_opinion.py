@@ -42,6 +42,7 @@ from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Theta
 
 ALARM_SHARE = 0.1  # of the free run's part of a diagnosis
+UNLIKELY = 0.1  # p-value of the alarm below which it is not said that noise explains it all
 SETTLED = 0.2  # of alpha: level of the free run's alarm where the likelihood has an answer
 READ_OTHERWISE = (
     "The likelihood decides: the free run has nothing to say before the record is read otherwise."
@@ -110,7 +111,7 @@ def second_opinion(
         progress(STAGE, ALARM_SHARE)
         if seen.p_value > level:
             extended = settled and bool(named)
-            reason = f"{_noise_explains(seen, extended)}{_part(records, given)}"
+            reason = f"{_noise_explains(seen, level, extended)}{_part(records, given)}"
             missing = None if settled else beside.missing()
             return SecondOpinion(*said, False, reason, seen, missing=missing)
         found = search_free_runs(
@@ -203,7 +204,7 @@ def _decided(
     """Whether the free run decides, and the reason."""
     verdict, first = causes.verdict, found.rounds[0]
     if not first.alarmed:
-        return False, _noise_explains(first.alarm)
+        return False, _noise_explains(first.alarm, first.level)
     if causes.another_shape and _names_no_other(named, found):
         return False, (
             "The likelihood decides: what the free run finds has another shape, as one step ahead shows."
@@ -265,6 +266,8 @@ def _part(records: Sequence[Series], given: Sequence[Series]) -> str:
     return f" It was looked at on {seen} of {every} samples, in {len(records)} stretches."
 
 
-def _noise_explains(seen: Alarm, extended: bool = False) -> str:
+def _noise_explains(seen: Alarm, level: float, extended: bool = False) -> str:
     what = "still gets wrong with what was found" if extended else "gets wrong"
-    return f"The likelihood decides: noise explains what the free run {what} ({seen.probability})."
+    unlikely = seen.p_value < UNLIKELY
+    may, asked = ("may explain", f", where {level:g} is asked") if unlikely else ("explains", "")
+    return f"The likelihood decides: noise {may} what the free run {what} ({seen.probability}{asked})."

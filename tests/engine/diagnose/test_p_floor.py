@@ -61,7 +61,10 @@ def test_the_free_run_s_alarm():
     floor, above = (Alarm(1.0, p, 1.0, 1.0, 2.0, 0.0) for p in (least, 2.0 * least))
     assert "(p <= 0.01)" in _too_far(floor)
     assert "(p = 0.02)" in _too_far(above)
-    assert "(p = 0.02)" in _noise_explains(above)
+    said = _noise_explains(above, 0.01)
+    assert "noise may explain what the free run gets wrong (p = 0.02, where 0.01 is asked)" in said
+    likely = _noise_explains(Alarm(1.0, 0.2, 1.0, 1.0, 2.0, 0.0), 0.01)
+    assert "noise explains what the free run gets wrong (p = 0.6)" in likely
 
 
 def test_a_cause_says_it_everywhere():
