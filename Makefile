@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Byte code is kept whatever the environment says: the tests start a hundred processes.
 PYTEST := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo serve test test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-continuous
+.PHONY: setup demo serve test test-all lint tables measured plasmodes bench warm load large-bodies chaos bench-dask bench-free-run bench-continuous bench-busy-cores
 
 setup: .venv/ready
 
@@ -60,6 +60,10 @@ bench-free-run: setup
 # A diagnosis of differential equations beside that of an older commit: AGAINST=commit, MODEL=tanks or room.
 bench-continuous: setup
 	$(BIN)/python -m tests.benchmarks.bench_continuous --against $(AGAINST) $(if $(MODEL),--model $(MODEL))
+
+# Small matrices in one thread of linear algebra and in all, beside idle and busy cores.
+bench-busy-cores: setup
+	$(BIN)/python -m tests.benchmarks.bench_busy_cores
 
 warm: setup
 	$(BIN)/python -m engine.compile_kernels

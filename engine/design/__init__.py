@@ -31,6 +31,7 @@ from engine.diagnose.search.checkpoint import Parts
 from engine.errors import OptionError, check_count
 from engine.randomness import check_seed
 from engine.statespace.model import MixedModel, ThetaLike
+from engine.threads import single_threaded
 from engine.units import SECOND
 
 __all__ = [
@@ -49,6 +50,7 @@ LONGEST = 100_000  # samples
 Callback = Callable[[str, float], Any]
 
 
+@single_threaded
 def design_experiment(
     diagnosis: Diagnosis | MixedModel,
     bounds: Bounds | Mapping[str, Any],

@@ -54,6 +54,7 @@ from engine.diagnose.two_criteria import Options, ask_both
 from engine.errors import OptionError
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.threads import single_threaded
 from engine.words import meant, number
 
 __all__ = [
@@ -79,6 +80,7 @@ __all__ = [
 TIME_DIGITS = 10  # of a time in words: seconds of a clock are told apart
 
 
+@single_threaded
 def diagnose(  # noqa: PLR0913
     model: MixedModel,
     series: Series | Sequence[Series],
@@ -265,6 +267,7 @@ def diagnose(  # noqa: PLR0913
     )
 
 
+@single_threaded
 def again(
     model: MixedModel,
     series: Series | Sequence[Series],

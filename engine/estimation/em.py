@@ -27,6 +27,7 @@ from engine.estimation.start import WarmStart
 from engine.filters.proposals import Proposal
 from engine.statespace.clock import about_clock
 from engine.statespace.model import MixedModel, Theta, ThetaLike
+from engine.threads import single_threaded
 
 METHODS = ("quasi-newton", "em")
 UPHILL = "uphill"
@@ -34,6 +35,7 @@ STANDS_STILL = "Converged: the iterates stand still."  # there is no Monte Carlo
 WORTH = 20.0  # nats per parameter and ``tolerance`` that Monte Carlo noise may cost
 
 
+@single_threaded
 def rbps_em(  # noqa: PLR0913
     model: MixedModel,
     series: Series | Sequence[Series],
@@ -156,6 +158,7 @@ def rbps_em(  # noqa: PLR0913
     return replace(found, model=given, message=found.message + note)
 
 
+@single_threaded
 def rts_em(
     model: MixedModel,
     series: Series | Sequence[Series],

@@ -37,8 +37,10 @@ from engine.smoothers.moments import Moments
 from engine.statespace.general import NonlinearModel
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.points import Points
+from engine.threads import single_threaded
 
 
+@single_threaded
 def ps_em(  # noqa: PLR0913
     model: MixedModel | NonlinearModel,
     series: Series | Sequence[Series],

@@ -16,6 +16,7 @@ from engine.data.series import Series
 from engine.errors import ModelError
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, Gaussian, LinearGaussian, MixedModel, Theta, ThetaLike
+from engine.threads import single_threaded
 from engine.views import Figures, Shown, figures, plots
 
 SAME = 1e-9  # share of its largest value by which what should not depend on a may do so
@@ -249,6 +250,7 @@ def start_probes(model: MixedModel, record: Any) -> tuple[Array, Array]:
     return probes(mean[:na], sd[:na], np.ones(na)), np.maximum(np.abs(mean), sd)
 
 
+@single_threaded
 def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> KalmanSmoothed:
     """Filter and smooth a linear Gaussian model exactly; missing channels are left out.
 

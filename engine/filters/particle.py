@@ -18,6 +18,7 @@ from engine.filters.rbpf import Filtered, rbpf
 from engine.randomness import Rng, generator
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.promotion import as_nonlinear
+from engine.threads import single_threaded
 from engine.views import Shown
 
 
@@ -89,6 +90,7 @@ class ParticleFiltered(Shown):
         return self.filtered.mean()
 
 
+@single_threaded
 def particle_filter(
     model: MixedModel,
     theta: ThetaLike,

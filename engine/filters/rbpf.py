@@ -26,6 +26,7 @@ from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import squared
+from engine.threads import single_threaded
 from engine.views import Shown, View, sheet, tables
 
 RESAMPLING: dict[str, Callable[[Array, Array], NDArray[np.int64]]] = {
@@ -176,6 +177,7 @@ class Predicted(NamedTuple):
     root_plus: Array
 
 
+@single_threaded
 @repeated_if_refuted
 def rbpf(
     model: MixedModel,

@@ -28,6 +28,7 @@ from engine.smoothers.exact_conditional import condition_on_trajectories
 from engine.smoothers.rb_ffbsi import rb_ffbsi
 from engine.statespace.base import BaseModel
 from engine.statespace.model import Array, MixedModel, ThetaLike
+from engine.threads import single_threaded
 from engine.views import Shown
 
 AFTER_START = ("log_likelihood", "ess", "seconds")  # of a trace
@@ -54,6 +55,7 @@ class Examination(Shown):
         return write_report(self.document, path)
 
 
+@single_threaded
 def examine(
     found: EmResult,
     series: Series | Sequence[Series],

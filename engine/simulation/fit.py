@@ -33,6 +33,7 @@ from engine.statespace.checks import check_start
 from engine.statespace.clock import about_clock
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
+from engine.threads import single_threaded
 from engine.ties import ties_in_words
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
 from engine.words import errors_in_words, tidy
@@ -179,6 +180,7 @@ class SimulationFit(Shown):
         return "no influence" if name in self.silent else "held"
 
 
+@single_threaded
 @repeated_if_refuted
 def fit_simulation(
     model: MixedModel,

@@ -16,6 +16,7 @@ from engine.simulation.simulate import check_finite, noise, propagate
 from engine.simulation.step_length import about_free_runs
 from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.threads import single_threaded
 from engine.units import alike
 from engine.views import Figures, Shown, View, figures, plots, sheet, tables
 from engine.words import tidy
@@ -116,6 +117,7 @@ def root_mean_squares(model: MixedModel, residuals: Array) -> dict[str, float]:
     return dict(zip(model.outputs, np.sqrt(means).tolist(), strict=True))
 
 
+@single_threaded
 def free_run(
     model: MixedModel,
     theta: ThetaLike,

@@ -18,6 +18,7 @@ from engine.statespace.checks import check_start
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import through
+from engine.threads import single_threaded
 from engine.units import SECOND
 from engine.views import Figures, Shown, View, figures, plots
 
@@ -60,6 +61,7 @@ class Simulation(Shown):
         return self.series._view()
 
 
+@single_threaded
 def simulate(
     model: MixedModel,
     theta: ThetaLike,

@@ -14,6 +14,7 @@ from engine.kernels.resampling import stratified
 from engine.randomness import Rng, generator
 from engine.statespace.model import Array
 from engine.statespace.points import Points
+from engine.threads import single_threaded
 from engine.views import Figures, Shown, View, figures, plots, sheet, tables
 
 
@@ -113,6 +114,7 @@ class Smoothed(Shown):
         )
 
 
+@single_threaded
 def rb_ffbsi(
     filtered: Filtered,
     n_trajectories: int,

@@ -270,4 +270,6 @@ def _noise_explains(seen: Alarm, level: float, extended: bool = False) -> str:
     what = "still gets wrong with what was found" if extended else "gets wrong"
     unlikely = seen.p_value < UNLIKELY
     may, asked = ("may explain", f", where {level:g} is asked") if unlikely else ("explains", "")
-    return f"The likelihood decides: noise {may} what the free run {what} ({seen.probability}{asked})."
+    return (
+        f"The likelihood decides: noise {may} what the free run {what} ({seen.probability}{asked})."
+    )

@@ -43,6 +43,7 @@ from engine.estimation.uncertainty.observed import StandardErrors, standard_erro
 from engine.estimation.uncertainty.score import Score
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.threads import single_threaded
 from engine.views import Shown, View, sheet, tables
 
 STEP_ERRORS = 0.7  # between the values of theta_k, in standard errors ...
@@ -103,6 +104,7 @@ class LikelihoodIntervals(Shown):
         return sheet(title, tables().line(self.warning), tables().table(head, rows))
 
 
+@single_threaded
 def likelihood_intervals(  # noqa: PLR0913
     model: MixedModel,
     theta: ThetaLike,

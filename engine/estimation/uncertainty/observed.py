@@ -35,6 +35,7 @@ from engine.estimation.uncertainty.score import Score, inside, shift_within
 from engine.estimation.uncertainty.ties import undetermined
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.threads import single_threaded
 from engine.ties import tied, ties_in_words, to_hold
 from engine.views import html, save, tables
 from engine.words import percent
@@ -181,6 +182,7 @@ class StandardErrors:
         return "tied to others" if name in self.tied else "held"
 
 
+@single_threaded
 def standard_errors(
     model: MixedModel,
     theta: ThetaLike | Estimate,
