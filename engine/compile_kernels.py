@@ -30,9 +30,10 @@ from engine.diagnose.screening.tails import prediction_pit
 from engine.estimation.em import rbps_em, rts_em
 from engine.estimation.quasi_ml import quasi_ml
 from engine.filters.filter_steps import FilterSteps, Thetas
+from engine.filters.heavy_tails import with_mixture
 from engine.filters.neighbours import followed
 from engine.filters.rbpf import RESAMPLING, rbpf
-from engine.filters.sigma_point import moment_path
+from engine.filters.sigma_point import moment_filter, moment_path
 from engine.kernels.excitation import within_bounds
 from engine.kernels.pairs import best_pairs
 from engine.kernels.sensitivities import footprints
@@ -69,6 +70,8 @@ def warm() -> dict[str, set[Any]]:
     rts_em(walk, short, n_iterations=1)
     quasi_ml(walk, short)
     followed(FilterSteps(walk, Thetas(walk, np.asarray(walk.theta())), short))
+    level = with_mixture(get_model("local-level"))
+    moment_filter(level, np.asarray(level.theta())[None], short)
     path = moment_path(walk, walk.theta(), short)
     T, nx, ny = len(short), walk.nx, walk.ny
     footprints(path.F, path.H, path.K, np.zeros((T - 1, nx)), np.zeros((T, ny)), np.ones((T, 1)))

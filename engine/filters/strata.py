@@ -9,7 +9,9 @@ and favour whatever noise is wider.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -18,7 +20,11 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
 from engine.kernels.moments import gaussian_update, slopes
-from engine.statespace.model import Array, MixedModel
+from engine.kernels.strata import filter_strata
+from engine.statespace.model import Array, LinearGaussian, MixedModel
+from engine.statespace.points import Points
+
+NUMBERS = 4_000_000  # in the arrays of one block of rows, at most
 
 
 class StrataSteps(FilterSteps):
@@ -53,6 +59,27 @@ class StrataSteps(FilterSteps):
         rows = np.ascontiguousarray(f[:, self._others])
         return rows, np.ascontiguousarray(A[:, self._others]), self._apart(Q)
 
+    def at(self, rows: NDArray[np.intp], transition: bool) -> LinearGaussian:
+        """Observation or transition of linear others at many rows, (B, K J, .) and (B or 1, K J, ., .)."""
+        each = []
+        for k, points in enumerate(self._points):
+            f, *matrices = points.at(rows, self.model.record(self.thetas.thetas[k]), transition)
+            wide = (np.broadcast_to(x, (len(x), self.J, *x.shape[2:])) for x in matrices)
+            each.append((f, *wide))
+        f, A, Q = (_side_by_side(parts) for parts in zip(*each, strict=True))
+        if not transition:
+            return f, A, Q
+        others = self._others
+        f, A, Q = f[:, :, others], A[:, :, others], Q[:, :, others[:, None], others]
+        return np.ascontiguousarray(f), np.ascontiguousarray(A), np.ascontiguousarray(Q)
+
+    @cached_property
+    def _points(self) -> list[Points]:
+        """The strata of each theta, at every time."""
+        g = self._g.reshape(-1, self.J, len(self._at))[:, :, np.argsort(self._at)]
+        T = len(self.series)
+        return [Points(self.model, self.series, np.broadcast_to(one, (T, *one.shape))) for one in g]
+
     def renewed(self, mean: Array, cov: Array) -> tuple[Array, Array]:
         """Each stratum's moments (K J, ...) from those that were kept (K, ...)."""
         return np.repeat(mean, self.J, axis=0), np.repeat(cov, self.J, axis=0)
@@ -72,19 +99,18 @@ class StrataSteps(FilterSteps):
         return mean, cov, total
 
     def seen(self, y_mean: Array, S: Array, log_w: Array) -> tuple[Array, Array]:
-        """The predicted reading (K, ny), and the S (K, ny, ny) by which the score of a shift comes out.
+        """The predicted readings (B, K, ny), and the S (B, K, ny, ny) by which the score of a shift comes out.
 
-        S^{-1} is the mean of the strata's, weighed by what y_t says of them (``log_w`` (K, J)): an outlier
+        S^{-1} is the mean of the strata's, weighed by what y_t says of them (``log_w`` (B, K, J)): an outlier
         counts for little, as in the likelihood.
         """
-        K, ny = len(log_w), y_mean.shape[1]
-        y, own = np.exp(self.log_shares)[:, :, None] * y_mean.reshape(K, self.J, ny), S
-        total = np.logaddexp.reduce(log_w, axis=1)
-        w = np.exp(log_w - total[:, None])[:, :, None, None]
+        shape, ny = log_w.shape, y_mean.shape[2]
+        y = (np.exp(self.log_shares)[:, :, None] * y_mean.reshape(*shape, ny)).sum(axis=2)
+        w = np.exp(log_w - np.logaddexp.reduce(log_w, axis=2)[:, :, None])[..., None, None]
         with suppress(np.linalg.LinAlgError):
-            inverses = np.linalg.inv(S).reshape(K, self.J, ny, ny)
-            return y.sum(axis=1), np.linalg.inv((w * inverses).sum(axis=1))
-        return y.sum(axis=1), (w * own.reshape(K, self.J, ny, ny)).sum(axis=1)
+            inverses = np.linalg.inv(S).reshape(*shape, ny, ny)
+            return y, np.linalg.inv((w * inverses).sum(axis=2))
+        return y, (w * S.reshape(*shape, ny, ny)).sum(axis=2)  # of readings without any noise
 
     def keep(self, kept: dict[str, Array], name: str, t: int, values: Array) -> None:
         """One of the others' moments or slopes as a row of all states': g has no part in any of them."""
@@ -113,6 +139,13 @@ class StrataSteps(FilterSteps):
         return np.ascontiguousarray(P[:, self._others[:, None], self._others])
 
 
+def _side_by_side(parts: Sequence[Array]) -> Array:
+    """Of K thetas (B or 1, J, ...) as one (B or 1, K J, ...)."""
+    times = max(len(one) for one in parts)
+    each = [np.broadcast_to(one, (times, *one.shape[1:])) for one in parts]
+    return np.concatenate(each, axis=1)
+
+
 def _strata(model: MixedModel, theta: Array) -> tuple[Array, Array]:
     """Values of all states g (J, n), and the probability of each (J,): all combinations of their strata."""
     each = []
@@ -128,24 +161,49 @@ def filter_in_strata(run: StrataSteps) -> tuple[Array, Array, Array]:
 
     S as :meth:`StrataSteps.seen` has it; zero where nothing was measured.
     """
-    series, T, K, ny = run.series, len(run.series), run.thetas.K, run.model.ny
-    innovations, S = np.full((T, K, ny), np.nan), np.zeros((T, K, ny, ny))
-    terms = np.zeros((T, K))
+    series, T, (K, J), ny = run.series, len(run.series), run.log_shares.shape, run.model.ny
+    y_mean, S = np.zeros((T, K * J, ny)), np.zeros((T, K * J, ny, ny))
+    log_w, terms = np.empty((T, K, J)), np.zeros((T, K))
+    (_all_at_once if run.na == 0 else _step_by_step)(run, y_mean, S, log_w, terms)
+    innovations, shown = np.full((T, K, ny), np.nan), np.zeros((T, K, ny, ny))
+    there = np.flatnonzero(np.asarray(series.observed).any(axis=1))
+    predicted, shown[there] = run.seen(y_mean[there], S[there], log_w[there])
+    innovations[there] = series.y[there][:, None] - predicted
+    return innovations, shown, terms
+
+
+def _step_by_step(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms: Array) -> None:
+    """What was predicted, weights and terms, of a model whose other states are not all linear."""
+    series, T, shape = run.series, len(run.series), run.log_shares.shape
     measured: NDArray[np.bool_] = np.asarray(series.observed.any(axis=1))
     m, P = run.start()
     for t in range(T):
-        log_w = run.log_shares
+        log_w[t] = run.log_shares
         if measured[t]:
-            y_mean, S_t, cross = run.through(run.observation, t, m, P)
-            m, P, log_p = gaussian_update(m, P, y_mean, S_t, cross, series.y[t])
-            log_w = log_p.reshape(K, run.J) + log_w
-            predicted, S[t] = run.seen(y_mean, S_t, log_w)
-            innovations[t] = series.y[t] - predicted
-        mean, cov, terms[t] = run.merged(m, P, log_w)
+            y_mean[t], S[t], cross = run.through(run.observation, t, m, P)
+            m, P, log_p = gaussian_update(m, P, y_mean[t], S[t], cross, series.y[t])
+            log_w[t] += log_p.reshape(shape)
+        mean, cov, total = run.merged(m, P, log_w[t])
+        terms[t] = total if measured[t] else 0.0
         if t < T - 1:
             m, P, _ = run.through(run.transition, t, *run.renewed(mean, cov))
-    terms[~measured] = 0.0  # where the shares' sum is 1 but for rounding
-    return innovations, S, terms
+
+
+def _all_at_once(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms: Array) -> None:
+    """The same of one whose other states are linear, evaluated for many rows in one call."""
+    T, y = len(run.series), run.series.y
+    m, P = run.start()
+    length = max(NUMBERS // (len(m) * m.shape[1] * max(m.shape[1], y.shape[1], 1)), 2)
+    first = 0
+    while first < T:
+        last = T if first + length >= T - 1 else first + length
+        seen = run.at(np.arange(first, last), False)
+        moved = run.at(np.arange(first, min(last, T - 1)), True)
+        own = slice(first, last)
+        filter_strata(
+            y[own], seen, moved, run.log_shares, m, P, y_mean[own], S[own], log_w[own], terms[own]
+        )
+        first = last
 
 
 def path_in_strata(run: StrataSteps, kept: dict[str, Array]) -> float:
@@ -166,8 +224,8 @@ def path_in_strata(run: StrataSteps, kept: dict[str, Array]) -> float:
         m, P, log_p = gaussian_update(m, P, y_mean, S, cross, series.y[t])
         log_w = log_p[None] + run.log_shares
         mean, cov, term = run.merged(m, P, log_w)
-        predicted, seen = run.seen(y_mean, S, log_w)
-        kept["innovations"][t], kept["S"][t] = series.y[t] - predicted[0], seen[0]
+        predicted, seen = run.seen(y_mean[None], S[None], log_w[None])
+        kept["innovations"][t], kept["S"][t] = series.y[t] - predicted[0, 0], seen[0, 0]
         gain = _gain(np.exp(log_w[0] - term[0]), S, cross, observed[t])
         run.keep(kept, "K", t, gain)
         run.keep(kept, "filtered", t, mean[0])

@@ -6,10 +6,12 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 import engine
+from engine.data.joined import together
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.tails import fit_tails
 from engine.estimation.quasi_ml import quasi_ml
+from engine.filters import strata
 from engine.filters.heavy_tails import with_mixture, with_student_t
 from engine.filters.sigma_point import moment_filter, moment_path
 from tests.engine.estimation.test_particle_likelihood import decay, mixture, most_likely, record
@@ -178,3 +180,30 @@ def test_outliers_of_two_kinds_are_told_by_all_their_combinations():
         for v, share, ratio in zip(y.T, (0.2, 0.1), (4.0, 8.0), strict=True)
     ]
     np.testing.assert_allclose(found.log_terms[:, 0], sum(alone), rtol=1e-12)
+
+
+@pytest.mark.parametrize("where", ["measurement", "dynamics"])
+@pytest.mark.parametrize("length", [17, 10**9])
+def test_linear_models_are_filtered_for_many_rows_at_once(where, length, monkeypatch):
+    """As step by step: with rows missing, records together, irregular times, and thetas beside each other."""
+    level = engine.get_model("local-level")
+    model = with_mixture(level, where, share_default=0.1, ratio_default=6.0)
+    rng, each = np.random.default_rng(3), []
+    for n in (40, 30):
+        t = np.cumsum(rng.uniform(0.5, 1.5, n))
+        y = engine.simulate(model, None, n, rng, t=t).series.y.copy()
+        y[5:9] = np.nan
+        each.append(engine.Series(y, t=t))
+    thetas = np.repeat(np.asarray(model.theta())[None], 3, axis=0)
+    thetas[1] *= 1.1
+    thetas[2, -1] = 3.0
+    monkeypatch.setattr(strata, "NUMBERS", length)
+    for series in (each[0], together(each)):
+        whole = moment_filter(model, thetas, series)
+        with monkeypatch.context() as other:
+            other.setattr(strata, "_all_at_once", strata._step_by_step)
+            by_step = moment_filter(model, thetas, series)
+        for name in ("innovations", "S", "log_terms"):
+            np.testing.assert_allclose(
+                getattr(whole, name), getattr(by_step, name), rtol=1e-9, atol=1e-9
+            )
