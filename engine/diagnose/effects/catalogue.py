@@ -7,6 +7,7 @@ from makers registered with :func:`register_effect`, those shipped and anybody's
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -117,14 +118,20 @@ def make_effect(name: str, setting: Setting) -> Effect:
 
 
 def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Effect]:
-    """Every effect of the catalogue for a model but those it has; ``kinds`` restricts to kinds or names."""
+    """Every effect of the catalogue for a model but those it has; ``kinds`` restricts to kinds or names.
+
+    None of a state that only scales noise: nothing physical acts on it.
+    """
     out: list[Effect] = []
     there = set(setting.model.parameter_names)
+    scales = {one.state for one in setting.model.random_scales}
     for kind, (maker, channels) in _makers.items():
         if kind in COUNTING and not setting.tells_samples:
             continue
         for channel in channels(setting):
             if kinds is not None and kind not in kinds and f"{kind}:{channel}" not in kinds:
+                continue
+            if not scales.isdisjoint(re.split("->|,", channel)):
                 continue
             effect = maker(setting, channel)
             if effect is not None and there.isdisjoint(p.name for p in effect.parameters):

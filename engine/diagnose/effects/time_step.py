@@ -59,6 +59,8 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
 def _where(setting: Setting) -> Iterator[str]:
     """Where dt is a real time step, and halving it changes something."""
     model = setting.model
+    scales = [one.state for one in model.random_scales]  # which have no memory
+    others = ~np.isin([*model.nonlinear, *model.linear], scales)
     points, theta = setting.points(model)
     moves, short, halves = [], [], []
     for x, u, t, dt in zip(points.x, points.u, points.t, points.dt / setting.substeps, strict=True):
@@ -69,7 +71,7 @@ def _where(setting: Setting) -> Iterator[str]:
         halves.append(step(model, theta, half, u, t + 0.5 * dt, 0.5 * dt) - whole)
         short.append(step(model, theta, here, u, t, SHORTER * dt) - here)
     whole, little, change = (
-        np.sqrt(np.mean(np.square(x), axis=0))[0] for x in (moves, short, halves)
+        np.sqrt(np.mean(np.square(x), axis=0))[0, others] for x in (moves, short, halves)
     )
     if (little <= HARDLY * whole).all() and (change > ROUNDING * whole).any():
         yield CHANNEL

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import engine
+from engine.diagnose import all_effects
+from engine.diagnose.effects.setting import Setting
 
 LEVEL = engine.get_model("local-level")
 KNOWING = engine.with_mixture(LEVEL, share_default=0.08, ratio_default=8.0)
@@ -39,3 +41,14 @@ def test_what_outliers_gain_on_held_out_data_is_what_particles_say(seed):
     gained = of_held_out(after.model, after.theta) - of_held_out(before.model, before.theta)
     assert found.gain.log_density == pytest.approx(gained, abs=0.5)
     assert gained > 10.0
+
+
+def test_nothing_acts_on_a_state_that_only_scales_noise():
+    tanks = engine.get_model("tanks")
+    known = engine.with_mixture(tanks, name="glitch")
+    names = [effect.name for effect in all_effects(Setting(known))]
+    usual = [effect.name for effect in all_effects(Setting(tanks))]
+    assert not [name for name in names if "g_glitch" in name]
+    more = {"parameter-step:glitch_share", "parameter-drift:glitch_share"}
+    more |= {one.replace("share", "ratio") for one in more}
+    assert set(names) == {*usual, *more}
