@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from engine.data.series import Series
 from engine.filters.filter_steps import FilterSteps, Thetas, lost_at
 from engine.kernels.moments import gaussian_update, slopes
-from engine.kernels.strata import filter_strata
+from engine.kernels.strata import filter_strata, merge
 from engine.statespace.model import Array, LinearGaussian, MixedModel
 from engine.statespace.points import Points
 
@@ -183,10 +183,10 @@ def _step_by_step(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms
             y_mean[t], S[t], cross = run.through(run.observation, t, m, P)
             m, P, log_p = gaussian_update(m, P, y_mean[t], S[t], cross, series.y[t])
             log_w[t] += log_p.reshape(shape)
-        mean, cov, total = run.merged(m, P, log_w[t])
-        terms[t] = total if measured[t] else 0.0
+        merge(m, P, log_w[t], terms[t])
         if t < T - 1:
-            m, P, _ = run.through(run.transition, t, *run.renewed(mean, cov))
+            m, P, _ = run.through(run.transition, t, m, P)
+    terms[~measured] = 0.0  # where the shares' sum is 1 but for rounding
 
 
 def _all_at_once(run: StrataSteps, y_mean: Array, S: Array, log_w: Array, terms: Array) -> None:

@@ -27,10 +27,10 @@ def filter_strata(y, seen, moved, log_shares, m, P, y_mean, S, log_w, terms):
             y_mean[t], S[t], cross = transform(h[t], C_t, R_t, z, P, offsets, 0)
             m[:], P[:], log_p = gaussian_update(m, P, y_mean[t], S[t], cross, y[t])
             log_w[t] = log_p.reshape(log_shares.shape) + log_shares
-            _merge(m, P, log_w[t], terms[t])
+            merge(m, P, log_w[t], terms[t])
         else:
             log_w[t] = log_shares
-            _merge(m, P, log_w[t], terms[t])
+            merge(m, P, log_w[t], terms[t])
             terms[t] = 0.0
         if t < f.shape[0]:
             z = m.copy().reshape(copies, 1, n)
@@ -39,7 +39,7 @@ def filter_strata(y, seen, moved, log_shares, m, P, y_mean, S, log_w, terms):
 
 
 @njit(cache=True, error_model="numpy")
-def _merge(m, P, log_w, total):
+def merge(m, P, log_w, total):
     """Mean and covariance of each mixture in place of its Gaussians'; the logarithm of its weights' sum."""
     K, J = log_w.shape
     n = m.shape[1]
