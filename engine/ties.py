@@ -32,6 +32,13 @@ def flat_directions(information: Array) -> Array:
     return np.asarray(vectors[:, values < FLAT**2 * values.max(initial=1.0)])
 
 
+def scaled_inverse(matrix: Array) -> Array:
+    """The inverse of an information or covariance (n, n), with a unit diagonal: units may be far apart."""
+    scale = np.sqrt(np.diag(matrix))
+    both = scale[:, None] * scale
+    return np.asarray(np.linalg.inv(matrix / both) / both)
+
+
 def tied(directions: Array) -> NDArray[np.bool_]:
     """Which parameters (n,) have a part in the directions (n, m): nothing can be said of one alone."""
     return np.asarray(np.linalg.norm(directions, axis=1) > TIED)

@@ -294,7 +294,9 @@ def derivatives(
 ) -> tuple[float, Array, Array]:
     """Log-likelihood, gradient (n,) and information (n, n) in the free parameters.
 
-    ``visited``, one for each series, is what a search hands on from theta to theta.
+    ``visited``, one for each series, is what a search hands on from theta to theta. Where noise has a random
+    scale the information is that of the predicted means, and beside it what the other part of the rows' scores
+    tells (Berndt, Hall, Hall, Hausman 1974): of outliers the moments of y do not have it.
     """
     thetas, distances = neighbours(model, theta, indices)
     n = len(indices)
@@ -308,13 +310,15 @@ def derivatives(
         # a lost neighbour: the value is -inf below
         with np.errstate(invalid="ignore", over="ignore"):
             g += (total[2::2] - total[1::2]) / distances
-            if model.random_scales:
-                H += _products(f.log_terms, distances)
-                continue
             d_nu = np.nan_to_num(f.innovations[:, 2::2] - f.innovations[:, 1::2])
             d_S = f.S[:, 2::2] - f.S[:, 1::2]
             root = whitening(f.S[:, 0], one.observed)
             z = np.einsum("tij,tkj->kti", root, d_nu / distances[:, None])
+            if model.random_scales:
+                by_mean = np.einsum("kti,tij,tj->tk", z, root, np.nan_to_num(f.innovations[:, 0]))
+                rest = (f.log_terms[:, 2::2] - f.log_terms[:, 1::2]) / distances + by_mean
+                H += np.einsum("kti,lti->kl", z, z) + rest.T @ rest
+                continue
             z = z.reshape(n, root.shape[0] * root.shape[1])
             E = root[:, None] @ (d_S / distances[:, None, None]) @ root[:, None].swapaxes(-1, -2)
             E = E.swapaxes(0, 1).reshape(n, root.size)
@@ -322,15 +326,6 @@ def derivatives(
     if not (np.isfinite(g).all() and np.isfinite(H).all()):
         value = -np.inf
     return value, g, H
-
-
-def _products(terms: Array, distances: Array) -> Array:
-    """Information (n, n) from the slopes of single rows (Berndt, Hall, Hall, Hausman 1974).
-
-    Of outliers, whose information the moments of y do not have.
-    """
-    slopes = (terms[:, 2::2] - terms[:, 1::2]) / distances
-    return np.asarray(slopes.T @ slopes)
 
 
 def whitening(S: Array, observed: NDArray[np.bool_]) -> Array:

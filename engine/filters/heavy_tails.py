@@ -23,7 +23,7 @@ from scipy.special import gammainccinv, gammaincinv, ndtr, ndtri
 
 from engine.errors import OptionError
 from engine.filters.proposals import Step
-from engine.filters.scale_mixture_proposal import MixingProposal
+from engine.filters.scale_mixture_proposal import MixingProposal, WithoutScale
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import product
 from engine.statespace.random_scale import RandomScale
@@ -208,6 +208,25 @@ def _with_mixing(
         Q[..., na, na] = 1.0
         return f, A, Q
 
+    def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
+        inner = np.ascontiguousarray(a[:, :na])
+        h, C, R = model.observation(inner, u, t, model.record(theta[:n]))
+        return h, C, R * factors(a[:, na], theta) if where == "measurement" else R
+
+    def propose(step: Step) -> tuple[Array, Array]:
+        """Draw all of a, g included, of this model or of one that effects were added to."""
+        values = [getattr(step.theta, name) for name in new]
+        others = WithoutScale(step.model, state, float(mixing.mean(values)))
+        usual = mixing.roots(np.array([others.g]), values, mask)
+        return MixingProposal(
+            others,
+            step.theta,
+            float(mixing.mean(values)),
+            mixing.edges(values),
+            lambda g: mixing.roots(g, values, mask) / usual,
+            where == "measurement",
+        )(step)
+
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         start = model.start(model.record(theta[:n]))
         mean = float(mixing.mean(theta[n:]))
@@ -224,47 +243,11 @@ def _with_mixing(
         nonlinear={**model.nonlinear, state: "1"},
         parameters=[*model.parameters, *mixing.parameters],
         dynamics=dynamics,
-        measurement=Scaled(model, mixing, mask, where == "measurement"),
+        measurement=measurement,
         initial=initial,
         equations=[*model.equations, f"{where}: noise scaled by s({state}), {state} ~ N(m, 1)"],
         random_scales=[
             *model.random_scales,
-            RandomScale(state, tuple(new), mixing.mean, mixing.edges),
+            RandomScale(state, tuple(new), mixing.mean, mixing.edges, propose),
         ],
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Scaled:
-    """The measurement of the extended model, with the proposal that suits it.
-
-    "adapted" asks it to ``propose``, as its own linearisation is blind for g, which only scales R.
-    """
-
-    model: MixedModel
-    mixing: Mixing
-    mask: Array
-    scales: bool
-
-    def __call__(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array, Array]:
-        """h, C and s R."""
-        n, na = len(self.model.parameters), self.model.na
-        inner = np.ascontiguousarray(a[:, :na])
-        h, C, R = self.model.observation(inner, u, t, self.model.record(theta[:n]))
-        if self.scales:
-            root = self.mixing.roots(a[:, na], theta[n:], self.mask)
-            R = R * root[:, :, None] * root[:, None, :]
-        return h, C, R
-
-    def propose(self, step: Step) -> tuple[Array, Array]:
-        """Draw (a, g); see :class:`engine.filters.scale_mixture_proposal.MixingProposal`."""
-        n = len(self.model.parameters)
-        values = step.theta[n:]
-        return MixingProposal(
-            self.model,
-            self.model.record(step.theta[:n]),
-            float(self.mixing.mean(values)),
-            self.mixing.edges(values),
-            lambda g: self.mixing.roots(g, values, self.mask),
-            self.scales,
-        )(step)

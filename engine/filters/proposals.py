@@ -16,7 +16,7 @@ import numpy as np
 from engine.errors import OptionError
 from engine.kernels.adapted import draw_adapted, spread_points
 from engine.kernels.filtering import draw_prior
-from engine.statespace.model import Array, MixedModel, stacked
+from engine.statespace.model import Array, stacked
 
 INFLATION = 1.3  # the adapted covariance is widened: the linearisation is only a guess
 DEFENSIVE = 0.1  # share drawn from the prediction, so that no weight exceeds 10 bootstrap weights
@@ -31,7 +31,7 @@ class Step:
     in seconds; ``theta`` a record. ``roots`` (M, ny), if given, scale the measurement noise of each particle.
     """
 
-    model: MixedModel
+    model: Any
     theta: Any
     mu: Array
     L: Array
@@ -55,14 +55,14 @@ def bootstrap(step: Step) -> tuple[Array, None]:
 def adapted(step: Step) -> tuple[Array, Array | None]:
     """Draw near where y says a should be: an extended Kalman step per particle, safeguarded.
 
-    See :func:`engine.kernels.filtering.draw_adapted`. Without any measurement it is ``bootstrap``. A
-    measurement that knows better brings a ``propose(step)`` of its own, see :mod:`engine.filters.heavy_tails`.
+    See :func:`engine.kernels.filtering.draw_adapted`. Without any measurement it is ``bootstrap``. A random
+    scale of the noise brings a ``propose(step)`` of its own, see :mod:`engine.filters.scale_mixture_proposal`.
     """
     model, M, na = step.model, len(step.ancestors), step.model.na
     if na == 0 or not any(value == value for value in step.y.tolist()):  # NaN throughout
         return bootstrap(step)
-    if step.roots is None and hasattr(model.measurement, "propose"):
-        drawn: tuple[Array, Array | None] = model.measurement.propose(step)
+    if model.random_scales:
+        drawn: tuple[Array, Array | None] = model.random_scales[-1].propose(step)
         return drawn
     points = spread_points(step.mu, step.L, step.ancestors, na)
     h, C, R = model.observation(points, step.u, step.t, step.theta)

@@ -20,19 +20,35 @@ from engine.filters.proposals import Step, adapted
 from engine.kernels.adapted import spread_points
 from engine.kernels.filtering import condition
 from engine.kernels.scale_mixture import log_innovations
-from engine.statespace.model import Array, MixedModel, stacked
+from engine.statespace.model import Array, LinearGaussian, MixedModel, stacked
 
 SHARE_OF_PRIOR = 0.1  # of the draws of g, so that no weight is more than ten times as large
 
 
+class WithoutScale:
+    """What a proposal asks of a model, without one of its states g, which is held at a value."""
+
+    def __init__(self, model: MixedModel, state: str, g: float) -> None:
+        self.model, self.g = model, g
+        self.at = list(model.nonlinear).index(state)
+        self.na = model.na - 1
+        self.nonlinear = {k: unit for k, unit in model.nonlinear.items() if k != state}
+        self.random_scales = [one for one in model.random_scales if one.state != state]
+
+    def observation(self, a: Array, u: Any, t: Any, theta: Any) -> LinearGaussian:
+        """h, C and R at points a (M, na) of the others."""
+        whole = np.insert(a, self.at, self.g, axis=1)
+        return self.model.observation(np.ascontiguousarray(whole), u, t, theta)
+
+
 @dataclass(frozen=True, eq=False)
 class MixingProposal:
-    """For x = (a, g, z): ``model`` and its ``record`` without g; g ~ N(mean, 1) with ``edges`` (K + 1,)
+    """For the model ``others`` of all states but g and a ``record``; g ~ N(mean, 1) with ``edges`` (K + 1,)
 
     of strata of Phi(g - mean); ``roots`` g -> factors of standard deviations, of R (``informed``) or Q.
     """
 
-    model: MixedModel
+    others: WithoutScale
     record: Any
     mean: float
     edges: Array
@@ -41,18 +57,18 @@ class MixingProposal:
 
     def __call__(self, step: Step) -> tuple[Array, Array]:
         """The draws (M, na + 1) and their log density (M,)."""
-        M, na = len(step.ancestors), self.model.na
-        rows = np.delete(np.arange(step.mu.shape[1]), na)
+        M, na = len(step.ancestors), self.others.na
+        rows = np.delete(np.arange(step.mu.shape[1]), self.others.at)
         inner = replace(
             step,
-            model=self.model,
+            model=self.others,
             theta=self.record,
             mu=np.ascontiguousarray(step.mu[:, rows]),
             L=np.ascontiguousarray(step.L[:, rows[:, None], rows]),
         )
         if self.informed:
             g, log_q = self._draw_informed(inner)
-            inner.roots = self.roots(g)
+            inner.roots = self.roots(g) if step.roots is None else self.roots(g) * step.roots
         else:  # what s does shows in the next y only: cover its whole prior
             u = (step.rng.permutation(M) + step.rng.random(M)) / M
             g = self.mean + ndtri(u)
@@ -62,15 +78,18 @@ class MixingProposal:
         a, log_q_a = adapted(inner)
         if log_q_a is None:
             log_q_a = condition(inner.mu, inner.L, inner.ancestors, np.ascontiguousarray(a))[2]
-        return np.concatenate([a, g[:, None]], axis=1), log_q + log_q_a
+        return np.insert(a, self.others.at, g, axis=1), log_q + log_q_a
 
     def _draw_informed(self, inner: Step) -> tuple[Array, Array]:
         """g (M,) and log q(g) (M,)."""
         M, rng = len(inner.ancestors), inner.rng
         share = np.diff(self.edges)
         middle = self.mean + ndtri(0.5 * (self.edges[1:] + self.edges[:-1]))
-        points = spread_points(inner.mu, inner.L, inner.ancestors, self.model.na)
-        h, C, R = self.model.observation(points, inner.u, inner.t, self.record)
+        points = spread_points(inner.mu, inner.L, inner.ancestors, self.others.na)
+        h, C, R = self.others.observation(points, inner.u, inner.t, self.record)
+        if inner.roots is not None:  # of another scale
+            each = np.tile(inner.roots, (len(points) // M, 1))
+            R = R * each[:, :, None] * each[:, None, :]
         roots = self.roots(middle)
         log_p = log_innovations(
             inner.mu, inner.L, inner.ancestors, h, stacked(C), stacked(R), roots, inner.y

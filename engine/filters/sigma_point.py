@@ -54,7 +54,8 @@ class MomentPath:
 
     ``predicted``, ``filtered`` (T, nx) means of x with covariances ``P_predicted``, ``P_filtered``;
     ``innovations`` (T, ny), ``S`` (T, ny, ny); gains ``K`` (T, nx, ny) = Cov(x_t, y_t) S^{-1}, zero for missing
-    channels; slopes ``H`` (T, ny, nx) of y_t and ``F`` (T-1, nx, nx) of x_{t+1} along x_t.
+    channels; slopes ``H`` (T, ny, nx) of y_t and ``F`` (T-1, nx, nx) of x_{t+1} along x_t. ``S`` is the one by
+    which scores come out, ``S_predicted`` the covariance that was predicted: another if noise is not Gaussian.
     """
 
     predicted: Array
@@ -66,6 +67,7 @@ class MomentPath:
     K: Array
     H: Array
     F: Array
+    S_predicted: Array
     log_likelihood: float
 
 
@@ -155,6 +157,7 @@ def _nothing_kept(model: MixedModel, T: int) -> dict[str, Array]:
         "P_filtered": np.empty((T, nx, nx)),
         "innovations": np.empty((T, ny)),
         "S": np.empty((T, ny, ny)),
+        "S_predicted": np.empty((T, ny, ny)),
         "K": np.zeros((T, nx, ny)),
         "H": np.empty((T, ny, nx)),
         "F": np.empty((T - 1, nx, nx)),
@@ -184,6 +187,7 @@ def _keep(run: FilterSteps, kept: dict[str, Array]) -> float:
             before = P
             m, P, cross = run.through(run.transition, t, m, P)
             kept["F"][t] = slopes(cross[0], before[0])
+    kept["S_predicted"] = kept["S"]
     return total
 
 

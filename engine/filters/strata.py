@@ -220,6 +220,7 @@ def path_in_strata(run: StrataSteps, kept: dict[str, Array]) -> float:
         run.keep(kept, "predicted", t, mean[0])
         run.keep(kept, "P_predicted", t, cov[0])
         y_mean, S, cross = run.through(run.observation, t, m, P)
+        kept["S_predicted"][t] = run.merged(y_mean, S, run.log_shares)[1][0]
         run.keep(kept, "H", t, slopes(np.tensordot(shares, cross, 1), cov[0]))
         m, P, log_p = gaussian_update(m, P, y_mean, S, cross, series.y[t])
         log_w = log_p[None] + run.log_shares

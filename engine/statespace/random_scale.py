@@ -19,6 +19,7 @@ from scipy.special import ndtri
 class RandomScale:
     """The nonlinear ``state`` g ~ N(mean, 1), drawn anew at every time and independent of all others.
 
+    ``propose(step)`` draws it and the other nonlinear states, see :mod:`engine.filters.proposals`.
     ``mean(values)`` and ``edges(values)`` (J + 1,) of strata of Phi(g - mean) from 0 to 1, for the values of
     the ``parameters`` with these names.
     """
@@ -27,6 +28,7 @@ class RandomScale:
     parameters: tuple[str, ...]
     mean: Callable[[Any], Any]
     edges: Callable[[Any], NDArray[np.float64]]
+    propose: Callable[[Any], tuple[NDArray[np.float64], NDArray[np.float64]]]
 
     def strata(self, values: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """g in the middle of each stratum (J,), and how probable that is (J,)."""

@@ -132,5 +132,8 @@ def _response(path: MomentPath, series: Series, b: Array, e: Array, frequencies:
     turn = np.exp(2j * np.pi * frequencies * step)[:, None, None] * np.eye(len(F))
     x = np.linalg.solve(turn - F @ (np.eye(len(F)) - K @ H), (b - F @ K @ e)[:, None])
     g = (H @ x)[:, :, 0] + e
-    power = np.einsum("ki,ij,kj->k", g.conj(), np.linalg.pinv(S, hermitian=True), g).real
+    per = 1.0 / np.sqrt(np.diag(S))  # outputs may be in units far apart
+    g *= per
+    inverse = np.linalg.pinv(S * per[:, None] * per, hermitian=True)
+    power = np.einsum("ki,ij,kj->k", g.conj(), inverse, g).real
     return np.asarray(np.maximum(power, 1e-12 * power.max() + np.finfo(float).tiny))

@@ -104,7 +104,7 @@ def against_predictions(
     """One-step predictions against the data, without the first ones from an unknown first state."""
     H_mean = series.y - path.innovations
     y = np.where(np.isfinite(H_mean), H_mean, np.nan)
-    spread = np.sqrt(np.maximum(np.diagonal(path.S, axis1=1, axis2=2), 0.0))
+    spread = np.sqrt(np.maximum(np.diagonal(path.S_predicted, axis1=1, axis2=2), 0.0))
     half = 1.959964 * spread
     lower, upper = y - half, y + half
     signals = _signals(model, series, path.predicted, y)
@@ -129,7 +129,7 @@ def against_predictions(
 
 def settled_from(path: MomentPath) -> int:
     """The first row at which predictions are about as certain as they usually are; 0 where there is none."""
-    spread = np.sqrt(np.maximum(np.diagonal(path.S, axis1=1, axis2=2), 0.0))
+    spread = np.sqrt(np.maximum(np.diagonal(path.S_predicted, axis1=1, axis2=2), 0.0))
     wide = np.asarray((spread > TRANSIENT * np.median(spread, axis=0)).any(axis=1))
     first = int(np.argmin(wide))
     return first if first < len(spread) // 2 else 0

@@ -30,7 +30,7 @@ class Whiteness:
 
 def standardised(path: MomentPath, series: Series) -> Array:
     """z_t = S_t^{-1/2} nu_t by Cholesky (T, ny), NaN where missing; N(0, I) if all is right."""
-    root = whitening(path.S, series.observed)
+    root = whitening(path.S_predicted, series.observed)
     z = np.einsum("tij,tj->ti", root, np.nan_to_num(path.innovations))
     return np.where(series.observed, z, np.nan)
 

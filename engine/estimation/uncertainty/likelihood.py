@@ -44,6 +44,7 @@ from engine.estimation.uncertainty.score import Score
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
+from engine.ties import scaled_inverse
 from engine.views import Shown, View, sheet, tables
 
 STEP_ERRORS = 0.7  # between the values of theta_k, in standard errors ...
@@ -192,7 +193,7 @@ def likelihood_intervals(  # noqa: PLR0913
         spread[index, np.isin(values[index], score.bounds)] = np.nan
     warning = _warning(errors, maximum)
     if warning:
-        warnings.warn(warning, NotSettledWarning, stacklevel=2)
+        warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     return LikelihoodIntervals(model, theta, level, values, spread, maximum, warning)
 
 
@@ -303,11 +304,11 @@ class _March:
         held = ((x <= low) & (s < 0.0)) | ((x >= high) & (s > 0.0))
         held[k] = True
         moving = np.flatnonzero(~held)
-        information = np.linalg.inv(self.covariance)
+        information = scaled_inverse(self.covariance)
         v, other = np.zeros(len(x)), np.zeros((len(x), len(x)))
         v[k] = 1.0
         if moving.size:
-            inverse = np.linalg.inv(information[np.ix_(moving, moving)])
+            inverse = scaled_inverse(information[np.ix_(moving, moving)])
             v[moving] = -inverse @ information[moving, k]
             other[np.ix_(moving, moving)] = inverse
         return v, other

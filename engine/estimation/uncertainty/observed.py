@@ -282,7 +282,7 @@ def standard_errors(
     settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
     if warning:
-        warnings.warn(warning, NotSettledWarning, stacklevel=2)
+        warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     mean = scores.mean(axis=0)
     error = scores.std(axis=0, ddof=min(len(scores) - 1, 1)) / np.sqrt(len(scores))
     sentences = (
@@ -312,7 +312,7 @@ def _differences(
     score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence]
 ) -> tuple[Array, Array, str]:
     """Covariance (n, n) and relative errors (n,) from differences of the score alone, and no remark."""
-    L = _root(np.asarray(np.linalg.inv(complete / GUESS)))
+    L = _root_of_inverse(complete / GUESS)
     for k in range(MOST_ROUNDS - 1):
         G = _whitened_information(score, L, seeds[0])
         L = L @ _root(_inverse(G))
@@ -339,7 +339,7 @@ def _guessed(
     guess = None if found is None else bounded(found, complete, NEXT_TO_NOTHING)
     if guess is None:
         return None
-    L = _root(np.asarray(np.linalg.inv(guess)))
+    L = _root_of_inverse(guess)
     expected = float((scores @ L).var(axis=0, ddof=1).mean())
     made: list[Array] = []
     for which in seeds:
@@ -427,6 +427,13 @@ def _root(S: Array) -> Array:
     values, vectors = np.linalg.eigh(0.5 * (S + S.T))
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     return root
+
+
+def _root_of_inverse(H: Array) -> Array:
+    """A root of H^{-1}, taken of the correlations: rounding must not mix parameters of units far apart."""
+    scale = np.sqrt(np.diag(H))
+    correlations = np.asarray(np.linalg.inv(H / scale[:, None] / scale), dtype=float)
+    return _root(correlations) / scale[:, None]
 
 
 def _inverse(G: Array) -> Array:

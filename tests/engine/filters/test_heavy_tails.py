@@ -7,19 +7,47 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
-from scipy.stats import kstest, norm
+from scipy.stats import gamma, kstest, norm
 from scipy.stats import t as student
 
 import engine
+from engine.diagnose import extend as extend_by
+from engine.diagnose.effects.setting import Setting
 from engine.errors import OptionError
-from engine.filters.heavy_tails import Scaled, with_mixture, with_student_t
+from engine.filters.heavy_tails import with_mixture, with_student_t
+from engine.filters.sigma_point import moment_filter
 from engine.statespace.checks import check_model
+from tests.engine.hidden_effects import DRIVE
 
 LEVEL = engine.get_model("local-level")
 THETA = {"q": 0.1, "r": 0.2, "level": 0.0}
 MIXED = engine.get_model("mixed-4")
 
 Noise = Callable[[np.ndarray], np.ndarray]
+
+
+PAIR = engine.MixedModel(
+    name="pair",
+    linear={"x": "1"},
+    outputs={"y0": "1", "y1": "1"},
+    parameters=[],
+    dynamics=lambda a, u, t, dt, theta: (np.zeros((len(a), 1)), [[0.9]], [[0.1]]),
+    measurement=lambda a, u, t, theta: (np.zeros((len(a), 2)), np.ones((2, 1)), np.eye(2)),
+    initial=lambda theta: (engine.Gaussian([], np.zeros((0, 0))), [0.0], [[1.0]]),
+)
+
+
+def scale(model: engine.MixedModel, g: np.ndarray, values: dict[str, float]) -> np.ndarray:
+    """Of the noise of the one reading (M,) where the last nonlinear state is g (M,)."""
+    theta = model.theta({**values, "r": 1.0})
+    a = np.zeros((len(g), model.na))
+    a[:, -1] = g
+    return model.observation(a, np.empty(0), 0.0, model.record(theta))[2][:, 0, 0]
+
+
+def student_scale(g: np.ndarray, nu: float) -> np.ndarray:
+    """1 / s is Gamma(nu / 2, rate nu / 2), and g a standard Gaussian."""
+    return 0.5 * nu / gamma.isf(norm.cdf(g), 0.5 * nu)
 
 
 def t_noise(variance: float, nu: float) -> Noise:
@@ -63,13 +91,11 @@ def test_the_scale_makes_the_noise_it_should() -> None:
     rng = np.random.default_rng(0)
     g, e = rng.standard_normal(40_000), rng.standard_normal(40_000)
     for nu in (0.7, 3.0, 50.0):
-        scaled = with_student_t(LEVEL).measurement
-        assert isinstance(scaled, Scaled)
-        s = scaled.mixing.scale(g, (nu,))
+        s = scale(with_student_t(LEVEL), g, {"nu": nu})
         assert kstest(e * np.sqrt(s), student(nu).cdf).pvalue > 1e-3
-    scaled = with_mixture(LEVEL).measurement
-    assert isinstance(scaled, Scaled)
-    s = scaled.mixing.scale(g + scaled.mixing.mean((0.1, 7.0)), (0.1, 7.0))
+    mixed = with_mixture(LEVEL)
+    mean = mixed.random_scales[0].mean((0.1, 7.0))
+    s = scale(mixed, g + mean, {"outlier_share": 0.1, "outlier_ratio": 7.0}).round(9)
     np.testing.assert_allclose(np.unique(s), [1.0, 49.0])
     assert abs((s > 1.0).mean() - 0.1) < 0.006
 
@@ -203,8 +229,8 @@ def test_outliers_are_given_little_weight(
     gauss, student = error
     assert (student < gauss).all()
     assert student.sum() < 0.85 * gauss.sum()
-    assert isinstance(robust.measurement, Scaled)
-    s = robust.measurement.mixing.scale(smoothed.a[:, :, 1], (4.0,)).mean(axis=1)
+    g = smoothed.a[:, :, 1]
+    s = student_scale(g, 4.0).mean(axis=1)
     assert set(np.argsort(s)[-4:]) == set(rows)  # the estimated scale points at the outliers
 
 
@@ -245,3 +271,40 @@ def test_what_cannot_be_is_named() -> None:
         with_student_t(MIXED, channels=["y3"])
     with pytest.raises(OptionError, match="name="):
         with_student_t(with_student_t(MIXED), "dynamics")
+
+
+@pytest.mark.parametrize("extend", [engine.with_mixture, engine.with_student_t])
+@pytest.mark.parametrize("effects", [["bias:reading"], ["pole:speed"], ["drag:speed"]])
+def test_an_effect_leaves_the_proposal_of_outliers_as_it_is(extend, effects):
+    """Added to a model that has them it changes nothing at size zero, the particles' likelihood included."""
+    model = extend(DRIVE)
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.uniform(-2.0, 2.0, 10), 20)
+    series = engine.simulate(model, None, 200, rng, u=u, dt=0.1).series
+    y = series.y.copy()
+    y[::25] += 1.0
+    series = series.replace(y=y)
+
+    def value(which):
+        runs = [
+            engine.rbpf(which, None, series, 100, np.random.default_rng(k)).log_likelihood
+            for k in range(6)
+        ]
+        return np.mean(runs), np.std(runs)
+
+    plain, spread = value(model)
+    extended, own = value(extend_by(model, effects, Setting(model)))
+    assert extended == pytest.approx(plain, abs=1.0 + 2.0 * spread)
+    assert own < 2.0 * spread + 0.5
+
+
+def test_outliers_of_two_readings_are_drawn_together():
+    one = engine.with_mixture(PAIR, channels=["y0"], share_default=0.1, name="a")
+    both = engine.with_mixture(one, channels=["y1"], share_default=0.1, name="b")
+    series = engine.simulate(both, None, 100, np.random.default_rng(0)).series
+    exact = moment_filter(both, np.asarray(both.theta())[None], series).log_likelihood[0]
+    runs = [
+        engine.rbpf(both, None, series, 100, np.random.default_rng(k)).log_likelihood
+        for k in range(4)
+    ]
+    assert np.mean(runs) == pytest.approx(exact, abs=2.0)

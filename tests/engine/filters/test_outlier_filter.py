@@ -168,6 +168,8 @@ def test_the_score_of_a_shift_is_that_of_the_mixture():
     slope = (log_density(y + h) - log_density(y - h)) / (2.0 * h)
     np.testing.assert_allclose(-path.innovations[:, 0] / path.S[:, 0, 0], slope, rtol=1e-6)
     assert path.log_likelihood == pytest.approx(log_density(y).sum())
+    predicted = 0.9 + 0.1 * 5.0**2  # the variance of the mixture, whatever came
+    np.testing.assert_allclose(path.S_predicted[:, 0, 0], predicted)
 
 
 def test_outliers_of_two_kinds_are_told_by_all_their_combinations():
