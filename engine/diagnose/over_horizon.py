@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.data.series import Series
-from engine.diagnose.effects.effect import Split, on_base
+from engine.diagnose.effects.effect import Effect, Split, on_base
 from engine.diagnose.screening.noise_parameters import noise_only
+from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.search import Search
 from engine.diagnose.symptoms.compare import settled_from
 from engine.diagnose.symptoms.runs import noise_free, start_state
@@ -106,7 +107,9 @@ def over_horizon(
     fits: dict[tuple[str, ...], QuasiFit] = {(): before, names: after}
     for refit in found.rounds[0].refits[: OTHERS + 1]:
         if len(fits) < OTHERS + 2 and not refit.effect.traits.outliers:
-            fits.setdefault((refit.effect.name,), refit.fit)
+            there = names_in(refit, first)
+            if set(there) != set(names):
+                fits.setdefault(there, refit.fit)
     T = len(series.samples)
     horizons = (*(h for h in HORIZONS if h < T // 2), T)
     scale = output_scale([series])
@@ -137,6 +140,12 @@ def over_horizon(
                 gains = 2.0 * (_likelihoods(fit, theta, series) - told)
         candidates.append(Candidate(effects, tuple(errors.tolist()), tuple(gains.tolist())))
     return OverHorizon(horizons, BUDGETS, tuple(candidates))
+
+
+def names_in(refit: Refit, found: Sequence[Effect]) -> tuple[str, ...]:
+    """Effects in a refit's model, its own first: of those ``found`` in several rounds it may hold others."""
+    effects = {one.name: one for one in (refit.effect, *found)}.values()
+    return tuple(e.name for e in effects if e.size.name in refit.fit.model.parameter_names)
 
 
 def _usable_noise(fit: QuasiFit, noise: Array) -> bool:
