@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -92,7 +92,8 @@ def with_student_t(
         _student_scale,
         lambda values: edges,
     )
-    return _with_mixing(model, mixing, where, channels, f"g_{name}")
+    made = with_student_t, (model, where, nu_default, channels, name)
+    return _with_mixing(model, mixing, where, channels, f"g_{name}", made)
 
 
 def with_mixture(
@@ -139,7 +140,8 @@ def with_mixture(
         _mixture_scale,
         lambda values: np.array([0.0, 1.0 - values[0], 1.0]),
     )
-    return _with_mixing(model, mixing, where, channels, f"g_{name}")
+    made = with_mixture, (model, where, share_default, ratio_default, channels, name)
+    return _with_mixing(model, mixing, where, channels, f"g_{name}", made)
 
 
 def _student_scale(g: Array, values: Any) -> Array:
@@ -168,8 +170,38 @@ def _mixture_scale(g: Array, values: Any) -> Array:
     return np.where(g > 0.0, values[1] ** 2 + 0.0 * g, 1.0)
 
 
+Made: TypeAlias = tuple[Callable[..., MixedModel], tuple[Any, ...]]
+
+
+class _Part:
+    """A function of a model that was ``made`` by a call: pickled as that call, as one within it cannot be."""
+
+    def __init__(self, function: Callable[..., Any], made: Made) -> None:
+        self.function, self.made = function, made
+
+    def __call__(self, *given: Any) -> Any:
+        return self.function(*given)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _part, (*self.made, self.function.__name__)
+
+
+SCALE = ("mean", "edges", "propose")  # of a random scale
+
+
+def _part(maker: Callable[..., MixedModel], given: tuple[Any, ...], name: str) -> Any:
+    """The function of that name of a model, or of its last random scale, made again."""
+    model = maker(*given)
+    return getattr(model.random_scales[-1] if name in SCALE else model, name)
+
+
 def _with_mixing(
-    model: MixedModel, mixing: Mixing, where: str, channels: Sequence[str] | None, state: str
+    model: MixedModel,
+    mixing: Mixing,
+    where: str,
+    channels: Sequence[str] | None,
+    state: str,
+    made: Made,
 ) -> MixedModel:
     known = list(model.outputs) if where == "measurement" else [*model.nonlinear, *model.linear]
     if where not in ("measurement", "dynamics"):
@@ -227,10 +259,16 @@ def _with_mixing(
             where == "measurement",
         )(step)
 
+    def mean(values: Any) -> Any:
+        return mixing.mean(values)
+
+    def edges(values: Any) -> Any:
+        return mixing.edges(values)
+
     def initial(theta: Any) -> tuple[Any, Any, Any]:
         start = model.start(model.record(theta[:n]))
-        mean = float(mixing.mean(theta[n:]))
-        density = product(start.density, lambda a: (np.full((len(a), 1), mean), np.eye(1)), na)
+        middle = float(mixing.mean(theta[n:]))
+        density = product(start.density, lambda a: (np.full((len(a), 1), middle), np.eye(1)), na)
         z1, P1 = start.z1, start.P1
         return (
             density,
@@ -242,12 +280,12 @@ def _with_mixing(
         model,
         nonlinear={**model.nonlinear, state: "1"},
         parameters=[*model.parameters, *mixing.parameters],
-        dynamics=dynamics,
-        measurement=measurement,
-        initial=initial,
+        dynamics=_Part(dynamics, made),
+        measurement=_Part(measurement, made),
+        initial=_Part(initial, made),
         equations=[*model.equations, f"{where}: noise scaled by s({state}), {state} ~ N(m, 1)"],
         random_scales=[
             *model.random_scales,
-            RandomScale(state, tuple(new), mixing.mean, mixing.edges, propose),
+            RandomScale(state, tuple(new), *(_Part(one, made) for one in (mean, edges, propose))),
         ],
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -308,3 +309,18 @@ def test_outliers_of_two_readings_are_drawn_together():
         for k in range(4)
     ]
     assert np.mean(runs) == pytest.approx(exact, abs=2.0)
+
+
+@pytest.mark.parametrize("extend", [with_mixture, with_student_t])
+def test_a_model_that_knows_outliers_is_pickled(extend):
+    model = extend(LEVEL, name="one")
+    back = pickle.loads(pickle.dumps(extend(model, "dynamics", name="two")))
+    series = engine.Series(np.arange(20.0) ** 2, dt=1.0)
+    theta = np.asarray(back.theta())[None]
+    known = moment_filter(extend(model, "dynamics", name="two"), theta, series)
+    np.testing.assert_array_equal(moment_filter(back, theta, series).log_terms, known.log_terms)
+    runs = [
+        engine.rbpf(one, None, series, 20, np.random.default_rng(1)).log_likelihood
+        for one in (back, extend(model, "dynamics", name="two"))
+    ]
+    assert runs[0] == runs[1]
