@@ -154,8 +154,8 @@ class WarmStart:
 
     def _blind(self, theta: Theta) -> bool:
         """Whether the moment filter sees none of the nonlinear states in any series."""
-        told = [one.state for one in self.model.random_scales]  # it goes through these one by one
-        others = ~np.isin(list(self.model.nonlinear), told)
+        # it goes through the values of those one by one
+        others = ~np.isin(list(self.model.nonlinear), self.model.scale_states)
         seen = (in_noise_only(self.model, theta, one)[others] for one in self.searched)
         return bool(others.any()) and all(one.all() for one in seen)
 

@@ -236,6 +236,11 @@ class MixedModel(BaseModel):
         """Number of states, na + nz."""
         return self.na + self.nz
 
+    @cached_property
+    def scale_states(self) -> tuple[str, ...]:
+        """Names of the states that only scale noise."""
+        return tuple(one.state for one in self.random_scales)
+
     # ---- evaluation with regular shapes; ``theta`` is a record -----------------------------
     #
     # Rows of a (M, na) may have times and parameters of their own: u (nu, M), t (M,), dt (M,), and

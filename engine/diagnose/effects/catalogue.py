@@ -124,7 +124,7 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
     """
     out: list[Effect] = []
     there = set(setting.model.parameter_names)
-    scales = {one.state for one in setting.model.random_scales}
+    scales = set(setting.model.scale_states)
     for kind, (maker, channels) in _makers.items():
         if kind in COUNTING and not setting.tells_samples:
             continue

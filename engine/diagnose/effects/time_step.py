@@ -59,8 +59,8 @@ def _time_step(setting: Setting, channel: str, name: str) -> Effect:
 def _where(setting: Setting) -> Iterator[str]:
     """Where dt is a real time step, and halving it changes something."""
     model = setting.model
-    scales = [one.state for one in model.random_scales]  # which have no memory
-    others = ~np.isin([*model.nonlinear, *model.linear], scales)
+    # those have no memory
+    others = ~np.isin([*model.nonlinear, *model.linear], model.scale_states)
     points, theta = setting.points(model)
     moves, short, halves = [], [], []
     for x, u, t, dt in zip(points.x, points.u, points.t, points.dt / setting.substeps, strict=True):

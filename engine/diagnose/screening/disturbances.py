@@ -132,7 +132,8 @@ def _response(path: MomentPath, series: Series, b: Array, e: Array, frequencies:
     turn = np.exp(2j * np.pi * frequencies * step)[:, None, None] * np.eye(len(F))
     x = np.linalg.solve(turn - F @ (np.eye(len(F)) - K @ H), (b - F @ K @ e)[:, None])
     g = (H @ x)[:, :, 0] + e
-    per = 1.0 / np.sqrt(np.diag(S))  # outputs may be in units far apart
+    size = np.sqrt(np.diag(S))
+    per = 1.0 / np.where(size > 0.0, size, 1.0)  # outputs may be in units far apart
     g *= per
     inverse = np.linalg.pinv(S * per[:, None] * per, hermitian=True)
     power = np.einsum("ki,ij,kj->k", g.conj(), inverse, g).real

@@ -234,8 +234,7 @@ def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> s
     named = [r.refits[0].effect for r in found.rounds if r.equivalent]
     pushed = {e.channel.rpartition("->")[2] for e in named if e.family == "state"}
     targets = [name for name in setting.targets if name in pushed] or setting.targets
-    scales = {one.state for one in setting.model.random_scales}
-    states = [name for name in setting.states if name not in scales]
+    states = [name for name in setting.states if name not in setting.model.scale_states]
     lacks = lack_of_fit(found.final, series, targets, states, seed)
     return lacks.sentence if lacks is not None and lacks.p_value <= LEVEL else None
 
