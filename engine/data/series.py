@@ -341,8 +341,8 @@ class Series(Shown):
     def check(self, model: BaseModel, measured: bool = True) -> Series:
         """Return self if its widths, names and units fit the model and, unless not ``measured``, y has a value.
 
-        Channels are taken in their order, whatever their names. But names of the model's own channels, and those
-        that have one in them as a word, belong where the model has them. Raises SeriesError.
+        Channels are taken in their order, whatever their names. But names of the model's own channels, and
+        those that have one in them as a word, belong where the model has them. Raises SeriesError.
         """
         check_channels(self, model)
         counted = getattr(model, "steps_counted", 0)

@@ -27,10 +27,12 @@ from engine.diagnose.search.search import LATER, OUTLYING, Search, search
 from engine.diagnose.search.step_error import decides
 from engine.diagnose.search.verdict import doubts, verdict_of
 from engine.errors import EngineError
+from engine.estimation.particle_likelihood import in_noise_only
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml, share_done, whitening
 from engine.estimation.start import WarmStart
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import MixedModel, Theta, ThetaLike
+from engine.words import enumerated
 
 # nats below the highest maximum, another one is kept for what an effect may make of it
 RIVALS = 20.0
@@ -92,6 +94,7 @@ def find_causes(
             "Give start values (theta=)."
         )
     setting = setting_for(model, series, base.theta)
+    notes.extend(_not_seen(model, base.theta, series))
     clock.start("search")
     look = partial(
         search,
@@ -165,6 +168,18 @@ def find_causes(
     kinds = effects if aside is None else aside.others
     coarse, another = worth > 0.0, shape is not None
     return Causes(base, setting, found, verdict, tuple(notes), coarse, kinds, another)
+
+
+def _not_seen(model: MixedModel, theta: Theta, series: Series) -> list[str]:
+    """A sentence on states of the user's own that show in noise alone, where the moment filter is blind."""
+    blind = zip(model.nonlinear, in_noise_only(model, theta, series), strict=True)
+    names = [name for name, yes in blind if yes and name not in model.scale_states]
+    if not names:
+        return []
+    return [
+        f"{enumerated(names)} shows in the noise alone: the search takes that noise for Gaussian, of one size, "
+        "and what it finds of outliers, pulses or noise that varies may be nothing but this."
+    ]
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Outliers on both sides: of a model that knows them, and of what a diagnosis extends one by."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,3 +54,12 @@ def test_nothing_acts_on_a_state_that_only_scales_noise():
     more = {"parameter-step:glitch_share", "parameter-drift:glitch_share"}
     more |= {one.replace("share", "ratio") for one in more}
     assert set(names) == {*usual, *more}
+
+
+def test_noise_that_the_search_does_not_see_is_told():
+    """The same model, with a size of its noise that the filter of the search is not told of."""
+    options = {"effects": ["bias"], "held_out": 0}
+    untold = engine.diagnose(replace(KNOWING, random_scales=()), record(101), **options)
+    assert any(note.startswith("g_outlier shows in the noise alone") for note in untold.notes)
+    told = engine.diagnose(KNOWING, record(101), **options)
+    assert not any("noise alone" in note for note in told.notes)
