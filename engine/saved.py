@@ -102,7 +102,11 @@ def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
     except FileNotFoundError:
         raise OptionError(f"{path}: there is no such file", "path") from None
     except (ValueError, KeyError, TypeError) as error:
-        raise OptionError(f"{path}: this is not a saved result of rbps ({error})", "path") from None
+        raise OptionError(
+            f"{path}: this is not a result that save() wrote ({error}); the documents of 'rbps ... --out' are "
+            "JSON to be read as such, or given to 'rbps compare'",
+            "path",
+        ) from None
     if document.get("rbps") != FORMAT:
         raise OptionError(
             f"{path}: it was saved by rbps {document.get('version')}, which has another format"

@@ -36,10 +36,11 @@ from engine.diagnose.effects.catalogue import (
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.traits import Course, Traits
+from engine.diagnose.free_run.second_opinion import overtaken
 from engine.diagnose.free_run.windows import rows_searched
 from engine.diagnose.gain.gain import Gain
-from engine.diagnose.held_out import HeldOut
-from engine.diagnose.over_horizon import over_horizon
+from engine.diagnose.held_out import HeldOut, Judged
+from engine.diagnose.over_horizon import OverHorizon, over_horizon
 from engine.diagnose.records import HELD_OUT, check_searched, records_of
 from engine.diagnose.search.bootstrap import STAGE, first_round_p
 from engine.diagnose.search.calibration import Question
@@ -47,7 +48,7 @@ from engine.diagnose.search.checkpoint import Parts, kept_of
 from engine.diagnose.search.findings import Cause, Detectable, LookAlike, Verdict
 from engine.diagnose.search.pipeline import FIRST_FIT_SHARE, Callback, Clock, fit_base
 from engine.diagnose.search.substeps import is_enough, prepare
-from engine.diagnose.search.verdict import at_most_in_words, detectable_of
+from engine.diagnose.search.verdict import at_most_in_words, detectable_of, named_by
 from engine.diagnose.symptoms.runs import covariance_of
 from engine.diagnose.symptoms.symptoms import Symptoms, check_data, find_symptoms
 from engine.diagnose.two_criteria import Options, ask_both
@@ -211,7 +212,15 @@ def diagnose(  # noqa: PLR0913
         bootstrapped = first_round_p(question, found, bootstrap, seed, clock.progress, done)
 
     clock.start("gain")
-    judged = HeldOut(fine.records, searched, fine.k, seed).judge(causes, both.asked, clock.progress)
+    unseen = HeldOut(fine.records, searched, fine.k, seed)
+    shown = fine.records.train if searched.begins else searched
+    judged = unseen.judge(causes, both.asked, clock.progress)
+    beside = _beside_others(judged, shown)
+    if judged.free_run.decides and beside is not None:
+        better = beside.overtakes([cause.effect for cause in named_by(found)])
+        if better:
+            judged = unseen.judge(causes, overtaken(judged.free_run, better), clock.progress)
+            beside = _beside_others(judged, shown)
     after = judged.after
     notes.extend(judged.notes)
     if records.keeps_back and judged.verdict in (Verdict.NOTHING, Verdict.UNKNOWN):
@@ -219,10 +228,6 @@ def diagnose(  # noqa: PLR0913
             f"The record from t = {number(records.main.t[len(plain)], TIME_DIGITS)} {plain.time_unit} on was "
             "held out and not searched: held_out=0 searches all of it, test= judges by other data."
         )
-
-    names = tuple(cause.effect for cause in judged.causes)
-    shown = fine.records.train if searched.begins else searched
-    beside = over_horizon(judged.before, after, names, judged.search, shown)
 
     if (
         model.continuous
@@ -277,6 +282,12 @@ def again(
 ) -> Diagnosis:
     """The diagnosis that was asked so before; ``parts`` that it finished are not computed again."""
     return diagnose(model, series, test=test, **options, kept=dict(parts))
+
+
+def _beside_others(judged: Judged, series: Series) -> OverHorizon | None:
+    """The answer beside the other leading candidates, over the horizon; see :func:`over_horizon`."""
+    names = tuple(cause.effect for cause in judged.causes)
+    return over_horizon(judged.before, judged.after, names, judged.search, series)
 
 
 def _check_options(alpha: float, max_effects: int, effects: Sequence[str] | None) -> None:

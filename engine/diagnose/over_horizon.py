@@ -6,7 +6,7 @@ it one step ahead only, and nothing once process noise is scarce.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -91,6 +91,21 @@ class OverHorizon:
         for k in range(len(self.budgets)):
             better = [c for c in added if not c.gains[k] <= given.gains[k]] or [given]
             yield _first(better, [-c.gains[k] for c in better], lambda best: best + LEAD)
+
+    def overtakes(self, names: Collection[str]) -> tuple[str, ...]:
+        """A candidate of these ``names`` that does better than the answer everywhere; empty without one.
+
+        At every horizon, and with every budget of process noise as far as that may be shared.
+        """
+        answer = self.candidates[1]
+        errors, gains = np.array(answer.errors), np.array(answer.gains)
+        for other in self.candidates[2:]:
+            ahead = np.array(other.errors) * (1.0 + TIE) < errors
+            gained = np.array(other.gains) > gains + LEAD
+            gained |= np.isnan(gains) & np.isnan(other.gains)
+            if ahead.all() and gained.all() and set(other.effects) <= set(names):
+                return other.effects
+        return ()
 
 
 def over_horizon(

@@ -19,6 +19,7 @@ from engine.estimation.em_result import EmResult as EmResult
 from engine.estimation.em_result import Iteration as Iteration
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.long_steps import about_predictions
+from engine.estimation.other_maxima import about_other_maxima
 from engine.estimation.outcome import Outcome
 from engine.estimation.particle_likelihood import likelihood_of
 from engine.estimation.quasi_ml import with_scales
@@ -155,6 +156,7 @@ def rbps_em(  # noqa: PLR0913
     found = iterate(model, expect, loop, start, likelihood, ascent, particles)
     note = f" {start.note}" if start is not None and start.note else ""
     note += remark(given, found, all_series)
+    note += _other_maxima(start, found, first, all_series)
     return replace(found, model=given, message=found.message + note)
 
 
@@ -237,6 +239,18 @@ def _start(
             f"warm_start = {given!r} is not known; use True, False or '{UPHILL}'", "warm_start"
         )
     return WarmStart(model, all_series, indices, around=given != UPHILL) if given else None
+
+
+def _other_maxima(
+    start: WarmStart | None, found: EmResult, first: Theta, all_series: Sequence[Series]
+) -> str:
+    """What is to be said, after a space, of maxima that the search for a start has found."""
+    if start is None or not found.outcome.success:
+        return ""
+    if not start.searches and start.around:  # this run went on from a checkpoint
+        start(first)
+    said = about_other_maxima(start.model, all_series, found.theta, start.apart, start.indices)
+    return f" {said}" if said else ""
 
 
 def _is_newton(method: str) -> bool:

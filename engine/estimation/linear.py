@@ -13,7 +13,9 @@ from engine.filters.kalman import (
     start_probes,
     transition_matrices,
 )
+from engine.statespace.evaluation import TIME
 from engine.statespace.model import Array, Gaussian, MixedModel
+from engine.statespace.reads import reads
 
 
 def as_linear(model: MixedModel) -> MixedModel:
@@ -38,6 +40,15 @@ def as_linear(model: MixedModel) -> MixedModel:
     def measurement(a: Array, u: Array, t: float, theta: Any) -> tuple[Any, Any, Any]:
         return observation_matrices(model, theta, u, t, probed(theta)[0])
 
+    # that they do not read t is to be seen: then a few calls tell them for all times
+    def dynamics_at_any_time(
+        a: Array, u: Array, t: float, dt: float, theta: Any
+    ) -> tuple[Any, Any, Any]:
+        return transition_matrices(model, theta, u, 0.0, dt, *probed(theta))
+
+    def measurement_at_any_time(a: Array, u: Array, t: float, theta: Any) -> tuple[Any, Any, Any]:
+        return observation_matrices(model, theta, u, 0.0, probed(theta)[0])
+
     def initial(theta: Any) -> tuple[Gaussian, Any, Any]:
         mean, P = linear_start(model, theta)
         return Gaussian(np.empty(0), np.empty((0, 0))), mean, P
@@ -46,7 +57,7 @@ def as_linear(model: MixedModel) -> MixedModel:
         model,
         nonlinear={},
         linear={**model.nonlinear, **model.linear},
-        dynamics=dynamics,
-        measurement=measurement,
+        dynamics=dynamics if reads(model.dynamics, TIME) else dynamics_at_any_time,
+        measurement=measurement if reads(model.measurement, TIME) else measurement_at_any_time,
         initial=initial,
     )

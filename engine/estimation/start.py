@@ -26,7 +26,11 @@ from engine.statespace.model import Array, MixedModel, Theta
 SEARCHED_ROWS = 2000  # of each series, at most, are searched
 CANDIDATES = 96  # points around the start values ...
 REACH_SIZES = 2.0  # ... this many sizes of each parameter away at most, within its bounds
-IMPROVED_CANDIDATES = 8  # of the candidates are improved, besides the start values themselves
+IMPROVED_CANDIDATES = (
+    3  # of the candidates, the likeliest, are improved besides the start values themselves ...
+)
+SPREAD_CANDIDATES = 5  # ... and some more, the farthest from each other ...
+SPREAD_SHARE = 1.0 / 3.0  # ... in this likeliest share: they may lie below another maximum
 HOPE = 10.0  # far from a maximum a search gains more than it expects, up to so many times
 RIVAL_NATS = 5.0  # below the highest maximum, another may be the higher one of the true likelihood
 MOST_MAXIMA = 3  # are compared
@@ -58,11 +62,13 @@ class WarmStart:
         self.searched = [
             one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
         ]
-        self.note = ""
+        self.note, self.searches = "", 0
         self.above: Theta | None = None  # of those found, the maximum above the start
+        self.apart: Sequence[QuasiFit] = ()  # those found
 
     def __call__(self, theta: Theta) -> list[Theta]:
         """The maxima found, first the one above theta, then the highest; none with a ``note``."""
+        self.searches += 1
         try:
             if not self._blind(theta):
                 found = self.maxima(theta)
@@ -92,8 +98,7 @@ class WarmStart:
             others = free_thetas(theta, indices, _around(model, theta, indices))
             candidates = np.concatenate([candidates, others])
             values = self._likely(candidates)
-        order = np.argsort(-values, kind="stable")
-        starts = [0, *[k for k in order if k][:IMPROVED_CANDIDATES]]
+        starts = _spread(candidates[:, indices], values)
         self.progress(CANDIDATES_SHARE)
         visited = [Visited() for _ in self.searched]  # from one search to the next
         climb = partial(quasi_ml, model, self.searched, free=names, hope=HOPE, visited=visited)
@@ -126,6 +131,7 @@ class WarmStart:
             near = fit.log_likelihood >= found[0].log_likelihood - self.rivals
             if near and not any(_same(fit, other, indices) for other in apart):
                 apart.append(fit)
+        self.apart = apart
         out = [_told(fit, theta, indices) for fit in apart[:MOST_MAXIMA]]
         each = zip(out, apart, strict=False)
         same = [one for one, fit in each if uphill is not None and _same(uphill, fit, indices)]
@@ -163,6 +169,19 @@ class WarmStart:
         """Log-likelihoods of thetas (K, n_theta), -inf where there is none."""
         values = log_likelihoods(self.model, self.searched, thetas)
         return np.where(np.isfinite(values), values, -np.inf)
+
+
+def _spread(candidates: Array, values: Array) -> list[int]:
+    """The start values, row 0, the likeliest of the others, and of these the farthest from all chosen."""
+    order = [int(k) for k in np.argsort(-values, kind="stable") if k]
+    chosen = [0, *order[:IMPROVED_CANDIDATES]]
+    likely = order[: int(SPREAD_SHARE * len(order))]
+    width = np.ptp(candidates, axis=0)
+    place = candidates / np.where(width > 0.0, width, 1.0)
+    while likely and len(chosen) < 1 + IMPROVED_CANDIDATES + SPREAD_CANDIDATES:
+        apart = np.linalg.norm(place[likely, None] - place[chosen], axis=2).min(axis=1)
+        chosen.append(likely[int(np.argmax(apart))])
+    return list(dict.fromkeys(chosen))
 
 
 def _told(fit: QuasiFit, theta: Theta, indices: NDArray[np.intp]) -> Theta:

@@ -27,6 +27,7 @@ from engine.filters.scale_mixture_proposal import MixingProposal, WithoutScale
 from engine.statespace.model import Array, MixedModel, Parameter
 from engine.statespace.promotion import product
 from engine.statespace.random_scale import RandomScale
+from engine.statespace.split import Split
 
 LARGEST = 23.0  # of log s: noise a hundred thousand times as large is as good as no measurement
 FAR = 8.0  # |g| beyond which s is held constant; it is never drawn
@@ -176,6 +177,8 @@ Made: TypeAlias = tuple[Callable[..., MixedModel], tuple[Any, ...]]
 class _Part:
     """A function of a model that was ``made`` by a call: pickled as that call, as one within it cannot be."""
 
+    hands_rows_on = True  # to the functions of the model within, see engine.statespace.evaluation
+
     def __init__(self, function: Callable[..., Any], made: Made) -> None:
         self.function, self.made = function, made
 
@@ -218,7 +221,7 @@ def _with_mixing(
             f"model '{model.name}' already has '{state}' or {new}; pass another name=", "name"
         )
     mask = np.array([channels is None or channel in channels for channel in known])
-    na, n = model.na, len(model.parameters)
+    na, n, split = model.na, len(model.parameters), Split(model)
     there = np.delete(np.arange(model.nx + 1), na)  # rows of the old states among the new
 
     def factors(g: Array, theta: Any) -> Array:
@@ -227,7 +230,8 @@ def _with_mixing(
         return np.asarray(root[:, :, None] * root[:, None, :])
 
     def dynamics(a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Any, Any, Any]:
-        f_, A_, Q_ = model.transition(a[:, :na], u, t, dt, model.record(theta[:n]))
+        inner = np.ascontiguousarray(a[:, :na])
+        f_, A_, Q_ = model.transition(inner, u, t, dt, split(theta)[0])
         if where == "dynamics":
             Q_ = Q_ * factors(a[:, na], theta)
         f = np.empty((len(a), model.nx + 1))
@@ -242,7 +246,7 @@ def _with_mixing(
 
     def measurement(a: Array, u: Any, t: Any, theta: Any) -> tuple[Any, Any, Any]:
         inner = np.ascontiguousarray(a[:, :na])
-        h, C, R = model.observation(inner, u, t, model.record(theta[:n]))
+        h, C, R = model.observation(inner, u, t, split(theta)[0])
         return h, C, R * factors(a[:, na], theta) if where == "measurement" else R
 
     def propose(step: Step) -> tuple[Array, Array]:
@@ -266,7 +270,7 @@ def _with_mixing(
         return mixing.edges(values)
 
     def initial(theta: Any) -> tuple[Any, Any, Any]:
-        start = model.start(model.record(theta[:n]))
+        start = model.start(split(theta)[0])
         middle = float(mixing.mean(theta[n:]))
         density = product(start.density, lambda a: (np.full((len(a), 1), middle), np.eye(1)), na)
         z1, P1 = start.z1, start.P1

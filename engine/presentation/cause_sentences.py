@@ -49,9 +49,15 @@ def headline(cause: Cause, step: float | None = None, clock: str = SECOND) -> st
     name = cause.title[:1].upper() + cause.title[1:]
     return (
         f"{name} [{cause.effect}]: {sized(cause)}{late(cause, step, clock)}{when(cause)}, {cause.probability}, "
-        f"2 x log-likelihood gained {gained(cause.gain)}"
-        + (f" together with {enumerated(list(cause.together))}" if cause.together else "")
+        f"2 x log-likelihood gained {gained(cause.gain)}{with_others(cause.together, cause.beside)}"
     )
+
+
+def with_others(together: Sequence[str], beside: Sequence[str]) -> str:
+    """`` together with y``, ``beside y``: what else has a part in the gain."""
+    if together:
+        return f" together with {enumerated(list(together))}"
+    return f" beside {enumerated(list(beside))}" if beside else ""
 
 
 def sized(cause: Cause) -> str:

@@ -30,11 +30,14 @@ import numpy as np
 from engine.errors import ModelError
 from engine.kernels.local_linearization import beside, difference_quotients, step_of
 from engine.statespace.model import Array, MixedModel
+from engine.statespace.reads import reads
 from engine.statespace.rows import frozen, is_rows
 from engine.statespace.shapes import as_matrix, as_rows, is_symmetric, stacked
 
 Drift: TypeAlias = Callable[[Array, Any, Any, Any], tuple[Any, Any]]
 Matrix: TypeAlias = Callable[[Array, Any, Any, Any], Any]
+
+TIME = 2  # position of t among the arguments of all of them, after a and u
 
 
 def continuous(
@@ -118,6 +121,52 @@ class _Repeated:
         return _Repeated, ()
 
 
+class _Intensity:
+    """``diffusion`` in its regular shape."""
+
+    def __init__(self, diffusion: Matrix, nx: int) -> None:
+        self.diffusion, self.nx = diffusion, nx
+
+    def __call__(self, a: Array, u: Any, t: Any, theta: Any) -> Array:
+        """Qc (1 or M, nx, nx) for the record ``theta`` of numbers and arrays (M,)."""
+        Qc = self.diffusion(a.copy(), u, t, theta)
+        return stacked(as_matrix(Qc, len(a), self.nx, self.nx, "diffusion: Qc"))
+
+    def __reduce__(self) -> tuple[Any, ...]:  # without what it remembers
+        return type(self), (self.diffusion, self.nx)
+
+
+class _OfThetaAlone(_Intensity):
+    """The same of one that reads parameters only, found once for every record of them.
+
+    So one that takes one value of each, as ``np.diag([theta.q, theta.s])``, does not keep the drift from taking
+    many.
+    """
+
+    last: tuple[Any, Array] = (None, np.empty(0))
+
+    def __call__(self, a: Array, u: Any, t: Any, theta: Any) -> Array:
+        """Qc (1 or M, nx, nx) for the record ``theta`` of numbers and arrays (M,)."""
+        if not hasattr(theta, "_make"):  # a caller's own record, which may change
+            return super().__call__(a, u, t, theta)
+        known, Qc = self.last
+        if known is not theta:
+            Qc = self._found(a, u, t, theta)
+            self.last = theta, Qc
+        return Qc.copy()
+
+    def _found(self, a: Array, u: Any, t: Any, theta: Any) -> Array:
+        many = [value for value in theta if is_rows(value)]
+        if not many:
+            return super().__call__(a, u, t, theta)
+        _, first, back = np.unique(np.array(many), axis=1, return_index=True, return_inverse=True)
+        each = []
+        for k in first:
+            own = theta._make(float(v[k]) if is_rows(v) else v for v in theta)
+            each.append(super().__call__(a[k : k + 1], u, t, own)[0])
+        return np.array(each)[back.ravel()]
+
+
 @dataclass(frozen=True)
 class _Discretized:
     """``dynamics`` of a model from its ``drift`` and ``diffusion``."""
@@ -131,12 +180,9 @@ class _Discretized:
     repeated: _Repeated = field(default_factory=_Repeated, compare=False, repr=False)
 
     def __call__(self, a: Array, u: Any, t: Any, dt: Any, theta: Any) -> tuple[Array, Array, Array]:
-        M, nx = a.shape[0], self.na + self.nz
         middle, length = t + 0.5 * dt, np.array(dt, dtype=float, ndmin=1)
         f, A = self._rates(a, u, middle, theta)
-        Qc = stacked(
-            as_matrix(self.diffusion(a.copy(), u, middle, theta), M, nx, nx, "diffusion: Qc")
-        )
+        Qc = self._intensity(a, u, middle, theta)
         if not is_symmetric(Qc):  # what follows would take the mean of both halves
             name = self.fields["name"]
             raise ModelError(f"model '{name}', diffusion: Qc is not symmetric:\n{Qc.squeeze()}")
@@ -144,10 +190,22 @@ class _Discretized:
         x, step, Q = step_of(a, f, J, stacked(A), Qc, length)
         return (x, step, Q) if len(Q) > 1 else (x, step[0], Q[0])
 
+    def reads_argument(self, position: int) -> bool:
+        """Of a, u and t what any of its functions reads; the others it reads itself."""
+        own = (self.drift, self.diffusion, self.jacobian)
+        return position > TIME or any(f is not None and reads(f, position) for f in own)
+
     @cached_property
     def sizes(self) -> Array:
         """A size (na,) of each nonlinear state; see :attr:`engine.MixedModel.start_sizes`."""
         return MixedModel(dynamics=self, **self.fields).start_sizes[: self.na]
+
+    @cached_property
+    def _intensity(self) -> Callable[[Array, Any, Any, Any], Array]:
+        """``diffusion`` as (1 or M, nx, nx), found once for each theta where it reads nothing else."""
+        nx = self.na + self.nz
+        alone = not any(reads(self.diffusion, position) for position in range(TIME + 1))
+        return (_OfThetaAlone if alone else _Intensity)(self.diffusion, nx)
 
     def _rates(self, a: Array, u: Any, t: Any, theta: Any) -> tuple[Array, Array]:
         """f (M, nx) and A; in memory of their own, as the function may write into both and into a."""

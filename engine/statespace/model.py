@@ -122,7 +122,7 @@ class Gaussian:
 
 Dynamics: TypeAlias = Callable[[Array, Any, Any, Any, Any], tuple[Any, Any, Any]]
 Measurement: TypeAlias = Callable[[Array, Any, Any, Any], tuple[Any, Any, Any]]
-Initial: TypeAlias = Callable[[Any], tuple[Density, Any, Any]]
+Initial: TypeAlias = Callable[[Any], tuple[Density | None, Any, Any]]
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,8 @@ class MixedModel(BaseModel):
         ``measurement(a, u, t, theta)`` returns h (M, ny), C (ny, nz) and R (ny, ny), the covariance of a
         reading's noise, with no zero on its diagonal.
     initial : callable
-        ``initial(theta)`` returns the density of a_1, such as :class:`engine.Gaussian`, the mean z_{1|0} (nz,)
-        and the covariance P_{1|0} (nz, nz), which may be zero.
+        ``initial(theta)`` returns the density of a_1, such as :class:`engine.Gaussian` (None where no state is
+        nonlinear), the mean z_{1|0} (nz,) and the covariance P_{1|0} (nz, nz), which may be zero.
     outputs : mapping
         {name of an output y: its unit}.
     parameters : sequence of Parameter
@@ -311,9 +311,12 @@ class MixedModel(BaseModel):
             ) from error
         if not isinstance(given, tuple | list) or len(given) != 3:
             raise ModelError(f"initial returned {_told(given)}; {FIRST}")
-        if not hasattr(given[0], "sample"):
-            raise ModelError(f"initial returned {_told(given[0])} as the density of a_1; {FIRST}")
-        return Start(*given, self.nz)
+        density, z1, P1 = given
+        if density is None and not self.na:
+            density = Gaussian([], np.zeros((0, 0)))
+        if not hasattr(density, "sample"):
+            raise ModelError(f"initial returned {_told(density)} as the density of a_1; {FIRST}")
+        return Start(cast("Density", density), z1, P1, self.nz)
 
     @cached_property
     def start_sizes(self) -> Array:

@@ -2,7 +2,7 @@
 
 What a function never loads it cannot depend on: this is a proof, where calls can only give examples. Where
 the code does not tell, the argument counts as read. Functions of the engine's own are told which parameters
-they ignore.
+they ignore, and an object that is called may tell by ``reads_argument(position)`` what it reads.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ SEES_ALL = frozenset(
 
 def reads(function: Any, position: int) -> bool:
     """Whether ``function`` may depend on its positional argument number ``position``, from 0."""
+    told = getattr(function, "reads_argument", None)
+    if told is not None:
+        return bool(told(position))
     if isinstance(function, MethodType):
         return reads(function.__func__, position + 1)
     if not isinstance(function, FunctionType) or hasattr(function, "__wrapped__"):

@@ -137,7 +137,7 @@ def test_a_diagnosis_in_a_file_and_pickled(nile_diagnosis, tmp_path):
 @pytest.mark.parametrize("text", ["no JSON", "{}", '{"kind": 1}', "[]"])
 def test_another_file_is_refused(tmp_path, text):
     (tmp_path / "other.json").write_text(text)
-    with pytest.raises(OptionError, match=r"other.json: this is not a saved result of rbps"):
+    with pytest.raises(OptionError, match=r"other.json: this is not a result that save"):
         engine.load(tmp_path / "other.json")
     with pytest.raises(OptionError, match="a Series cannot be saved"):
         engine.save(SERIES, tmp_path / "other.json")

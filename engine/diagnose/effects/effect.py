@@ -21,6 +21,7 @@ from engine.statespace.model import Array, LinearGaussian, MixedModel, Parameter
 from engine.statespace.promotion import promote
 from engine.statespace.reads import reading
 from engine.statespace.rows import with_input
+from engine.statespace.split import Split as Split
 
 NEARBY = 1e-6  # of a state's way over the step, on either side: there the slope of a term is taken
 ROUNDED = 1e-9  # of a state's value: no nearer than that, wherever it counts from
@@ -119,26 +120,6 @@ class Effect:
 def _is_own(function: Any) -> bool:
     """Whether a function was written here, and so keeps the rows of its arguments apart."""
     return getattr(function, "__module__", "").startswith("engine.diagnose")
-
-
-class Split:
-    """Separates a record of the extended model into the base's record and the effect's values.
-
-    The same record gives the same parts: a model's function knows its last one again.
-    """
-
-    def __init__(self, model: MixedModel) -> None:
-        self.n = len(model.parameters)
-        self.base = model.record
-        self.last: tuple[Any, Any, Any] = (None, None, None)
-
-    def __call__(self, theta: Any) -> tuple[Any, Any]:
-        """(base record, the effect's own values)."""
-        known, record, own = self.last
-        if known is not theta:
-            record, own = self.base(theta[: self.n]), theta[self.n :]
-            self.last = (theta, record, own)
-        return record, own
 
 
 # theta -> what the model's own functions take, and the effect's own values, as :class:`Split`

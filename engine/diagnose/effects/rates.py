@@ -95,7 +95,7 @@ def step(model: MixedModel, theta: Array, x: Array, u: Any, t: Any, dt: Any) -> 
     na = model.na
     with np.errstate(all="ignore"):
         f, A, _ = model.transition(np.ascontiguousarray(x[:, :na]), u, t, dt, model.record(theta))
-    return np.asarray(f + np.einsum("...ij,...j->...i", A, x[:, na:]))
+        return np.asarray(f + np.einsum("...ij,...j->...i", A, x[:, na:]))
 
 
 @dataclass(frozen=True)

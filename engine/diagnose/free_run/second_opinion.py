@@ -40,6 +40,7 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Theta
+from engine.words import enumerated
 
 ALARM_SHARE = 0.1  # of the free run's part of a diagnosis
 UNLIKELY = 0.1  # p-value of the alarm below which it is not said that noise explains it all
@@ -156,6 +157,15 @@ def heeding(
         )
         return replace(asked, reason=reason), Verdict.UNKNOWN
     return asked, verdict
+
+
+def overtaken(asked: SecondOpinion, by: Sequence[str]) -> SecondOpinion:
+    """The free run's answer where one of the likelihood's does better at every horizon and with any noise."""
+    reason = (
+        f"The likelihood decides: {enumerated(list(by))} does better at every horizon, the free run included, "
+        "than what the free run found."
+    )
+    return replace(asked, decides=False, reason=reason)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from engine.diagnose.gain.gain import Gain
 
 TEST_LEVEL = 0.05  # of the one-sided tests of a gain and of a loss one step ahead
+FEWEST_ROWS = (
+    8  # held out, below which nothing is said of gain or loss: neighbours are not independent
+)
 TELLING_ROWS = 16  # held out, from which on what they lose may contradict a name
 LOSS_NATS = 1.0  # nats in all: a smaller loss, a likelihood ratio below e, speaks against nothing
 NOT_MEASURED = (
@@ -98,7 +101,7 @@ def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[
     """Outputs whose free run is significantly better, and those where it is significantly worse.
 
     A run that was hardly better than a constant, as that of a model whose states are driven by noise, is no
-    worse for being a little further off.
+    worse for being a little further off; nor is one that by the extended model's own noise would often be.
     """
     better, worse = _changed(outputs)
     return better, [o for o in worse if _tells(o)]
@@ -112,7 +115,12 @@ def _changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[Outp
 
 def _tells(o: OutputGain) -> bool:
     """Whether a free run that is worse says something."""
-    return not o.fit_before < TELLING_FIT or o.rmse_after > TELLING_LOSS * o.rmse_before
+    far = not o.fit_before < TELLING_FIT or o.rmse_after > TELLING_LOSS * o.rmse_before
+    return far and not _by_noise(o)
+
+
+def _by_noise(o: OutputGain) -> bool:
+    return o.as_worse is not None and o.as_worse > TEST_LEVEL
 
 
 def in_short(gain: Gain) -> str:
@@ -133,6 +141,11 @@ def in_full(gain: Gain) -> str:
         but = f"; its free run of {better} is better" if better else ""
         return f"Not adopted, as it loses on data that it has not seen: {enumerated(_losses(gain))}{but}."
     if gain.decision is Decision.NO_EVIDENCE:
+        if gain.samples < FEWEST_ROWS:
+            return (
+                f"Not adopted for want of evidence: {gain.samples} rows are held out, and fewer than "
+                f"{FEWEST_ROWS} tell nothing. Give more of them (held_out=), or other records (test=)."
+            )
         return (
             "Not adopted for want of evidence: on data that it has not seen, "
             f"{_one_step(gain)}, and no free run is significantly better."
@@ -145,8 +158,12 @@ def in_full(gain: Gain) -> str:
     ]
     but = "" if predicts else f"; {_one_step(gain)}"
     aside = [o for o in _changed(gain.outputs)[1] if not _tells(o)]
-    if aside:
-        but += f"; {enumerated(_runs(aside))}, but it was hardly better than a constant before"
+    noise = [o for o in aside if _by_noise(o)]
+    constant = [o for o in aside if o not in noise]
+    if noise:
+        but += f"; {enumerated(_runs(noise))}, as noise alone would often have it"
+    if constant:
+        but += f"; {enumerated(_runs(constant))}, but it was hardly better than a constant before"
     return f"Adopted: on data that it has not seen it does significantly better {enumerated(reasons)}{but}."
 
 

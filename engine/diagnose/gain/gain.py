@@ -8,7 +8,7 @@ started at the state that each of them estimates from the same first rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -18,9 +18,17 @@ from numpy.typing import NDArray
 from engine.data.joined import joined, past_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
-from engine.diagnose.gain.adoption import TEST_LEVEL, Decision, decide, runs_changed
+from engine.diagnose.gain.adoption import (
+    FEWEST_ROWS,
+    TEST_LEVEL,
+    Decision,
+    decide,
+    runs_changed,
+)
 from engine.diagnose.gain.simulation_gain import (
+    DRAWN,
     OutputGain,
+    drawn_from,
     free_run_from,
     noise_level,
     output_gains,
@@ -175,7 +183,8 @@ class Scored:
     """Rows (n,) of a ``part`` that are ``kept``, with d (n,) there; free runs without and with (n, ny).
 
     ``floors`` (ny,) are levels of the measurement noise, one for each run of the extension; ``lost`` whether
-    the filter of the base, of the extension, was.
+    the filter of the base, of the extension, was; ``drawn`` makes records (N, n, ny) of the extension by
+    a seed.
     """
 
     part: Series
@@ -184,12 +193,14 @@ class Scored:
     runs: tuple[Array, Array]
     floors: list[Array]
     lost: tuple[bool, bool]
+    drawn: Callable[[int], Array]
 
 
 def score(trials: Sequence[Trial], series: Series, first: int) -> Scored:
     """Score both models of each trial on its rows; free runs start at row ``first``."""
     seen, part = series.observed.any(axis=1), series.part(first, len(series))
     d, rows = np.zeros(len(series)), np.zeros(len(series), dtype=bool)
+    several = len(trials) > 1
     runs = np.full(part.y.shape, np.nan), np.full(part.y.shape, np.nan)
     floors, lost = [], [False, False]
     for trial in trials:
@@ -198,14 +209,24 @@ def score(trials: Sequence[Trial], series: Series, first: int) -> Scored:
         terms = [fit.log_terms(series) for fit in (trial.base, trial.extended)]
         d[marked] = (terms[1] - terms[0])[marked]
         lost = [one or not np.isfinite(x[marked]).all() for one, x in zip(lost, terms, strict=True)]
-        shown = trial.rows[first:] if len(trials) > 1 else np.ones(len(part), dtype=bool)
+        shown = trial.rows[first:] if several else np.ones(len(part), dtype=bool)
         for k, fit in enumerate((trial.base, trial.extended)):
             run = free_run_from(fit, series, first)
             if run is not None:
                 runs[k][shown] = run[0][shown]
                 if k == 1:
                     floors.append(noise_level(fit, part, run[1]))
-    return Scored(part, rows[first:], d[first:], runs, floors, (lost[0], lost[1]))
+
+    def drawn(seed: int) -> Array:
+        each = (drawn_from(trial.extended, series, first, seed) for trial in trials)
+        if not several:
+            return next(each)
+        out = np.zeros((DRAWN, *part.y.shape))
+        for trial, records in zip(trials, each, strict=True):
+            out[:, trial.rows[first:]] = records[:, trial.rows[first:]]
+        return out
+
+    return Scored(part, rows[first:], d[first:], runs, floors, (lost[0], lost[1]), drawn)
 
 
 def gain_of(base: QuasiFit, scored: Sequence[Scored], how: str, seed: int) -> Gain:
@@ -226,6 +247,8 @@ def gain_of(base: QuasiFit, scored: Sequence[Scored], how: str, seed: int) -> Ga
     if n < 2 or not np.isfinite(d).all():
         d[:] = np.nan
     mean, error, p_gain = diebold_mariano(d, kept)
+    if n < FEWEST_ROWS:
+        p_gain = 0.5  # of a few neighbours the scatter says nothing
     outputs: tuple[OutputGain, ...] = ()
     away = [not np.isfinite(run[kept]).all() for run in runs]
     for ran_away, name in zip(away, ("model as given", "extended model"), strict=True):
@@ -233,10 +256,16 @@ def gain_of(base: QuasiFit, scored: Sequence[Scored], how: str, seed: int) -> Ga
             notes.append(f"The free run of the {name} runs away on the held-out data.")
     if not any(away) and floors:
         floor = np.sqrt(np.mean(np.square(floors), axis=0))
-        outputs = tuple(output_gains(base, part, kept, runs[0], runs[1], floor, seed))
+
+        def drawn() -> Array:
+            return np.concatenate([one.drawn(seed) for one in scored], axis=1)
+
+        outputs = tuple(output_gains(base, part, kept, runs[0], runs[1], floor, seed, drawn))
     total, p_loss = float(np.sum(d)), 1.0 - p_gain
     gone = any(after and not before for before, after in (lost, away))
     decision = decide(p_gain, p_loss, total, outputs, gone)
+    if n < FEWEST_ROWS:
+        decision = Decision.LOSES if gone else Decision.NO_EVIDENCE
     worse = [o.output for o in runs_changed(outputs)[1]]
     if worse and p_gain > TEST_LEVEL:
         notes.append(

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
-from engine.diagnose.symptoms.runs import noise_free, start_state
+from engine.diagnose.symptoms.runs import covariance_of, draws, noise_free, start_state
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Array
 
 BOOTSTRAPS = 999
 INTERVAL_LEVEL = 0.95
+DRAWN = 200  # records of the extended model
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,8 @@ class OutputGain:
 
     ``rmse`` in ``unit``, ``fit`` = 100 (1 - rmse / std(y)) %, ``difference`` = after - before;
     ``floor`` the standard deviation of the measurement noise; ``share_gone`` of the squared error above that
-    floor, None where there is none above it.
+    floor, None where there is none above it. ``as_worse``, where it seems to be worse: of records that the
+    extended model simulates itself, the share where its run is as much worse than the one before.
     """
 
     output: str
@@ -38,6 +41,7 @@ class OutputGain:
     fit_after: float
     floor: float
     share_gone: float | None
+    as_worse: float | None = None
 
 
 def free_run_from(fit: QuasiFit, series: Series, first: int) -> tuple[Array, Array] | None:
@@ -50,6 +54,19 @@ def free_run_from(fit: QuasiFit, series: Series, first: int) -> tuple[Array, Arr
     except (EngineError, np.linalg.LinAlgError):
         return None
     return (y, x) if np.isfinite(y).all() else None
+
+
+def drawn_from(fit: QuasiFit, series: Series, first: int, seed: int) -> Array:
+    """Records (DRAWN, n, ny) from row ``first`` on as a fitted model simulates them, uncertain as it is.
+
+    Noise that wanders takes one free run nearer to a record than the other by chance, for as long as it
+    wanders: resampled blocks of one record, which may hold one such excursion, do not tell.
+    """
+    theta, rng = np.asarray(fit.theta), np.random.default_rng([seed, 7])
+    x1, P1 = start_state(fit.model, theta, series, first)
+    part = series.part(first, len(series))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return draws(fit.model, theta, part, x1, P1, covariance_of(fit), DRAWN, rng)
 
 
 def noise_level(fit: QuasiFit, series: Series, x: Array) -> Array:
@@ -71,9 +88,13 @@ def output_gains(
     after: Array,
     floor: Array,
     seed: int,
+    drawn: Callable[[], Array] | None = None,
 ) -> list[OutputGain]:
-    """Errors of two free runs (T, ny) on the marked rows, for each output with readings there."""
-    out = []
+    """Errors of two free runs (T, ny) on the marked rows, for each output with readings there.
+
+    ``drawn`` makes records (N, T, ny) of the extended model, where one run is worse than the other.
+    """
+    out: list[OutputGain] = []
     for i, (name, unit) in enumerate(base.model.outputs.items()):
         kept = rows & part.observed[:, i]
         if kept.sum() < 2:
@@ -82,7 +103,7 @@ def output_gains(
         squares = np.stack([(y - run[kept, i]) ** 2 for run in (before, after)])
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
         rmse = np.sqrt(squares.mean(axis=1))
-        drawn = np.sqrt(bootstrap_means(squares, rng))
+        again = np.sqrt(bootstrap_means(squares, rng))
         spread = float(y.std())
         fits = 100.0 * (1.0 - rmse / spread) if spread > 0.0 else np.full(2, np.nan)
         above = float(rmse[0] ** 2 - floor[i] ** 2)
@@ -92,17 +113,32 @@ def output_gains(
                 unit,
                 float(rmse[0]),
                 float(rmse[1]),
-                _interval(drawn[0]),
-                _interval(drawn[1]),
+                _interval(again[0]),
+                _interval(again[1]),
                 float(rmse[1] - rmse[0]),
-                _interval(drawn[1] - drawn[0]),
+                _interval(again[1] - again[0]),
                 float(fits[0]),
                 float(fits[1]),
                 float(floor[i]),
                 float((rmse[0] ** 2 - rmse[1] ** 2) / above) if above > 0.0 else None,
             )
         )
+    seems = [o.output for o in out if o.interval_difference[0] > 0.0]
+    if drawn is None or not seems:
+        return out
+    records = drawn()
+    for k, one in enumerate(out):
+        if one.output in seems:
+            i = list(base.model.outputs).index(one.output)
+            kept = rows & part.observed[:, i]
+            each = [_root_means(records[:, kept, i] - run[kept, i]) for run in (before, after)]
+            worse = each[1] - each[0] >= one.difference
+            out[k] = replace(one, as_worse=float(np.mean(worse)))
     return out
+
+
+def _root_means(errors: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=1)))
 
 
 def bootstrap_means(values: Array, rng: np.random.Generator, n: int = BOOTSTRAPS) -> Array:

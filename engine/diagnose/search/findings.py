@@ -55,7 +55,8 @@ class Cause:
     ``where`` is the family (state, measurement, noise, input, time); ``size`` with ``unit`` and
     ``standard_error``; ``p_value`` family-wise; ``gain`` = 2 (log-likelihood gained); ``equivalent`` the
     names of all effects the data cannot tell from it, itself first; ``together`` names that were chosen with
-    it: the gain is that of all of them; ``at_floor`` whether ``p_value`` is the least that so many simulated
+    it: the gain is that of all of them; ``beside`` names of the other causes, where the gain is what it adds
+    to them; ``at_floor`` whether ``p_value`` is the least that so many simulated
     series can give. Of a wave ``size`` is the part of the cosine, and ``amplitude`` with ``amplitude_error``
     is how large it is, in the same unit; None of all else.
     """
@@ -73,6 +74,7 @@ class Cause:
     equivalent: tuple[str, ...]
     look_alikes: tuple[LookAlike, ...]
     together: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)  # of ``parameters``
     at_floor: bool = False
     amplitude: float | None = None

@@ -16,6 +16,7 @@ from engine.diagnose.screening.screen import Score, Screen
 from engine.diagnose.screening.screening import TAILS_ALARM, Progress
 from engine.diagnose.screening.tails import tails_left
 from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.search.elsewhere import bent
 from engine.diagnose.search.refits import (
     Refit,
     Way,
@@ -97,12 +98,14 @@ def refit_best(
     progress: Progress,
     kept: Kept = NOTHING,
     asked: Mapping[str, Array] | None = None,
+    again: Callable[[Sequence[Refit], Kept], list[Refit]] = lambda refits, kept: [],
 ) -> Round:
     """Refit the effects with the largest scores, and the unnamed force where it scores best.
 
     ``done`` are refits that were made before; ``asked`` names effects that are refitted whatever their
     scores, with theta (n,) to start from. A refit that seemed hopeless is left half-way at first;
-    in the end all that are within reach of the best one are followed to their own maximum.
+    in the end all that are within reach of the best one are followed to their own maximum. ``again`` makes
+    further refits where an effect is so large that it bends the scores.
     """
     refits = list(done)
     names = {r.effect.name for r in done}
@@ -119,6 +122,9 @@ def refit_best(
             refits.append(found)
     refits = followed(refits, series, fit, progress, kept)
     refits = _beside_look_alikes(refits, fit, series, seen, way, progress, kept)
+    if bent(refits, series):
+        refits = _best_of_each([*refits, *again(refits, kept)])
+        refits = followed(refits, series, fit, progress, kept.further("from elsewhere"))
     return settle(seen, without_one_of_many(refits, series), series, setting)
 
 

@@ -34,6 +34,7 @@ from engine.diagnose.search.calibration import (
     sequential_p,
 )
 from engine.diagnose.search.checkpoint import NOTHING, Kept
+from engine.diagnose.search.elsewhere import from_elsewhere
 from engine.diagnose.search.joint_refit import STAGE, look_back
 from engine.diagnose.search.refits import Refit, cost, with_tails
 from engine.diagnose.search.refitting import (
@@ -100,11 +101,18 @@ def search(
         here = kept.within(f"round {k + 1}")
         question = Question(fit, series, setting, kinds)
         screened = partial(
-            screen_effects, fit, series, setting, kinds, level, seed + k, progress, taken
+            screen_effects,
+            series=series,
+            setting=setting,
+            kinds=kinds,
+            alpha=level,
+            seed=seed + k,
+            progress=progress,
+            outliers=taken,
         )
         progress("screen", 0.0)
         try:
-            seen = here.screen(all_effects(setting, kinds), screened)
+            seen = here.screen(all_effects(setting, kinds), partial(screened, fit))
         except OptionError:
             if k == 0:
                 raise
@@ -127,7 +135,9 @@ def search(
             rounds.append(Round(seen, (), None, ()))
             break
         asked = leading(fit, series, setting, kinds)
-        found = refit_best(fit, series, seen, setting, swallowed, progress, here, asked)
+        every = all_effects(setting, kinds)
+        again = partial(from_elsewhere, fit, series, every, model.parameter_names, screened)
+        found = refit_best(fit, series, seen, setting, swallowed, progress, here, asked, again)
         if not swallowed:
             found = confirmed(found)
             alarm = found.screen.p_value <= level or not found.refits

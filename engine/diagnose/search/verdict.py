@@ -19,7 +19,7 @@ from engine.diagnose.search.findings import (
     LookAlike,
     Verdict,
 )
-from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.refits import Refit, further_parameters
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
 from engine.diagnose.search.search import Search
 from engine.estimation.quasi_ml import QuasiFit
@@ -114,7 +114,15 @@ def set_of(found: Round) -> tuple[str, ...]:
 def named_by(search: Search) -> tuple[Cause, ...]:
     """The causes it names, in the order in which they were found."""
     named = [r for r in search.rounds if r.equivalent]
-    return tuple(cause_of(r, search.final if len(named) == 1 else None) for r in named)
+    causes = [cause_of(r, search.final if len(named) == 1 else None) for r in named]
+    names = [cause.effect for cause in causes]
+    looked_back = not search.of_the_steps and not any(
+        r.refits[0].effect.traits.outliers for r in named
+    )
+    for k, cause in enumerate(causes):
+        if looked_back and cause.effect not in search.unweighed:
+            causes[k] = replace(cause, beside=tuple(n for n in names if n != cause.effect))
+    return tuple(causes)
 
 
 def cause_of(found: Round, final: QuasiFit | None = None) -> Cause:
@@ -164,7 +172,8 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         as_likely = refit is not None and refit.gain >= best.gain - MARGIN
         behind = 0.0 if refit is None else best.score - refit.score
         worse = followed and not same and not as_likely and other.name not in set_of(found)
-        ruled_out = worse and behind > RULED_OUT
+        less = 0.0 if refit is None else min(best.gain - refit.gain, behind)
+        ruled_out = worse and less > RULED_OUT  # parameters more are no evidence against it
         difference = best.effect.look_alikes.get(other.kind, "")
         if behind < -MARGIN:  # outliers of a state, see the search
             difference = WAS_LIKELIER
@@ -173,9 +182,10 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         elif as_likely and other.name not in set_of(found):
             difference = AS_LIKELY
         elif worse and not ruled_out:
-            difference = (
-                f"{LESS_LIKELY} {number(np.exp(0.5 * behind), 2)}, too little to rule it out"
-            )
+            difference = f"{LESS_LIKELY} {number(np.exp(0.5 * less), 2)}, too little to rule it out"
+            more = further_parameters(other) - further_parameters(best.effect)
+            if more > 0:
+                difference += f", and has {more} parameter{'s' * (more > 1)} more"
         out.append(
             LookAlike(other.name, likeness, refit.gain if refit else None, ruled_out, difference)
         )

@@ -32,8 +32,9 @@ AWAY_RANGES = 1000.0  # ranges of the readings: a run further off than that has 
 class Fit:
     """One output: ``rmse``, ``bias`` in its unit, ``fit`` = 100 (1 - rmse / std(y)) %, ``inside`` the band.
 
-    ``expected_rmse`` is what the model itself leads to expect; ``as_wrong`` the share of its own
-    simulations that are at least as far from its free run (None for one-step predictions);
+    ``expected_rmse`` is what the model itself leads to expect, for free runs the median of its own
+    simulations; ``as_wrong`` the share of these
+    that are at least as far from its free run (None for one-step predictions);
     ``bias_error`` the bias's standard error (Newey-West) for predictions, None for free runs.
     """
 
@@ -88,8 +89,9 @@ def against_run(model: MixedModel, series: Series, y: Array, x: Array, fine: Arr
         e = series.y[:, i] - y[:, i]
         seen = np.isfinite(e)
         errors = np.where(seen, fine[:, :, i] - y[:, i], np.nan)
-        expected.append(float(np.sqrt(np.mean(errors[:, seen] ** 2))) if seen.any() else np.nan)
-        errors_drawn.append(np.sqrt(np.nanmean(errors**2, axis=1)) if seen.any() else np.zeros(1))
+        drawn = np.sqrt(np.mean(errors[:, seen] ** 2, axis=1)) if seen.any() else np.full(1, np.nan)
+        expected.append(float(np.median(drawn)))
+        errors_drawn.append(drawn)
         one = Errors(name, unit, e, upper[:, i] - lower[:, i], errors)
         regions += _regions(one, signals, series)
     found = _fits(model, series, y, lower, upper, expected)

@@ -1,7 +1,7 @@
 """Where errors are: intervals of a signal, of time or of frequency, by mean and by size.
 
 A signal is cut at its quantiles into bands, and every run of neighbouring bands is looked at. The
-mean error in one of them is judged by its standard deviation over simulations of the model itself,
+mean error in one of them is judged by its spread over simulations of the model itself,
 or, for one-step predictions, by Newey and West's (1987) estimate: with d_t the errors inside, less
 their mean, and zero outside, and n samples inside,
 
@@ -31,6 +31,7 @@ NOTABLE, NOTABLE_RUN = 3.5, 3.0
 FEWEST_SAMPLES = 5  # samples in a region
 MOST_SAMPLES_SHARE = 0.6  # share of samples up to which a region is one
 EXPLAINED_SHARE = 0.02  # least share of all squared errors that a notable region makes up
+CENTRAL = (0.158655, 0.5, 0.841345)  # quantiles one standard deviation apart, where they are normal
 ROUNDING = 64.0 * float(np.finfo(float).eps)  # a range below this much of its values is rounding
 
 
@@ -121,9 +122,8 @@ def _region(
         error = max(newey_west(inner, int(inside.sum()), lags) for lags in (0, None))
         score = mean / error if error > 0.0 else 0.0
     else:
-        means = errors.drawn[:, inside].mean(axis=1)
-        error = float(means.std(ddof=1))
-        score = (mean - float(means.mean())) / error if error > 0.0 else 0.0
+        centre, error = centre_and_spread(errors.drawn[:, inside].mean(axis=1))
+        score = (mean - centre) / error if error > 0.0 else 0.0
     total = float(np.sum(e[seen] ** 2))
     return Region(
         errors.output,
@@ -139,6 +139,15 @@ def _region(
         share_error=float(np.sum(e[inside] ** 2)) / total if total > 0.0 else 0.0,
         share_samples=float(inside.sum() / seen.sum()),
     )
+
+
+def centre_and_spread(drawn: Array) -> tuple[float, float]:
+    """Mean and standard deviation of simulations' values (K,) by quantiles: a few may be far off.
+
+    Parameters are drawn with their uncertainty, to where a model is unstable or its noise has no variance.
+    """
+    low, middle, high = np.quantile(drawn, CENTRAL)
+    return float(middle), 0.5 * float(high - low)
 
 
 def newey_west(d: Array, n: int, lags: int | None = None) -> float:
@@ -180,8 +189,9 @@ def by_frequency(errors: Errors, dt: float, time_unit: str = SECOND) -> list[Reg
         else:
             tiny = float(np.finfo(float).tiny)
             logs = np.log(np.maximum(drawn[:, inside].sum(axis=1), tiny))
-            level, spread = float(np.exp(logs.mean())), float(logs.std(ddof=1))
-            score = float(np.log(max(here, tiny)) - logs.mean()) / spread if spread > 0.0 else 0.0
+            centre, spread = centre_and_spread(logs)
+            level = float(np.exp(centre))
+            score = float(np.log(max(here, tiny)) - centre) / spread if spread > 0.0 else 0.0
         out.append(
             Region(
                 errors.output,

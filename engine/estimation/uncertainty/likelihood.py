@@ -39,7 +39,12 @@ from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.distributions import chi2_quantile
 from engine.errors import ModelError, NotSettledWarning, OptionError
-from engine.estimation.uncertainty.observed import StandardErrors, standard_errors
+from engine.estimation.uncertainty.observed import (
+    Estimate,
+    StandardErrors,
+    of_estimate,
+    standard_errors,
+)
 from engine.estimation.uncertainty.score import Score
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
@@ -108,7 +113,7 @@ class LikelihoodIntervals(Shown):
 @single_threaded
 def likelihood_intervals(  # noqa: PLR0913
     model: MixedModel,
-    theta: ThetaLike,
+    theta: ThetaLike | Estimate,
     series: Series | Sequence[Series],
     free: Sequence[str] | None = None,
     level: float = 0.95,
@@ -126,8 +131,8 @@ def likelihood_intervals(  # noqa: PLR0913
     ----------
     model : MixedModel
         The model, paper, eq. (1).
-    theta : Theta, mapping or array
-        The estimate (n_theta,), in the parameters' units.
+    theta : Theta, mapping, array or EmResult
+        The estimate (n_theta,), in the parameters' units; the result of an estimation also says what was free.
     series : Series or sequence of Series
         One experiment or several; y (T, ny) with NaN where missing, u (T, nu), times.
     free : sequence of str, optional
@@ -165,6 +170,7 @@ def likelihood_intervals(  # noqa: PLR0913
     if not 0.0 < level < 1.0:
         raise OptionError(f"level = {level:g}; a number between 0 and 1 is needed", "level")
     check_seed(seed)
+    theta, free = of_estimate(theta, free)
     theta = model.theta(theta)
     if errors is None:
         with warnings.catch_warnings():  # an interval finds the maximum for itself

@@ -29,6 +29,7 @@ from engine.data.series import Series
 from engine.distributions import normal_quantile, student_quantile
 from engine.errors import ModelError, NotSettledWarning
 from engine.estimation.long_steps import about_predictions
+from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.at_bounds import pressed_onto_bounds, said_of_bounds
 from engine.estimation.uncertainty.score import Score, inside, shift_within
@@ -48,6 +49,10 @@ REACH_ERRORS = 0.5
 REPLICATES = 8
 # Standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases.
 SETTLED_ERRORS = 0.5
+DOUBTFUL_ERRORS = (
+    3.0  # so far from a maximum may be by the noise of a few scores: then there are more
+)
+FURTHER_SCORES = 12
 FEW_REPLICATES = 4  # where the moment filter's information is a good guess,
 GOOD_GUESS = (0.4, 2.5)  # which it is where particles see so many times as much
 UNCHECKED = (
@@ -182,6 +187,15 @@ class StandardErrors:
         return "tied to others" if name in self.tied else "held"
 
 
+def of_estimate(
+    theta: ThetaLike | Estimate, free: Sequence[str] | None
+) -> tuple[ThetaLike, Sequence[str] | None]:
+    """The parameters, and the names of those that were estimated where an estimation's result says it."""
+    if not isinstance(theta, Estimate):
+        return theta, free
+    return theta.theta, free or [name for name in theta.free if name not in theta.not_estimated]
+
+
 @single_threaded
 def standard_errors(
     model: MixedModel,
@@ -234,10 +248,8 @@ def standard_errors(
         The data hold no information on a parameter.
     """
     check_seed(seed)
-    found = None
-    if isinstance(theta, Estimate):
-        found, theta = theta, theta.theta
-        free = free or [name for name in found.free if name not in found.not_estimated]
+    found = theta if isinstance(theta, Estimate) else None
+    theta, free = of_estimate(theta, free)
     theta = model.theta(theta)
     all_series = as_series_list(series, model)
     every = Score.of(
@@ -266,7 +278,8 @@ def standard_errors(
     names, H = score.names, H[np.ix_(~pressed, ~pressed)]
     directions = undetermined(score, H, seed)
     kept = np.delete(np.arange(len(names)), to_hold(directions))
-    score, H = replace(score, indices=score.indices[kept]), H[np.ix_(kept, kept)]
+    whole, score = score, replace(score, indices=score.indices[kept])
+    H = H[np.ix_(kept, kept)]
     covariance, relative = np.zeros((len(names), len(names))), np.zeros(len(names))
     said = ""
     if kept.size:
@@ -279,6 +292,10 @@ def standard_errors(
         decrement, noise = float(moment @ covariance[np.ix_(kept, kept)] @ moment), 0.0
     else:
         decrement, noise = _decrement(covariance, scores)
+        if not exact and SETTLED_ERRORS**2 + noise < decrement < DOUBTFUL_ERRORS**2:
+            further = np.random.SeedSequence(seed).spawn(most + FURTHER_SCORES)[most:]
+            scores = np.array([*scores, *(whole.at(whole.x, which)[0] for which in further)])
+            decrement, noise = _decrement(covariance, scores)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
     if warning:
@@ -286,7 +303,7 @@ def standard_errors(
     mean = scores.mean(axis=0)
     error = scores.std(axis=0, ddof=min(len(scores) - 1, 1)) / np.sqrt(len(scores))
     sentences = (
-        warning,
+        warning or _said_of_the_end(found),
         said,
         ties_in_words(names, directions),
         said_of_bounds(at_bound),
@@ -406,6 +423,13 @@ def _warning(found: Estimate | None, decrement: float, drawn: list[str]) -> str:
             f"{', '.join(drawn)}. Start inside the bounds."
         )
     return said if found is None else f"{said} The estimation said: {found.message}"
+
+
+def _said_of_the_end(found: Estimate | None) -> str:
+    """What an estimation said that ended undecided: of that the scores of a few smoothers may see nothing."""
+    if getattr(found, "outcome", None) is not Outcome.UNDECIDED or found is None:
+        return ""
+    return f"The estimation itself was not sure that this is a maximum. It said: {found.message}"
 
 
 def _whitened_information(score: Score, L: Array, which: np.random.SeedSequence) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 
 from engine.diagnose.search.findings import LookAlike
 from engine.presentation import over_horizon
-from engine.presentation.cause_sentences import gained, standing
+from engine.presentation.cause_sentences import gained, standing, with_others
 from engine.presentation.report.chart import Chart, Numbers, Ranking, Trace
 from engine.presentation.report.comparison import TIME, around
 from engine.presentation.report.html import Html, table, table_of, tag
@@ -91,8 +91,7 @@ def _cause(cause: Document) -> list[object]:
 
 
 def _gained(cause: Document) -> str:
-    others = cause.get("together")
-    return gained(cause["gain"]) + (f" together with {', '.join(others)}" if others else "")
+    return gained(cause["gain"]) + with_others(cause.get("together", ()), cause.get("beside", ()))
 
 
 def two_criteria(asked: Document | None, draw: Drawer) -> list[object]:

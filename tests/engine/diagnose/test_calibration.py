@@ -12,12 +12,21 @@ from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.score_columns import Column, Projection
 from engine.diagnose.screening.screen import make_test, screen
 from engine.diagnose.search import calibration, search
-from engine.diagnose.search.calibration import BOLDEST, boldness, calibrated, decides, sequential_p
+from engine.diagnose.search.calibration import (
+    BOLDEST,
+    OTHERS,
+    Question,
+    boldness,
+    calibrated,
+    decides,
+    sequential_p,
+)
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.refitting import REFITTED, swallowed_p
 from tests.engine.hidden_effects import DRIVE
 
 ALPHA = 0.05
+NOBODY = Question(None, None, None, None)  # nothing is simulated here
 T = 300
 
 
@@ -100,7 +109,7 @@ def test_a_bold_model_has_its_alarm_taken_back(monkeypatch):
             "simulated_logs",
             lambda *a, f=factor, d=draws: np.append(f * d.exponential(size=n), expected),
         )
-        judged = calibrated(seen, None, ALPHA, 0, silent)
+        judged = calibrated(seen, NOBODY, ALPHA, 0, silent)
         assert (judged.p_value <= ALPHA) is alarm
         assert judged.simulated >= calibration.FEWEST
         # a refit's likelihood ratio is judged by the same boldness
@@ -109,10 +118,23 @@ def test_a_bold_model_has_its_alarm_taken_back(monkeypatch):
         assert first.p_of(13.0) == pytest.approx(p ** (1.0 / first.boldness))
 
 
+def test_what_may_decide_is_screened_again_and_as_many_others_as_tell_the_mean(monkeypatch):
+    seen = a_screen(statistic=13.0)
+    asked = []
+    monkeypatch.setattr(calibration, "simulated_logs", lambda q, *a: asked.append(q.kinds))
+    calibrated(seen, NOBODY, ALPHA, 0, silent)
+    names = asked[0]
+    least = min(score.p_value for score in seen.scores) ** (1.0 / BOLDEST)
+    near = {score.effect.name for score in seen.scores if score.p_value <= least}
+    assert near <= {*names}
+    assert len(names) == len({*names}) <= len(near) + 2 * OTHERS
+    assert len(names) >= min(len(seen.scores), OTHERS)
+
+
 def test_a_model_that_cannot_be_simulated_is_believed_least(monkeypatch):
     monkeypatch.setattr(calibration, "simulated_logs", lambda *a: None)
     seen = a_screen(statistic=13.0)
-    judged = calibrated(seen, None, ALPHA, 0, silent)
+    judged = calibrated(seen, NOBODY, ALPHA, 0, silent)
     assert {score.boldness for score in judged.scores} == {BOLDEST}
     assert judged.p_value == pytest.approx(seen.family_wise_at(BOLDEST))
 

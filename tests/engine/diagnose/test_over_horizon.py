@@ -48,6 +48,35 @@ def test_an_error_one_sample_ahead_is_that_of_the_innovations(beside):
     assert beside.candidates[1].errors[0] == pytest.approx(share, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("errors", "gains", "better"),
+    [
+        ((0.85, 0.6, 0.18), (69.0, 644.0), True),
+        ((0.85, 0.6, 0.245), (69.0, 644.0), False),  # no better in the free run
+        ((0.85, 0.6, 0.18), (30.0, 644.0), False),  # nor with the noise of the model as given
+        ((0.85, 0.6, np.nan), (69.0, 644.0), False),
+    ],
+)
+def test_the_answer_is_overtaken_by_what_does_better_everywhere(errors, gains, better):
+    rows = [
+        Candidate((), (1.0, 1.0, 1.0), (0.0, 0.0)),
+        Candidate(("pole:p", "path:u->y"), (0.89, 0.65, 0.24), (32.0, 605.0)),
+        Candidate(("harmonic:y",), errors, gains),
+    ]
+    found = OverHorizon((1, 10, 480), (1.0, 0.1), tuple(rows))
+    assert found.overtakes(["harmonic:y"]) == (("harmonic:y",) if better else ())
+    assert found.overtakes(["step:y"]) == ()  # it is not the likelihood's
+
+
+def test_where_noise_cannot_be_shared_errors_decide():
+    rows = [
+        Candidate((), (1.0, 1.0), (0.0,)),
+        Candidate(("pole:p",), (0.9, 0.5), (np.nan,)),
+        Candidate(("harmonic:y",), (0.8, 0.4), (np.nan,)),
+    ]
+    assert OverHorizon((1, 50), (1.0,), tuple(rows)).overtakes(["harmonic:y"])
+
+
 def test_a_patch_leads_one_sample_ahead_only():
     rows = [
         Candidate((), (1.0, 1.0), (0.0,)),

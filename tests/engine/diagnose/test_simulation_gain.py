@@ -1,12 +1,17 @@
 """Free-run errors before and after an extension, by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import engine
 from engine import Series
+from engine.diagnose.gain.adoption import runs_changed
+from engine.diagnose.gain.gain import measure_gain
 from engine.diagnose.gain.simulation_gain import output_gains
+from engine.estimation.quasi_ml import quasi_ml
 
 T = 1000
 BASE = SimpleNamespace(model=SimpleNamespace(outputs={"near": "m", "far": "K", "silent": "V"}))
@@ -67,3 +72,54 @@ def test_an_output_with_a_single_reading_held_out_has_no_error(made):
     assert [one.output for one in found] == ["near", "far", "silent"]  # rows 0 and 2
     only = np.arange(T) == 0
     assert output_gains(BASE, Series(y, dt=1.0), only, *runs, np.ones(3), seed=1) == []
+
+
+def wandering():
+    """A level that wanders about zero, for a hundred samples at a time."""
+
+    def dynamics(a, u, t, dt, th):
+        return [0.0], [[0.98]], [[0.04]]
+
+    def measurement(a, u, t, th):
+        return [th.offset], [[1.0]], [[1e-2]]
+
+    return engine.MixedModel(
+        name="wandering",
+        dynamics=dynamics,
+        measurement=measurement,
+        initial=lambda th: (None, [0.0], [[1.0]]),
+        linear={"level": "m"},
+        outputs={"y": "m"},
+        parameters=[engine.Parameter("offset", 0.0, "m")],
+    )
+
+
+def test_a_run_that_noise_took_further_off_is_no_worse():
+    """Of 60 records of the extended model itself, 120 rows each, about a run that is 0.4 m off before."""
+    model = wandering()
+    after = quasi_ml(
+        model, engine.simulate(model, None, 400, np.random.default_rng(0)).series, free=[]
+    )
+    before = replace(after, theta=model.theta({"offset": 0.4}))
+    seemed = worse = 0
+    for seed in range(60):
+        series = engine.simulate(model, None, 140, np.random.default_rng([9, seed])).series
+        gain = measure_gain(before, after, [series.part(20, 140)], series.part(0, 20), seed)
+        (one,) = gain.outputs
+        seemed += one.interval_difference[0] > 0.0
+        worse += bool(runs_changed(gain.outputs)[1])
+        assert (one.as_worse is None) == (one.interval_difference[0] <= 0.0)
+    assert seemed >= 8  # by blocks of the record alone
+    assert worse <= 6  # of 60, where 5 % are wanted
+
+
+def test_a_run_that_is_off_beyond_what_noise_does_is_worse():
+    model = wandering()
+    before = quasi_ml(
+        model, engine.simulate(model, None, 400, np.random.default_rng(0)).series, free=[]
+    )
+    after = replace(before, theta=model.theta({"offset": 8.0}))
+    series = engine.simulate(model, None, 140, np.random.default_rng(3)).series
+    gain = measure_gain(before, after, [series.part(20, 140)], series.part(0, 20))
+    assert gain.outputs[0].as_worse == 0.0
+    assert runs_changed(gain.outputs)[1]

@@ -175,8 +175,10 @@ def test_a_region_is_judged_by_the_errors_that_the_model_itself_makes():
     means = drawn[:, inside].mean(axis=1)
     assert (one.low, one.high) == (0.5, 1.5)
     assert one.mean == pytest.approx(e[inside].mean())
-    assert one.standard_error == pytest.approx(means.std(ddof=1))
-    assert one.score == pytest.approx((e[inside].mean() - means.mean()) / means.std(ddof=1))
+    low, high = np.quantile(means, ndtr([-1.0, 1.0]))
+    assert one.standard_error == pytest.approx(0.5 * (high - low), rel=1e-4)
+    score = (e[inside].mean() - np.median(means)) / one.standard_error
+    assert one.score == pytest.approx(score)
     assert one.rms == pytest.approx(np.sqrt(np.mean(e[inside] ** 2)))
     assert one.band == 4.0
     assert one.share_error == pytest.approx(np.sum(e[inside] ** 2) / np.nansum(e**2))
@@ -247,6 +249,19 @@ def test_without_simulations_nothing_is_expected():
     assert none.regions == ()
     assert "expects" not in overall(fit, "simulation")
     assert "band" not in overall(fit, "simulation")
+
+
+def test_a_few_simulations_that_went_astray_change_no_expectation():
+    rng = np.random.default_rng(16)
+    series = simulate(LINEAR, None, 200, rng).series
+    y, x = np.zeros((200, 1)), np.zeros((200, 2))
+    series = replace(series, y=series.y + 3.0 * (series.t > 150.0)[:, None])
+    fine = 0.5 * rng.standard_normal((100, 200, 1))
+    astray = np.concatenate([fine, 1e3 * rng.standard_normal((5, 200, 1))])
+    usual, also = (against_run(LINEAR, series, y, x, drawn) for drawn in (fine, astray))
+    assert also.fits[0].expected_rmse == pytest.approx(usual.fits[0].expected_rmse, rel=0.02)
+    scores = [max(abs(r.score) for r in one.regions if r.kind == "time") for one in (usual, also)]
+    assert scores[1] == pytest.approx(scores[0], rel=0.2)
 
 
 def test_a_sure_error_that_explains_nothing_is_not_worth_a_sentence():

@@ -1,0 +1,93 @@
+"""Refits from elsewhere, where an effect is so large that it bends the fit of the model without it.
+
+Without the effect the parameters go far off to explain some of it, perhaps to another basin of the likelihood.
+What the screen sees from there is bent too, and refits that begin there may end in a maximum that is not the
+highest. So all effects are screened again at parameters that are not bent, those the model was given with and
+those of the refit that leads, and the best are refitted from there, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from engine.data.series import Series
+from engine.diagnose.effects.effect import Effect
+from engine.diagnose.screening.screen import Score, Screen
+from engine.diagnose.search.checkpoint import Kept
+from engine.diagnose.search.refits import Refit, cost, refit
+from engine.errors import EngineError
+from engine.estimation.quasi_ml import QuasiFit, log_likelihoods
+from engine.statespace.model import Theta
+
+Screened = Callable[..., Screen]  # (fit, kinds=names)
+
+REFITS = 8  # effects refitted from each place
+
+
+def bent(refits: Sequence[Refit], series: Series) -> bool:
+    """Whether the best of these gains more than a unit of 2 x log-likelihood for every reading."""
+    return max((r.gain for r in refits), default=0.0) > int(series.observed.sum())
+
+
+def from_elsewhere(
+    fit: QuasiFit,
+    series: Series,
+    effects: Sequence[Effect],
+    own: Sequence[str],
+    screened: Screened,
+    refits: Sequence[Refit],
+    kept: Kept,
+) -> list[Refit]:
+    """Refits that begin at parameters the data without the effect did not choose.
+
+    ``own`` are the parameters of the user's model; ``screened`` tells what is seen of ``effects`` at other
+    parameters; ``refits`` begun at the fit itself.
+    """
+    # not of noise, which would be worth most, as all errors are large from there
+    effects = [effect for effect in effects if not _of_noise(effect)]
+    kinds = [effect.name for effect in effects]
+    leading = max((r for r in refits if not r.effect.traits.unnamed), key=lambda r: r.score)
+    found: list[Refit] = []
+    for name, theta in _places(fit, leading, own).items():
+        there, here = replace(fit, theta=theta, rivals=()), kept.further(name)
+        try:
+            value = float(log_likelihoods(fit.model, [series], np.asarray(theta)[None])[0])
+            seen = here.screen(effects, partial(screened, there, kinds=kinds))
+        except (EngineError, np.linalg.LinAlgError):
+            continue
+        fall = 2.0 * (fit.log_likelihood - value)
+        for score in _best(seen, series):
+            best = max(r.score for r in (*refits, *found))
+            once = partial(refit, there, series, score, best + fall)
+            try:
+                one = here.refit(fit.model, score.effect, once)
+            except (EngineError, np.linalg.LinAlgError):
+                continue
+            found.append(replace(one, gain=one.gain - fall, score=one.score - fall))
+    return found
+
+
+def _places(fit: QuasiFit, leading: Refit, own: Sequence[str]) -> dict[str, Theta]:
+    """Parameters at which to look again: the model's own at their defaults, or as in the refit that leads."""
+    moved = [name for name in fit.free if name in own]
+    known = fit.theta.asdict()
+    defaults, beside = fit.model.theta().asdict(), leading.fit.theta.asdict()
+    return {
+        "as given": fit.model.theta(known | {name: defaults[name] for name in moved}),
+        "beside the leading": fit.model.theta({name: beside[name] for name in known}),
+    }
+
+
+def _best(seen: Screen, series: Series) -> list[Score]:
+    """The effects that are worth most from there."""
+    named = [s for s in seen.scores if s.statistic > 0.0]
+    return sorted(named, key=lambda s: cost(s.effect, series) - s.statistic)[:REFITS]
+
+
+def _of_noise(effect: Effect) -> bool:
+    traits = effect.traits
+    return traits.noise_level or traits.outliers or traits.unnamed

@@ -1,0 +1,90 @@
+"""Two solutions that explain the data alike: one is estimated, the other is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import engine
+
+
+def absorption():
+    """A drug's way through gut and blood: the two rates may change places, and the volume with them."""
+
+    def dynamics(a, u, t, dt, th):
+        gone, cleared = np.exp(-th.ka * dt), np.exp(-th.ke * dt)
+        taken = th.ka * (gone - cleared) / (th.ke - th.ka)
+        return [0.0, 0.0], [[gone, 0.0], [taken, cleared]], np.diag([1e-6, 1e-4])
+
+    def measurement(a, u, t, th):
+        return [0.0], [[0.0, 1.0 / th.V]], [[1e-2]]
+
+    def initial(th):
+        return None, [100.0, 0.0], np.zeros((2, 2))
+
+    return engine.MixedModel(
+        name="absorption",
+        dynamics=dynamics,
+        measurement=measurement,
+        initial=initial,
+        linear={"gut": "mg", "blood": "mg"},
+        outputs={"concentration": "mg/L"},
+        parameters=[
+            engine.Parameter("ka", 1.5, "1/s", (0.01, 10.0)),
+            engine.Parameter("ke", 0.3, "1/s", (0.01, 10.0)),
+            engine.Parameter("V", 20.0, "L", (1.0, 500.0)),
+        ],
+    )
+
+
+@pytest.fixture(scope="module")
+def measured():
+    truth = {"ka": 0.35, "ke": 1.2, "V": 12.0}
+    return engine.simulate(absorption(), truth, 40, np.random.default_rng(0), dt=0.5).series
+
+
+@pytest.fixture(scope="module")
+def fit(measured):
+    return engine.rbps_em(absorption(), measured, seed=1)
+
+
+def test_the_maximum_with_the_rates_in_each_others_place_is_told(fit):
+    said = fit.message
+    ka, ke, V = fit.theta
+    assert "another maximum" in said
+    there = said.split("another maximum, at ")[1].split(", whose")[0]
+    other = dict(part.split(" = ") for part in there.split(", "))
+    numbers = [float(other[name]) for name in ("ka", "ke", "V")]
+    np.testing.assert_allclose(numbers, [ke, ka, V * ke / ka], rtol=0.05)
+    assert "the same by the moment filter" in said or "lower by" in said or "higher by" in said
+
+
+def test_a_run_that_went_on_says_the_same(measured, fit):
+    part = engine.rbps_em(absorption(), measured, seed=1, callback=lambda it: it.k == 3)
+    again = engine.rbps_em(absorption(), measured, seed=1, resume=part)
+    np.testing.assert_array_equal(again.theta, fit.theta)
+    assert again.message == fit.message
+
+
+def test_bounds_that_leave_out_the_other_end_the_remark(measured, fit):
+    ka, ke, _ = fit.theta
+    between = 0.5 * (ka + ke)
+    model = absorption()
+    taken, cleared, volume = model.parameters
+    faster, slower = (between, 10.0), (0.01, between)
+    if ka < ke:
+        faster, slower = slower, faster
+    bounds = [
+        replace(taken, bounds=faster, default=ka),
+        replace(cleared, bounds=slower, default=ke),
+        volume,
+    ]
+    bounded = engine.rbps_em(replace(model, parameters=bounds), measured, seed=1)
+    np.testing.assert_allclose(bounded.theta[:2], [ka, ke], rtol=0.01)
+    assert "another maximum" not in bounded.message
+
+
+def test_a_model_with_one_maximum_has_no_remark():
+    model = engine.get_model("local-level")
+    series = engine.simulate(model, None, 200, np.random.default_rng(3)).series
+    assert "another maximum" not in engine.rbps_em(model, series, n_iterations=5, seed=1).message
