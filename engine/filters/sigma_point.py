@@ -44,7 +44,8 @@ class MomentFiltered(Shown):
     @property
     def log_likelihood(self) -> Array:
         """Sum of the terms (K,), -inf where not finite."""
-        total = self.log_terms.sum(axis=0)
+        with np.errstate(over="ignore"):  # of a filter that ran away
+            total = self.log_terms.sum(axis=0)
         return np.where(np.isfinite(total), total, -np.inf)
 
 

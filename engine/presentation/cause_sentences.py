@@ -7,16 +7,20 @@ from collections.abc import Mapping, Sequence
 
 from engine.data.series import Series
 from engine.diagnose.effects.colored import LATENT
-from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, WAS_LIKELIER, Cause, LookAlike
+from engine.diagnose.search.findings import (
+    AS_LIKELY,
+    LESS_LIKELY,
+    SAME,
+    WAS_LIKELIER,
+    Cause,
+    LookAlike,
+)
 from engine.units import SECOND
 from engine.words import enumerated, estimate, number, with_unit
 
 SAMPLES = "samples"  # the unit of a delay
 
 NOTHING_ADDED = "Nothing was added, so nothing is gained or lost."
-
-# As the search has it of another name for the same thing.
-SAME = "says the same in other words here"
 
 SMALLEST = (
     "The smallest size of each effect that would have been found with 80 % probability, and the share of its "

@@ -74,6 +74,9 @@ def _head(d: Diagnosis) -> Iterator[str]:
         if len(cause.equivalent) > 1:
             others = enumerated(list(cause.equivalent[1:]), "or")
             yield from _wrapped(f"not told apart from {others}", "      ")
+        if cause.in_other_words:
+            same = enumerated(list(cause.in_other_words), "or")
+            yield from _wrapped(f"in other words, the same on these data: {same}", "      ")
     if not d.causes:
         said = looked_for(probability(d.p_value, d.p_at_floor), [x.testable for x in d.detectable])
         yield from _wrapped(said, "  ")

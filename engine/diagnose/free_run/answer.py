@@ -17,7 +17,7 @@ from engine.diagnose.free_run.windows import LONG, STRETCH
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.amplitude import amplitude_of
-from engine.diagnose.search.findings import Cause, LookAlike, Verdict
+from engine.diagnose.search.findings import SAME, Cause, LookAlike, Verdict
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit, quasi_ml
 from engine.simulation.fit import fit_simulation
@@ -283,6 +283,6 @@ def _look_alikes(one: FreeRound, effect: Effect) -> list[LookAlike]:
         same = other.names in groups[0]
         survives = any(other.names in group for group in groups)
         likeness = float(np.corrcoef(one.fit.e - other.fit.e, one.fit.e - chosen.fit.e)[0, 1])
-        said = "says the same in other words here" if same else ""
+        said = SAME if same else ""
         out.append(LookAlike(name, abs(likeness), None, not survives, said))
     return out[:SHOWN]

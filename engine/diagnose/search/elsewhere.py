@@ -23,7 +23,7 @@ from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods
 from engine.statespace.model import Theta
 
-Screened = Callable[..., Screen]  # (fit, kinds=names)
+Screened = Callable[[QuasiFit, Sequence[str]], Screen]
 
 REFITS = 8  # effects refitted from each place
 
@@ -44,8 +44,8 @@ def from_elsewhere(
 ) -> list[Refit]:
     """Refits that begin at parameters the data without the effect did not choose.
 
-    ``own`` are the parameters of the user's model; ``screened`` tells what is seen of ``effects`` at other
-    parameters; ``refits`` begun at the fit itself.
+    ``own`` are the parameters of the user's model; ``screened`` tells what is seen of some of
+    ``effects`` at other parameters; ``refits`` begun at the fit itself.
     """
     # not of noise, which would be worth most, as all errors are large from there
     effects = [effect for effect in effects if not _of_noise(effect)]
@@ -56,7 +56,7 @@ def from_elsewhere(
         there, here = replace(fit, theta=theta, rivals=()), kept.further(name)
         try:
             value = float(log_likelihoods(fit.model, [series], np.asarray(theta)[None])[0])
-            seen = here.screen(effects, partial(screened, there, kinds=kinds))
+            seen = here.screen(effects, partial(screened, there, kinds))
         except (EngineError, np.linalg.LinAlgError):
             continue
         fall = 2.0 * (fit.log_likelihood - value)

@@ -10,6 +10,7 @@ from engine.words import probability
 
 # What is said of a look-alike that is not ruled out.
 AS_LIKELY = "is as likely, but with more parameters to choose"
+SAME = "says the same in other words here"  # of another name for the same thing
 LESS_LIKELY = "is less likely, by a factor of"
 WAS_LIKELIER = "was likelier before what was found beside the cause"
 
@@ -79,6 +80,11 @@ class Cause:
     at_floor: bool = False
     amplitude: float | None = None
     amplitude_error: float | None = None
+
+    @property
+    def in_other_words(self) -> tuple[str, ...]:
+        """Names that say the same on these data: other physics, which another experiment may tell apart."""
+        return tuple(other.effect for other in self.look_alikes if other.difference == SAME)
 
     @property
     def probability(self) -> str:

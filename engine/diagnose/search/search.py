@@ -21,8 +21,10 @@ import numpy as np
 
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import all_effects
+from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.free_run_fits.candidates import leading
+from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress, screen_effects
 from engine.diagnose.screening.tails import pit_of, standardised_errors
 from engine.diagnose.search.calibration import (
@@ -100,19 +102,10 @@ def search(
         level = alpha if k == 0 else LATER * alpha
         here = kept.within(f"round {k + 1}")
         question = Question(fit, series, setting, kinds)
-        screened = partial(
-            screen_effects,
-            series=series,
-            setting=setting,
-            kinds=kinds,
-            alpha=level,
-            seed=seed + k,
-            progress=progress,
-            outliers=taken,
-        )
+        screened = partial(_screened, series, setting, level, seed + k, progress, taken)
         progress("screen", 0.0)
         try:
-            seen = here.screen(all_effects(setting, kinds), partial(screened, fit))
+            seen = here.screen(all_effects(setting, kinds), partial(screened, fit, kinds))
         except OptionError:
             if k == 0:
                 raise
@@ -190,6 +183,20 @@ def search(
         return Search(base, best, (*rounds[: of_state.place], of_state.found), False)
     rounds[:] = [_of_last(found, tails, final, base) for found in rounds]
     return Search(base, final, tuple(rounds), alarm, explained, unweighed)
+
+
+def _screened(
+    series: Series,
+    setting: Setting,
+    alpha: float,
+    seed: int,
+    progress: Progress,
+    outliers: Effect | None,
+    fit: QuasiFit,
+    kinds: Sequence[str] | None,
+) -> Screen:
+    """What of these ``kinds`` is seen at a fit."""
+    return screen_effects(fit, series, setting, kinds, alpha, seed, progress, outliers)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from engine.diagnose.search.amplitude import amplitude_of
 from engine.diagnose.search.findings import (
     AS_LIKELY,
     LESS_LIKELY,
+    SAME,
     WAS_LIKELIER,
     Cause,
     Detectable,
@@ -178,7 +179,7 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         if behind < -MARGIN:  # outliers of a state, see the search
             difference = WAS_LIKELIER
         elif same and other.name not in set_of(found):
-            difference = "says the same in other words here"
+            difference = SAME
         elif as_likely and other.name not in set_of(found):
             difference = AS_LIKELY
         elif worse and not ruled_out:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from engine.diagnose.search.findings import SAME
 from engine.presentation.cause_sentences import looked_for
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.parts import (
@@ -60,6 +61,10 @@ def _headline(cause: Document) -> Html:
     if len(cause["equivalent"]) > 1:
         others = enumerated(list(cause["equivalent"][1:]), "or")
         parts.append(tag("span", f", not told apart from {others}", class_="hint"))
+    same = [other["effect"] for other in cause["look_alikes"] if other["difference"] == SAME]
+    if same:
+        said = f", in other words the same on these data: {enumerated(same, 'or')}"
+        parts.append(tag("span", said, class_="hint"))
     return join(parts)
 
 

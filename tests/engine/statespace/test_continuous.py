@@ -273,6 +273,78 @@ def test_a_step_calls_the_drift_twice():
     np.testing.assert_allclose(together[3], alone[0], rtol=1e-12)
 
 
+def house(diffusion):
+    """Two rooms, the first declared nonlinear, in matrices that take many parameter vectors."""
+
+    def drift(a, u, t, th):
+        return [th.k * (u[0] - a[:, 0]), th.k * a[:, 0]], [[0.5 * th.k], [-th.k]]
+
+    return engine.continuous(
+        name="house",
+        drift=drift,
+        diffusion=diffusion,
+        measurement=lambda a, u, t, th: ([a[:, 0]], [[0.0]], [[0.01]]),
+        initial=lambda th: (engine.Gaussian([20.0], [[1.0]]), [20.0], [[1.0]]),
+        nonlinear={"near": "degC"},
+        linear={"far": "degC"},
+        inputs={"outside": "degC"},
+        outputs={"y": "degC"},
+        parameters=[
+            engine.Parameter("k", 0.2, "1/h"),
+            engine.Parameter("q", 0.1),
+            engine.Parameter("s", 0.2),
+        ],
+    )
+
+
+def test_noise_that_takes_one_theta_keeps_the_drift_from_taking_many_no_more():
+    """``np.diag`` of arrays is no diagonal matrix: as most people write it."""
+    calls = []
+
+    def diagonal(a, u, t, th):
+        calls.append(th)
+        return np.diag([th.q**2, th.s**2])
+
+    def entry_by_entry(a, u, t, th):
+        return [[th.q**2, 0.0], [0.0, th.s**2]]
+
+    rng = np.random.default_rng(0)
+    thetas = np.array([0.2, 0.1, 0.2]) * rng.uniform(0.5, 1.5, (12, 3))
+    a, u = rng.normal(20.0, 1.0, (24, 1)), np.array([5.0])
+    models = house(diagonal), house(entry_by_entry)
+    for _ in range(3):
+        both = [m.transition(a, u, 0.0, 0.25, m.records(thetas, 2)) for m in models]
+        for one, other in zip(*both, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12)
+    model = models[0]
+    record = model.records(thetas, 2)
+    model.transition(a, u, 0.0, 0.25, record)
+    calls.clear()
+    for k in range(200):  # as a filter steps on with the same parameters
+        model.transition(a, u, 0.25 * k, 0.25, record)
+    assert len(calls) < 200  # of 12 for each step; some are looks at whether rows agree
+    assert all(isinstance(th.q, float) for th in calls)
+
+
+def test_noise_that_reads_a_state_is_asked_for_every_state():
+    model = house(lambda a, u, t, th: [[th.q**2 * np.abs(a[:, 0]), 0.0], [0.0, th.s**2]])
+    record = model.record(model.theta())
+    Q = [model.transition(np.array([[x]]), np.zeros(1), 0.0, 0.25, record)[2] for x in (1.0, 4.0)]
+    Q = [one.reshape(2, 2)[0, 0] for one in Q]
+    assert Q[1] > 3.0 * Q[0]
+
+
+def test_it_is_told_what_a_discretised_model_reads():
+    from engine.statespace.evaluation import INPUT, TIME
+    from engine.statespace.reads import reads
+
+    steady = house(lambda a, u, t, th: np.diag([th.q, th.s]))
+    assert reads(steady.dynamics, INPUT)
+    assert not reads(steady.dynamics, TIME)
+    daily = house(lambda a, u, t, th: np.diag([th.q, th.s * (1.0 + t)]))
+    assert reads(daily.dynamics, TIME)
+
+
 def test_it_is_pickled_after_use_as_before():
     import pickle
 
