@@ -16,6 +16,7 @@ from engine.diagnose.over_horizon import OverHorizon
 from engine.diagnose.search.findings import Cause, Detectable, Verdict
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
+from engine.diagnose.symptoms.data_checks import faults_of
 from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
@@ -139,6 +140,11 @@ class Diagnosis(Shown):
     def decided_by(self) -> str:
         """The criterion that decided: ``likelihood`` or ``free run``."""
         return "free run" if self.free_run is not None and self.free_run.decides else "likelihood"
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What to look at in the record before any cause is believed: readings cut, stuck or given twice."""
+        return () if self.verdict is Verdict.NOTHING else faults_of(self.model, self.series)
 
     @property
     def measured(self) -> tuple[str, ...]:

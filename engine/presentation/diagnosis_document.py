@@ -88,6 +88,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "gain": None if d.gain is None else _gain(d.gain, list(d.model.outputs)),
         "detectable": [asdict(item) for item in d.detectable],
         "rounds": [_round(found) for found in d.rounds],
+        "faults": list(d.faults),
         "notes": list(d.notes),
         "seconds": d.seconds,
         "page": page(d),

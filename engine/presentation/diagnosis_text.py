@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from engine.diagnose.extended import at_bounds, in_the_library
-from engine.diagnose.gain.adoption import NOT_MEASURED, in_full, in_short
+from engine.diagnose.gain.adoption import NOT_MEASURED, in_full, in_short, ran_away
 from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
 from engine.diagnose.search.rounds import UNNAMED_MARGIN
 from engine.errors import EngineError
@@ -66,6 +66,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
     yield f"Diagnosis of model '{d.model.name}' on {len(series)} samples of {outputs}{more}"
     yield "=" * WIDTH
     yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")
+    for fault in d.faults:
+        yield from _wrapped(f"Look at the record first. {fault}", "  ")
     if d.verdict.value == "unknown" and (known := _known(d)):
         yield from _wrapped(known, "  ")
     for k, cause in enumerate(d.causes):
@@ -77,6 +79,9 @@ def _head(d: Diagnosis) -> Iterator[str]:
         if cause.in_other_words:
             same = enumerated(list(cause.in_other_words), "or")
             yield from _wrapped(f"in other words, the same on these data: {same}", "      ")
+        if cause.not_ruled_out:
+            less = enumerated(list(cause.not_ruled_out), "or")
+            yield from _wrapped(f"less likely, but not ruled out: {less}", "      ")
     if not d.causes:
         said = looked_for(probability(d.p_value, d.p_at_floor), [x.testable for x in d.detectable])
         yield from _wrapped(said, "  ")
@@ -112,6 +117,9 @@ def gain_line(gain: Gain) -> str:
         f"({probability(gain.p_value)} of no gain)"
     )
     for output in gain.outputs:
+        if ran_away(output):
+            text += f"; free run of {output.output} runs away"
+            continue
         text += (
             f"; free run of {output.output} {with_unit(output.rmse_before, output.unit)} rms before, "
             f"{with_unit(output.rmse_after, output.unit)} after"

@@ -31,6 +31,7 @@ NOT_MEASURED = (
 )
 TELLING_FIT = 10.0  # % of fit: a free run below it is hardly better than a constant, and a loss ...
 TELLING_LOSS = 1.25  # ... contradicts nothing unless its error grows by this factor
+RAN_AWAY = -200.0  # % of fit: an error of three standard deviations of the readings
 RUN_SHARE = 0.01  # of a free run's rms error: a smaller change, however sure, is none
 
 
@@ -108,9 +109,16 @@ def runs_changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[
 
 
 def _changed(outputs: Sequence[OutputGain]) -> tuple[list[OutputGain], list[OutputGain]]:
-    changed = [o for o in outputs if abs(o.difference) > RUN_SHARE * o.rmse_before]
+    changed = [
+        o for o in outputs if abs(o.difference) > RUN_SHARE * o.rmse_before and not ran_away(o)
+    ]
     better = [o for o in changed if o.interval_difference[1] < 0.0]
     return better, [o for o in changed if o.interval_difference[0] > 0.0]
+
+
+def ran_away(o: OutputGain) -> bool:
+    """Whether both free runs are so far off that they tell nothing, as those of an unstable plant are."""
+    return o.fit_before < RAN_AWAY and o.fit_after < RAN_AWAY
 
 
 def _tells(o: OutputGain) -> bool:

@@ -95,7 +95,7 @@ def _confirmed(test: Test, fit: QuasiFit, series: Series) -> Test:
     """
     if test.known is None or test.known[1] > TAILS_ALARM:
         return test
-    gain, _ = fit_tails(fit, test.effect, series, ROUGH)
+    gain, _ = fit_tails(fit, test.effect, series, ROUGH, enough=test.known[0])
     ratio = max(gain, 0.0)
     if ratio >= test.known[0]:
         return test

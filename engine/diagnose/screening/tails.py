@@ -33,7 +33,7 @@ USUAL = 10.0  # ratio at which the kurtosis is read as a share
 LEAST_RATIO, MOST_RATIO = 2.0, 1e4
 SHARE_LEAST, SHARE_MOST = 1e-3, 0.45
 STEPS = 20  # uphill from the best of the grid
-PRECISE, ROUGH = 1e-6, 2e-3  # of a log-likelihood: gain of a step from which the next is not taken
+PRECISE, ROUGH = 1e-3, 2e-2  # of a log-likelihood: gain of a step from which the next is not taken
 LEAST_KNOWN = 1e-300
 LOST = 1e300  # a value that no step is taken to
 LEAST = 20  # values without which a kurtosis means nothing
@@ -123,12 +123,16 @@ def pit_of(fit: QuasiFit, series: Series, seed: int) -> Array | None:
 
 
 def fit_tails(
-    fit: QuasiFit, effect: Effect, series: Series, tolerance: float = PRECISE
+    fit: QuasiFit,
+    effect: Effect,
+    series: Series,
+    tolerance: float = PRECISE,
+    enough: float = np.inf,
 ) -> tuple[float, Array]:
     """2 (log-likelihood gained) by outliers and the extended theta: from the best of a grid uphill.
 
     The usual noise shrinks where outliers made it seem large, so the model's own parameters move, too; until a
-    step gains less than ``tolerance``.
+    step gains less than ``tolerance``, and not where the grid gains ``enough``.
     """
     ratios = np.outer(RATIOS, _sizes(fit, effect, series)).ravel()
     pairs = np.array([(a, b) for a in SHARES for b in np.unique(np.minimum(ratios, MOST_RATIO))])
@@ -140,6 +144,8 @@ def fit_tails(
 
     total = value(theta, pairs)
     best = int(np.argmax(total))
+    if 2.0 * (total[best] - fit.log_likelihood) >= enough:
+        return 2.0 * (total[best] - fit.log_likelihood), np.concatenate([theta, pairs[best]])
     found, theta, own = _uphill(fit, value, float(total[best]), pairs[best], tolerance)
     return 2.0 * (found - fit.log_likelihood), np.concatenate([theta, own])
 
@@ -205,13 +211,12 @@ def _uphill(
         return thetas, np.exp(x[:, -2:])
 
     def slope(x: Array) -> tuple[float, Array]:
-        step = DIFFERENCE * np.eye(len(x))
-        values = value(*points(np.concatenate([x[None], x + step, x - step])))
-        n = len(x)
-        g = (values[1 : n + 1] - values[n + 1 :]) / (2.0 * DIFFERENCE)
+        step = np.full(len(x), DIFFERENCE)  # to one side, inwards at a bound: that is exact enough
+        step[:-2][theta[indices] + size * (x[:-2] + DIFFERENCE) > model.upper[indices]] *= -1.0
+        values = value(*points(np.concatenate([x[None], x + np.diag(step)])))
         if not np.isfinite(values).all():
-            return LOST, np.zeros(n)
-        return -float(values[0]), -g
+            return LOST, np.zeros(len(x))
+        return -float(values[0]), -(values[1:] - values[0]) / step
 
     start = np.concatenate([np.zeros(len(indices)), np.log(own)])
     bounds = [(None, None)] * len(indices) + list(map(tuple, ends))

@@ -87,6 +87,12 @@ class Cause:
         return tuple(other.effect for other in self.look_alikes if other.difference == SAME)
 
     @property
+    def not_ruled_out(self) -> tuple[str, ...]:
+        """Names that are less likely than this one, but not by enough to rule them out."""
+        apart = (o for o in self.look_alikes if o.difference.startswith((AS_LIKELY, LESS_LIKELY)))
+        return tuple(other.effect for other in apart)
+
+    @property
     def probability(self) -> str:
         """``p_value`` in words."""
         return probability(self.p_value, self.at_floor)

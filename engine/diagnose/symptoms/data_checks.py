@@ -63,6 +63,17 @@ def check_data(model: MixedModel, series: Series, beside: int = 0) -> tuple[str,
     return tuple(notes)
 
 
+def faults_of(model: MixedModel, series: Series) -> tuple[str, ...]:
+    """Those notes that come before any cause in the model: of readings that are cut, stuck or given twice."""
+    notes = []
+    for column, (name, unit) in enumerate(model.outputs.items()):
+        y = series.y[:, column]
+        seen = y[~np.isnan(y)]
+        if len(seen) > 1 and seen.min() < seen.max():
+            notes += _held(name, unit, y, series.u)
+    return (*notes, *_identical(model, series))
+
+
 def _identical(model: MixedModel, series: Series) -> list[str]:
     """Outputs whose readings are the same wherever both are there: one channel, given twice."""
     notes = []

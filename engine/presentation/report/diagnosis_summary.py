@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.diagnose.search.findings import SAME
+from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, SAME
 from engine.presentation.cause_sentences import looked_for
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.parts import (
@@ -19,6 +19,10 @@ from engine.presentation.report.parts import (
 )
 from engine.words import bounds, enumerated, number, percent
 
+APART = {  # look-alikes in the headline, by what their difference begins with
+    "in other words the same on these data": (SAME,),
+    "less likely, but not ruled out": (AS_LIKELY, LESS_LIKELY),
+}
 TONE = {"nothing": "good", "named": "accent", "set": "warn", "unknown": "warn"}
 
 
@@ -36,7 +40,8 @@ def verdict(d: Document) -> Html:
     if not names:
         testable = [x["testable"] for x in d["detectable"]]
         names = [tag("p", looked_for(p_value(d), testable))]
-    return join([said, *names])
+    faults = [tag("p", f"Look at the record first. {prose(one)}") for one in d.get("faults", ())]
+    return join([said, *faults, *names])
 
 
 def _known(d: Document) -> str:
@@ -61,10 +66,10 @@ def _headline(cause: Document) -> Html:
     if len(cause["equivalent"]) > 1:
         others = enumerated(list(cause["equivalent"][1:]), "or")
         parts.append(tag("span", f", not told apart from {others}", class_="hint"))
-    same = [other["effect"] for other in cause["look_alikes"] if other["difference"] == SAME]
-    if same:
-        said = f", in other words the same on these data: {enumerated(same, 'or')}"
-        parts.append(tag("span", said, class_="hint"))
+    for words, begins in APART.items():
+        names = [o["effect"] for o in cause["look_alikes"] if o["difference"].startswith(begins)]
+        if names:
+            parts.append(tag("span", f", {words}: {enumerated(names, 'or')}", class_="hint"))
     return join(parts)
 
 
