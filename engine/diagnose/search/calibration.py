@@ -42,7 +42,7 @@ from engine.simulation.simulate import simulate
 from engine.statespace.model import Array
 
 BOLDEST = 2.0  # p-values with more than twice the logarithm they should have are rare
-# at most; FEWEST where the p-value is then CLEARLY above or below alpha, by this factor
+# at most; FEWEST where the p-value is then CLEARLY above or below alpha, by this factor, or can be no less
 SERIES = 19
 FEWEST, CLEARLY = 7, 4.0
 ENOUGH = 3  # simulated series with as small a p-value of refits, for no alarm
@@ -91,7 +91,10 @@ def calibrated(
         rows.append(row[:-1])
         expected.append(float(row[-1]))
         judged = with_boldness(seen, boldness(np.array(rows), np.array(expected)), len(rows))
-        if len(rows) >= FEWEST and not CLEARLY * alpha > judged.p_value > alpha / CLEARLY:
+        surely = judged.p_value <= alpha and judged.at_floor
+        if len(rows) >= FEWEST and (
+            surely or not CLEARLY * alpha > judged.p_value > alpha / CLEARLY
+        ):
             break
     return judged
 

@@ -30,7 +30,8 @@ REFITS = 8  # effects refitted from each place
 
 def bent(refits: Sequence[Refit], series: Series) -> bool:
     """Whether the best of these gains more than a unit of 2 x log-likelihood for every reading."""
-    return max((r.gain for r in refits), default=0.0) > int(series.observed.sum())
+    named = (r.gain for r in refits if not r.effect.traits.unnamed)
+    return max(named, default=0.0) > int(series.observed.sum())
 
 
 def from_elsewhere(
@@ -50,7 +51,8 @@ def from_elsewhere(
     # not of noise, which would be worth most, as all errors are large from there
     effects = [effect for effect in effects if not _of_noise(effect)]
     kinds = [effect.name for effect in effects]
-    leading = max((r for r in refits if not r.effect.traits.unnamed), key=lambda r: r.score)
+    named = [one for one in refits if not one.effect.traits.unnamed]
+    leading = max(named, key=lambda one: one.score)
     found: list[Refit] = []
     for name, theta in _places(fit, leading, own).items():
         there, here = replace(fit, theta=theta, rivals=()), kept.further(name)

@@ -34,6 +34,7 @@ from engine.diagnose.search.calibration import (
     decides,
     sequential_floor,
     sequential_p,
+    silent,
 )
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.elsewhere import from_elsewhere
@@ -102,10 +103,10 @@ def search(
         level = alpha if k == 0 else LATER * alpha
         here = kept.within(f"round {k + 1}")
         question = Question(fit, series, setting, kinds)
-        screened = partial(_screened, series, setting, level, seed + k, progress, taken)
+        screened = partial(_screened, series, setting, level, seed + k, taken)
         progress("screen", 0.0)
         try:
-            seen = here.screen(all_effects(setting, kinds), partial(screened, fit, kinds))
+            seen = here.screen(all_effects(setting, kinds), partial(screened, progress, fit, kinds))
         except OptionError:
             if k == 0:
                 raise
@@ -129,7 +130,8 @@ def search(
             break
         asked = leading(fit, series, setting, kinds)
         every = all_effects(setting, kinds)
-        again = partial(from_elsewhere, fit, series, every, model.parameter_names, screened)
+        quietly = partial(screened, silent)  # the stage is another one
+        again = partial(from_elsewhere, fit, series, every, model.parameter_names, quietly)
         found = refit_best(fit, series, seen, setting, swallowed, progress, here, asked, again)
         if not swallowed:
             found = confirmed(found)
@@ -190,8 +192,8 @@ def _screened(
     setting: Setting,
     alpha: float,
     seed: int,
-    progress: Progress,
     outliers: Effect | None,
+    progress: Progress,
     fit: QuasiFit,
     kinds: Sequence[str] | None,
 ) -> Screen:
