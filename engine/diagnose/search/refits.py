@@ -118,6 +118,7 @@ def refit(
         at_least = max(target, found.log_likelihood)
         again = climb(other, target=at_least, hope=HOPE)
         found = max(found, again, key=lambda one: one.log_likelihood)
+    found = _at_next_probes(effect, found, climb, target, n)
     best_elsewhere = None
     if elsewhere:
         best_elsewhere, _ = _best_start(
@@ -258,15 +259,52 @@ def with_tails(fit: QuasiFit, extended: MixedModel, effect: Effect, series: Seri
     return QuasiFit(extended, known, value, (*fit.free, *own), information, 1, True)
 
 
+def _at_next_probes(
+    effect: Effect, found: QuasiFit, climb: Callable[..., QuasiFit], target: float, n: int
+) -> QuasiFit:
+    """The fit moved from probe to probe where these differ in what is held, as long as the likelihood rises.
+
+    Beside a large delay of another length all parameters are bent, and so was the choice of it.
+    """
+    apart, values = _probed_apart(effect)
+    at = n + 1 + np.array(apart, dtype=int)
+    if len(values) == 1 or tuple(np.asarray(found.theta)[at].tolist()) not in values:
+        return found
+    first = found
+    for step in (1, -1):
+        if found is not first:  # from where it came
+            break
+        while True:
+            k = values.index(tuple(np.asarray(found.theta)[at].tolist())) + step
+            if not 0 <= k < len(values):
+                break
+            there = np.array(found.theta)
+            there[at] = values[k]
+            try:
+                moved = climb(there, target=max(target, found.log_likelihood), hope=HOPE)
+            except (EngineError, np.linalg.LinAlgError):
+                break
+            if not moved.log_likelihood > found.log_likelihood:
+                break
+            found = moved
+    return found
+
+
+def _probed_apart(effect: Effect) -> tuple[list[int], list[tuple[float, ...]]]:
+    """Which parameters after the size are held at another value by each probe, and these values in turn."""
+    names = {*effect.held} - {effect.zero}
+    held = [i for i, p in enumerate(effect.parameters[1:]) if p.name in names]
+    apart = [i for i in held if len({probe[i] for probe in effect.probes}) > 1]
+    return apart, sorted({tuple(probe[i] for i in apart) for probe in effect.probes})
+
+
 def _places(effect: Effect, start: Array, n: int) -> Array:
     """Starts (k, .): at every probe where these differ in what is held, as a delay's samples, else at one.
 
     No slope leads from one to the next, and a large effect bends the scores by which they were compared.
     A zero is no such place: elsewhere than at its start it is estimated.
     """
-    apart = {*effect.held} - {effect.zero}
-    held = [i for i, p in enumerate(effect.parameters[1:]) if p.name in apart]
-    if len({tuple(probe[i] for i in held) for probe in effect.probes}) == 1:
+    if len(_probed_apart(effect)[1]) == 1:
         return start[None]
     starts = np.repeat(start[None], len(effect.probes), axis=0)
     starts[:, n + 1 :] = effect.probes
