@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from engine.diagnose.gain.gain import Gain
 
 TEST_LEVEL = 0.05  # of the one-sided tests of a gain and of a loss one step ahead
-FEWEST_ROWS = (
-    8  # held out, below which nothing is said of gain or loss: neighbours are not independent
-)
+FEWEST_ROWS = 8  # held out, below which neighbours say nothing of a gain or a loss
 TELLING_ROWS = 16  # held out, from which on what they lose may contradict a name
 LOSS_NATS = 1.0  # nats in all: a smaller loss, a likelihood ratio below e, speaks against nothing
 NOT_MEASURED = (

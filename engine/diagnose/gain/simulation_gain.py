@@ -137,6 +137,7 @@ def output_gains(
     return out
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a record that runs away
 def _root_means(errors: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(errors**2, axis=1)))
 

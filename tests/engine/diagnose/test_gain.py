@@ -1,11 +1,16 @@
 """The test of a gain on held-out rows, where its numbers are known by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from engine.diagnose.gain.gain import diebold_mariano, every_fifth, lags_for
+import engine
+from engine.diagnose.gain.adoption import Decision, in_full
+from engine.diagnose.gain.gain import diebold_mariano, every_fifth, lags_for, measure_gain
+from engine.estimation.quasi_ml import quasi_ml
 
 
 def test_few_differences_without_correlation_are_judged_as_by_student():
@@ -38,6 +43,22 @@ def test_steps_between_samples_hide_no_correlation():
 def test_differences_that_do_not_scatter_leave_no_doubt(d, p):
     found = diebold_mariano(np.array(d), np.ones(3, dtype=bool))
     assert found[2] == p
+
+
+@pytest.mark.parametrize("rows", [2, 7, 8, 40])
+def test_a_few_neighbours_adopt_nothing(rows):
+    """Of an extension that is right, however sure two nearly equal differences look."""
+    model = engine.get_model("local-level")
+    series = engine.simulate(model, None, 100, np.random.default_rng(1)).series
+    after = quasi_ml(model, series.part(0, 60))
+    before = replace(after, theta=model.theta(np.asarray(after.theta) * [100.0, 100.0, 1.0]))
+    gain = measure_gain(before, after, [series.part(60, 60 + rows)], series.part(0, 60))
+    assert gain.samples == rows
+    if rows < 8:
+        assert (gain.decision, gain.p_value) == (Decision.NO_EVIDENCE, 0.5)
+        assert f"{rows} rows are held out" in in_full(gain)
+    if rows == 40:
+        assert gain.decision is Decision.ADOPTED
 
 
 def test_one_difference_says_nothing():

@@ -17,14 +17,13 @@ from engine.diagnose import Cause, LookAlike, diagnose, extend, make_effect
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.extended import at_bounds, in_the_library
-from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY
+from engine.diagnose.search.findings import AS_LIKELY, LESS_LIKELY, SAME
 from engine.diagnose.search.latent_force import UnnamedForce, unnamed_force
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.symptoms.residuals import autocorrelation
 from engine.estimation.quasi_ml import quasi_ml
 from engine.models.linear_2 import MODEL as LINEAR
 from engine.presentation.cause_sentences import (
-    SAME,
     experiment,
     headline,
     late,
@@ -215,6 +214,24 @@ def test_the_step_of_a_record_is_that_of_its_samples():
     assert sample_step(even) == pytest.approx(0.1)
     assert sample_step(even.refined(4)) == pytest.approx(0.1)
     assert sample_step(Series(np.zeros((3, 1)), t=[0.0, 1.0, 3.0])) is None
+
+
+def test_a_gain_is_told_beside_what():
+    one = cause(("linear:air",))
+    assert headline(replace(one, beside=("step:y", "bias:y"))).endswith("beside step:y and bias:y")
+    assert headline(replace(one, together=("step:y",))).endswith("together with step:y")
+
+
+def test_names_that_say_the_same_and_those_not_ruled_out_are_told_apart():
+    others = (
+        LookAlike("input-offset:u", 1.0, 40.0, False, SAME),
+        LookAlike("drag:v", 0.9, 37.0, False, f"{LESS_LIKELY} 4.5, too little to rule it out"),
+        LookAlike("cubic:v", 0.9, 39.0, False, AS_LIKELY),
+        LookAlike("step:y", 0.1, 3.0, True, ""),
+    )
+    one = replace(cause(("force:v",)), look_alikes=others)
+    assert one.in_other_words == ("input-offset:u",)
+    assert one.not_ruled_out == ("drag:v", "cubic:v")
 
 
 def test_a_headline_has_no_negative_gain():

@@ -41,6 +41,9 @@ def test_exact_interval_is_where_the_likelihood_has_fallen(linear):
 def test_interval_is_not_moved_by_an_estimate_short_of_the_maximum(linear):
     model, series, best = linear
     arrived = engine.likelihood_intervals(model, best.theta, series, exact=True)
+    estimated = engine.rts_em(model, series, free=["theta"])
+    of_result = engine.likelihood_intervals(model, estimated, series, exact=True)
+    np.testing.assert_allclose(of_result.values, arrived.values, atol=1e-3)
     short = engine.likelihood_intervals(
         model, {"theta": best.theta["theta"] + 0.02}, series, exact=True
     )
