@@ -48,35 +48,6 @@ def test_an_error_one_sample_ahead_is_that_of_the_innovations(beside):
     assert beside.candidates[1].errors[0] == pytest.approx(share, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("errors", "gains", "better"),
-    [
-        ((0.85, 0.6, 0.18), (69.0, 644.0), True),
-        ((0.85, 0.6, 0.245), (69.0, 644.0), False),  # no better in the free run
-        ((0.85, 0.6, 0.18), (30.0, 644.0), False),  # nor with the noise of the model as given
-        ((0.85, 0.6, np.nan), (69.0, 644.0), False),
-    ],
-)
-def test_the_answer_is_overtaken_by_what_does_better_everywhere(errors, gains, better):
-    rows = [
-        Candidate((), (1.0, 1.0, 1.0), (0.0, 0.0)),
-        Candidate(("pole:p", "path:u->y"), (0.89, 0.65, 0.24), (32.0, 605.0)),
-        Candidate(("harmonic:y",), errors, gains),
-    ]
-    found = OverHorizon((1, 10, 480), (1.0, 0.1), tuple(rows))
-    assert found.overtakes(["harmonic:y"]) == (("harmonic:y",) if better else ())
-    assert found.overtakes(["step:y"]) == ()  # it is not the likelihood's
-
-
-def test_where_noise_cannot_be_shared_errors_decide():
-    rows = [
-        Candidate((), (1.0, 1.0), (0.0,)),
-        Candidate(("pole:p",), (0.9, 0.5), (np.nan,)),
-        Candidate(("harmonic:y",), (0.8, 0.4), (np.nan,)),
-    ]
-    assert OverHorizon((1, 50), (1.0,), tuple(rows)).overtakes(["harmonic:y"])
-
-
 def test_a_patch_leads_one_sample_ahead_only():
     rows = [
         Candidate((), (1.0, 1.0), (0.0,)),
@@ -125,10 +96,10 @@ def test_the_first_rows_of_an_unknown_first_state_are_left_out():
     path = moment_path(search.base.model, np.asarray(search.base.theta), series)
     S = path.S.copy()
     S[:4] = 1e3 * S[10]
-    assert settled_from(replace(path, S=S)) == 4
+    assert settled_from(replace(path, S_predicted=S)) == 4
     S[:4] = S[10]
     S[200] *= 100.0  # later gaps of knowledge are no beginning
-    assert settled_from(replace(path, S=S)) == 0
+    assert settled_from(replace(path, S_predicted=S)) == 0
 
 
 def test_noise_at_a_bound_is_lent_to_nobody():
