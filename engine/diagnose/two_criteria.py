@@ -3,7 +3,8 @@
 How many steps a sample a model needs is known of the model as given. Where the free run finds a cause for
 which they are too long, what it would find beside that may be the error of the steps, and the causes are
 looked for again with as many as that one needs; with twice as many also where they decide between names that
-the likelihood has. An answer of the free run that is lost by that stays the one with fewer.
+the likelihood has. An answer of the free run that is lost by that stays the one with fewer, but where the
+likelihood names a cause instead.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from engine.diagnose.free_run.windows import STRETCH, rows_searched
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.records import Records
 from engine.diagnose.search.checkpoint import Kept
-from engine.diagnose.search.pipeline import Causes, Clock, find_causes, fit_base
+from engine.diagnose.search.pipeline import NAMES, Causes, Clock, find_causes, fit_base
 from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
 from engine.distributions import chi2_sf
 from engine.errors import EngineError
@@ -102,7 +103,8 @@ def ask_both(
         fine = fine.with_shorter_steps(records, found.steps)
         own = kept.apart(f"{fine.k} steps a sample")
         again = _with_these_steps(model, fine, theta, options, clock, own)
-        if found.of_free_run and not again.of_free_run:
+        names = again.of_free_run or again.causes.verdict in NAMES
+        if found.of_free_run and not names:
             break
         found = again
     return found
