@@ -1,13 +1,16 @@
 """A diagnosis of differential equations, beside an older commit.
 
-    python -m tests.benchmarks.bench_continuous --against COMMIT [--model room] [--data FILE] [--samples N]
+    python -m tests.benchmarks.bench_continuous --against COMMIT [--model NAME] [--data FILE] [--samples N]
 
-Two water tanks in cascade by Bernoulli's law, written with :func:`engine.continuous`, on a record of columns
-u_V and y_V every 4 s, or on one that is simulated with a rim that the upper tank runs over; or a heated room,
-written with a matrix exponential for one time and one parameter vector a call. The older commit is unpacked
-beside this one. Both run a pass of the filter, one with derivatives by all parameters, and the whole diagnosis,
-of the first N samples if asked, in processes of their own, one after the other; told are seconds of the
-processor. Writes ``results/continuous.md``, ``continuous-measured.md`` of a file, ``continuous-room.md``.
+``tanks``: two water tanks in cascade by Bernoulli's law, written with :func:`engine.continuous`, on a record of
+columns u_V and y_V every 4 s, or on one that is simulated with a rim that the upper tank runs over. ``room``: a
+heated room, written with a matrix exponential for one time and one parameter vector a call. ``house``: two
+zones, whose noise is a diagonal matrix of one parameter vector, with outliers.
+
+The older commit is unpacked beside this one. Both run a pass of the filter, one with derivatives by all
+parameters, and the whole diagnosis, of the first N samples if asked, in processes of their own, one after the
+other; told are seconds of the processor. Writes ``results/continuous.md``, ``continuous-measured.md`` of a
+file, ``continuous-NAME.md``.
 """
 
 # ruff: noqa: E402 - the number of threads must be set before NumPy is loaded
@@ -141,10 +144,55 @@ def room_record(model: engine.MixedModel, file: str | None) -> engine.Series:
     return hide(model, ["lag:thermometer"], theta, 400, rng, u=u, dt=QUARTER).series
 
 
+def house_drift(a: Any, u: Any, t: Any, theta: Any) -> Any:
+    T = a[:, 0]
+    f = [(theta.U1 * (u[1] - T) - theta.U * T + u[0]) / theta.C1, theta.U * T / theta.C2]
+    return f, [[theta.U / theta.C1], [-theta.U / theta.C2]]
+
+
+def house() -> engine.MixedModel:
+    """Two zones in degrees Celsius and hours; its noise as most people write it."""
+    return engine.continuous(
+        name="house",
+        drift=house_drift,
+        diffusion=lambda a, u, t, theta: np.diag([theta.s1**2, theta.s2**2]),
+        measurement=lambda a, u, t, theta: (
+            [a[:, 0], 0.0],
+            [[0.0], [1.0]],
+            np.diag([theta.r**2, theta.r**2]),
+        ),
+        initial=lambda theta: (engine.Gaussian([20.0], [[4.0]]), [20.0], [[4.0]]),
+        nonlinear={"T1": "degC"},
+        linear={"T2": "degC"},
+        inputs={"heat": "kW", "outdoor": "degC"},
+        outputs={"zone1": "degC", "zone2": "degC"},
+        parameters=[
+            engine.Parameter("C1", 3.0, "kW h/K", (0.1, 50.0)),
+            engine.Parameter("C2", 3.0, "kW h/K", (0.1, 50.0)),
+            engine.Parameter("U1", 0.1, "kW/K", (0.0, 2.0)),
+            engine.Parameter("U", 0.1, "kW/K", (0.0, 2.0)),
+            engine.Parameter("s1", 0.1, "K/h^0.5", (1e-4, 2.0)),
+            engine.Parameter("s2", 0.1, "K/h^0.5", (1e-4, 2.0)),
+            engine.Parameter("r", 0.1, "K", (1e-3, 2.0)),
+        ],
+    )
+
+
+def house_record(model: engine.MixedModel, file: str | None) -> engine.Series:
+    rng = np.random.default_rng(1)
+    heat = np.repeat(rng.choice([0.0, 2.0, 4.0], 40), 10)
+    outdoor = 5.0 + 5.0 * np.sin(2.0 * np.pi * 0.25 * np.arange(400) / 24.0)
+    theta = {"C1": 2.5, "C2": 4.0, "U": 0.15, "s1": 0.08, "s2": 0.05, "r": 0.08}
+    theta |= {"heavy_tails_zone1_share": 0.05, "heavy_tails_zone1_ratio": 8.0}
+    u = np.column_stack([heat, outdoor])
+    return hide(model, ["heavy-tails:zone1"], theta, 400, rng, u=u, dt=0.25).series
+
+
 @dataclass(frozen=True)
 class Case:
-    """A model, how its record is made, what is held, the effects of single steps and of the diagnosis."""
+    """Whose record, a model, how it is made, what is held, the effects of single steps and of the diagnosis."""
 
+    whose: str
     model: Callable[[], engine.MixedModel]
     record: Callable[[engine.MixedModel, str | None], engine.Series]
     held: dict[str, float]
@@ -154,6 +202,7 @@ class Case:
 
 CASES = {
     "tanks": Case(
+        "two water tanks",
         water_tanks,
         record,
         HELD,
@@ -161,11 +210,20 @@ CASES = {
         ["overflow", "saturation", "input-saturation", "bias", "lag"],
     ),
     "room": Case(
+        "a heated room",
         heated_room,
         room_record,
         {"Cw": 6e6, "R3": 3e-2},
         ("coulomb:air->wall", "force:air", "lag:thermometer"),
         ["coulomb", "force", "lag", "bias", "delay"],
+    ),
+    "house": Case(
+        "a house of two zones",
+        house,
+        house_record,
+        {},
+        ("force:T1", "lag:zone1", "heavy-tails:zone1"),
+        ["heavy-tails", "force", "bias", "lag", "pulse"],
     ),
 }
 
@@ -225,9 +283,18 @@ def leaves(document: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, document
 
 
+def _shared(document: Any, other: Any) -> Any:
+    """A document without the keys that the other one has not."""
+    if isinstance(document, dict) and isinstance(other, dict):
+        return {k: _shared(v, other[k]) for k, v in document.items() if k in other}
+    if isinstance(document, list) and isinstance(other, list):
+        return [_shared(*pair) for pair in zip(document, other, strict=False)]
+    return document
+
+
 def agreement(one: Any, other: Any) -> tuple[int, int, list[str]]:
-    """How many numbers there are, how many agree, and where words differ."""
-    pairs = list(zip(leaves(one), leaves(other), strict=False))
+    """How many numbers both have, how many agree, and where words differ; keys of one alone are left out."""
+    pairs = list(zip(leaves(_shared(one, other)), leaves(_shared(other, one)), strict=False))
     sizes: dict[str, float] = {}
     for (path, x), _ in pairs:
         if isinstance(x, float):
@@ -309,9 +376,8 @@ def main() -> None:
         now = of_commit(ROOT, options)
     load = ", ".join(f"{name} {value:g}" for name, value in watch.figures().items())
     what = "A measured record" if file else "A simulated record"
-    whose = {"tanks": "two water tanks", "room": "a heated room"}[asked.model]
-    about = f"{what} of {whose}; before: commit {asked.against}. {load}."
-    which = "-room" if asked.model == "room" else "-measured" if file else ""
+    about = f"{what} of {CASES[asked.model].whose}; before: commit {asked.against}. {load}."
+    which = f"-{asked.model}" if asked.model != "tanks" else "-measured" if file else ""
     name = f"continuous{which}.md"
     (RESULTS / name).write_text(table(before, now, about))
 
