@@ -24,7 +24,7 @@ from engine.diagnose.extended import get_model
 from engine.errors import EngineError, OptionError
 from engine.estimation.em_result import EmResult
 from engine.estimation.outcome import Outcome
-from engine.estimation.uncertainty.observed import StandardErrors
+from engine.estimation.uncertainty.observed_result import StandardErrors
 from engine.models.files import ModelFile, read_models
 from engine.models.registry import model_names
 from engine.simulation.fit import SimulationFit, with_runs

@@ -263,3 +263,32 @@ def heated(second):
         outputs={"thermometer": "degC"},
         parameters=[engine.Parameter("c", 1e-4), engine.Parameter("h", 2e-3)],
     )
+
+
+def absorption():
+    """A drug's way through gut and blood: the two rates may change places, and the volume with them."""
+
+    def dynamics(a, u, t, dt, th):
+        gone, cleared = np.exp(-th.ka * dt), np.exp(-th.ke * dt)
+        taken = th.ka * (gone - cleared) / (th.ke - th.ka)
+        return [0.0, 0.0], [[gone, 0.0], [taken, cleared]], np.diag([1e-6, 1e-4])
+
+    def measurement(a, u, t, th):
+        return [0.0], [[0.0, 1.0 / th.V]], [[1e-2]]
+
+    def initial(th):
+        return None, [100.0, 0.0], np.zeros((2, 2))
+
+    return engine.MixedModel(
+        name="absorption",
+        dynamics=dynamics,
+        measurement=measurement,
+        initial=initial,
+        linear={"gut": "mg", "blood": "mg"},
+        outputs={"concentration": "mg/L"},
+        parameters=[
+            engine.Parameter("ka", 1.5, "1/s", (0.01, 10.0)),
+            engine.Parameter("ke", 0.3, "1/s", (0.01, 10.0)),
+            engine.Parameter("V", 20.0, "L", (1.0, 500.0)),
+        ],
+    )

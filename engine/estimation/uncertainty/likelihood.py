@@ -39,12 +39,8 @@ from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.distributions import chi2_quantile
 from engine.errors import ModelError, NotSettledWarning, OptionError
-from engine.estimation.uncertainty.observed import (
-    Estimate,
-    StandardErrors,
-    of_estimate,
-    standard_errors,
-)
+from engine.estimation.uncertainty.observed import Estimate, of_estimate, standard_errors
+from engine.estimation.uncertainty.observed_result import StandardErrors
 from engine.estimation.uncertainty.score import Score
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike

@@ -7,7 +7,7 @@ import pytest
 
 import engine
 from engine.diagnose.search.elsewhere import bent
-from tests.engine.estimation.test_other_maxima import absorption
+from tests.engine.plain_models import absorption
 
 
 @pytest.fixture(scope="module")
