@@ -18,7 +18,9 @@ from engine.errors import OptionError
 from engine.filters.heavy_tails import with_mixture, with_student_t
 from engine.filters.sigma_point import moment_filter
 from engine.statespace.checks import check_model
+from engine.statespace.shapes import stacked
 from tests.engine.hidden_effects import DRIVE
+from tests.engine.plain_models import room
 
 LEVEL = engine.get_model("local-level")
 THETA = {"q": 0.1, "r": 0.2, "level": 0.0}
@@ -324,3 +326,25 @@ def test_a_model_that_knows_outliers_is_pickled(extend):
         for one in (back, extend(model, "dynamics", name="two"))
     ]
     assert runs[0] == runs[1]
+
+
+@pytest.mark.parametrize("where", ["measurement", "dynamics"])
+@pytest.mark.parametrize("maker", [with_mixture, with_student_t])
+def test_rows_of_states_times_and_parameters_are_those_one_by_one(maker, where):
+    """They hand their rows on untried, so that this is all that looks at what they do with them."""
+    model, M = maker(room(continuous=True), where=where), 6
+    rng = np.random.default_rng(4)
+    a = np.column_stack([rng.normal(20.0, 1.0, M), rng.normal(0.0, 3.0, M)])
+    u, t, dt = rng.uniform(0.5, 2.0, (2, M)), rng.uniform(0.0, 9.0, M), rng.uniform(0.1, 0.5, M)
+    many = np.asarray(model.theta()) * rng.uniform(0.8, 1.2, (M, len(model.parameters)))
+    for thetas in (many, np.repeat(many[:1], M, axis=0)):
+        record = model.records(thetas)
+        together = model.transition(a, u, t, dt, record), model.observation(a, u, t, record)
+        for i in range(M):
+            row, own = (a[i : i + 1], u[:, i], float(t[i])), model.record(thetas[i])
+            alone = model.transition(*row, float(dt[i]), own), model.observation(*row, own)
+            for rows, one in zip(together, alone, strict=True):
+                np.testing.assert_allclose(rows[0][i], one[0][0], rtol=1e-6)  # by a table of scales
+                for matrix, single in zip(rows[1:], one[1:], strict=True):
+                    each = np.broadcast_to(stacked(matrix), (M, *matrix.shape[-2:]))
+                    np.testing.assert_allclose(each[i], stacked(single)[0], rtol=1e-6)
