@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from engine.data.faults import faults_of
 from engine.data.series import Series
 from engine.diagnose.free_run.answer import FreeRunSearch
 from engine.diagnose.free_run.second_opinion import SecondOpinion
@@ -16,7 +17,6 @@ from engine.diagnose.over_horizon import OverHorizon
 from engine.diagnose.search.findings import Cause, Detectable, Verdict
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.search.search import Search
-from engine.diagnose.symptoms.data_checks import faults_of
 from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
@@ -143,8 +143,10 @@ class Diagnosis(Shown):
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What to look at in the record before any cause is believed: readings cut, stuck or given twice."""
-        return () if self.verdict is Verdict.NOTHING else faults_of(self.model, self.series)
+        """What to look at in the record before any cause is believed: dead, cut, stuck, given twice, marks."""
+        if self.verdict is Verdict.NOTHING:
+            return ()
+        return faults_of(self.model.outputs, self.model.inputs, self.series)
 
     @property
     def measured(self) -> tuple[str, ...]:

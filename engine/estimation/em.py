@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.data.faults import about_faults
 from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.errors import OptionError
@@ -26,6 +27,7 @@ from engine.estimation.quasi_ml import with_scales
 from engine.estimation.quasi_newton import Ascent
 from engine.estimation.start import WarmStart
 from engine.filters.proposals import Proposal
+from engine.statespace.base import BaseModel
 from engine.statespace.clock import about_clock
 from engine.statespace.model import MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
@@ -271,10 +273,15 @@ def _ascent(
     return Ascent(likelihood.model, indices, information, likelihood.rows, worth, exact)
 
 
-def remark(model: MixedModel, found: EmResult, all_series: Sequence[Series]) -> str:
-    """What is to be said of the model's clock and steps at an estimate, each after a space."""
-    steps = about_predictions(model, found.theta, all_series) if found.outcome.success else ""
-    return "".join(f" {said}" for said in (about_clock(model, all_series), steps) if said)
+def remark(model: BaseModel, found: EmResult, all_series: Sequence[Series]) -> str:
+    """What is to be said of the records, the model's clock and steps at an estimate, each after a space."""
+    gaussian = isinstance(model, MixedModel) and not model.random_scales
+    told = [about_faults(model.outputs, model.inputs, all_series, outliers=gaussian)]
+    if isinstance(model, MixedModel):
+        told.append(about_clock(model, all_series))
+        if found.outcome.success:
+            told.append(about_predictions(model, found.theta, all_series))
+    return "".join(f" {said}" for said in told if said)
 
 
 def scaled(

@@ -145,8 +145,8 @@ def ps_em(  # noqa: PLR0913
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, chosen, tolerance)
     particles = expect if recover else None
     found = iterate(model, expect, loop, likelihood=likelihood, particles=particles)
-    note = "" if isinstance(given, NonlinearModel) else remark(given, found, all_series)
-    return replace(found, model=given, message=found.message + note)
+    message = found.message + remark(given, found, all_series)
+    return replace(found, model=given, message=message)
 
 
 def _trajectories(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
+from engine.data.faults import about_faults
 from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.errors import SeriesError
@@ -259,15 +260,17 @@ def fit_simulation(
     covariance[np.ix_(problem.active, problem.active)] = found.covariance[:k, :k]
     estimated = problem.names(problem.active)
     tied = problem.names(problem.active[found.tied[:k]])
+    faults = about_faults(model.outputs, model.inputs, listed, outliers=True)
     clock = about_clock(model, listed)
     if _run_away(runs):  # of a run that is nowhere near the data nothing more is to be said
-        parts = [_ended(best, stopped), RUNS_AWAY, clock]
+        parts = [_ended(best, stopped), RUNS_AWAY, faults, clock]
     else:
         parts = [
             _ended(best, stopped),
             _silent_in_words(problem.names(problem.silent), bool(problem.uncertain.size)),
             ties_in_words(estimated, found.directions),
             model.held_in_words(theta, estimated),
+            faults,
             clock,
             about_free_runs(model, theta, listed, x1),
         ]

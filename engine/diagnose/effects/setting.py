@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
-from engine.diagnose.effects.quantization import VISIBLE, lattice_step, sample_noise
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
 from engine.diagnose.effects.zeros import without_zero
 from engine.filters.sigma_point import moment_path

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import engine
+from engine.data.lattice import lattice_step
 from engine.diagnose import all_effects, diagnose, effect_kinds, extend, make_effect
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.quantization import lattice_step
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.screening.score_columns import static_column

@@ -11,9 +11,10 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 from engine.data import nile
+from engine.data.faults import faults_of
 from engine.data.series import Series
 from engine.diagnose.symptoms.compare import against_run, lost_at
-from engine.diagnose.symptoms.data_checks import check_data, faults_of
+from engine.diagnose.symptoms.data_checks import check_data
 from engine.diagnose.symptoms.error_localization import (
     Errors,
     by_frequency,
@@ -318,9 +319,9 @@ def test_data_checks_name_what_is_odd():
     stuck = y.copy()
     stuck[100:140] = 1.234
     assert "stuck" in note(LINEAR, stuck)
-    (fault,) = faults_of(LINEAR, Series(stuck))
+    (fault,) = faults_of(LINEAR.outputs, LINEAR.inputs, Series(stuck))
     assert "stuck" in fault
-    assert faults_of(LINEAR, Series(y)) == ()
+    assert faults_of(LINEAR.outputs, LINEAR.inputs, Series(y)) == ()
     spiked = y.copy()
     spiked[[50, 200]] += 5.0
     assert "2 single readings" in note(LINEAR, spiked)

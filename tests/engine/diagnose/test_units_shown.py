@@ -11,8 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import engine
+from engine.data.lattice import lattice_step
 from engine.data.series import Series
-from engine.diagnose.effects.quantization import lattice_step
 from engine.diagnose.gain.adoption import in_full, in_short
 from engine.diagnose.gain.gain import measure_gain
 from engine.diagnose.symptoms.data_checks import check_data

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from engine.statespace.model import Array
+from engine.arrays import Array
 
 VISIBLE = 0.5  # steps below this many standard deviations of the noise add little to it
 FEWEST_LEVELS = 3  # levels without which there is no lattice
