@@ -306,8 +306,8 @@ class DiagnoseOptions(_Strict):
     max_effects: int = Field(default=3, ge=1, le=10)
     """upper limit on effects found in turn; more than two mean an unknown cause"""
     held_out: float = Field(default=0.2, ge=0, le=0.5)
-    """share of the longest series whose last part is not searched and judges what is found; 0 searches all of
-    it. Not with `test`, which decides then."""
+    """share that judges what is found and is not searched: the last part of the longest series, or whole ones
+    of many (one of five); 0 searches all. Not with `test`, which decides then."""
     seed: Seed = 0
 
 
@@ -399,7 +399,7 @@ class DiagnoseRequest(_OnData):
 
     kind: Literal["diagnose"]
     test: Tests = []
-    """held-out data, one series or several; none means the last part of the longest, as `held_out` says"""
+    """held-out data, one series or several; none means a part of them, as `held_out` says"""
     parameters: DiagnoseParameters = DiagnoseParameters()
     options: DiagnoseOptions = DiagnoseOptions()
 

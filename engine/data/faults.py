@@ -50,7 +50,7 @@ def about_faults(
     With ``outliers`` for those whose noise is Gaussian, which a single reading far off may ruin.
     """
     told = []
-    for k, one in enumerate(all_series, start=1):
+    for k, one in enumerate(all_series):
         faults = [*faults_of(outputs, inputs, one)]
         if outliers:
             for (name, unit), y in zip(outputs.items(), one.y.T, strict=True):

@@ -56,7 +56,7 @@ from engine.errors import OptionError
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.threads import single_threaded
-from engine.words import meant, number
+from engine.words import enumerated, meant, number
 
 __all__ = [
     "Cause",
@@ -118,8 +118,8 @@ def diagnose(  # noqa: PLR0913
     theta : Theta, mapping, array or None
         Start values (n_theta,); where None, they are searched for.
     test : Series or sequence of Series, optional
-        Held-out data; by default the last part of the longest record, as ``held_out`` says. Where its times go
-        on at the end of a record, it begins at that record's last state, else at the model's initial density.
+        Held-out data; by default a part of the records, as ``held_out`` says. Where its times go on at the end
+        of a record, it begins at that record's last state, else at the model's initial density.
     seed : int
         Seed of all random numbers; the same seed gives the same result to the last bit.
     alpha : float
@@ -143,9 +143,10 @@ def diagnose(  # noqa: PLR0913
         ``early(document)`` is called twice while the search goes on, with JSON values: the fitted model and
         what its simulation gets wrong; then also the first screen of effects.
     held_out : float
-        Share of the longest record, 0 to 0.5: its last part, which is not searched and judges what is found.
-        Where ``test`` is given that decides, and this is to be left out. With 0 all is searched: effects of
-        time are judged on blocks left out of the fit in turn, and what others gain is not measured.
+        Share, 0 to 0.5, that is not searched and judges what is found: the last part of the longest record, or
+        that share of many records (one of five) if they hold as many rows. Where ``test`` is given it decides,
+        and this is to be left out. With 0 all is searched: effects of time are judged on blocks left out of the
+        fit in turn, and what others gain is not measured.
 
     Returns
     -------
@@ -223,6 +224,12 @@ def diagnose(  # noqa: PLR0913
             beside = _beside_others(judged, shown)
     after = judged.after
     notes.extend(judged.notes)
+    if records.kept_back:
+        which = enumerated([str(k) for k in records.kept_back])
+        notes.append(
+            f"Of the records, counted from 0, {which} {'were' if len(records.kept_back) > 1 else 'was'} held "
+            "out and not searched: held_out=0 searches all of them, test= judges by other data."
+        )
     if records.keeps_back and judged.verdict in (Verdict.NOTHING, Verdict.UNKNOWN):
         notes.append(
             f"The record from t = {number(records.main.t[len(plain)], TIME_DIGITS)} {plain.time_unit} on was "

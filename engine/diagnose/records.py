@@ -24,13 +24,15 @@ ON_TIME = 1e-6  # of a step, by which the steps of two records may differ
 class Records:
     """The ``main`` record, ``others``, and held-out ``tests``; each begins at a state of its own.
 
-    ``share`` of the main record is kept back where there are no tests.
+    ``share`` of the main record is kept back where there are no tests. ``kept_back`` are those of the records
+    given that are tests as no others were.
     """
 
     main: Series
     others: tuple[Series, ...] = ()
     tests: tuple[Series, ...] = ()
     share: float = HELD_OUT
+    kept_back: tuple[int, ...] = ()
 
     @property
     def every(self) -> tuple[Series, ...]:
@@ -107,11 +109,34 @@ def records_of(
                 f"{', '.join(names) or 'none'}; all records need the same"
             )
     model = with_inputs(model, names)
-    longest = longest_of(given)
     _check_apart([*given, *tests], len(given))
-    main, *others = (one.with_extra_inputs() for one in [given.pop(longest), *given])
+    back = () if tests else whole_records(given, held_out)
+    tests += [given[k] for k in back]
+    left = [one for k, one in enumerate(given) if k not in back]
+    main, *others = (one.with_extra_inputs() for one in [left.pop(longest_of(left)), *left])
     apart = tuple(one.with_extra_inputs().check(model) for one in tests)
-    return model, Records(main, tuple(others), apart, held_out)
+    return model, Records(main, tuple(others), apart, held_out, back)
+
+
+def whole_records(given: Sequence[Series], share: float) -> tuple[int, ...]:
+    """Which of many records are held out whole: a ``share`` of their number, never the longest.
+
+    Of many short ones the last part of the longest tells little: all may have settled there. They are spread
+    over the levels of inputs and readings, in whatever order they come. Empty where the share of their number
+    is none, where that part holds more rows, or where too few would be left.
+    """
+    rows, longest = [one.n_measured for one in given], longest_of(given)
+    rest = sorted((k for k in range(len(given)) if k != longest), key=lambda k: _levels(given[k]))
+    n = int(share * len(given) + 1e-9)
+    back = tuple(sorted(rest[int((j + 0.5) * len(rest) / n)] for j in range(n)))
+    held = sum(rows[k] for k in back)
+    return back if held >= share * rows[longest] and sum(rows) - held >= 2 * LEAST else ()
+
+
+def _levels(one: Series) -> tuple[float, ...]:
+    """Means of the inputs and of what was read of each output, by which records are sorted."""
+    means = [float(y[~np.isnan(y)].mean()) if (~np.isnan(y)).any() else 0.0 for y in one.y.T]
+    return (*one.u.mean(axis=0).tolist(), *means)
 
 
 def _same_step(one: Series, other: Series) -> bool:
@@ -130,8 +155,8 @@ def check_held_out(held_out: float, tested: bool) -> None:
     """Raise OptionError where the share is none, or is given beside a test series."""
     if not 0.0 <= held_out <= MOST:
         raise OptionError(
-            f"held_out = {held_out:g} is not within 0 to {MOST:g}: it is the share of the longest record that "
-            "is kept back from the search, and 0 keeps nothing back",
+            f"held_out = {held_out:g} is not within 0 to {MOST:g}: it is the share of the longest record, or "
+            "of many, that is kept back from the search, and 0 keeps nothing back",
             "held_out",
         )
     if tested and held_out != HELD_OUT:
@@ -177,7 +202,7 @@ def _check_apart(every: Sequence[Series], n: int) -> None:
                 )
             raise SeriesError(
                 f"test is record {k}, which the model is fitted to: give data that it has not seen, or none, "
-                "and the last fifth of the longest record is held out; held_out=0 searches all of it"
+                "and a part of the records is held out; held_out=0 searches all of it"
             )
 
 

@@ -2,9 +2,9 @@
 
 How many steps a sample a model needs is known of the model as given. Where the free run finds a cause for
 which they are too long, what it would find beside that may be the error of the steps, and the causes are
-looked for again with as many as that one needs; with twice as many also where they decide between names that
-the likelihood has. An answer of the free run that is lost by that stays the one with fewer, but where the
-likelihood names a cause instead.
+looked for again with as many as that one needs; so they are where the likelihood's sizes need more, and with
+twice as many where they decide between names that it has. An answer of the free run that is lost by that stays
+the one with fewer, but where the likelihood names a cause instead.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from engine.diagnose.free_run.windows import STRETCH, rows_searched
 from engine.diagnose.free_run_fits.fitted import Fitted
 from engine.diagnose.records import Records
 from engine.diagnose.search.checkpoint import Kept
-from engine.diagnose.search.pipeline import NAMES, Causes, Clock, find_causes, fit_base
+from engine.diagnose.search.pipeline import ENOUGH, NAMES, Causes, Clock, find_causes, fit_base
 from engine.diagnose.search.substeps import Prepared, are_too_long, steps_for
 from engine.distributions import chi2_sf
 from engine.errors import EngineError
@@ -38,7 +38,6 @@ from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.words import enumerated
 
 UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
-ENOUGH = 4  # steps a sample, with which names that they decide between are left as a set
 
 
 @dataclass(frozen=True)
@@ -70,15 +69,16 @@ class TwoAnswers:
     @property
     def coarse(self) -> bool:
         """Whether shorter steps may say something else."""
-        by_likelihood = self.causes.coarse and not self.asked.decides and self.fine.k < ENOUGH
-        return self.fine.finer and (by_likelihood or self._coarse_for_free_run)
+        by_likelihood = not self.asked.decides and self.fine.k < ENOUGH
+        for_likelihood = by_likelihood and (self.causes.coarse or self.causes.steps > self.fine.k)
+        return self.fine.finer and (for_likelihood or self._coarse_for_free_run)
 
     @property
     def steps(self) -> int:
         """How many steps a sample to go on with."""
         search = self.asked.search
         if search is None or not search.coarse:
-            return 2 * self.fine.k
+            return self.causes.steps if self.causes.steps > self.fine.k else 2 * self.fine.k
         fit = search.final
         at, record = np.asarray(fit.theta), fit.records[0]
         return steps_for(self.causes.base.model, fit.names, at, record, fit.x1[0])

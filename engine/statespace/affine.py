@@ -3,8 +3,9 @@
 Many models are linear and their matrices constant: f = c(theta) + B(theta) u, and A and Q the same whatever
 the inputs. Where such a function takes one time and one theta a call, a record of T rows would cost T calls for
 every theta. Here c, B, A and Q are found from a few of the inputs that were met, and looked at again on
-others; that the function is such is seen at all inputs when they are first met. Of times no sample would be
-enough, for ``if t > 5`` may hold anywhere: that a function does not read them is told by its code
+others; that the function is such is seen at all inputs when they are first met, again when a parameter moves
+for the first time, which may be the height of a bump between those few, and now and then. Of times no sample
+would be enough, for ``if t > 5`` may hold anywhere: that a function does not read them is told by its code
 (:mod:`engine.statespace.reads`).
 """
 
@@ -29,6 +30,7 @@ MARGIN = 0.1  # of the range of inputs: further out all are looked at, not the e
 SAME = 1e-12  # of each entry of a matrix: what calls of one theta may differ by
 STEPS = 3  # time steps of different length in a call that are worth it
 REMEMBERED = 512  # parameter vectors
+OFTEN = 4  # times as many parameter vectors until all inputs are looked at again
 FIRST = 16  # inputs met one by one until they are looked at, then again at four times as many
 
 # (u (nu,), dt, theta) -> the function's result for one row
@@ -54,6 +56,13 @@ class Affine:
         self.holds = True
         self._known: dict[tuple[float, ...], Known] = {}
         self._inputs: _Inputs | None = None
+        self._first: Any = None  # the parameters at which they were met
+        self._moved: set[int] = set()  # of which these have moved since
+        self._met = np.empty((0, 0))  # all inputs met, each once
+        self._thetas, self._next = (
+            0,
+            FIRST,
+        )  # so many, and at how many all inputs are looked at again
         self._record: Array | None = None  # to be met first
         self._waiting: list[Array] = []  # met one by one
         self._due = FIRST
@@ -129,6 +138,8 @@ class Affine:
                 self._meet(u, *owners[0])
                 if not self._covers(u):
                     return None
+            if not self._as_parameters_move(owners):
+                return None
             out: list[Known] = []
             for dt, theta in owners:
                 known = self._of(dt, theta) if self.holds else None
@@ -142,10 +153,44 @@ class Affine:
     def _covers(self, u: Array) -> bool:
         return self._inputs is not None and self._inputs.cover(u)
 
+    def _as_parameters_move(self, owners: list[tuple[float, Any]]) -> bool:
+        """Look at all inputs as parameters have moved that did not before; False where it is not affine then.
+
+        One look tells of all that have, unless the function fails there.
+        """
+        new: dict[int, float] = {}
+        movers = []
+        for owner in owners:
+            first = {
+                i: value
+                for i, (value, was) in enumerate(zip(owner[1], self._first, strict=True))
+                if value != was and i not in self._moved and i not in new
+            }
+            if first:
+                new |= first
+                movers.append(owner)
+        if not new:
+            return True
+        self._moved |= new.keys()
+        names = self._first._fields
+        moved = self._first._replace(**{names[i]: value for i, value in new.items()})
+        try:
+            if self._seen_at_all(owners[0][0], moved) is not None:
+                return True
+        except Exception:  # noqa: BLE001 - together they may be what none of them is
+            pass
+        return self.holds and all(self._seen_at_all(*owner) is not None for owner in movers)
+
+    def _seen_at_all(self, dt: float, theta: Any) -> Known | None:
+        return None if self._inputs is None else self._seen(self._inputs, self._met, dt, theta)
+
     def _of(self, dt: float, theta: Any) -> Known | None:
         key, inputs = (dt, *theta), self._inputs
         if key not in self._known and inputs is not None:
-            known = self._seen(inputs, inputs.checks, dt, theta)
+            self._thetas += 1
+            due = self._thetas >= self._next
+            self._next *= OFTEN if due else 1
+            known = self._seen(inputs, self._met if due else inputs.checks, dt, theta)
             if known is None:
                 return None
             if len(self._known) >= REMEMBERED:
@@ -163,10 +208,11 @@ class Affine:
                 self._inputs = inputs.reaching(ends)
             return
         if inputs is not None:
-            u = np.concatenate([inputs.used, inputs.checks, u])
+            u = np.unique(np.concatenate([self._met, u]), axis=0)
         chosen = _Inputs.of(u)
         if self._seen(chosen, u, dt, theta) is not None:
             self._inputs, self._known, self._plan = chosen, {}, None
+            self._first, self._moved, self._met = theta, set(), u
 
     def _seen(self, inputs: _Inputs, others: Array, dt: float, theta: Any) -> Known | None:
         """What the used inputs tell, if it is so at the others; None if not, or if values are not finite."""

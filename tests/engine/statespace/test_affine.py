@@ -164,6 +164,39 @@ def test_a_theta_that_contradicts_makes_the_work_be_done_again():
     assert len(runs) == 2
 
 
+@pytest.mark.parametrize("away", [1e-7, 0.5])
+def test_a_bump_without_height_at_the_start_is_seen_when_it_gets_one(away):
+    """It acts in a few rows only, which no sample of the inputs need hold; two parameters move with it."""
+    written = Textbook(lambda th, u: u[1] + (th.b - 1.0) * np.exp(-(((u[0] - 0.3) / 0.01) ** 2)))
+    u, theta = inputs(), np.asarray(written.model.theta())
+    bump = np.exp(-(((u[:, 0] - 0.3) / 0.01) ** 2))
+    assert 0 < (bump > 0.01).sum() < 0.03 * T
+    for moved in ([0], [0, 1, 2]):
+        other = theta.copy()
+        other[moved] += away
+        (f, _, _), _ = evaluated(written.model, u, np.array([theta, other]), np.arange(T))
+        np.testing.assert_allclose(f[:T, 1], u[:, 1], atol=1e-12)
+        height = away if 2 in moved else 0.0
+        np.testing.assert_allclose(f[T:, 1], u[:, 1] + height * bump, rtol=0.0, atol=1e-12)
+
+
+def test_parameters_that_cannot_move_together_are_looked_at_one_by_one():
+    """Where the rate and the stiffness are both large there is no value; either alone is fine."""
+
+    def force(th, u):
+        return np.nan if th.k > 1.0 and th.w > 2.0 else th.b * u[0]
+
+    written = Textbook(force)
+    u, theta = inputs(), np.asarray(written.model.theta())
+    thetas = np.tile(theta, (3, 1))
+    thetas[1, 0], thetas[2, 1] = 2.0, 3.0
+    evaluated(written.model, u, thetas, np.arange(T))
+    written.calls = 0
+    (f, _, _), _ = evaluated(written.model, u, 1.01 * thetas, np.arange(T))
+    np.testing.assert_allclose(f[:, 1], np.tile(1.01 * u[:, 0], 3), atol=1e-12)
+    assert written.calls < T + 60  # all inputs once more, as two further parameters move
+
+
 def test_what_was_told_before_other_inputs_were_met_is_made_again_too():
     """A limit between the inputs met first and those met later, at a theta that has none of its own."""
     written = Textbook(lambda th, u: min(u[0], 9.0 * th.b) + min(u[1], 30.0 * th.w))
