@@ -116,7 +116,7 @@ def expectation(
 
     The moments are those the smoother was asked for: exact given each trajectory, or Algorithm 3's.
     """
-    depends = dependence(model, theta, smoothed[0][1])
+    depends = dependence(model, theta, [points for _, points in smoothed])
     record = model.record(theta)
     terms: list[Term] = []
     masks: list[NDArray[np.bool_]] = []
@@ -279,34 +279,47 @@ class _Forbidden:
         raise TypeError("used")
 
 
-def dependence(model: MixedModel, theta: Theta, points: Points) -> list[NDArray[np.bool_]]:
-    """Which parameters enter initial, dynamics and measurement: three (n_theta,) masks.
+def dependence(
+    model: MixedModel, theta: Theta, records: Sequence[Points]
+) -> list[NDArray[np.bool_]]:
+    """Which parameters enter initial, dynamics and measurement of any record: three (n_theta,) masks.
 
     Parameters are replaced by something that cannot be used: a function that still returns, at all
     points, does not need them. A function that is not evaluated at all points in one call would be
     asked too often; there everything is assumed.
     """
     record = model.record(theta)
-    start = partial(_evaluate_start, model, points.a[0])
-    masks = [_used(start, start, model, theta)]
-    for transition, function in ((True, model.transitions), (False, model.observations)):
-        n = points.T - transition
-        every = points.arguments(np.arange(n), transition)
-        if not function.takes(*every, record):
-            masks.append(np.ones(len(model.parameters), dtype=bool))
-            continue
-        few = points.arguments(np.unique(np.linspace(0, n - 1, FEW_ROWS).astype(int)), transition)
-        masks.append(
-            _used(partial(function.once, *few), partial(function.once, *every), model, theta)
-        )
+    masks = [np.zeros(len(model.parameters), dtype=bool) for _ in range(3)]
+    for points in records:
+        start = partial(_evaluate_start, model, points.a[0])
+        masks[0] |= _used(start, start, model, theta, masks[0])
+        for mask, transition, function in (
+            (masks[1], True, model.transitions),
+            (masks[2], False, model.observations),
+        ):
+            n = points.T - transition
+            every = points.arguments(np.arange(n), transition)
+            if not function.takes(*every, record):
+                mask[:] = True
+                continue
+            rows = np.unique(np.linspace(0, n - 1, FEW_ROWS).astype(int))
+            few = points.arguments(rows, transition)
+            ask = partial(partial, function.once)
+            mask |= _used(ask(*few), ask(*every), model, theta, mask)
     return masks
 
 
 def _used(
-    first: Callable[[Any], Any], then: Callable[[Any], Any], model: MixedModel, theta: Theta
+    first: Callable[[Any], Any],
+    then: Callable[[Any], Any],
+    model: MixedModel,
+    theta: Theta,
+    known: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
-    """Which parameters a call needs: tried ``first`` on a part of it, one by one, ``then`` on all."""
-    used = np.array([_fails(first, model, theta, [k]) for k in range(len(theta))], dtype=bool)
+    """Which parameters a call needs, or are ``known`` to: tried ``first`` on a part, ``then`` on all."""
+    used = known.copy()
+    for k in np.flatnonzero(~known):
+        used[k] = _fails(first, model, theta, [k])
     unused = np.flatnonzero(~used)
     if unused.size and _fails(then, model, theta, unused):
         used[unused] = [_fails(then, model, theta, [k]) for k in unused]

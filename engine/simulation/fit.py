@@ -26,7 +26,7 @@ from engine.simulation.free_run import (
     free_run,
     root_mean_square,
     root_mean_squares,
-    spread,
+    spread_of,
 )
 from engine.simulation.problem import FreeRunProblem
 from engine.simulation.step_length import about_free_runs
@@ -122,7 +122,7 @@ class SimulationFit(Shown):
     @property
     def nrmse(self) -> float:
         """Root mean square of all residuals, each as a share of its output's standard deviation: of no unit."""
-        scale = spread([run.series for run in self.runs])
+        scale = spread_of([run.series for run in self.runs])
         return float(np.sqrt(np.nanmean((np.concatenate(self.residuals) / scale) ** 2)))
 
     @property
@@ -241,17 +241,17 @@ def fit_simulation(
     for one in listed:
         check_start(model, model.theta(theta0), one)
     theta, indices = model.theta(theta0), model.free_indices(free)
-    told = _Told(callback)
+    told, x1 = _Told(callback), None
     for left in reversed(range(ROUNDS)):  # what changes nothing at the start may where the fit ends
         problem, best, stopped = _fitted(
-            FreeRunProblem(model, listed, theta, indices), n_starts, seed, max_evaluations, told
+            FreeRunProblem(model, listed, theta, indices, x1), n_starts, seed, max_evaluations, told
         )
         again = bool(left and not stopped and _speaks(problem, best, indices))
         if not stopped and told.stops(more=again) and again:
             stopped = told.done
         if stopped or not again:
             break
-        theta = problem.split(best.x)[0]
+        theta, x1 = problem.split(best.x)
     theta, x1 = problem.split(best.x)
     runs = _runs(model, theta, listed, x1)
     found = problem.uncertainty(*problem.evaluate(best.x), best.x)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from engine.data.given import one_series
@@ -166,26 +166,35 @@ def free_run(
     vector = model.theta(theta)
     check_start(model, vector, series)
     record = model.record(vector)
-    x1, spread = first_state(model, vector)
-    given = [("a1", a1, slice(0, model.na)), ("z1", z1, slice(model.na, model.nx))]
-    for name, value, where in given:
-        if value is not None:
-            values = np.asarray(value, dtype=float).ravel()
-            if values.size != x1[where].size or not np.isfinite(values).all():
-                raise OptionError(
-                    f"{name} = {values}; {x1[where].size} finite values are needed", name
-                )
-            x1[where], spread[where] = values, 0.0
+    given = [
+        _given(values, n, name) for values, n, name in ((a1, model.na, "a1"), (z1, model.nz, "z1"))
+    ]
+    x1, spread = first_state(model, vector, given[0])
+    own = np.ones(model.nx, dtype=bool)  # what the model says; neither given nor found
+    for values, where in zip(given, (slice(0, model.na), slice(model.na, model.nx)), strict=True):
+        if values is not None:
+            x1[where], spread[where], own[where] = values, 0.0, False
     if initial_rows:
-        x1 = _fit_first_state(model, vector, series, x1, spread, initial_rows)
+        x1 = _fit_first_state(model, vector, series, x1, spread, own, initial_rows)
+        own &= spread == 0.0
     y, a, z = propagate(model, record, series, x1[None, : model.na], x1[None, model.na :])
     check_finite(model, series, y, a, z)
-    lower, upper = (None, None) if bands is None else _bands(model, vector, series, x1, bands)
+    lower, upper = (None, None) if bands is None else _bands(model, vector, series, x1, own, bands)
     return FreeRun(model, vector, series, y[:, 0], a[:, 0], z[:, 0], lower, upper)
 
 
-def first_state(model: MixedModel, theta: Theta) -> tuple[Array, Array]:
-    """Mean and standard deviation (nx,) of x_1 = (a_1, z_1) under the initial density.
+def _given(value: ArrayLike | None, n: int, name: str) -> Array | None:
+    """A part of the first state as the caller gives it; raises OptionError."""
+    if value is None:
+        return None
+    values = np.asarray(value, dtype=float).ravel()
+    if values.size != n or not np.isfinite(values).all():
+        raise OptionError(f"{name} = {values}; {n} finite values are needed", name)
+    return values
+
+
+def first_state(model: MixedModel, theta: Theta, a1: Array | None = None) -> tuple[Array, Array]:
+    """Mean and standard deviation (nx,) of x_1 = (a_1, z_1) under the initial density; of z_1 given a1 (na,).
 
     A density without ``mean`` and ``cov`` is averaged over 1000 draws.
     """
@@ -196,9 +205,20 @@ def first_state(model: MixedModel, theta: Theta) -> tuple[Array, Array]:
     else:
         draws = density.sample(np.random.default_rng(0), 1000)
         mean, variance = draws.mean(axis=0), draws.var(axis=0)
-    z, P = start.linear(np.array(mean, dtype=float)[None])
+    z, P = start.linear(np.array(mean if a1 is None else a1, dtype=float)[None])
     variance_z = np.diagonal(P if P.ndim == 2 else P[0])
     return np.concatenate((mean, z[0])), np.sqrt(np.concatenate((variance, variance_z)))
+
+
+def following(model: MixedModel, theta: Theta, x: Array, known: NDArray[np.bool_]) -> Array:
+    """First states x (K, nx) whose linear ones that are ``known`` (nx,) are where the model says, given a_1."""
+    at = np.flatnonzero(known[model.na :])
+    if not at.size or not model.na:
+        return x
+    z, _ = model.start(model.record(theta)).linear(x[:, : model.na])
+    x = x.copy()
+    x[:, model.na + at] = z[:, at]
+    return x
 
 
 def run_rows(model: MixedModel, thetas: Array, series: Series, x1: Array) -> tuple[Array, Array]:
@@ -213,9 +233,15 @@ def run_rows(model: MixedModel, thetas: Array, series: Series, x1: Array) -> tup
 
 
 def _fit_first_state(
-    model: MixedModel, theta: Theta, series: Series, x1: Array, spread: Array, rows: int
+    model: MixedModel,
+    theta: Theta,
+    series: Series,
+    x1: Array,
+    spread: Array,
+    own: NDArray[np.bool_],
+    rows: int,
 ) -> Array:
-    """x_1 by least squares on the first rows; components without spread stay."""
+    """x_1 by least squares on the first rows; components without spread stay, or follow where ``own``."""
     part = series.part(0, min(max(rows, 2), len(series)))
     free = np.flatnonzero(spread > 0.0)
     seen = part.observed
@@ -223,16 +249,21 @@ def _fit_first_state(
         return x1
     if not seen.any():
         raise SeriesError(f"no measurement in the first {rows} rows to estimate the start from")
-    scale = output_scale([part])
-    h = 1e-5 * spread[free]
-    record, na = model.record(theta), model.na
+    scale, h = spread_of([part]), 1e-5
+    record, na, known = model.record(theta), model.na, own & (spread == 0.0)
+
+    def begun(p: Array) -> Array:
+        """First states (K, nx), each component p (K, n) in standard deviations away from where it began."""
+        x = np.tile(x1, (len(p), 1))
+        x[:, free] += spread[free] * p
+        return following(model, theta, x, known)
 
     def evaluate(p: Array) -> tuple[Array, Array]:
-        x = np.tile(x1, (2 * free.size + 1, 1))
-        x[:, free] = p
-        for i, column in enumerate(free):
-            x[1 + 2 * i, column] += h[i]
-            x[2 + 2 * i, column] -= h[i]
+        around = np.tile(p, (2 * free.size + 1, 1))
+        for i in range(free.size):
+            around[1 + 2 * i, i] += h
+            around[2 + 2 * i, i] -= h
+        x = begun(around)
         y, _, _ = propagate(model, record, part, x[:, :na], x[:, na:])
         e = ((part.y[:, None] - y) / scale).transpose(0, 2, 1)[seen]
         return e[:, 0], (e[:, 1::2] - e[:, 2::2]) / (2.0 * h)
@@ -243,18 +274,16 @@ def _fit_first_state(
     def jacobian(p: Array) -> Array:
         return evaluate(p)[1]
 
-    best = least_squares(residuals, x1[free], jacobian, x_scale=spread[free])
-    out = x1.copy()
-    out[free] = best.x
-    return out
+    best = least_squares(residuals, np.zeros(free.size), jacobian)
+    return np.asarray(begun(best.x[None])[0])
 
 
 def output_scale(series: list[Series]) -> Array:
     """One number per output to weigh residuals by: its standard deviation; 1 for one output."""
-    return np.ones(1) if series[0].y.shape[1] == 1 else spread(series)
+    return np.ones(1) if series[0].y.shape[1] == 1 else spread_of(series)
 
 
-def spread(series: list[Series]) -> Array:
+def spread_of(series: list[Series]) -> Array:
     """Standard deviation (ny,) of each output over all series; 1 where it does not move."""
     y = np.concatenate([one.y for one in series])
     seen = ~np.isnan(y)
@@ -265,9 +294,17 @@ def spread(series: list[Series]) -> Array:
 
 
 def _bands(
-    model: MixedModel, theta: Theta, series: Series, x1: Array, bands: Bands
+    model: MixedModel,
+    theta: Theta,
+    series: Series,
+    x1: Array,
+    own: NDArray[np.bool_],
+    bands: Bands,
 ) -> tuple[Array, Array]:
-    """Quantiles (T, ny) of runs with drawn parameters, first states and noise."""
+    """Quantiles (T, ny) of runs with drawn parameters, first states and noise.
+
+    Drawn parameters move those components of the first state that are the model's ``own`` (nx,).
+    """
     if bands.draws < 2 or not 0.0 < bands.level < 1.0:
         raise OptionError(
             f"bands: draws = {bands.draws}, level = {bands.level}; at least 2 draws and a level "
@@ -282,6 +319,9 @@ def _bands(
     if bands.covariance is not None:
         thetas += noise(np.asarray(bands.covariance, dtype=float), thetas.shape, rng)
         thetas = np.clip(thetas, model.lower, model.upper)
+        a1 = None if own[:na].all() else x1[:na]
+        moved = np.array([first_state(model, model.theta(one), a1)[0] for one in thetas])
+        x += np.where(own, moved - first_state(model, theta, a1)[0], 0.0)
     noises = {"process": bands.process, "measurement": bands.measurement}
     y, _, _ = propagate(model, model.records(thetas), series, x[:, :na], x[:, na:], rng, **noises)
     y = np.sort(np.where(np.isnan(y), np.inf, y), axis=1)

@@ -19,7 +19,14 @@ from scipy.optimize import OptimizeResult, least_squares
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.simulation.covariance import Determined, run_covariance
-from engine.simulation.free_run import first_state, free_run, output_scale, run_rows
+from engine.simulation.free_run import (
+    first_state,
+    following,
+    free_run,
+    output_scale,
+    run_rows,
+    spread_of,
+)
 from engine.simulation.sensitivities import Along
 from engine.simulation.simulate import states_of
 from engine.simulation.steps import observations, tested
@@ -66,9 +73,13 @@ class FreeRunProblem:
         self.mean, self.spread = first_state(model, theta)
         self.x1 = np.tile(self.mean, (len(series), 1)) if x1 is None else x1
         self.uncertain = np.flatnonzero(self.spread > 0.0)
+        self.known = self.spread == 0.0
+        z1 = model.start(model.record(theta)).z1
+        # z_1 that is known given a_1, which is found: runs begin elsewhere with each
+        self.follows = callable(z1) and bool(self.known[model.na :].any())
         self.evaluations = 0
         self.step = STEP
-        self.at_once = True  # derivatives along the run, not by differences of runs
+        self.at_once = not self.follows  # derivatives along the run, not by differences of runs
         self.as_whole = [False] * len(series)  # whether those of the last evaluation were
         self.runs = list(runs or [None] * len(series))  # the last of each, to begin with
         self._last: tuple[bytes, Array, Array] | None = None  # p, residuals, derivatives
@@ -90,7 +101,13 @@ class FreeRunProblem:
         theta[self.active] = p[: self.active.size]
         x1 = self.x1 + self._moved(theta)
         x1[:, self.uncertain] = p[self.active.size :].reshape(len(self.series), -1)
-        return self.model.theta(theta), x1
+        return self.model.theta(theta), self._following(theta, x1)
+
+    def _following(self, theta: Array, x1: Array) -> Array:
+        """First states (K, nx) with the linear ones that are known given the nonlinear ones."""
+        return (
+            following(self.model, self.model.theta(theta), x1, self.known) if self.follows else x1
+        )
 
     def _moved(self, theta: Array) -> Array:
         """How far theta (n_theta,) moves first states that are known, and so not found themselves (nx,)."""
@@ -180,25 +197,29 @@ class FreeRunProblem:
         start = np.clip(start, low, high)
         if not np.isfinite(residuals(start)).all():
             raise ModelError(f"model '{self.model.name}': the run from these values runs away")
-        # in units of the typical sizes: a start closer than 1e-10 to a bound, in whatever unit, is moved off it
-        size = self.scales()
+        # In units of the typical sizes: a start closer than 1e-10 to a bound, in any unit, is moved off it.
+        # First states by how far they move, for a step is small beside them where they are far from zero.
+        size, origin = self.scales(), start.copy()
+        origin[: self.active.size] = 0.0
+        unit = float(spread_of(self.series)[0]) if len(self.scale) == 1 else 1.0
 
         def scaled(x: Array) -> Array:
-            return residuals(size * x)
+            return residuals(origin + size * x) / unit
 
         def slopes(x: Array) -> Array:
-            return jacobian(size * x) * size
+            return jacobian(origin + size * x) * size / unit
 
         found = least_squares(
             scaled,
-            start / size,
+            (start - origin) / size,
             slopes,
-            bounds=(low / size, high / size),
+            bounds=((low - origin) / size, (high - origin) / size),
             ftol=precise,
             xtol=precise,
             max_nfev=evaluations,
         )
-        found.x = np.clip(size * found.x, low, high)
+        found.x = np.clip(origin + size * found.x, low, high)
+        found.cost *= unit**2
         return found
 
     def scales(self) -> Array:
@@ -352,6 +373,8 @@ class FreeRunProblem:
         for i, column in enumerate(self.uncertain):
             x[1 + 2 * (k + i), column] += h[i]
             x[2 + 2 * (k + i), column] -= h[i]
+        if self.follows:
+            x = np.concatenate([self._following(t, x[i : i + 1]) for i, t in enumerate(thetas)])
         y, _ = run_rows(self.model, thetas, one, x)
         reach = np.concatenate((self._reach(around), 2.0 * h))
         with np.errstate(all="ignore"):

@@ -167,6 +167,9 @@ class BaseModel(Shown):
         Raises OptionError naming the parameter that is unknown, not finite or out of bounds.
         """
         out = np.array([p.default for p in self.parameters], dtype=float)
+        own = self.parameter_names
+        if isinstance(values, Theta) and values.names != own and {*values.names} == {*own}:
+            values = values.asdict()  # of a model with the same parameters in another order
         if isinstance(values, Mapping):
             for name, value in values.items():
                 out[self.index(name)] = _numbers(value, name, 1)[0]

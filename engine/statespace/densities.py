@@ -111,6 +111,17 @@ class GaussianMixture:
         which = np.searchsorted(np.cumsum(self.shares)[:-1], rng.random((n, self.n)), side="right")
         return np.asarray(self.means[which] + self.sds[which] * rng.standard_normal((n, self.n)))
 
+    @property
+    def mean(self) -> Array:
+        """Expected value (n,)."""
+        return np.full(self.n, float(self.shares @ self.means))
+
+    @property
+    def cov(self) -> Array:
+        """Covariance (n, n)."""
+        around = self.means - self.shares @ self.means
+        return float(self.shares @ (self.sds**2 + around**2)) * np.eye(self.n)
+
     def log_density(self, e: Array) -> Array:
         """Logarithm of the density (K,) at points e (K, n)."""
         r = (e[:, :, None] - self.means) / self.sds

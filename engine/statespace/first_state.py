@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from engine.kernels.moments import sigma_points, transform
+from engine.statespace.densities import GaussianMixture
 from engine.statespace.model import Array, Gaussian, MixedModel
 
 
@@ -14,10 +15,11 @@ def moments_of_first(model: MixedModel, record: Any) -> tuple[Array, Array]:
     """Mean (nx,) and covariance (nx, nx) of x_1, z_{1|0}(a_1) by sigma points."""
     start = model.start(record)
     na, nz = model.na, model.nz
-    if isinstance(start.density, Gaussian):
-        mean, cov = start.density.mean, start.density.cov
+    density = start.density
+    if isinstance(density, Gaussian | GaussianMixture):
+        mean, cov = density.mean, density.cov
     else:
-        draws = start.density.sample(np.random.default_rng(0), 2000)
+        draws = density.sample(np.random.default_rng(0), 2000)
         mean, cov = draws.mean(axis=0), np.cov(draws.T).reshape(na, na)
     m = np.concatenate([mean, np.zeros(nz)])[None]
     P = np.zeros((1, na + nz, na + nz))

@@ -7,7 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine import Outcome, Series, get_model, rb_ffbsi, rbpf, rbps_em, rts_em, simulate
+from engine import (
+    MixedModel,
+    Outcome,
+    Parameter,
+    Series,
+    get_model,
+    rb_ffbsi,
+    rbpf,
+    rbps_em,
+    rts_em,
+    simulate,
+    standard_errors,
+)
 from engine.estimation.em import Checkpoint
 from engine.filters.proposals import bootstrap
 from tests.engine.models_for_tests import draw, random_walk, theta_everywhere
@@ -242,3 +254,32 @@ def test_the_log_likelihood_is_printed_with_its_monte_carlo_error():
     exact = rts_em(MODEL, series, [0.3], n_iterations=2)
     assert exact.log_likelihood_error == 0.0
     assert f"iteration: {exact.log_likelihood[-1]:.2f}." in str(exact)
+
+
+def test_a_parameter_that_acts_in_a_later_record_only_is_estimated_from_it():
+    """Whatever comes first: it was held where the first record did not need it, and the noise grew instead."""
+
+    def dynamics(a, u, t, dt, th):
+        return [th.k if dt > 0.5 else 0.0], [[0.9]], [[0.01]]
+
+    model = MixedModel(
+        name="slow",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: ([0.0], [[1.0]], [[th.r]]),
+        initial=lambda th: (None, [0.0], [[1.0]]),
+        linear={"x": "1"},
+        outputs={"y": "1"},
+        parameters=[Parameter("k", 0.1, "1", (-5.0, 5.0)), Parameter("r", 0.05, "1", (1e-4, 5.0))],
+    )
+    truth = {"k": 1.0, "r": 0.1}
+    fast, slow = (
+        simulate(model, truth, 100, np.random.default_rng(seed), dt=dt).series
+        for seed, dt in ((1, 0.1), (2, 1.0))
+    )
+    found = [rts_em(model, records) for records in ([fast, slow], [slow, fast])]
+    for fit in found:
+        assert fit.theta["k"] == pytest.approx(1.0, abs=0.04)
+        assert fit.theta["r"] == pytest.approx(0.1, abs=0.03)
+    np.testing.assert_allclose(found[0].theta, found[1].theta, rtol=1e-4)
+    errors = standard_errors(model, found[0], [fast, slow], exact=True)
+    assert 0.0 < np.sqrt(errors.covariance[0, 0]) < 0.03

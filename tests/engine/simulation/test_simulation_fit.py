@@ -20,7 +20,7 @@ from engine.models.servo import MODEL as SERVO
 from engine.models.tanks import MODEL as TANKS
 from engine.simulation import whole_record
 from engine.simulation.fit import fit_simulation
-from engine.simulation.free_run import free_run
+from engine.simulation.free_run import Bands, free_run
 from engine.simulation.problem import FreeRunProblem
 from engine.simulation.simulate import simulate
 from engine.statespace.continuous import continuous
@@ -514,3 +514,97 @@ def test_a_run_that_runs_away_is_said_and_nothing_of_its_parameters():
     assert "runs away from the record" in found.message
     assert "steps" not in found.message
     assert "determined" not in found.message
+
+
+def measured_in(unit=1.0, far=0.0):
+    """A damped pendulum whose angle is read in any unit, and from any zero of the state's own."""
+
+    def dynamics(a, u, t, dt, th):
+        angle, rate = a[:, 0] - far, a[:, 1]
+        return (
+            [a[:, 0] + dt * rate, rate - dt * (th.k * np.sin(angle) + th.d * rate)],
+            np.zeros((2, 0)),
+            1e-6 * np.eye(2),
+        )
+
+    return MixedModel(
+        name="measured in",
+        dynamics=dynamics,
+        measurement=lambda a, u, t, th: (
+            [unit * (a[:, 0] - far)],
+            np.zeros((1, 0)),
+            [[(0.01 * unit) ** 2]],
+        ),
+        initial=lambda th: (
+            Gaussian([far + 0.5, 0.0], 0.01 * np.eye(2)),
+            np.zeros(0),
+            np.zeros((0, 0)),
+        ),
+        nonlinear={"angle": "rad", "rate": "rad/s"},
+        outputs={"y": "rad"},
+        parameters=[
+            Parameter("k", 3.0, "1/s^2", (0.1, 20.0)),
+            Parameter("d", 0.3, "1/s", (0.0, 5.0)),
+        ],
+    )
+
+
+@pytest.mark.parametrize(("unit", "far"), [(1e-9, 0.0), (1e-6, 0.0), (1e6, 0.0), (1.0, 5e6)])
+def test_units_of_a_single_output_and_zeros_of_states_change_no_fit(unit, far):
+    """The optimiser's tolerances are of numbers about one: it stood still at its start in small units."""
+    series = simulate(
+        measured_in(), {"k": 5.0, "d": 0.7}, 150, np.random.default_rng(8), dt=0.05
+    ).series
+    plain = fit_simulation(measured_in(), series, n_starts=2)
+    other = fit_simulation(measured_in(unit, far), Series(unit * series.y, dt=0.05), n_starts=2)
+    assert plain.theta["k"] == pytest.approx(5.0, rel=0.1)
+    np.testing.assert_allclose(other.theta, plain.theta, rtol=2e-3)
+    assert other.rmse / unit == pytest.approx(plain.rmse, rel=1e-5)
+    begun = free_run(
+        measured_in(unit, far), other.theta, Series(unit * series.y, dt=0.05), initial_rows=30
+    )
+    there = free_run(measured_in(), other.theta, series, initial_rows=30)
+    np.testing.assert_allclose(begun.a[0] - [far, 0.0], there.a[0], atol=1e-4)
+
+
+def following_model(first=lambda a: 2.0 * a):
+    """z_1 is twice a_1, without doubt; both are read together."""
+    return MixedModel(
+        name="following",
+        dynamics=lambda a, u, t, dt, th: (
+            [th.k * a[:, 0], 0.0],
+            [[0.0], [0.9]],
+            np.zeros((2, 2)),
+        ),
+        measurement=lambda a, u, t, th: ([a[:, 0]], [[1.0]], [[1e-4]]),
+        initial=lambda th: (Gaussian([0.0], [[4.0]]), first, [[0.0]]),
+        nonlinear={"a": "1"},
+        linear={"z": "1"},
+        outputs={"y": "1"},
+        parameters=[Parameter("k", 0.5, "1", (0.0, 1.0))],
+    )
+
+
+def test_linear_first_states_follow_the_nonlinear_ones_where_the_model_says_so():
+    t = np.arange(60)
+    y = 3.0 * 0.7**t + 6.0 * 0.9**t + 0.01 * np.random.default_rng(0).standard_normal(60)
+    model, series = following_model(), Series(y)
+    fit = fit_simulation(model, series, n_starts=2)
+    assert fit.theta["k"] == pytest.approx(0.7, abs=0.01)
+    np.testing.assert_allclose([fit.a1[0, 0], fit.z1[0, 0]], [3.0, 6.0], atol=0.05)
+    assert not fit.silent
+    assert free_run(model, None, series, a1=[3.0]).z[0, 0] == 6.0
+    assert free_run(model, None, series, a1=[3.0], z1=[1.0]).z[0, 0] == 1.0
+    run = free_run(model, {"k": 0.7}, series, initial_rows=30)
+    assert run.z[0, 0] == 2.0 * run.a[0, 0] == pytest.approx(6.0, abs=0.05)
+
+
+def test_bands_know_that_parameters_move_the_first_state():
+    """The level is a parameter, and does not move."""
+    series = Series(np.zeros(5))
+    theta, none = {"q": 0.0, "r": 1.0, "level": 3.0}, {"process": False, "measurement": False}
+    bands = Bands(draws=400, covariance=np.diag([0.0, 0.0, 0.25]), **none)
+    run = free_run(LEVEL, theta, series, bands=bands)
+    np.testing.assert_allclose(run.upper - run.lower, 2.0 * 1.96 * 0.5, rtol=0.1)
+    known = free_run(LEVEL, theta, series, z1=[3.0], bands=bands)
+    np.testing.assert_allclose(known.upper, known.lower)

@@ -481,10 +481,13 @@ def test_a_parameter_that_is_used_at_few_points_only_is_not_overlooked():
     model = replace(model, dynamics=dynamics)
     a = np.zeros((50, 4, 1))
     points = Points(model, Series(np.zeros((50, 1)), np.zeros((50, 2))), a)
-    assert not dependence(model, model.theta(), points)[1].any()
+    assert not dependence(model, model.theta(), [points])[1].any()
+    few, a = points, a.copy()
     a[31, 2] = 4.0
     points = Points(model, Series(np.zeros((50, 1)), np.zeros((50, 2))), a)
-    np.testing.assert_array_equal(dependence(model, model.theta(), points)[1], [True, False])
+    np.testing.assert_array_equal(dependence(model, model.theta(), [points])[1], [True, False])
+    both = [few, points]  # in one record of several only
+    np.testing.assert_array_equal(dependence(model, model.theta(), both)[1], [True, False])
 
 
 def test_a_warm_start_that_cannot_be_looked_for_says_so(monkeypatch):
@@ -788,3 +791,14 @@ def test_one_parameter_vector_a_call_is_grouped_once_for_all_steps(monkeypatch):
     found = moment_filter(model, [[0.5], [-1.0], [0.7]], series)
     assert np.isfinite(found.log_likelihood).tolist() == [True, False, True]
     assert len(made) < 10
+
+
+def test_values_of_a_model_with_the_same_parameters_in_another_order_go_by_name():
+    model = user_model()
+    other = replace(model, parameters=model.parameters[::-1])
+    theta = model.theta([0.31, *np.asarray(model.theta())[1:]])
+    assert other.theta(theta).asdict() == theta.asdict()
+    assert (
+        np.asarray(other.theta(np.asarray(theta)[::-1])).tolist()
+        == np.asarray(theta)[::-1].tolist()
+    )

@@ -248,3 +248,11 @@ def test_draws_are_counted_by_positive_whole_numbers(n_trajectories: float) -> N
     filtered = filter_general(scalar_linear.GENERAL, None, series, 10, rng)
     with pytest.raises(OptionError, match="a positive whole number is needed"):
         smooth_general(filtered, n_trajectories, rng)
+
+
+def test_a_mixture_knows_its_moments():
+    density = GaussianMixture([0.5, 0.5], [0.0, 2.0], [0.1, 0.3], n=2)
+    draws = density.sample(np.random.default_rng(0), 200_000)
+    np.testing.assert_allclose(density.mean, draws.mean(axis=0), atol=0.01)
+    np.testing.assert_allclose(density.cov, np.cov(draws.T), atol=0.02)
+    assert density.mean.tolist() == [1.0, 1.0]
