@@ -299,7 +299,7 @@ class SimulateOptions(_Strict):
 class DiagnoseOptions(_Strict):
     """What to look for, and how sure to be."""
 
-    alpha: float = Field(default=0.05, gt=0, lt=1)
+    alpha: float = Field(default=0.05, ge=0.005, lt=1)
     """probability of an alarm where nothing is wrong"""
     effects: Names | None = Field(default=None, min_length=1, max_length=500)
     """kinds or names of effects to look for; null means all"""

@@ -78,6 +78,7 @@ __all__ = [
     "register_effect",
 ]
 
+LEAST_ALPHA = 0.005  # thousands of series and draws
 TIME_DIGITS = 10  # of a time in words: seconds of a clock are told apart
 
 
@@ -123,7 +124,7 @@ def diagnose(  # noqa: PLR0913
     seed : int
         Seed of all random numbers; the same seed gives the same result to the last bit.
     alpha : float
-        Probability of a false alarm, over all effects together, where nothing is wrong; between 0 and 1.
+        Probability of a false alarm, over all effects together, where nothing is wrong; from 0.005 to below 1.
     effects : sequence of str, optional
         Kinds such as ``drag``, or names such as ``drag:velocity``, to look for; the whole catalogue by default.
     max_effects : int
@@ -298,8 +299,12 @@ def _beside_others(judged: Judged, series: Series) -> OverHorizon | None:
 
 
 def _check_options(alpha: float, max_effects: int, effects: Sequence[str] | None) -> None:
-    if not 0.0 < alpha < 1.0:
-        raise OptionError(f"alpha = {alpha} is not within (0, 1)", "alpha")
+    if not LEAST_ALPHA <= alpha < 1.0:
+        raise OptionError(
+            f"alpha = {alpha:g}; from {LEAST_ALPHA:g} to below 1 is needed: smaller shares of false alarms "
+            "are not told by simulation",
+            "alpha",
+        )
     if max_effects < 1:
         raise OptionError(f"max_effects = {max_effects}; at least 1 is needed", "max_effects")
     if isinstance(effects, str):

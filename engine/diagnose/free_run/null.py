@@ -21,7 +21,7 @@ from engine.simulation.simulate import propagate
 from engine.statespace.model import Array, ThetaLike
 from engine.words import probability
 
-SERIES = 299  # simulated; the smallest p-value is 3 / (SERIES + 1)
+SERIES = 299  # simulated at least; the smallest p-value of n is 3 / (n + 1)
 LOOKED_AT = 0.05  # p-value from which on the likelihood's own noise is asked, too
 NEARER = 10.0  # times smaller than what noise makes, from which on an error is too small for it
 
@@ -33,7 +33,7 @@ class Alarm:
     ``p_gain`` of the held-out gain of the best effects, ``p_size`` of so large an error beside what parameters
     and first states take up, ``p_near`` of so small a one; ``rms`` is that error, ``rms_noise`` what noise
     makes of it (median), in the weighed unit of the residuals; ``gain`` the held-out gain, log(mean squared
-    error without / with).
+    error without / with). They are of so many ``series``.
     """
 
     p_gain: float
@@ -42,6 +42,7 @@ class Alarm:
     rms: float
     rms_noise: float
     gain: float
+    series: int = SERIES
 
     @property
     def p_value(self) -> float:
@@ -51,7 +52,7 @@ class Alarm:
     @property
     def at_floor(self) -> bool:
         """Whether ``p_value`` is the least that so many series can give: none of them reached the record."""
-        return min(self.p_gain, self.p_size, self.p_near) == _p_value(0)
+        return min(self.p_gain, self.p_size, self.p_near) == _p_value(0, self.series)
 
     @property
     def probability(self) -> str:
@@ -59,32 +60,41 @@ class Alarm:
         return probability(self.p_value, self.at_floor)
 
 
-def alarm(linear: Linear, theta: Array, folds: Folds, seed: int, ahead: ThetaLike = None) -> Alarm:
+def alarm(
+    linear: Linear,
+    theta: Array,
+    folds: Folds,
+    seed: int,
+    ahead: ThetaLike = None,
+    level: float = 1.0,
+) -> Alarm:
     """Compare the residuals with those of series simulated at theta, whose noise is that of the data.
+
+    So many are simulated that the p-value can be as small as ``level``.
 
     ``theta`` (n_theta,) differs from the fit's own in the parameters that do not change a noise-free run.
     ``ahead`` is the likelihood's own fit of the same model; without it an error too small is not asked for.
     """
-    fit = linear.fit
-    E = noise_runs(fit, theta, SERIES, seed)
+    fit, n = linear.fit, max(SERIES, int(np.ceil(3.0 / level)) - 1)
+    E = noise_runs(fit, theta, n, seed)
     E = E[:, np.isfinite(E).all(axis=0)]
-    away = SERIES - E.shape[1]  # noise makes these run away: no error is beyond them
+    away = n - E.shape[1]  # noise makes these run away: no error is beyond them
     gain = float(linear.held_out_gains(fit.e, folds)[0])
     rms = float(np.sqrt(np.mean(linear.e**2)))
     if not E.shape[1]:
-        return Alarm(1.0, 1.0, 1.0, rms, float("inf"), gain)
+        return Alarm(1.0, 1.0, 1.0, rms, float("inf"), gain, n)
     sizes = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
-    p_gain = _p_value(int((linear.held_out_gains(E, folds) >= gain).sum()) + away)
-    p_size = _p_value(int((sizes >= rms).sum()) + away)
+    p_gain = _p_value(int((linear.held_out_gains(E, folds) >= gain).sum()) + away, n)
+    p_size = _p_value(int((sizes >= rms).sum()) + away, n)
     p_near = 1.0
     if ahead is not None:
-        p_near = _p_value(int((sizes <= NEARER * rms).sum()))
+        p_near = _p_value(int((sizes <= NEARER * rms).sum()), n)
         if 3.0 * p_near <= LOOKED_AT:
-            E = noise_runs(fit, _with_noise_of(fit, ahead), SERIES, seed)
+            E = noise_runs(fit, _with_noise_of(fit, ahead), n, seed)
             E = E[:, np.isfinite(E).all(axis=0)]  # what runs away is not small
             own = np.sqrt(np.mean(linear.beside(E) ** 2, axis=0))
-            p_near = max(p_near, _p_value(int((own <= rms).sum())))
-    return Alarm(p_gain, p_size, p_near, rms, float(np.median(sizes)), gain)
+            p_near = max(p_near, _p_value(int((own <= rms).sum()), n))
+    return Alarm(p_gain, p_size, p_near, rms, float(np.median(sizes)), gain, n)
 
 
 def _with_noise_of(fit: Fitted, ahead: ThetaLike) -> Array:
@@ -107,5 +117,5 @@ def noise_runs(fit: Fitted, theta: Array, n: int, seed: int) -> Array:
     return np.concatenate(parts)
 
 
-def _p_value(reached: int) -> float:
-    return (1 + reached) / (1 + SERIES)
+def _p_value(reached: int, series: int) -> float:
+    return (1 + reached) / (1 + series)

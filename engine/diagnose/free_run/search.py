@@ -121,7 +121,7 @@ def one_round(
     linear = Linear(fit, columns(fit, effects))
     folds = folds_of(fit.records)
     progress(STAGE, 0.5 * SEEN)
-    seen = alarm(linear, noisy, folds, seed, ahead)
+    seen = alarm(linear, noisy, folds, seed, ahead, alpha)
     singles = linear.singles()
     own = losses(fit, folds)
     progress = part_of(progress, SEEN, ENDED)

@@ -108,7 +108,7 @@ def second_opinion(
     try:
         beside = _beside(start, records, held, kinds)
         progress(STAGE, 0.5 * ALARM_SHARE)
-        seen = beside.alarm(seed)
+        seen = beside.alarm(seed, level)
         progress(STAGE, ALARM_SHARE)
         if seen.p_value > level:
             extended = settled and bool(named)
@@ -177,10 +177,10 @@ class _Beside:
     setting: Setting
     folds: Folds
 
-    def alarm(self, seed: int) -> Alarm:
-        """Whether noise explains what it gets wrong."""
+    def alarm(self, seed: int, level: float) -> Alarm:
+        """Whether noise explains what it gets wrong, at this level."""
         noisy = np.asarray(noise_fit(self.linear.fit).theta)
-        return alarm(self.linear, noisy, self.folds, seed, self.start.theta)
+        return alarm(self.linear, noisy, self.folds, seed, self.start.theta, level)
 
     def missing(self) -> MissingFunction | None:
         """A force without a name."""

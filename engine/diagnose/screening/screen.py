@@ -31,7 +31,8 @@ from engine.diagnose.screening.score_columns import UNTESTABLE, Column, Projecti
 from engine.distributions import chi2_isf, chi2_sf
 from engine.statespace.model import Array
 
-MULTIPLIER_DRAWS = 499  # multiplier draws
+MULTIPLIER_DRAWS = 499  # at least
+DECIDING = 2.5  # of which so many would be enough for a p-value at the level
 COUNTED_DRAWS = 10  # draws above a value, from which their count is its p-value
 CLEARLY_HEAVIER = 2.5  # a tail than chi2: in 499 draws of chi2 the 95 % point scatters by a fifth
 
@@ -65,7 +66,7 @@ class Score:
 class Screen:
     """All scores, best first; ``p_value`` family-wise; ``likenesses`` (n, n) of every two effects.
 
-    ``lowest`` (MULTIPLIER_DRAWS,) are the draws' smallest p-values; ``simulated`` the number of series by
+    ``lowest`` (n,) are the draws' smallest p-values; ``simulated`` the number of series by
     which p-values were calibrated, see :mod:`engine.diagnose.search.calibration`, 0 where they were not.
     Where the screen is one of several chances of an alarm, it has this ``share`` of the error.
     ``refits_floor`` is the least that ``p_value`` can be where simulated refits gave it, 0 where none did.
@@ -167,7 +168,8 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
     ``threshold`` is the statistic a single two-sided test needs at the family-wise level ``alpha``.
     """
     T = tests[0].s.shape[1]
-    signs = rng.choice(np.array([-1.0, 1.0]), size=(MULTIPLIER_DRAWS, T))
+    n = max(MULTIPLIER_DRAWS, int(np.ceil(DECIDING / alpha)) - 1)
+    signs = rng.choice(np.array([-1.0, 1.0]), size=(n, T))
     observed, drawn, effective = [], [], []
     for test in tests:
         found = test.statistics(test.s.sum(axis=1))
@@ -177,12 +179,12 @@ def screen(tests: Sequence[Test], rng: np.random.Generator, alpha: float) -> Scr
         effective.append(_effective(draws, test) if found.size > 1 else tail * test.tries)
         if test.known is not None:
             observed.append(test.known[1])
-            drawn.append(rng.random(MULTIPLIER_DRAWS))
+            drawn.append(rng.random(n))
         elif test.tries > 1 or test.effect.traits.of_record:
             # the best of many places, nearly independent: Bonferroni; or made of the first readings alone,
             # whose signs say nothing
             observed.append(min(1.0, test.tries * float(chi2_sf(found.max(), test.degrees))))
-            drawn.append(rng.random(MULTIPLIER_DRAWS))
+            drawn.append(rng.random(n))
         elif single:  # the limiting distribution resolves smaller p-values than the draws
             factor = tail * _heavier(draws, test, tail)
             observed.append(min(1.0, factor * float(chi2_sf(found.max(), test.degrees))))

@@ -33,7 +33,12 @@ def diagnose(
     test: options.Test = [],  # noqa: B006
     alpha: Annotated[
         float,
-        typer.Option(metavar="P", help="Probability of a false alarm, where nothing is wrong."),
+        typer.Option(
+            metavar="P",
+            min=0.005,
+            max=1.0,
+            help="Probability of a false alarm, where nothing is wrong.",
+        ),
     ] = 0.05,
     consider: Annotated[
         list[str],

@@ -2,15 +2,24 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from engine.data.series import Series
+from engine.diagnose import LEAST_ALPHA, diagnose
+from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.null import SERIES, Alarm
-from engine.diagnose.free_run.second_opinion import _noise_explains, _too_far
+from engine.diagnose.free_run.second_opinion import SETTLED, _noise_explains, _too_far
+from engine.diagnose.screening.screening import screen_effects
 from engine.diagnose.search import bootstrap, calibration
 from engine.diagnose.search.bootstrap import bootstrap_p
 from engine.diagnose.search.calibration import sequential_floor, sequential_p
 from engine.diagnose.search.findings import Cause
 from engine.diagnose.search.lack_of_fit import LackOfFit
+from engine.diagnose.search.search import FIRST, LATER
+from engine.errors import OptionError
+from engine.estimation.quasi_ml import quasi_ml
+from engine.models.local_level import MODEL as LEVEL
 from engine.presentation.cause_sentences import headline
 from engine.presentation.report.parts import p_value
 from engine.words import probability
@@ -79,3 +88,24 @@ def test_what_is_left_says_it():
     left = LackOfFit("v", 40.0, 5, 0.02, ("v", "v"))
     assert "p = 0.02;" in left.sentence
     assert "p <= 0.02;" in replace(left, at_floor=True).sentence
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.01, LEAST_ALPHA])
+def test_a_level_can_be_reached_in_every_round_and_by_the_free_run(alpha):
+    """With fewer draws a later round could never raise an alarm, however much was to be seen."""
+    rng = np.random.default_rng(1)
+    series = Series(rng.standard_normal(400) + np.where(np.arange(400) < 190, 0.0, 3.0))
+    fit = quasi_ml(LEVEL, series, {"q": 1e-6, "r": 1.0, "level": 0.0}, ["r", "level"])
+    setting = setting_for(LEVEL, series, fit.theta)
+    level = LATER * alpha
+    seen = screen_effects(fit, series, setting, ["step"], level, 1, silent)
+    assert seen.p_value <= level
+    assert seen.at_floor
+    assert seen.sharing(FIRST).family_wise(0.0) <= alpha
+    most = int(np.ceil(3.0 / (SETTLED * alpha))) - 1
+    assert Alarm(1.0 / (most + 1), 1.0, 1.0, 1.0, 2.0, 0.0, most).p_value <= SETTLED * alpha
+
+
+def test_a_level_that_simulation_does_not_tell_is_refused():
+    with pytest.raises(OptionError, match=r"alpha = 0.001; from 0.005"):
+        diagnose(LEVEL, Series(np.arange(50.0)), alpha=0.001)
