@@ -43,7 +43,8 @@ class WarmStart:
 
     ``progress`` is told which share of a search is done. ``once``: a maximum that is known is not climbed to
     its end again, which costs no more than the last digits. Not ``around``: climbs from theta alone, where that
-    has a likelihood.
+    has a likelihood. ``by_height`` for who cannot compare maxima by particles: the highest comes first, not the
+    one above theta.
     """
 
     def __init__(
@@ -56,8 +57,9 @@ class WarmStart:
         progress: Callable[[float], object] = lambda share: None,
         once: bool = False,
         around: bool = True,
+        by_height: bool = False,
     ) -> None:
-        self.once, self.around = once, around
+        self.once, self.around, self.by_height = once, around, by_height
         self.model, self.indices, self.rivals, self.progress = model, indices, rivals, progress
         self.searched = [
             one if len(one) <= SEARCHED_ROWS else one.part(0, SEARCHED_ROWS) for one in all_series
@@ -67,12 +69,12 @@ class WarmStart:
         self.apart: Sequence[QuasiFit] = ()  # those found
 
     def __call__(self, theta: Theta) -> list[Theta]:
-        """The maxima found, first the one above theta, then the highest; none with a ``note``."""
+        """The maxima found, first the one above theta unless ``by_height``; none with a ``note``."""
         self.searches += 1
         try:
             if not self._blind(theta):
                 found = self.maxima(theta)
-                return sorted(found, key=lambda one: one is not self.above)
+                return sorted(found, key=lambda one: not self.by_height and one is not self.above)
             self.note = (
                 "EM started from the start values: nonlinear states enter noise only, where the moment filter, "
                 "which would search for a better start, does not see them."

@@ -98,7 +98,8 @@ def find_causes(
             "The estimation of the base model did not settle; its parameters may be far off. "
             "Give start values (theta=)."
         )
-    setting = setting_for(model, series, base.theta)
+    held = tuple(name for name in model.parameter_names if name not in base.free)
+    setting = replace(setting_for(model, series, base.theta), held=held)
     notes.extend(_not_seen(model, base.theta, series))
     clock.start("search")
     look = partial(
@@ -119,7 +120,7 @@ def find_causes(
     apart = kept.apart("read otherwise")
 
     def look_later(fit: QuasiFit, read: Series) -> Search:
-        known = setting_for(model, read, fit.theta)
+        known = replace(setting_for(model, read, fit.theta), held=held)
         return look(read, fit, known, alpha=LATER * alpha, kept=apart)
 
     other = read_otherwise(found, series, look_later)
@@ -294,6 +295,7 @@ def fit_base(
             rivals=RIVALS,
             progress=lambda share: progress(begun * share),
             once=True,
+            by_height=True,
         )
         start, *others = ahead(start) or [start]
 

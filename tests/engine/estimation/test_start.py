@@ -176,3 +176,15 @@ def test_a_start_without_a_particle_left_is_left_for_one_that_has_some():
     assert clearly_likelier("lost", "fine", Lost(), 0)
     assert not clearly_likelier("fine", "lost", Lost(), 0)
     assert not clearly_likelier("lost", "lost", Lost(), 0)
+
+
+def test_maxima_come_by_height_for_who_cannot_ask_particles(series, monkeypatch):
+    """The one above the start comes first for EM, which asks particles about the others."""
+    model = get_model("mixed-4")
+    theta, indices = model.theta(), model.free_indices(None)
+    highest, above = model.theta(LOST), model.theta()
+    for by_height, first in ((False, above), (True, highest)):
+        ahead = WarmStart(model, [series], indices, by_height=by_height)
+        monkeypatch.setattr(ahead, "maxima", lambda _: [highest, above])
+        ahead.above = above
+        assert ahead(theta)[0] is first
