@@ -15,8 +15,8 @@ from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.over_horizon import OverHorizon
 from engine.diagnose.search.findings import Cause, Detectable, Verdict
+from engine.diagnose.search.found import Search
 from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.search import Search
 from engine.diagnose.symptoms.symptoms import Symptoms
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta

@@ -20,8 +20,8 @@ from engine.diagnose.records import Records
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.contradictions import particle_word
 from engine.diagnose.search.findings import Cause, Verdict
+from engine.diagnose.search.found import Search
 from engine.diagnose.search.pipeline import NAMES, Causes, has_tails
-from engine.diagnose.search.search import Search
 from engine.diagnose.search.verdict import named_by, names_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit

@@ -9,8 +9,8 @@ from typing import Any
 from engine.data.series import Series
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.screening.noise_parameters import noise_of
+from engine.diagnose.search.found import Search
 from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.search import Search
 from engine.estimation.restricted import restricted
 from engine.words import enumerated
 

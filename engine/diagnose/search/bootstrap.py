@@ -16,7 +16,7 @@ from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.calibration import Question, screen_of_simulated, silent
 from engine.diagnose.search.checkpoint import NOTHING, Kept
-from engine.diagnose.search.search import Search
+from engine.diagnose.search.found import Search
 
 STAGE = "bootstrap"
 

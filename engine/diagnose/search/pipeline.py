@@ -21,9 +21,10 @@ from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.contradictions import undetermined
 from engine.diagnose.search.feedback import answering, of_own_row, told
 from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.found import Search
 from engine.diagnose.search.lack_of_fit import LEVEL, lack_of_fit
 from engine.diagnose.search.rounds import settle
-from engine.diagnose.search.search import LATER, OUTLYING, Search, search
+from engine.diagnose.search.search import LATER, OUTLYING, search
 from engine.diagnose.search.step_error import decides, steps_for_sizes
 from engine.diagnose.search.verdict import doubts, verdict_of
 from engine.errors import EngineError
@@ -150,6 +151,12 @@ def find_causes(
             f"Not compared with rivals beside all that was found: {', '.join(found.unweighed)}. Fits of "
             "several effects at once took too many iterations; the rivals are those of the round that found it."
         )
+    if found.as_well:
+        notes.append(
+            f"{enumerated(list(found.as_well))} together explain the data as well as what was found, and are "
+            "other causes: these data do not tell which it is."
+        )
+        verdict = Verdict.UNKNOWN
     against = undetermined([r for r in found.rounds if r.equivalent])
     if against:
         notes.extend(against)

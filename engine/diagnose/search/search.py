@@ -27,6 +27,7 @@ from engine.diagnose.free_run_fits.candidates import leading
 from engine.diagnose.screening.screen import Screen
 from engine.diagnose.screening.screening import Progress, screen_effects
 from engine.diagnose.screening.tails import pit_of, standardised_errors
+from engine.diagnose.search.beginnings import best_beginning, may_begin_otherwise
 from engine.diagnose.search.calibration import (
     BOLDEST,
     Question,
@@ -38,6 +39,7 @@ from engine.diagnose.search.calibration import (
 )
 from engine.diagnose.search.checkpoint import NOTHING, Kept
 from engine.diagnose.search.elsewhere import from_elsewhere
+from engine.diagnose.search.found import Search
 from engine.diagnose.search.joint_refit import STAGE, look_back
 from engine.diagnose.search.refits import Refit, cost, with_tails
 from engine.diagnose.search.refitting import (
@@ -64,22 +66,6 @@ AFTER, PASSES = (
 OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
 
 
-@dataclass(frozen=True, eq=False)
-class Search:
-    """All rounds; the last one without refits has no alarm. ``base`` and ``final`` fits.
-
-    ``of_the_steps`` is what a last round would have found, where shorter steps explain it; ``unweighed`` are
-    choices that were not weighed beside the effects found after them.
-    """
-
-    base: QuasiFit
-    final: QuasiFit
-    rounds: tuple[Round, ...]
-    alarm_left: bool
-    of_the_steps: str = ""
-    unweighed: tuple[str, ...] = ()
-
-
 def search(
     model: MixedModel,
     series: Series,
@@ -93,12 +79,64 @@ def search(
     progress: Progress,
     kept: Kept = NOTHING,
 ) -> Search:
-    """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already."""
-    fit, rounds, alarm, whole = base, [], False, series
+    """Find the effects a series shows beyond ``base``, one after the other; ``kept`` is done already.
+
+    What came first decides what is found beside it. So where several are found, another beginning is tried.
+    """
+    look = partial(
+        _one_after_the_other,
+        model,
+        series,
+        base,
+        setting,
+        alpha=alpha,
+        max_effects=max_effects,
+        kinds=kinds,
+        seed=seed,
+        progress=progress,
+    )
+    found, begun = look(kept=kept)
+    if begun is None or not may_begin_otherwise(found):
+        return found
+
+    def beside(rival: Refit) -> Screen:
+        fit = kept.within(f"beside {rival.effect.name}").fit(
+            rival.fit.model, partial(_finished, rival.fit, series, lambda k: None)
+        )
+        return _screened(series, setting, LATER * alpha, seed + 1, None, silent, fit, kinds)
+
+    def other(first: Round) -> Search:
+        apart = kept.apart(f"beginning with {first.refits[0].effect.name}")
+        return look(kept=apart, first=first)[0]
+
+    return best_beginning(found, begun, series, beside, other)
+
+
+def _one_after_the_other(  # noqa: PLR0913
+    model: MixedModel,
+    series: Series,
+    base: QuasiFit,
+    setting: Setting,
+    *,
+    alpha: float,
+    max_effects: int,
+    kinds: Sequence[str] | None,
+    seed: int,
+    progress: Progress,
+    kept: Kept,
+    first: Round | None = None,
+) -> tuple[Search, Round | None]:
+    """The search and its first round as it was found, or that ``first`` with which it is to begin."""
+    fit, rounds, alarm, whole = base, list[Round](), False, series
     tails: Refit | None = None
     of_state: _OfState | None = None
     explained, unweighed = "", tuple[str, ...]()
-    for k in range(max_effects + 1):
+    if first is not None:
+        rounds.append(first)
+        best = first.refits[0].fit
+        told = _iterations(progress, "refit", FOLLOWED)
+        fit = kept.within("round 1").fit(best.model, partial(_finished, best, series, told))
+    for k in range(len(rounds), max_effects + 1):
         taken = None if tails is None else tails.effect
         level = alpha if k == 0 else LATER * alpha
         here = kept.within(f"round {k + 1}")
@@ -170,6 +208,7 @@ def search(
         usual = replace(fit, theta=fit.model.theta(tails.fit.theta[: len(fit.theta)]))
         series = without_outliers(usual, series, tails.effect.channel, seed)
         fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))
+    begun = rounds[0] if rounds[0].equivalent else None
     named = [found for found in rounds if found.equivalent]
     if tails is None and len(named) > 1 and not explained:  # that would be by the longer steps
         among = part_of(progress, 0.0, LOOKED_BACK)
@@ -178,13 +217,13 @@ def search(
         told = _iterations(progress, STAGE, LOOKED_BACK)
         fit = kept.within("finally").fit(fit.model, partial(_finished, fit, series, told))
     if tails is None:
-        return Search(base, fit, tuple(rounds), alarm, explained, unweighed)
+        return Search(base, fit, tuple(rounds), alarm, explained, unweighed), begun
     final = tails.fit if series is whole else _told_again(fit, tails, whole)
     if of_state is not None and not of_state.beaten(rounds[of_state.place :], final, whole):
         best = of_state.found.refits[0].fit
-        return Search(base, best, (*rounds[: of_state.place], of_state.found), False)
+        return Search(base, best, (*rounds[: of_state.place], of_state.found), False), None
     rounds[:] = [_of_last(found, tails, final, base) for found in rounds]
-    return Search(base, final, tuple(rounds), alarm, explained, unweighed)
+    return Search(base, final, tuple(rounds), alarm, explained, unweighed), None
 
 
 def _screened(

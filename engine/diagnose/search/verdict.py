@@ -20,9 +20,9 @@ from engine.diagnose.search.findings import (
     LookAlike,
     Verdict,
 )
+from engine.diagnose.search.found import Search
 from engine.diagnose.search.refits import Refit, further_parameters
 from engine.diagnose.search.rounds import MARGIN, UNNAMED_MARGIN, Round
-from engine.diagnose.search.search import Search
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
 from engine.words import number, probability, with_unit

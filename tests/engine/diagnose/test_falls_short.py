@@ -15,8 +15,8 @@ from engine.diagnose.gain.simulation_gain import OutputGain
 from engine.diagnose.held_out import HeldOut
 from engine.diagnose.records import Records
 from engine.diagnose.search.findings import Verdict
+from engine.diagnose.search.found import Search
 from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.search import Search
 from tests.engine.hidden_effects import DRIVE
 
 LOSS = Gain(

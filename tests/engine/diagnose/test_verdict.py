@@ -9,9 +9,9 @@ from scipy.stats import norm
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.screening.screen import Score
+from engine.diagnose.search.found import Search
 from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.rounds import Round
-from engine.diagnose.search.search import Search
 from engine.diagnose.search.verdict import (
     at_most_in_words,
     detectable_of,

@@ -1,0 +1,67 @@
+"""What a search has found, and whether it had found more had it begun with another effect.
+
+Of two faults the first that is named may be neither: a pulse of the force takes what a drag and a knock of
+the sensor leave together, and beside it a path from the input takes the rest. Exchanging one of such two for
+another makes it worse. So where several effects were found, the rivals of the first round are tried as the
+first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from engine.data.series import Series
+from engine.diagnose.screening.screen import Screen
+from engine.diagnose.search.found import Search
+from engine.diagnose.search.refits import Refit
+from engine.diagnose.search.rounds import MARGIN, Round
+
+OTHERS = 3  # rivals that are tried as the first
+FORESEEN = 1.5  # times its statistic, at most, an effect gains when it is refitted
+
+
+def may_begin_otherwise(found: Search) -> bool:
+    """Whether it is several effects, none of them outliers, that may hold each other."""
+    outliers = any(one.effect.traits.outliers for one in found.named)
+    return len(found.named) > 1 and not outliers and not found.of_the_steps
+
+
+def best_beginning(
+    found: Search,
+    begun: Round,
+    series: Series,
+    beside: Callable[[Refit], Screen],
+    other: Callable[[Round], Search],
+) -> Search:
+    """The search, or a better one that begins with another of the refits of its first round, ``begun``.
+
+    ``beside`` screens what is left beside a refit. The one that promises most is gone on with, by ``other``,
+    if it may come out ahead. One that comes out even is told, unless the two share an effect.
+    """
+    names = {one.effect.name for one in found.named}
+    promised: list[tuple[float, Refit]] = []
+    for rival in begun.refits:
+        outlying = rival.effect.traits.outliers or rival.effect.name in names
+        if outlying or rival.score <= 0.0 or len(promised) == OTHERS:
+            continue
+        left = [s.statistic for s in beside(rival).scores if not s.effect.traits.unnamed]
+        promised.append((rival.score + FORESEEN * max(left, default=0.0), rival))
+    most, first = max(promised, key=lambda one: one[0], default=(0.0, None))
+    score = found.score(series)
+    if first is None or most < score:
+        return found
+    again = other(_led_by(begun, first))
+    lead = again.score(series) - score
+    if lead > MARGIN:
+        return again
+    theirs = {one.effect.name for one in again.named}
+    if lead >= -MARGIN and not theirs & names:
+        return replace(found, as_well=tuple(sorted(theirs)))
+    return found
+
+
+def _led_by(found: Round, first: Refit) -> Round:
+    """A round in which another refit was chosen."""
+    others = tuple(one for one in found.refits if one is not first)
+    return replace(found, refits=(first, *others), equivalent=(first,))

@@ -1,0 +1,94 @@
+"""Of two faults the first that is named may be neither: another beginning is tried, and told where it is even."""
+
+from types import SimpleNamespace as Of
+
+import numpy as np
+import pytest
+
+import engine
+from engine.data.series import Series
+from engine.diagnose.search import beginnings
+from engine.diagnose.search.beginnings import best_beginning, may_begin_otherwise
+from engine.diagnose.search.found import Search
+from engine.diagnose.search.rounds import Round
+from tests.engine.diagnose.test_held import kettle
+
+
+def refit(name, score=0.0, outliers=False):
+    effect = Of(name=name, traits=Of(outliers=outliers, unnamed=False))
+    return Of(effect=effect, score=score, fit=Of(log_likelihood=0.0))
+
+
+def a_round(*refits, equivalent=1):
+    return Round(None, refits, None, refits[:equivalent])
+
+
+def a_search(gain, *names):
+    ends = Of(log_likelihood=0.0), Of(log_likelihood=0.5 * gain)
+    return Search(*ends, tuple(a_round(refit(name)) for name in names), False)
+
+
+BEGUN = a_round(
+    refit("pulse", 80.0), refit("variance", 50.0), refit("step", 40.0), refit("bias", 1.0)
+)
+LEFT = {"variance": 10.0, "step": 50.0, "bias": 60.0}
+
+
+def beside(rival):
+    return Of(scores=[Of(statistic=LEFT[rival.effect.name], effect=rival.effect)])
+
+
+@pytest.fixture(autouse=True)
+def no_costs(monkeypatch):
+    monkeypatch.setattr("engine.diagnose.search.found.cost", lambda effect, series: 0.0)
+
+
+@pytest.mark.parametrize(
+    ("gain", "better", "as_well"),
+    [(110.0, True, ()), (99.0, False, ("drag", "step")), (90.0, False, ())],
+)
+def test_the_most_promising_rival_is_tried_as_the_first(gain, better, as_well):
+    found, tried = a_search(100.0, "pulse", "path"), []
+
+    def other(first):
+        tried.append(first.refits[0].effect.name)
+        assert [one.effect.name for one in first.equivalent] == tried
+        return a_search(gain, "step", "drag")
+
+    best = best_beginning(found, BEGUN, None, beside, other)
+    assert tried == ["step"]
+    assert [one.effect.name for one in best.named] == (
+        ["step", "drag"] if better else ["pulse", "path"]
+    )
+    assert best.as_well == as_well
+
+
+def test_those_that_share_an_effect_are_not_told_and_none_is_tried_in_vain():
+    found = a_search(100.0, "pulse", "drag")
+    even = best_beginning(found, BEGUN, None, beside, lambda first: a_search(99.5, "step", "drag"))
+    assert even is found
+    far = a_search(500.0, "pulse", "path")
+    assert best_beginning(far, BEGUN, None, beside, lambda first: pytest.fail("tried")) is far
+    assert beginnings.OTHERS == 3  # the bias is not looked at, whatever is left beside it
+
+
+def test_one_effect_and_outliers_begin_in_one_way():
+    assert may_begin_otherwise(a_search(10.0, "drag", "step"))
+    assert not may_begin_otherwise(a_search(10.0, "drag"))
+    tails = Search(None, None, (a_round(refit("a")), a_round(refit("b", outliers=True))), False)
+    assert not may_begin_otherwise(tails)
+
+
+@pytest.mark.slow
+def test_a_drag_and_a_knock_of_the_sensor():
+    """They were named a pulse of the force and a path from the input, which hold each other."""
+    rng = np.random.default_rng(6)
+    u = np.repeat(rng.uniform(0.0, 20.0, 10), 20)
+    T, y, kept = 0.0, np.empty(200), np.exp(-1.0 / 25.0)
+    for i in range(200):
+        y[i] = T + 0.2 * rng.standard_normal() + 1.5 * (i >= 90)
+        heated = (1.0 - kept) * 25.0 * 0.06 * u[i] + np.sqrt(1e-3) * rng.standard_normal()
+        T = kept * T + heated - 4e-3 * T * abs(T)
+    found = engine.diagnose(kettle(20.0), Series(y, u, dt=1.0), seed=0)
+    names = [set(cause.equivalent) for cause in found.causes]
+    assert [bool(one & {"step:reading", "drag:T"}) for one in names] == [True, True]
