@@ -1,9 +1,11 @@
 """Results kept in files: estimates and diagnoses with their model, by its name or its file.
 
 A file is one JSON document. Functions are not in it: a registered model is found again by its name, one of a
-user's file by that file, which must be the same to the last byte. The text of the file is kept too, and is run
-only where that is asked for; what it imports from beside it is not. A diagnosis is kept as what was asked with
-the parts that it has finished, and goes through them again in seconds when it is loaded.
+user's file by that file, which must be the same to the last byte, and one with outliers by the model that they
+were added to. Numbers that the functions return are in it, and a model that returns others is refused. The text
+of the file is kept too, and is run only where that is asked for; what it imports from beside it is not. A
+diagnosis is kept as what was asked with the parts that it has finished, and goes through them again in seconds
+when it is loaded.
 """
 
 from __future__ import annotations
@@ -25,15 +27,20 @@ from engine.errors import EngineError, OptionError
 from engine.estimation.em_result import EmResult
 from engine.estimation.outcome import Outcome
 from engine.estimation.uncertainty.observed_result import StandardErrors
+from engine.filters.heavy_tails import with_mixture, with_student_t
+from engine.json_values import plain
 from engine.models.files import ModelFile, read_models
 from engine.models.registry import model_names
 from engine.simulation.fit import SimulationFit, with_runs
+from engine.statespace.fingerprint import differences, fingerprint, parameters_in
 from engine.statespace.model import MixedModel
+from engine.words import enumerated
 
 FORMAT = 1
 ARRAYS = ("trace", "log_likelihood", "ess", "seconds", "collapsed", "memory")  # of an EmResult
 ERRORS = ("covariance", "score", "score_error", "relative_error")  # of StandardErrors
 SAID = ("decrement", "settled", "warning", "note")
+MAKERS = {one.__name__: one for one in (with_mixture, with_student_t)}
 Kept = EmResult | StandardErrors | SimulationFit | Diagnosis
 
 
@@ -80,7 +87,8 @@ def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
     path : str or Path
         The file that ``save`` wrote.
     model : MixedModel, optional
-        The model, where it cannot be found by name or file, such as one that was written in a notebook.
+        The model, where it cannot be found by name or file, such as one that was written in a notebook. It must
+        be the one of the result: its functions must return the same numbers.
     run_source : bool
         Whether to run the kept text of the model's file where that file no longer exists. The text can do
         anything that you can do, so allow it only for files of people whom you trust.
@@ -116,6 +124,13 @@ def load(path: str | Path, model: Any = None, run_source: bool = False) -> Kept:
         raise OptionError(
             f"{path}: the result has the parameters {', '.join(reference['parameters'])}; model "
             f"'{found.name}' has {', '.join(found.parameter_names)}",
+            "model",
+        )
+    mark = reference.get("fingerprint")  # files of earlier versions have none
+    if mark and (others := differences(found, mark)):
+        raise OptionError(
+            f"{path}: model '{found.name}' is not the one of this result, whose {enumerated(others)} "
+            f"{'is' if len(others) == 1 else 'are'} different; load(path, model=...) takes the model as it was",
             "model",
         )
     if kind == "em":
@@ -218,54 +233,53 @@ def _series(content: Mapping[str, Any]) -> Series:
 
 
 def _reference(model: Any) -> dict[str, Any]:
-    """How the model is found again: by name with effects, by file, or not at all."""
-    out: dict[str, Any] = {"name": model.name, "parameters": list(model.parameter_names)}
-    if not isinstance(model, MixedModel):
-        return out
+    """How the model is found again, if it is, and by what it is known to be the same."""
+    mark = fingerprint(model)
+    out = {"name": model.name, "parameters": list(model.parameter_names), "fingerprint": mark}
+    return out | _found_by(model, mark) if isinstance(model, MixedModel) else out
+
+
+def _found_by(model: MixedModel, mark: Mapping[str, Any]) -> dict[str, Any]:
+    """By name with effects, by what it was made of, by file, or not at all."""
     name, *effects = model.name.split("+")
     if name in model_names():
         try:
             known = get_model(name, effects)
         except EngineError:
             known = None
-        if known is not None and (known.dynamics is model.dynamics or _agree(known, model)):
-            return out | {"registered": {"name": name, "effects": effects}}
-    if (own := _file_of(model)) is not None:
+        if known is not None and _gives(known, mark):
+            return {"registered": {"name": name, "effects": effects}}
+    if made := getattr(model.dynamics, "made", None):
+        maker, (base, *given) = made
+        if _gives(maker(base, *given), mark):
+            return {"made": {"by": maker.__name__, "of": _reference(base), "given": plain(given)}}
+    if (own := _file_of(model, mark)) is not None:
         file, variable = own
         text = file.path.read_text(encoding="utf-8")
-        out["file"] = {
-            "path": str(file.path),
-            "variable": variable,
-            "sha256": file.digest,
-            "source": text,
+        return {
+            "file": {
+                "path": str(file.path),
+                "variable": variable,
+                "sha256": file.digest,
+                "source": text,
+            }
         }
-    return out
+    return {}
 
 
-def _agree(one: MixedModel, other: MixedModel) -> bool:
-    """Whether two models give the same numbers at some points: effects know the data they were made for."""
-    if one.parameters != other.parameters:
-        return False
-    rng = np.random.default_rng(0)
-    theta = np.clip(one.theta() + 0.1, one.lower, one.upper)
-    record = one.record(theta)
-    try:
-        a = np.asarray(one.start(record).density.sample(rng, 4), dtype=float)
-        for t in (0.0, 1.0, 37.0):
-            u = rng.standard_normal(one.nu)
-            pairs = zip(
-                (*one.transition(a, u, t, 0.1, record), *one.observation(a, u, t, record)),
-                (*other.transition(a, u, t, 0.1, record), *other.observation(a, u, t, record)),
-                strict=True,
-            )
-            if not all(np.array_equal(x, y, equal_nan=True) for x, y in pairs):
-                return False
-    except EngineError:
-        return False
-    return True
+def _gives(known: MixedModel, mark: Mapping[str, Any]) -> bool:
+    """Whether a model is that of the fingerprint, but for defaults, bounds and the like, which are kept."""
+    return not differences(_with_parameters(known, mark), mark)
 
 
-def _file_of(model: MixedModel) -> tuple[ModelFile, str] | None:
+def _with_parameters(model: MixedModel, mark: Mapping[str, Any]) -> MixedModel:
+    """The model with defaults, bounds and the like as they were, if its parameters have the same names."""
+    kept = parameters_in(mark)
+    same = model.parameter_names == tuple(p.name for p in kept)
+    return model.with_parameters(kept) if same and kept != model.parameters else model
+
+
+def _file_of(model: MixedModel, mark: Mapping[str, Any]) -> tuple[ModelFile, str] | None:
     """The file that a model comes from and its name there, if importing the file gives it again."""
     function = getattr(model.dynamics, "drift", model.dynamics)
     name = getattr(getattr(function, "__code__", None), "co_filename", "")
@@ -280,7 +294,7 @@ def _file_of(model: MixedModel) -> tuple[ModelFile, str] | None:
         return None
     found = file.models
     for key in variables or [key for key, one in found.items() if one.name == model.name]:
-        if key in found and _agree(found[key], model):
+        if key in found and _gives(found[key], mark):
             return file, key
     return None
 
@@ -292,13 +306,28 @@ def _is_of(module: ModuleType | None, path: Path) -> bool:
 
 def _model(path: Path, reference: Mapping[str, Any], run_source: bool) -> MixedModel:
     """The model of a saved result. Raises OptionError that says what to do where it is not found."""
+    found, mark = _found(path, reference, run_source), reference.get("fingerprint")
+    return _with_parameters(found, mark) if mark else found
+
+
+def _found(path: Path, reference: Mapping[str, Any], run_source: bool) -> MixedModel:
+    """The model by name, by what it was made of, or by file."""
     name = reference["name"]
     if registered := reference.get("registered"):
         return get_model(registered["name"], registered["effects"])
+    if made := reference.get("made"):
+        return MAKERS[made["by"]](_model(path, made["of"], run_source), *made["given"])
     own = reference.get("file")
     if own is None:
+        unlike, mark = "", reference.get("fingerprint")
+        if mark and name in model_names():
+            known = _with_parameters(get_model(name), mark)
+            if not (others := differences(known, mark)):
+                return known
+            unlike = f" (the registered one differs in {enumerated(others)})"
         raise OptionError(
-            f"{path}: model '{name}' is neither registered nor from a file; load(path, model=...) takes it",
+            f"{path}: model '{name}' is neither registered nor from a file that gives it again{unlike}; "
+            "load(path, model=...) takes it",
             "model",
         )
     file = Path(own["path"])

@@ -10,6 +10,7 @@ import pytest
 import engine
 from engine.data import nile
 from engine.errors import OptionError
+from engine.models.files import read_models
 from tests.engine.models.test_model_files import write
 
 SERIES = engine.Series(np.sin(np.arange(30.0)) * 0.1)
@@ -120,6 +121,129 @@ mine = engine.MixedModel(
     with pytest.raises(OptionError, match="neither registered nor from a file"):
         engine.load(saved)
     same(engine.load(saved, model=names["mine"]), found)
+
+
+def kept(model, path):
+    """A result of a model, in a file."""
+    n = len(model.parameters)
+    errors = engine.StandardErrors(model, model.theta(), (), np.empty((0, 0)), *np.zeros((3, n)))
+    return errors.save(path / "errors.json")
+
+
+def other_reading(a, u, t, theta):
+    h, C, R = engine.get_model("servo").measurement(a, u, t, theta)
+    return h, 10.0 * np.asarray(C), R
+
+
+def other_start(theta):
+    density, z1, P1 = engine.get_model("servo").initial(theta)
+    return density, z1, 2.0 * np.asarray(P1)
+
+
+def other_step(a, u, t, dt, theta):
+    f, A, Q = engine.get_model("servo").dynamics(a, u, t, dt, theta)
+    return f, A, np.where(t > 5.0, 2.0, 1.0) * np.asarray(Q)  # later only
+
+
+@pytest.mark.parametrize(
+    ("what", "other"),
+    [
+        ("measurement", other_reading),
+        ("initial", other_start),
+        ("dynamics", other_step),
+        ("continuous", True),
+        ("outputs", {"y": "mm"}),
+    ],
+)
+def test_another_model_of_a_registered_name_is_not_taken_for_it(what, other, tmp_path):
+    servo = engine.get_model("servo")
+    model = replace(servo, **{what: other})
+    saved = kept(model, tmp_path)
+    with pytest.raises(
+        OptionError, match=rf"the registered one differs in {what}\); load\(path, m"
+    ):
+        engine.load(saved)
+    with pytest.raises(OptionError, match=f"not the one of this result, whose {what} is different"):
+        engine.load(saved, model=servo)
+    assert engine.load(saved, model=model).model is model
+    with pytest.raises(OptionError, match=f"whose {what} is different"):
+        engine.load(kept(servo, tmp_path), model=model)
+
+
+def test_bounds_and_defaults_of_a_registered_model_come_back(tmp_path):
+    servo = engine.get_model("servo")
+    wider = [
+        replace(p, bounds=(p.bounds[0], np.inf), default=1.1 * p.default) for p in servo.parameters
+    ]
+    model = replace(servo, parameters=wider)
+    saved = kept(model, tmp_path)
+    assert engine.load(saved).model.parameters == model.parameters
+    with pytest.raises(OptionError, match="whose default of M, bounds of M, default of Fv"):
+        engine.load(saved, model=servo)
+
+
+MADE = """
+def made(start):
+    return engine.MixedModel(
+        name="lag", dynamics=dynamics, measurement=measurement,
+        initial=lambda theta: (engine.Gaussian([start], [[0.1]]), [], np.zeros((0, 0))),
+        nonlinear={"x": ""}, outputs={"reading": "m"}, parameters=[engine.Parameter("c", 0.5)])
+
+mine = made(0.0)
+"""
+
+
+def test_a_model_of_a_files_function_is_not_taken_for_the_one_in_the_file(tmp_path):
+    path = write(tmp_path, "lag")
+    path.write_text(path.read_text().partition("mine =")[0] + MADE)
+    module = read_models(path).module
+    assert (
+        engine.load(kept(module.mine, tmp_path)).model.start(module.mine.theta()).density.mean == 0
+    )
+    other = module.made(5.0)
+    saved = kept(other, tmp_path)
+    with pytest.raises(OptionError, match="nor from a file that gives it again; load"):
+        engine.load(saved)
+    with pytest.raises(OptionError, match="whose initial is different"):
+        engine.load(saved, model=module.mine)
+    assert engine.load(saved, model=other).model is other
+
+
+def test_a_file_that_was_saved_without_a_fingerprint(tmp_path):
+    servo = engine.get_model("servo")
+    saved = kept(servo, tmp_path)
+    document = json.loads(saved.read_text())
+    del document["model"]["fingerprint"]
+    saved.write_text(json.dumps(document))
+    assert engine.load(saved).model is servo
+    assert engine.load(saved, model=replace(servo, measurement=other_reading))
+
+
+def test_models_with_outliers_are_made_again_of_what_they_were_made_of(tmp_path):
+    own = engine.model_from(str(write(tmp_path, "valve")))
+    level = engine.get_model("local-level")
+    for base in (level, own, engine.with_mixture(level, name="other", channels=("flow",))):
+        for model in (
+            engine.with_student_t(base, nu_default=7.0),
+            engine.with_mixture(base, "dynamics", ratio_default=30.0),
+        ):
+            found = engine.load(kept(model, tmp_path)).model
+            assert found.parameters == model.parameters
+            assert found.scale_states == model.scale_states
+    changed = replace(
+        engine.with_mixture(level), measurement=engine.with_student_t(level).measurement
+    )
+    with pytest.raises(OptionError, match="neither registered nor from a file"):
+        engine.load(kept(changed, tmp_path))
+
+
+def test_a_general_model_with_other_noise_is_refused(tmp_path):
+    model = engine.as_general(engine.get_model("local-level"))
+    saved = kept(model, tmp_path)
+    assert engine.load(saved, model=model).model is model
+    heavy = replace(model, measurement_noise=lambda theta: engine.StudentT(1.0, 4.0))
+    with pytest.raises(OptionError, match="whose measurement_noise is different"):
+        engine.load(saved, model=heavy)
 
 
 def test_a_diagnosis_in_a_file_and_pickled(nile_diagnosis, tmp_path):
