@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from engine.arrays import Array
 from engine.errors import SeriesError
 from engine.units import clock_of, meanings
 
+WHOLE = "iu"  # kinds of whole numbers
 SECOND = np.timedelta64(1, "s")
 # Of a step given beside times: how far the mean of theirs may be from it, and each, as loggers round.
 SAME_STEP, JITTER = 1e-3, 0.1
@@ -126,24 +128,56 @@ def _check_step(times: Array, dt: float) -> None:
 
 
 def index_of(tables: Iterable[Any]) -> Any:
-    """The index that says when rows of tables were measured, None where they have none.
+    """The first index that says when rows of tables were measured, None where none does.
 
-    Dates, durations and decimal numbers say so; whole numbers count rows. Raises SeriesError where two tables
-    have different ones.
+    Dates, durations and decimal numbers say so; whole numbers count rows, and texts name them.
     """
-    found = None
     for table in tables:
-        index = getattr(table, "index", None)
-        if index is None or callable(index):  # of a list
+        labels = _labels(table)
+        if labels is None:
             continue
-        values = np.asarray(index)
-        dates = values.dtype.kind == "O" and values.size and all(map(_is_date, values.ravel()))
-        if not dates and values.dtype.kind not in "Mmf":
+        dates = labels.dtype.kind == "O" and labels.size and all(map(_is_date, labels))
+        if dates or labels.dtype.kind in "Mmf":
+            return table.index
+    return None
+
+
+def check_same_rows(tables: Mapping[str, Any]) -> None:
+    """Raise SeriesError where two of the tables, which are by name, have indices that differ.
+
+    Rows are taken as they come. An index that counts them from 0, as tables have that were given none, says
+    nothing beside dates, decimal numbers or texts.
+    """
+    known = {name: one for name, table in tables.items() if (one := _labels(table)) is not None}
+    for (first, one), (second, other) in combinations(known.items(), 2):
+        counts = [_counts(one), _counts(other)]
+        whole = one.dtype.kind in WHOLE and other.dtype.kind in WHOLE
+        if all(counts) or (any(counts) and not whole):
             continue
-        if found is not None and not np.array_equal(np.asarray(found), values):
-            raise SeriesError("y and u have different indices of times; join them first")
-        found = index
-    return found
+        place = ""
+        if len(one) == len(other):
+            differ = (one != other) & ((one == one) | (other == other))  # none is as none
+            if not differ.any():
+                continue
+            row = int(np.argmax(differ))
+            place = f" (row {row} is {one[row]} in {first} and {other[row]} in {second})"
+        raise SeriesError(
+            f"{first} and {second} have different indices{place}; join them first, or give {second} as an "
+            "array, whose rows are taken as they come"
+        )
+
+
+def _labels(table: Any) -> Any:
+    """The index of a table (T,), None where it has none."""
+    index = getattr(table, "index", None)
+    if index is None or callable(index):  # of a list
+        return None
+    labels = np.asarray(index)
+    return labels if labels.ndim == 1 else None
+
+
+def _counts(labels: Any) -> bool:
+    return labels.dtype.kind in WHOLE and np.array_equal(labels, np.arange(len(labels)))
 
 
 def _is_date(value: Any) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.arrays import Array
 from engine.data.channels import check_channels, default_names
-from engine.data.clock import index_of, times_of
+from engine.data.clock import check_same_rows, index_of, times_of
 from engine.data.hold import HOLDS, between, means, over_steps
 from engine.errors import OptionError, SeriesError
 from engine.units import SECOND
@@ -31,7 +31,8 @@ class Series(Shown):
     ----------
     y : array (T, ny) or (T,)
         Outputs; NaN is a missing value, of a whole row or a single channel. Columns of a pandas table bring
-        their names along, and an index of dates, durations or decimal numbers the times.
+        their names along, and an index of dates, durations or decimal numbers the times. Tables are joined
+        row by row, so their indices must be the same; one that counts rows from 0 goes with dates, too.
     u : array (T, nu) or (T,), optional
         Inputs, without gaps, in the order in which the model lists them; none by default.
     dt : float, optional
@@ -101,6 +102,7 @@ class Series(Shown):
         units: Mapping[str, str] | None = None,
         begins: Sequence[int] = (),
     ) -> None:
+        check_same_rows({"y": y, "u": u, "extra": extra, "t": t})
         if t is None and dt is None:
             t = index_of((y, u))
         y_names, u_names, extra_names = (

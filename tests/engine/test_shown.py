@@ -114,6 +114,40 @@ def test_pandas_tables_bring_names_and_times():
     assert engine.Series(decimal.reset_index(drop=True)).dt == 1.0  # row numbers say nothing
 
 
+@pytest.mark.parametrize(
+    ("index", "other", "said"),
+    [
+        ([0, 1, 2, 3], [3, 2, 1, 0], r"\(row 0 is 0 in y and 3 in u\); join them first"),
+        ([0, 1, 2, 3], [1, 2, 3, 4], r"row 0 is 0 in y and 1 in u"),
+        ([0, 1, 3, 2], [0, 1, 2, 3], r"row 2 is 3 in y and 2 in u"),
+        ("abcd", "abdc", "row 2 is c in y and d in u"),
+        ("dates", [4, 5, 6, 7], "row 0 is 2026-.* in y and 4 in u"),
+        ([4, 5, 6, 7], [4, 5, 6, 7], ""),
+        ([0, 1, 0, 1], [0, 1, 0, 1], ""),
+        ("dates", None, ""),
+        (None, "dates", ""),
+        ("abcd", None, ""),
+        (None, None, ""),
+    ],
+)
+def test_rows_of_pandas_tables_are_those_of_one_index(index, other, said):
+    pandas = pytest.importorskip("pandas")
+    dates = pandas.date_range("2026-01-01", periods=4, freq="s")
+    index, other = (
+        dates if one == "dates" else None if one is None else list(one) for one in (index, other)
+    )
+    y, u = pandas.Series(np.arange(4.0), index), pandas.Series(np.ones(4), other)
+    clock = pandas.Series(np.arange(4.0), other)
+    for given in ({"u": u}, {"u": u, "t": np.arange(4.0)}, {"extra": u, "dt": 1.0}, {"t": clock}):
+        if said:
+            which = next(iter(given))
+            with pytest.raises(SeriesError, match=said.replace("in u", f"in {which}")):
+                engine.Series(y, **given)
+        else:
+            np.testing.assert_array_equal(engine.Series(y, **given).t, np.arange(4.0))
+    np.testing.assert_array_equal(engine.Series(y, u.to_numpy()).t, np.arange(4.0))
+
+
 def test_tables_for_pandas():
     pandas = pytest.importorskip("pandas")
     series = engine.Series(
