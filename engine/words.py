@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from typing import Self
 
 MOST_DIGITS = 12  # of an estimate, however small the error that is stated of it
 
@@ -18,6 +19,26 @@ def number(value: float | None, digits: int = 3) -> str:
         return "?" if value is None or math.isnan(value) else ("inf" if value > 0 else "-inf")
     text = f"{value:.{digits}g}"
     return text if "e" not in text or not 1e-3 <= abs(value) < 1e6 else f"{value:.0f}"
+
+
+def digits(value: float | None, error: float | None, least: int = 3) -> int:
+    """How many digits show a value to the second one of its error, ``least`` at the fewest."""
+    if not value or not error or not (math.isfinite(value) and 0.0 < error < math.inf):
+        return least
+    needed = math.floor(math.log10(abs(value))) - math.floor(math.log10(error)) + 2
+    return min(max(least, needed), MOST_DIGITS)
+
+
+class Told(float):
+    """A number that tables show with so many ``digits``."""
+
+    digits: int
+
+    def __new__(cls, value: float, digits: int) -> Self:
+        """The number, which knows its digits."""
+        self = super().__new__(cls, value)
+        self.digits = digits
+        return self
 
 
 def tidy(unit: str) -> str:
@@ -74,6 +95,19 @@ def bounds(low: float, high: float, unit: str = "") -> tuple[str, str]:
         if low == high or number(low, digits) != number(high, digits):
             break
     return with_unit(low, unit, digits), with_unit(high, unit, digits)
+
+
+def ends(low: float | None, high: float | None, unit: str = "", least: int = 4) -> tuple[str, str]:
+    """Both ends of an interval that tells how sure a value is, to the second digit of half its width."""
+    shown = digits_of_ends(low, high, least)
+    return with_unit(low, unit, shown), with_unit(high, unit, shown)
+
+
+def digits_of_ends(low: float | None, high: float | None, least: int = 4) -> int:
+    """How many digits show the ends of an interval to the second one of half its width."""
+    if low is None or high is None:
+        return least
+    return digits(max(abs(low), abs(high)), 0.5 * (high - low), least)
 
 
 def percent(share: float) -> str:

@@ -28,7 +28,17 @@ from engine.presentation.cause_sentences import (
     took,
 )
 from engine.presentation.report.priority import asked_first
-from engine.words import enumerated, fit_quality, number, percent, probability, tidy, with_unit
+from engine.words import (
+    digits,
+    ends,
+    enumerated,
+    fit_quality,
+    number,
+    percent,
+    probability,
+    tidy,
+    with_unit,
+)
 
 if TYPE_CHECKING:
     from engine.diagnose.diagnosis import Diagnosis
@@ -239,7 +249,8 @@ def _parameters(d: Diagnosis) -> Iterator[str]:
         name = parameter.name
         before = number(float(d.base_theta[name]), 4) if name in d.model.parameter_names else ""
         values = f"{before:>12} " if d.causes else ""
-        values += f"{number(float(d.theta[name]), 4):>12}"
+        value = float(d.theta[name])
+        values += f"{number(value, digits(value, errors.get(name), 4)):>12}"
         error = "held"
         if name in errors:
             error = number(errors[name], 2) if math.isfinite(errors[name]) else "unknown"
@@ -264,7 +275,7 @@ def _gain(d: Diagnosis) -> Iterator[str]:
         "  - ",
     )
     for o in gain.outputs:
-        low, high = (with_unit(x, o.unit) for x in o.interval_difference)
+        low, high = ends(*o.interval_difference, o.unit, 3)
         text = (
             f"Free run of {o.output}: {with_unit(o.rmse_before, o.unit)} rms before, "
             f"{with_unit(o.rmse_after, o.unit)} after (difference {number(o.difference)}, 95 % from {low} to "

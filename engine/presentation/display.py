@@ -74,7 +74,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table; numbers with some digits to the right, everything else as text to the left."""
+    """A table; numbers with some digits, or their own, to the right, everything else as text to the left."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[object, ...], ...]
@@ -129,7 +129,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> Part:
 
 
 def _cell(value: object) -> str:
-    return number(value, 4) if isinstance(value, float) else str(value)
+    return number(value, getattr(value, "digits", 4)) if isinstance(value, float) else str(value)
 
 
 def _html_cell(value: object) -> str:

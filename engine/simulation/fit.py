@@ -37,7 +37,7 @@ from engine.statespace.refutation import repeated_if_refuted
 from engine.threads import single_threaded
 from engine.ties import ties_in_words
 from engine.views import Figures, Shown, View, figures, frame, save, sheet, tables
-from engine.words import errors_in_words, tidy
+from engine.words import Told, digits, errors_in_words, tidy
 
 LOWER_BOUNDS = (
     "Standard errors allow for errors of the run that are correlated over time, but not for process noise "
@@ -162,7 +162,12 @@ class SimulationFit(Shown):
     def _view(self) -> View:
         errors = self.standard_errors
         rows = [
-            (p.name, value, self._remark(p.name) or errors[p.name], tidy(p.unit))
+            (
+                p.name,
+                Told(value, digits(value, errors.get(p.name), 4)),
+                self._remark(p.name) or errors[p.name],
+                tidy(p.unit),
+            )
             for p, value in zip(self.model.parameters, self.theta.tolist(), strict=True)
         ]
         return sheet(

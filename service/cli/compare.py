@@ -97,4 +97,5 @@ def _numbers(
 def _estimate(value: float, error: float | None, held: bool) -> str:
     if held:
         return f"{words.number(value, 5)} held"
-    return words.number(value, 5) + ("" if error is None else f" +- {words.number(error, 2)}")
+    shown = words.number(value, words.digits(value, error, 5))
+    return shown + ("" if error is None else f" +- {words.number(error, 2)}")

@@ -172,11 +172,11 @@ def table(model: MixedModel, series: Sequence[Series], document: dict[str, Any])
         error = one["standard_error"]
         held = "no effect" if one.get("silent") else "fixed" if one.get("fixed") else ""
         shown = held or ("-" if error is None else words.number(error, 3))
-        value = words.number(one["value"], 5)
+        value = words.number(one["value"], words.digits(one["value"], error, 5))
         if intervals:
-            ends = [words.number(v, 4) for v in one.get("interval") or ()]
-            shown = f"{shown:>12}{' to '.join(ends):>26}"
-        lines.append(f"{name:<16}{value:>12}{shown:>12}  {words.tidy(one['unit'])}".rstrip())
+            ends = words.ends(*one["interval"]) if one.get("interval") else ()
+            shown = f"{shown:>12}  {' to '.join(ends):>24}"
+        lines.append(f"{name:<15} {value:>12}{shown:>12}  {words.tidy(one['unit'])}".rstrip())
     if document.get("warning"):
         lines.append(document["warning"])
     if likelihood := document.get("log_likelihood"):

@@ -225,7 +225,9 @@ export function unit(text) {
 // A key value of a job: {name, value, standard_error, unit}.
 export function value({ value: x, standard_error: error, unit: text }) {
   const plain = text && text !== "1" ? `${/^\d+e/.test(text) ? " ×" : ""} ${unit(text)}` : "";
-  return `${number(x, 4)}${error === null ? "" : ` ± ${number(error, 2)}`}${plain}`;
+  const order = (y) => Math.floor(Math.log10(Math.abs(y)));
+  const digits = x && error ? Math.min(Math.max(4, order(x) - order(error) + 2), 12) : 4;  // of the error two
+  return `${number(x, digits)}${error === null ? "" : ` ± ${number(error, 2)}`}${plain}`;
 }
 
 // A sentence of the engine with its units and signs as they are printed.

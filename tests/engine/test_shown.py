@@ -1,6 +1,8 @@
 """What print shows of results: short tables; and pandas on both sides."""
 
 import builtins
+import re
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -11,6 +13,11 @@ import engine
 from engine.data import nile
 from engine.data.clock import times_in
 from engine.errors import OptionError, SeriesError
+from engine.presentation.examination import estimate_document
+from engine.presentation.report.estimate import estimates
+from engine.presentation.report.parts import plus_minus
+from engine.words import ends
+from service.cli.fit import table as fit_table
 
 LEVEL = engine.get_model("local-level")
 EM = engine.rbps_em(LEVEL, nile(), free=["q"], n_particles=10, n_iterations=2, seed=1)
@@ -89,6 +96,60 @@ def test_what_is_no_time_is_refused():
         engine.Series(
             np.arange(2.0), t=np.array(["2024-01-02", "2024-01-01"], dtype="datetime64[D]")
         )
+
+
+# ---- large values with small errors --------------------------------------------------------------
+
+NEAR = replace(
+    LEVEL,
+    parameters=[
+        replace(p, default=v, bounds=(0.0, np.inf))
+        for p, v in zip(LEVEL.parameters, (131.4902, 20004.3, 3e7), strict=True)
+    ],
+)
+SURE = engine.StandardErrors(
+    NEAR,
+    NEAR.theta(),
+    tuple(NEAR.parameter_names),
+    np.diag([0.0061, 3.8, 20.0]) ** 2,
+    *np.zeros((3, 3)),
+)
+ENDS = (("131.478", "131.502"), ("19996.9", "20011.7"), ("29999961", "30000039"))
+
+
+def test_intervals_are_shown_to_the_digits_of_their_width():
+    ratio = engine.LikelihoodIntervals(
+        NEAR, NEAR.theta(), 0.95, SURE.interval(), np.zeros((3, 2)), np.array(NEAR.theta())
+    )
+    for (low, high), value in zip(
+        ENDS, ("131.4902 +- 0.0061", "20004.3 +- 3.8", "30000000 +- 20"), strict=True
+    ):
+        assert f", 95 %: {low} to {high}" in str(SURE)
+        assert value in str(SURE)
+        assert f">{low}</td>" in SURE._repr_html_()
+        assert re.search(rf"{low} +{high}", str(ratio))
+        assert f">{high}</td>" in ratio._repr_html_()
+
+
+def test_what_a_command_prints_and_a_report_show_intervals_so_too():
+    document = estimate_document(NEAR, NEAR.theta(), NEAR.parameter_names, SURE)
+    printed = fit_table(NEAR, [], {"estimate": document, "message": ""})
+    assert len({line.index(" to ") for line in printed[2:]}) <= 2
+    shown = estimates({"estimate": document})
+    for low, high in ENDS:
+        assert f"{low} to {high}" in "\n".join(printed)
+        assert f"{low} to {high}" in shown
+    assert "131.4902" in shown
+    assert plus_minus(131.4902, 0.0061) == "131.4902 ± 0.0061"
+
+
+def test_the_ends_of_any_interval():
+    assert ends(0.52, 0.58) == ("0.52", "0.58")
+    assert ends(0.9996, 1.0002, "N") == ("0.9996 N", "1.0002 N")
+    assert ends(131.49, np.inf) == ("131.5", "inf")
+    assert ends(None, None) == ends(np.nan, np.nan) == ("?", "?")
+    assert ends(-1e-9, 2.0) == ("-1e-09", "2")
+    assert ends(1.0 / 3.0, 1.0 / 3.0) == ("0.3333", "0.3333")
 
 
 # ---- pandas -------------------------------------------------------------------------------------

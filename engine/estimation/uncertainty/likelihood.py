@@ -47,6 +47,7 @@ from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
 from engine.ties import scaled_inverse
 from engine.views import Shown, View, sheet, tables
+from engine.words import Told, digits_of_ends
 
 STEP_ERRORS = 0.7  # between the values of theta_k, in standard errors ...
 GROWTH = 1.25  # ... and by how much it grows from one to the next
@@ -95,7 +96,7 @@ class LikelihoodIntervals(Shown):
 
     def _view(self) -> View:
         rows = [
-            (p.name, value, low, high, p.unit)
+            (p.name, *(Told(one, digits_of_ends(low, high)) for one in (value, low, high)), p.unit)
             for p, value, (low, high) in zip(
                 self.model.parameters, self.theta.tolist(), self.values.tolist(), strict=True
             )

@@ -10,6 +10,7 @@ import numpy as np
 from engine.distributions import normal_quantile
 from engine.statespace.model import Array, MixedModel, Theta
 from engine.views import html, save, tables
+from engine.words import Told, digits, digits_of_ends, ends, number
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,13 @@ class StandardErrors:
             self.theta.tolist(), self.values.tolist(), self.interval().tolist(), strict=True
         )
         rows = [
-            (p.name, value, error, low, high, p.unit)
+            (
+                p.name,
+                Told(value, digits(value, error, 4)),
+                error,
+                *(Told(end, digits_of_ends(low, high)) for end in (low, high)),
+                p.unit,
+            )
             if np.isfinite(error)
             else (p.name, value, self._remark(p.name), "", "", p.unit)
             for p, (value, error, (low, high)) in zip(self.model.parameters, numbers, strict=True)
@@ -102,9 +109,10 @@ class StandardErrors:
     def __str__(self) -> str:
         low, high = self.interval().T
         rows = [
-            f"{p.name} = {value:.5g} +- {error:.2g} {p.unit}, 95 %: {a:.4g} to {b:.4g}"
+            f"{p.name} = {number(value, digits(value, error, 5))} +- {number(error, 2)} {p.unit}, 95 %: "
+            + " to ".join(ends(a, b))
             if np.isfinite(error)
-            else f"{p.name} = {value:.5g} {p.unit}, {self._remark(p.name)}"
+            else f"{p.name} = {number(value, 5)} {p.unit}, {self._remark(p.name)}"
             for p, value, error, a, b in zip(
                 self.model.parameters, self.theta.tolist(), self.values, low, high, strict=True
             )

@@ -20,7 +20,7 @@ from engine.presentation.report.parts import (
     without_gain,
 )
 from engine.presentation.report.svg import drawn
-from engine.words import fit_quality, number, percent
+from engine.words import ends, fit_quality, number, percent
 
 BUDGET = {"gone": "after", "left": "before", "noise": "data"}  # and their colours
 
@@ -59,7 +59,8 @@ def gain_section(d: Document, units: Document, draw: Drawer) -> list[object]:
 
 
 def _difference(o: Document) -> str:
-    low, high = (number(v) for v in o["interval_difference"])
+    low, high = o["interval_difference"]
+    low, high = ends(low, high, least=3)
     return f"{number(o['difference'])} ({low} to {high})"
 
 

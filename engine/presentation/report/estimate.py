@@ -32,7 +32,7 @@ from engine.presentation.report.parts import (
     pretty,
     section,
 )
-from engine.words import errors_in_words, fit_quality, number
+from engine.words import digits, digits_of_ends, ends, errors_in_words, fit_quality, number
 
 NORMAL = 1.959964  # standard errors to either side of a 95 % interval
 FEW_STARTS = 7  # starts beside the one taken whose curves are drawn each
@@ -143,10 +143,10 @@ def estimates(document: Document) -> Html:
     rows = []
     start = {k: v[0] for k, v in (document.get("trace") or {}).get("theta", {}).items() if v}
     for name, found in document["estimate"].items():
-        low, high = found.get("interval") or (None, None)
-        interval = "" if low is None else f"{number(low, 4)} to {number(high, 4)}"
+        interval = " to ".join(ends(*found["interval"])) if found.get("interval") else ""
         began = number(start[name], 4) if name in start else ""
-        said = number(found["value"], 5), _error(found), interval, pretty(found["unit"]), began
+        value = number(found["value"], digits(found["value"], found["standard_error"], 5))
+        said = value, _error(found), interval, pretty(found["unit"]), began
         rows.append((tag("code", name), *said))
     head = ("parameter", "estimate", "standard error", "95 % interval", "unit", "start")
     return table(head, rows, "numbers")
@@ -328,8 +328,9 @@ def _bootstrap(document: Document, draw: Drawer) -> Html:
         f"{found['runs']} estimations on data simulated at the estimate; {found['failed']} failed."
     )
     rows = [
-        (tag("code", name), *(number(q[level], 4) for level in ("0.025", "0.5", "0.975")))
+        (tag("code", name), *(number(q[level], shown) for level in ("0.025", "0.5", "0.975")))
         for name, q in found["quantiles"].items()
+        for shown in [digits_of_ends(q["0.025"], q["0.975"])]
     ]
     shown = table(("parameter", "2.5 %", "50 %", "97.5 %"), rows, "numbers") if rows else ""
     charts = [_density(name, values) for name, values in found["estimates"].items() if values]

@@ -12,7 +12,7 @@ from engine.presentation.cause_sentences import NOTHING_ADDED
 from engine.presentation.report.chart import CHART_POINTS, TIME_AXIS, Picture, Ranking
 from engine.presentation.report.html import Html, join, tag
 from engine.presentation.report.svg import svg_element
-from engine.words import estimate, number, probability, tidy
+from engine.words import digits, estimate, number, probability, tidy
 
 Document = Mapping[str, Any]
 
@@ -118,7 +118,7 @@ def plus_minus(value: float | None, error: float | None, unit: str = "") -> str:
     """``0.52 ± 0.03 N``, ``(256 ± 12) × 10⁸ m³``."""
     if error is None:
         return measured(value, unit, 4)
-    both = f"{number(value, 4)} ± {number(error, 2)}"
+    both = f"{number(value, digits(value, error, 4))} ± {number(error, 2)}"
     if _times(unit):
         both = f"({both})"
     return f"{both} {_times(unit)}{pretty(unit)}".strip()
