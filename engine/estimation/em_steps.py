@@ -20,7 +20,9 @@ from engine.estimation.quasi_newton import Ascent, Memory, Seen
 from engine.estimation.wandering import clearly_likelier
 from engine.filters.lost import FAR_NATS, nats_apart
 from engine.filters.sigma_point import free_thetas
-from engine.statespace.base import BaseModel, Theta
+from engine.statespace.base import Array, BaseModel, Theta
+
+SHARES = 2.0 ** -np.arange(30.0)  # of a step that is too long
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +166,7 @@ class Steps:
             found = self.ascent.next(seen, before, k)
         if found is None:
             return None
-        new = Theta(free_thetas(np.asarray(at), self.indices, found[0][None])[0], at.names)
+        new = self._possible(q, at, found[0])
         silent = exact & ~(np.diag(complete) > 0.0)
         names = np.array(at.names)[self.indices]
         return Maximized(
@@ -178,6 +180,14 @@ class Steps:
             tuple(names[silent]),
             found[1],
         )
+
+    def _possible(self, q: Objective, at: Theta, goal: Array) -> Theta:
+        """Theta with the parameters at their ``goal`` (n,), or as near to it as noise has a covariance."""
+        x = np.asarray(at)[self.indices]
+        for new in free_thetas(np.asarray(at), self.indices, x + SHARES[:, None] * (goal - x)):
+            if q.possible(new):
+                return Theta(new, at.names)
+        return at
 
     def ties(self, last: Maximized) -> str:
         """Which of the parameters that it moved are only determined together, in a sentence."""

@@ -70,6 +70,11 @@ class QFunction:
             H[np.ix_(which, which)] += h
         return value, gradient, H
 
+    def possible(self, theta: Array) -> bool:
+        """Whether all noise has a covariance at theta."""
+        record = self.model.record(theta)
+        return all(term.possible(record) for term in self.terms)
+
     def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Which free parameters move what has no noise (n,): Q is no guide to these."""
         record = self.model.record(theta)
@@ -245,6 +250,10 @@ class DensityTerm:
     def rank(self, record: Any) -> int:
         """Always 0: nothing to keep."""
         return 0
+
+    def possible(self, record: Any) -> bool:
+        """Always: a density has no covariance."""
+        return True
 
     def moves_noise_free(self, record: Any, neighbours: Neighbours) -> NDArray[np.bool_]:
         """None: a density has no such directions."""

@@ -46,6 +46,10 @@ class TrajectoryQ:
             H += np.einsum("atj,btj->ab", scores, scores) / scores.shape[2]
         return self.value(theta), gradient, H
 
+    def possible(self, theta: Array) -> bool:
+        """Always: densities have no covariances."""
+        return True
+
     def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
         """None (n,): a general model is given by densities, which have no such directions."""
         return np.zeros(len(free), dtype=bool)

@@ -36,6 +36,9 @@ class Objective(Protocol):
     def derivatives(self, theta: Array, free: NDArray[np.intp]) -> tuple[float, Array, Array]:
         """Value, gradient (n,) and a non-negative scoring matrix (n, n) in the free parameters."""
 
+    def possible(self, theta: Array) -> bool:
+        """Whether all noise has a covariance at theta: nothing else is needed of a step that is not Q's."""
+
     def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Which free parameters (n,) move what has no noise, so that Q is no guide to them."""
 

@@ -25,7 +25,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.kernels.gaussian import psd_cholesky_many, whiten_points
+from engine.kernels.gaussian import any_impossible, psd_cholesky_many, whiten_points
 from engine.statespace.model import Array, LinearGaussian
 
 # record of theta -> m (T, N, n), A (T', N', n, nz), S (T', N', n, n)
@@ -54,13 +54,17 @@ class GaussianTerm:
     var: Array
 
     def value(self, record: Any, rank: int | None = None) -> float:
-        """The term at theta; -inf where S has not the rank it must keep, or is not finite."""
+        """The term at theta; -inf where S has not the rank it must keep, is not finite, or no covariance."""
         return self._at(self.evaluate(record), rank)[0]
 
     def rank(self, record: Any) -> int:
         """Number of directions with noise, summed over all points at which S was given."""
         S = self.evaluate(record)[2]
         return int(np.count_nonzero(_pivots(_factor(S))))
+
+    def possible(self, record: Any) -> bool:
+        """Whether S is a covariance at every point."""
+        return _is_possible(self.evaluate(record)[2])
 
     def moves_noise_free(self, record: Any, neighbours: Neighbours) -> NDArray[np.bool_]:
         """Which of k parameters change x, or the noise, in directions without noise: (k,).
@@ -93,7 +97,8 @@ class GaussianTerm:
         L = _factor(S)
         pivots = _pivots(L)
         noisy = pivots > 0.0
-        if not np.isfinite(S).all() or (rank is not None and np.count_nonzero(noisy) != rank):
+        lost = not (np.isfinite(S).all() and _is_possible(S))
+        if lost or (rank is not None and np.count_nonzero(noisy) != rank):
             return -np.inf, m, L, L, L
         r = whiten_all(L, self.x - m - _apply(A, self.z))
         W = whiten_all(L, np.broadcast_to(np.eye(L.shape[-1]), L.shape))
@@ -170,6 +175,10 @@ def _factor(S: Array) -> Array:
     """Cholesky factors of S (T', N', n, n), zero pivots where there is no noise."""
     factors: Array = psd_cholesky_many(S.reshape(-1, *S.shape[2:])).reshape(S.shape)
     return factors
+
+
+def _is_possible(S: Array) -> bool:
+    return not any_impossible(S.reshape(-1, *S.shape[2:]))
 
 
 def _pivots(L: Array) -> Array:

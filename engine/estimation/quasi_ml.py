@@ -25,7 +25,7 @@ from engine.estimation.expectation import either_side, parameter_scale
 from engine.estimation.maximization import scoring_step
 from engine.filters.neighbours import Visited, filter_all, filter_neighbours
 from engine.filters.sigma_point import free_thetas, moment_filter
-from engine.statespace.checks import check_start
+from engine.statespace.checks import check_start, with_least_noise
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.ties import flat_directions, tied, ties_in_words
@@ -179,11 +179,13 @@ def quasi_ml(  # noqa: PLR0913
 def with_scales(
     model: MixedModel, all_series: Sequence[Series], theta: Array, indices: NDArray[np.intp]
 ) -> MixedModel:
-    """The model with a ``scale`` for each parameter of ``indices`` whose default is 0 and that has none.
+    """The model as a search needs it: :func:`with_least_noise`, and with a ``scale`` for each parameter.
 
-    It is the value in ``theta``; where that is 0 too, what changes a prediction by about one of its
-    standard deviations, from the information at theta, if it can be had.
+    One is found for those of ``indices`` whose default is 0 and that have none. It is the value in ``theta``;
+    where that is 0 too, what changes a prediction by about one of its standard deviations, from the information
+    at theta, if it can be had.
     """
+    model = with_least_noise(model, np.asarray(theta), indices, all_series)
     parameters = list(model.parameters)
     unknown = [k for k in indices if parameters[k].default == parameters[k].scale == 0.0]
     for k in unknown:

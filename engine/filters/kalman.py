@@ -14,7 +14,7 @@ import numpy as np
 from engine.data.given import one_series
 from engine.data.series import Series
 from engine.errors import ModelError
-from engine.statespace.checks import check_start
+from engine.statespace.checks import READING, STEP, check_start, possible_noise
 from engine.statespace.model import Array, Gaussian, LinearGaussian, MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
 from engine.views import Figures, Shown, figures, plots
@@ -230,7 +230,7 @@ def linear_start(model: MixedModel, record: Any) -> tuple[Array, Array]:
     if not isinstance(start.density, Gaussian):
         raise _not_linear(model, "p(a_1) is not a Gaussian")
     mean, Pa = start.density.mean, start.density.cov
-    points = probes(mean, np.sqrt(np.diagonal(Pa)), np.ones(model.na))
+    points = probes(mean, np.sqrt(np.maximum(np.diagonal(Pa), 0.0)), np.ones(model.na))
     z, P1 = start.linear(points)
     if P1.ndim == 3:
         if (np.abs(P1 - P1[:1]) > SAME * np.abs(P1).max(axis=0)).any():
@@ -285,6 +285,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     F = np.empty((T - 1, nx, nx))
     log_likelihood = 0.0
     x, P = linear_start(model, record)
+    P = possible_noise(model, "initial: the covariance of x_1", P, float(series.t[0]))
     na = model.na
     sizes = np.ones(na)  # until a state has a scale, any is as good
     for t in range(T):
@@ -296,6 +297,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
         there = series.observed[t]
         points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
         h, H, R = observation_matrices(model, record, u, time, points)
+        R = possible_noise(model, READING, R, time)
         if there.any():
             H, R = H[there], R[np.ix_(there, there)]
             nu = series.y[t, there] - h[there] - H @ x
@@ -314,6 +316,7 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
             dt = float(series.steps[t])
             u_step = series.u_step[t]
             f, F[t], Q = transition_matrices(model, record, u_step, time, dt, points, far)
+            Q = possible_noise(model, STEP, Q, time)
             x = f + F[t] @ x
             P = F[t] @ P @ F[t].T + Q
     x_s, P_s, M = x_f.copy(), P_f.copy(), np.empty((T - 1, nx, nx))

@@ -21,7 +21,15 @@ from engine.kernels.curve import along_curve
 from engine.kernels.filtering import advance, predict, weigh
 from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.randomness import Rng, generator
-from engine.statespace.checks import check_readings, check_start
+from engine.statespace.checks import (
+    FIRST_A,
+    FIRST_Z,
+    READING,
+    STEP,
+    check_readings,
+    check_start,
+    possible_noise,
+)
 from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, Gaussian, MixedModel, Theta, ThetaLike, stacked
 from engine.statespace.refutation import repeated_if_refuted
@@ -250,7 +258,7 @@ def rbpf(
             step = Step(model, record, mu, L, own, y[0], u[0], times[0], rng)
             a, z, Z, log_ratio = _first(step, draw)
             h, C, R = model.observation(a, u[0], times[0], record)
-            C, R = stacked(C), stacked(R)
+            C, R = stacked(C), stacked(possible_noise(model, READING, R, times[0]))
             if model.na:
                 check_readings(model, C, R, y)
             z, Z, log_w, w, log_sum, ess = weigh(z, Z, log_ratio, h, C, R, y[0], even)
@@ -259,6 +267,7 @@ def rbpf(
             a = np.ascontiguousarray(a)
             blind = log_q is None
             h, C, R = model.observation(a, u[t], times[t], record)
+            R = possible_noise(model, READING, R, times[t])
             z, Z, log_w, w, log_sum, ess = advance(
                 mu,
                 L,
@@ -282,6 +291,7 @@ def rbpf(
             f, A = np.repeat(mean[None], M, axis=0), np.zeros((1, model.nx, model.nz))
         else:
             f, A, Q = model.transition(a, series.u_step[t], times[t], steps[t], record)
+            Q = possible_noise(model, STEP, Q, times[t])
         predicted.append(Predicted(*predict(f, stacked(A), stacked(Q), z, Z)))
         mu, L = predicted[-1][:2]
         if model.na and ess <= ess_threshold * M:
@@ -320,6 +330,8 @@ def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
     model, M = step.model, len(step.ancestors)
     start = model.start(step.theta)
     density = start.density
+    if isinstance(density, Gaussian):
+        possible_noise(model, FIRST_A, density.cov, step.t)
     log_ratio = np.zeros(M)
     if draw is bootstrap or not isinstance(density, Gaussian):
         a = np.asarray(density.sample(step.rng, M), dtype=float)
@@ -333,6 +345,7 @@ def _first(step: Step, draw: Proposal) -> tuple[Array, Array, Array, Array]:
         if log_q is not None:
             log_ratio = density.log_density(a) - log_q
     z, P = start.linear(a)
+    P = possible_noise(model, FIRST_Z, P, step.t)
     return a, z, psd_cholesky_many(stacked(P)), log_ratio
 
 

@@ -18,6 +18,9 @@ PIVOT = 1e-12  # a pivot below this share of its own diagonal element is roundin
 ROOT_PIVOT = 1e-13  # the same of a standard deviation, where roots are never squared
 ROUNDING = 1e-11  # what computing a residual may leave, as a share of the numbers it is made of ...
 EXACT = 1e-7  # ... and, of the standard deviations next to it, what dropping a pivot may leave
+NEGATIVE = (
+    1e-9  # of its variances: a covariance may be off by so much, and no more, and still be one
+)
 MEASURED = 1e-7  # readings are written with seven digits or more
 
 
@@ -45,6 +48,54 @@ def psd_cholesky_into(S, L):
         else:
             for i in range(j, n):
                 L[i, j] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def is_impossible(S):
+    """Whether S (n, n) is no covariance: not symmetric, or with a negative eigenvalue, beyond rounding.
+
+    In any units: it is one where S + NEGATIVE diag(S) has a Cholesky factor. What is not finite is not judged.
+    """
+    n = S.shape[0]
+    if n == 1:
+        return S[0, 0] < 0.0
+    L = np.empty((n, n))
+    for j in range(n):
+        d = S[j, j] * (1.0 + NEGATIVE)
+        for k in range(j):
+            d -= L[j, k] * L[j, k]
+        if d < 0.0 or (d == 0.0 and S[j, j] > 0.0):
+            return True
+        p = math.sqrt(d)
+        for i in range(j):
+            if abs(S[i, j] - S[j, i]) > NEGATIVE * math.sqrt(S[i, i] * S[j, j]):
+                return True
+        for i in range(j + 1, n):
+            s = S[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if p == 0.0 and s != 0.0:
+                return True
+            L[i, j] = s / p if p > 0.0 else 0.0
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def impossible(S):
+    """Which of S (M, n, n) are no covariances (M,)."""
+    out = np.empty(S.shape[0], np.bool_)
+    for i in range(S.shape[0]):
+        out[i] = is_impossible(S[i])
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def any_impossible(S):
+    """Whether one of S (M, n, n) is no covariance."""
+    for i in range(S.shape[0]):  # noqa: SIM110 - Numba knows no any()
+        if is_impossible(S[i]):
+            return True
+    return False
 
 
 @njit(cache=True, error_model="numpy")

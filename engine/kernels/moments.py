@@ -15,6 +15,7 @@ from numba import njit
 
 from engine.kernels.gaussian import (
     MEASURED,
+    is_impossible,
     log_normalizer,
     psd_cholesky_into,
     solve_lower_transposed,
@@ -82,7 +83,8 @@ def sigma_points(m, P, na):
 def transform(f, A, Q, z, V, offsets, na):
     """Moments of f(a) + A(a) z + noise: mean (K, n), covariance (K, n, n), Cov(., x) (K, n, nx).
 
-    f (K S, n), A (1 or K S, n, nz), Q (1 or K S, n, n) at the points of :func:`sigma_points`.
+    f (K S, n), A (1 or K S, n, nz), Q (1 or K S, n, n) at the points of :func:`sigma_points`. Moments are
+    NaN where Q is no covariance: such a theta is lost.
     """
     K, S, nz = z.shape
     n = f.shape[1]
@@ -93,6 +95,7 @@ def transform(f, A, Q, z, V, offsets, na):
     cross = np.zeros((K, n, nx))
     value = np.empty((S, n))
     AV = np.empty((n, nz))
+    lost = Q.shape[0] == 1 and is_impossible(Q[0])
     for k in range(K):
         for s in range(S):
             row = k * S + s
@@ -105,6 +108,8 @@ def transform(f, A, Q, z, V, offsets, na):
                     v += As[i, c] * z[k, s, c]
                 value[s, i] = v
                 mean[k, i] += weight * v
+            if lost or (Q.shape[0] > 1 and is_impossible(Qs)):
+                value[s], mean[k] = np.nan, np.nan
             if s > 0 and A.shape[0] == 1 and Q.shape[0] == 1:
                 continue  # common matrices: their share was added with weight 1 at s = 0
             if A.shape[0] == 1 and Q.shape[0] == 1:

@@ -10,7 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from engine.kernels.gaussian import MEASURED, log_normalizer, psd_cholesky_into, whiten
+from engine.kernels.gaussian import (
+    MEASURED,
+    is_impossible,
+    log_normalizer,
+    psd_cholesky_into,
+    whiten,
+)
 from engine.kernels.moments import spread_of
 
 
@@ -156,6 +162,8 @@ def _moments(
         if s == 0 or Q_own:
             _near(Q, Q_b, Q_row + (s if Q_each else 0), dQ, s, d, n, Q_near)
             share = weight if Q_own else 1.0
+            if is_impossible(Q_near[:n, :n]):
+                value[s] = np.nan  # this theta is lost
             for r in range(n):
                 for q in range(r + 1):
                     cov[r, q] += share * Q_near[r, q]

@@ -14,7 +14,7 @@ from engine.kernels.gaussian import psd_cholesky, psd_cholesky_many
 from engine.randomness import Rng, generator
 from engine.simulation.steps import observations
 from engine.simulation.whole_record import whole_record
-from engine.statespace.checks import check_start
+from engine.statespace.checks import FIRST_Z, READING, STEP, check_start, possible_noise
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.statespace.refutation import repeated_if_refuted
 from engine.statespace.shapes import through
@@ -126,7 +126,7 @@ def simulate(
     record = model.record(values)
     a1 = model.start(record).density.sample(rng, 1)
     z1, P1 = model.start(record).linear(a1)
-    z1 = z1 + noise(P1, z1.shape, rng)
+    z1 = z1 + noise(possible_noise(model, FIRST_Z, P1, frame.t[0]), z1.shape, rng)
     y, a, z = propagate(model, record, frame, a1, z1, rng)
     check_finite(model, frame, y, a, z)
     y, a, z = y[:, 0], a[:, 0], z[:, 0]
@@ -208,7 +208,7 @@ def _states(
         f, A, Q = model.transition(a_all[t], inputs[t], times[t], steps[t], record)
         x = f + through(A, z_all[t])
         if rng is not None:
-            x += noise(Q, x.shape, rng)
+            x += noise(possible_noise(model, STEP, Q, times[t]), x.shape, rng)
         a_all[t + 1], z_all[t + 1] = x[:, :na], x[:, na:]
         if rng is None and len(x) == 1 and not np.isfinite(x).all():
             a_all[t + 2 :], z_all[t + 2 :] = np.nan, np.nan  # lost: what comes is no run any more
@@ -233,7 +233,7 @@ def _outputs(
     )
     y = h + through(C, z.reshape(rows, -1))
     if rng is not None:
-        y += noise(R, y.shape, rng)
+        y += noise(possible_noise(model, READING, R, series.t[0]), y.shape, rng)
     return y.reshape(T, K, model.ny)
 
 

@@ -28,6 +28,7 @@ from engine.kernels.gaussian import log_normal_common, psd_cholesky_many
 from engine.kernels.rts import gains, log_pairs
 from engine.randomness import Rng, generator
 from engine.smoothers.rb_ffbsi import Smoothed
+from engine.statespace.checks import FIRST_Z, READING, STEP, possible_noise
 from engine.statespace.model import Array, LinearGaussian, MixedModel, ThetaLike, stacked
 from engine.statespace.shapes import squared, through
 from engine.views import Shown
@@ -58,6 +59,7 @@ class SpecialCase(Shown):
     def linear(self, a: Array, u: Any, t: float, dt: float, theta: Any) -> LinearGaussian:
         """Evaluate f_z (M, nz), A_z (B, nz, nz) and Q_z (B, nz, nz) of eq. (63b) at particles a (M, na)."""
         f, A, Q = self.model.transition(a, u, t, dt, theta)
+        Q = possible_noise(self.model, STEP, Q, t)
         na = self.model.na
         rows = np.ascontiguousarray
         return rows(f[:, na:]), rows(stacked(A)[:, na:]), rows(stacked(Q)[:, na:, na:])
@@ -86,6 +88,7 @@ def gaussian_case(model: MixedModel) -> SpecialCase:
             raise ModelError(
                 f"model '{model.name}' is not a special case: A_a and Q_az must be zero; use rbpf"
             )
+        Q = possible_noise(model, STEP, Q, t)
         L = psd_cholesky_many(np.ascontiguousarray(stacked(Q)[:, :na, :na]))
         return f[:, :na] + through(L if len(L) > 1 else L[0], rng.standard_normal((len(a), na)))
 
@@ -167,8 +170,10 @@ def rbpf_special(
     for t in range(T):
         time = float(series.t[t])
         h, C, R = model.observation(a, series.u[t], time, record)
+        R = possible_noise(model, READING, R, time)
         if t == 0:
             z, P = start.linear(a)
+            P = possible_noise(model, FIRST_Z, P, time)
             z, Z, log_w, w, log_sum, ess = weigh(
                 z, psd_cholesky_many(stacked(P)), nothing, h, stacked(C), stacked(R), y[0], even
             )

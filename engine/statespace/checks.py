@@ -6,19 +6,30 @@ the series' own inputs and times; :func:`check_model` when a model is registered
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.data.series import Series
 from engine.errors import EngineError, ModelError
+from engine.kernels.gaussian import any_impossible, impossible
 from engine.statespace.compare import Result, differ, sizes_of
 from engine.statespace.model import Array, Gaussian, MixedModel
 from engine.statespace.shapes import ROUNDING, is_symmetric
-from engine.statespace.trial import UNREPEATED, UnrepeatedError
+from engine.statespace.trial import UNREPEATED, UnrepeatedError, is_numeric
 
 TRIED_DRAWS = 3  # draws of a_1 tried at once: enough to tell (M, n) from (n,)
 TRIED_ROWS = 8  # rows of a series on which functions are tried
+BELOW = 1e-6  # of its size: so far below zero it is asked whether a parameter may be
+# what covariances are of, for errors
+STEP, READING, FIRST_A, FIRST_Z = (
+    "dynamics: Q",
+    "measurement: R",
+    "initial: cov of p(a_1)",
+    "initial: P1",
+)
 
 
 def check_start(model: MixedModel, theta: Array, series: Series) -> None:
@@ -29,10 +40,50 @@ def check_start(model: MixedModel, theta: Array, series: Series) -> None:
     """
     if series in model.checked:
         return
+    _check_on(model, theta, series)
+    model.checked.add(series)
+
+
+def with_least_noise(
+    model: MixedModel, theta: Array, indices: NDArray[np.intp], all_series: Sequence[Series]
+) -> MixedModel:
+    """The model with a lower bound of 0 for those of the parameters ``indices`` that have to have it.
+
+    These are variances and the like of which none was declared: below 0, a covariance would be none. A search
+    keeps to a bound; where likelihoods merely end it would stand still.
+    """
+
+    def possible(which: Sequence[int], value: float) -> bool:
+        tried = np.array(theta, dtype=float)
+        for k in which:
+            p = model.parameters[k]
+            size = max(abs(tried[k]), abs(p.default), p.scale) or 1.0
+            tried[k] = max(value * size, p.bounds[0])
+        try:
+            for one in all_series:
+                _check_on(model, tried, one)
+        except ModelError as error:
+            if not error.numeric:
+                raise
+            return False
+        return True
+
+    parameters = list(model.parameters)
+    asked = [int(k) for k in indices if parameters[k].bounds[0] < 0.0 <= theta[k]]
+    asked = [k for k in asked if parameters[k].default >= 0.0]
+    if not asked or possible(asked, -BELOW):
+        return model
+    for k in asked:
+        if possible([k], 0.0) and not possible([k], -BELOW):
+            parameters[k] = replace(parameters[k], bounds=(0.0, parameters[k].bounds[1]))
+    return model.with_parameters(parameters)
+
+
+def _check_on(model: MixedModel, theta: Array, series: Series) -> None:
+    """Check all functions on some rows of a series."""
     rows = np.unique(np.linspace(0, len(series) - 2, TRIED_ROWS).astype(int))
     at = ((series.u_step[i], float(series.t[i]), float(series.steps[i])) for i in rows)
     _check_functions(model, theta, at, "the start values")
-    model.checked.add(series)
 
 
 def check_model(model: MixedModel) -> None:
@@ -67,6 +118,22 @@ def check_readings(model: MixedModel, C: Array, R: Array, y: Array) -> None:
             )
 
 
+def possible_noise(model: MixedModel, where: str, S: Array, t: float) -> Array:
+    """The covariances S (n, n) or (M, n, n) of a step or reading at t, NaN where a state's own is none.
+
+    Raises ModelError where all are none, for then it is theta that is impossible. It is asked at every step.
+    """
+    each = S if S.ndim == 3 else S[None]
+    if not any_impossible(each):
+        return S
+    bad = impossible(each)
+    if bad.all():
+        check_covariance(model, f"{where} at t = {t:g}", each[0])
+    each = each.copy()
+    each[bad] = np.nan
+    return each
+
+
 def check_covariance(model: MixedModel, where: str, S: Array) -> None:
     """Raise ModelError unless every finite S is symmetric and non-negative, in whatever units."""
     S = S if S.ndim == 3 else S[None]
@@ -75,8 +142,7 @@ def check_covariance(model: MixedModel, where: str, S: Array) -> None:
         return
     variance = np.diagonal(S, axis1=1, axis2=2)
     size = np.sqrt(np.abs(variance[:, :, None] * variance[:, None, :]))
-    if not is_symmetric(S):
-        raise ModelError(f"model '{model.name}', {where} is not symmetric:\n{S.squeeze()}")
+    check_symmetric(model, where, S)
     with np.errstate(divide="ignore", invalid="ignore"):
         scaled = np.where(S == 0.0, 0.0, S / size)  # +-inf beside a variance of zero
     low = -1.0 if not np.isfinite(scaled).all() else float(np.linalg.eigvalsh(scaled).min())
@@ -84,8 +150,15 @@ def check_covariance(model: MixedModel, where: str, S: Array) -> None:
         raise ModelError(
             f"model '{model.name}', {where} has the negative eigenvalue "
             f"{float(np.linalg.eigvalsh(S).min()):g}; a covariance must be non-negative"
-            + (f":\n{S.squeeze()}" if S.size > 1 else "")
+            + (f":\n{S.squeeze()}" if S.size > 1 else ""),
+            numeric=True,
         )
+
+
+def check_symmetric(model: MixedModel, where: str, S: Array) -> None:
+    """Raise ModelError where one of S (..., n, n) is not symmetric, which no theta makes right."""
+    if not is_symmetric(S):
+        raise ModelError(f"model '{model.name}', {where} is not symmetric:\n{S.squeeze()}")
 
 
 def _check_functions(
@@ -105,8 +178,8 @@ def _check_functions(
         values |= {"measurement: h": h, "measurement: C": C, "measurement: R": R}
         for name, value in values.items():
             _check_finite(model, name, value, f"{what}, t = {t:g}")
-        check_covariance(model, "dynamics: Q", Q)
-        check_covariance(model, "measurement: R", R)
+        check_covariance(model, STEP, Q)
+        check_covariance(model, READING, R)
         noises.append(R)
     return noises
 
@@ -126,19 +199,21 @@ def _check_first(model: MixedModel, record: object, what: str) -> Array:
     except EngineError as error:
         text = str(error)
         raise ModelError(
-            text if text.startswith("model '") else f"model '{model.name}', {text}"
+            text if text.startswith("model '") else f"model '{model.name}', {text}",
+            numeric=is_numeric(error),
         ) from error
     except Exception as error:
         raise ModelError(
-            f"model '{model.name}': initial raised {type(error).__name__}: {error}"
+            f"model '{model.name}': initial raised {type(error).__name__}: {error}",
+            numeric=is_numeric(error),
         ) from error
     if isinstance(start.density, Gaussian):
-        check_covariance(model, "initial: cov of p(a_1)", start.density.cov)
+        check_covariance(model, FIRST_A, start.density.cov)
         a = np.concatenate([a, start.density.mean[None]])
     _check_finite(model, "initial: p(a_1)", a, what)
     _check_finite(model, "initial: z1", z, what)
     _check_finite(model, "initial: P1", P, what)
-    check_covariance(model, "initial: P1", P)
+    check_covariance(model, FIRST_Z, P)
     return a
 
 
@@ -155,4 +230,6 @@ def _check_finite(model: MixedModel, where: str, value: Array, what: str) -> Non
     """Raise ModelError where no state gives a finite value."""
     finite = np.isfinite(value)
     if not (finite.any(axis=0) if where[-1] in "fh" or value.ndim == 3 else finite).all():
-        raise ModelError(f"model '{model.name}', {where} is not finite at {what}: {value}")
+        raise ModelError(
+            f"model '{model.name}', {where} is not finite at {what}: {value}", numeric=True
+        )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
+from engine.statespace.checks import READING, STEP, check_symmetric
 from engine.statespace.first_state import moments_of_first
 from engine.statespace.model import Array, LinearGaussian, MixedModel
 
@@ -39,6 +40,7 @@ class Points:
         n, N = len(rows), self.N
         function = self.model.transitions if transition else self.model.observations
         value, slope, cov = function(*self.arguments(rows, transition), record)
+        check_symmetric(self.model, STEP if transition else READING, cov)
         found = value.reshape(n, N, -1), _unstack(slope, n, N), _unstack(cov, n, N)
         if transition and self.series.begins:
             return self._begun(np.asarray(rows), record, *found)

@@ -147,7 +147,7 @@ def standard_errors(
     every = Score.of(
         model, theta, all_series, model.free_indices(free), n_particles, n_trajectories, exact
     )
-    within = np.isin(every.indices, inside(model, theta, free))
+    within = np.isin(every.indices, inside(every.model, theta, free))
     score = replace(every, indices=every.indices[within])
     guessing = replicates is None and not exact
     names, most = score.names, 1 if exact else replicates or REPLICATES
