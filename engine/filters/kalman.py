@@ -1,6 +1,7 @@
 """The exact Kalman filter and RTS smoother for linear Gaussian models: the oracle of the tests.
 
-Written in plain NumPy from the textbook formulas, independently of the kernels it checks.
+Written in plain NumPy, independently of the kernels it checks: the textbook's formulas on square roots of the
+covariances, by QR (Kailath, Sayed, Hassibi 2000, ch. 12).
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from engine.data.given import one_series
 from engine.data.series import Series
 from engine.errors import ModelError
 from engine.statespace.checks import READING, STEP, check_start, possible_noise
 from engine.statespace.model import Array, Gaussian, LinearGaussian, MixedModel, Theta, ThetaLike
+from engine.statespace.shapes import squared
 from engine.threads import single_threaded
 from engine.views import Figures, Shown, figures, plots
 
@@ -23,7 +26,7 @@ SAME = 1e-9  # share of its largest value by which what should not depend on a m
 LEFT = 1e-7  # of a state's size, and of its way: by what differences leave it may be moved
 PART = 0.382  # of a step: after a whole one, an oscillation may be where it was
 ROUNDING = 1e-12  # of the values from whose difference a slope is taken
-SINGULAR = 1e-13  # eigenvalues of a correlation matrix below this are rounding
+SINGULAR = 1e-13  # eigenvalues of a correlation matrix, or singular values of its root, below this are rounding
 LOG_2PI = float(np.log(2.0 * np.pi))
 
 
@@ -279,59 +282,75 @@ def kalman_smoother(model: MixedModel, theta: ThetaLike, series: Series) -> Kalm
     theta = model.theta(theta)
     check_start(model, theta, series)
     record = model.record(theta)
-    T, nx = len(series), model.nx
+    T, nx, na = len(series), model.nx, model.na
     x_p, x_f = np.empty((T, nx)), np.empty((T, nx))
-    P_p, P_f = np.empty((T, nx, nx)), np.empty((T, nx, nx))
-    F = np.empty((T - 1, nx, nx))
+    S_p, S_f = np.empty((T, nx, nx)), np.empty((T, nx, nx))  # roots of covariances
+    left, V = np.empty((T - 1, nx, nx)), np.empty((T - 1, nx, nx))
     log_likelihood = 0.0
     x, P = linear_start(model, record)
     P = possible_noise(model, "initial: the covariance of x_1", P, float(series.t[0]))
-    na = model.na
+    S = _root(P)
     sizes = np.ones(na)  # until a state has a scale, any is as good
     for t in range(T):
         u, time = series.u[t], float(series.t[t])
         # linear? asked again at each time, where the filter is
-        far = np.maximum(np.abs(x), np.sqrt(np.maximum(np.diagonal(P), 0.0)))
+        sd = _sd(S)
+        far = np.maximum(np.abs(x), sd)
         sizes = np.where(far[:na] > 0.0, far[:na], sizes)
-        x_p[t], P_p[t] = x, P
+        x_p[t], S_p[t] = x, S
         there = series.observed[t]
-        points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
-        h, H, R = observation_matrices(model, record, u, time, points)
+        h, H, R = observation_matrices(model, record, u, time, probes(x[:na], sd[:na], sizes))
         R = possible_noise(model, READING, R, time)
         if there.any():
             H, R = H[there], R[np.ix_(there, there)]
-            nu = series.y[t, there] - h[there] - H @ x
-            S = H @ P @ H.T + R
-            scale = _scale(S)
-            inverse = np.linalg.inv(S / np.outer(scale, scale)) / np.outer(scale, scale)
-            K = P @ H.T @ inverse
-            x = x + K @ nu
-            J = np.eye(nx) - K @ H
-            P = J @ P @ J.T + K @ R @ K.T
-            log_det = np.linalg.slogdet(S / np.outer(scale, scale))[1] + 2.0 * np.log(scale).sum()
-            log_likelihood -= 0.5 * float(len(nu) * LOG_2PI + log_det + nu @ inverse @ nu)
-        x_f[t], P_f[t] = x, P
+            root, gain, S = _joint(H @ S, _root(R), S)
+            v = solve_triangular(root, series.y[t, there] - h[there] - H @ x, lower=True)
+            x = x + gain @ v
+            log_likelihood -= 0.5 * float(len(v) * LOG_2PI + v @ v)
+            log_likelihood -= float(np.log(np.abs(np.diagonal(root))).sum())
+        x_f[t], S_f[t] = x, S
         if t < T - 1:
-            points = probes(x[:na], np.sqrt(np.maximum(np.diagonal(P)[:na], 0.0)), sizes)
+            points = probes(x[:na], _sd(S)[:na], sizes)
             dt = float(series.steps[t])
-            u_step = series.u_step[t]
-            f, F[t], Q = transition_matrices(model, record, u_step, time, dt, points, far)
+            f, F, Q = transition_matrices(model, record, series.u_step[t], time, dt, points, far)
             Q = possible_noise(model, STEP, Q, time)
-            x = f + F[t] @ x
-            P = F[t] @ P @ F[t].T + Q
-    x_s, P_s, M = x_f.copy(), P_f.copy(), np.empty((T - 1, nx, nx))
-    scale = _scale(P_p)
-    units = scale[:, :, None] * scale[:, None, :]
-    ahead = np.linalg.pinv(P_p / units, rcond=SINGULAR, hermitian=True) / units
+            x = f + F @ x
+            S, V[t], left[t] = _joint(F @ S, _root(Q), S)
+    x_s, P_s, M = x_f.copy(), squared(S_f), np.empty((T - 1, nx, nx))
+    unit = _sd(S_p[1:])
+    unit = np.where(unit > 0.0, unit, 1.0)
+    G = V @ np.linalg.pinv(S_p[1:] / unit[:, :, None], rcond=SINGULAR) / unit[:, None, :]
+    # what x_{t+1} leaves of x_t; where its root is singular, some of V, too
+    left = squared(left) + squared(V - G @ S_p[1:])
     for t in range(T - 2, -1, -1):
-        G = P_f[t] @ F[t].T @ ahead[t + 1]
-        x_s[t] = x_f[t] + G @ (x_s[t + 1] - x_p[t + 1])
-        P_s[t] = P_f[t] + G @ (P_s[t + 1] - P_p[t + 1]) @ G.T
-        M[t] = G @ P_s[t + 1]
+        x_s[t] = x_f[t] + G[t] @ (x_s[t + 1] - x_p[t + 1])
+        M[t] = G[t] @ P_s[t + 1]
+        P_s[t] = left[t] + M[t] @ G[t].T
+    P_f, P_p = squared(S_f), squared(S_p)
     return KalmanSmoothed(model, theta, x_s, P_s, M, x_f, P_f, x_p, P_p, log_likelihood)
 
 
-def _scale(S: Array) -> Array:
-    """Standard deviations (..., n), 1 where zero: without units, small channels are not lost beside large."""
-    d = np.diagonal(S, axis1=-2, axis2=-1)
-    return np.sqrt(np.where(d > 0.0, d, 1.0))
+def _joint(AS: Array, noise: Array, S: Array) -> tuple[Array, Array, Array]:
+    """From A S (n, nx), a root of the noise (n, n) and a root S (nx, nx) of Cov(x), with y = A x + noise:
+
+    the root L (n, n) of Cov(y), V (nx, n) with V L' = Cov(x, y), and the root (nx, nx) of Cov(x | y). Nothing
+    is subtracted, so that a diffuse P_1 does not drown what the readings tell.
+    """
+    n, nx = AS.shape
+    X = np.block([[AS, noise], [S, np.zeros((nx, n))]])
+    L = np.asarray(np.linalg.qr(X.T, mode="r"), dtype=float).T
+    return L[:n, :n], L[n:, :n], L[n:, n:]
+
+
+def _root(P: Array) -> Array:
+    """A square root of a covariance (n, n), taken of the correlations: units do not matter."""
+    sd = np.sqrt(np.diagonal(P))
+    unit = np.where(sd > 0.0, sd, 1.0)
+    values, vectors = np.linalg.eigh(P / unit[:, None] / unit)
+    values = np.where(values > SINGULAR, values, 0.0)
+    return np.asarray(unit[:, None] * vectors * np.sqrt(values))
+
+
+def _sd(S: Array) -> Array:
+    """Standard deviations (..., n) by a root (..., n, n)."""
+    return np.asarray(np.sqrt((S**2).sum(axis=-1)))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import engine
 from engine.smoothers.linear_cost import rb_ffbsi_linear
@@ -179,3 +182,74 @@ def test_a_model_built_to_hurt(capsys: pytest.CaptureFixture[str]) -> None:
     for M in (300, 1200):
         assert all(abs(r - 1.0) < 0.06 for r in ratio["exact", M].values())
     assert all(ratio["algorithm 3", M]["lag z"] < 0.82 for M in (300, 1200))
+
+
+def trend(P1, Q, R, units=(1.0, 1.0, 1.0)):
+    """A local linear trend, of which the level is measured; ``units`` of its two states and of y."""
+    s, o = np.array(units[:2]), units[2]
+    F = np.array([[1.0, 1.0], [0.0, 1.0]])
+    return engine.MixedModel(
+        name="trend",
+        dynamics=lambda a, u, t, dt, th: ([0.0, 0.0], F * s[:, None] / s, Q * s[:, None] * s),
+        measurement=lambda a, u, t, th: ([0.0], [[o / s[0], 0.0]], [[R * o**2]]),
+        initial=lambda th: (None, [0.0, 0.0], P1 * s[:, None] * s),
+        linear={"level": "", "slope": ""},
+        outputs={"y": ""},
+        parameters=[engine.Parameter("unused", 1.0)],
+    )
+
+
+def in_fractions(y, P1, Q, R):
+    """Smoothed covariances (T, 2, 2), and M, of the trend without rounding: Rauch, Tung, Striebel (1965)."""
+
+    def of(A):
+        return np.array([[Fraction(float(x)) for x in row] for row in A], dtype=object)
+
+    def inverse(A):
+        d = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+        return np.array([[A[1, 1], -A[0, 1]], [-A[1, 0], A[0, 0]]], dtype=object) / d
+
+    F, P, Q, R = of([[1, 1], [0, 1]]), of(P1), of(Q), Fraction(R)
+    predicted, filtered = [], []
+    for _ in y:
+        predicted.append(P)
+        P = P - np.outer(P[:, 0], P[0]) / (P[0, 0] + R)
+        filtered.append(P)
+        P = F @ P @ F.T + Q
+    smoothed, M = [filtered[-1]], []
+    for t in range(len(y) - 2, -1, -1):
+        G = filtered[t] @ F.T @ inverse(predicted[t + 1])
+        M.insert(0, G @ smoothed[0])
+        smoothed.insert(0, filtered[t] + G @ (smoothed[0] - predicted[t + 1]) @ G.T)
+    return np.array(smoothed, dtype=float), np.array(M, dtype=float)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(0, 12),
+    st.tuples(*[st.integers(-9, 9)] * 3),
+)
+def test_a_diffuse_start_does_not_drown_the_first_smoothed_states_in_any_units(diffuse, powers):
+    y, P1, Q, R = np.arange(12.0) ** 1.5, 10.0**diffuse * np.eye(2), 1e-2 * np.eye(2), 1e-2
+    P, M = in_fractions(y, P1, Q, R)
+    units = 10.0 ** np.array(powers, dtype=float)
+    series = engine.Series(units[2] * y, dt=1.0)
+    k = engine.kalman_smoother(trend(P1, Q, R, units), None, series)
+    size = np.sqrt(np.diagonal(P, axis1=1, axis2=2)) * units[:2]
+    own = size[:, :, None] * size[:, None, :]
+    np.testing.assert_allclose(k.P / own, P * units[:2, None] * units[:2] / own, atol=1e-7)
+    own = size[:-1, :, None] * size[1:, None, :]
+    np.testing.assert_allclose(k.M / own, M * units[:2, None] * units[:2] / own, atol=1e-7)
+
+
+@pytest.mark.parametrize("P1", [np.eye(2), np.ones((2, 2)), np.diag([0.0, 1.0])])
+def test_states_without_noise_of_their_own_are_smoothed_as_what_they_are_functions_of(P1):
+    y = 0.3 * np.arange(15.0) + np.random.default_rng(0).standard_normal(15)
+    k = engine.kalman_smoother(trend(P1, np.zeros((2, 2)), 1.0), None, engine.Series(y, dt=1.0))
+    on_first = np.array([[[1.0, t], [0.0, 1.0]] for t in range(15)])  # x_t as a function of x_1
+    H = on_first[:, 0]
+    gain = P1 @ H.T @ np.linalg.inv(H @ P1 @ H.T + np.eye(15))
+    x1, P = gain @ y, P1 - gain @ H @ P1
+    np.testing.assert_allclose(k.x, on_first @ x1, atol=1e-9)
+    np.testing.assert_allclose(k.P, on_first @ P @ np.swapaxes(on_first, 1, 2), atol=1e-9)
+    np.testing.assert_allclose(k.M, on_first[:-1] @ P @ np.swapaxes(on_first[1:], 1, 2), atol=1e-9)
