@@ -106,8 +106,16 @@ def parameter_scale(model: BaseModel, theta: Array, k: int) -> float:
 
 
 def either_side(model: BaseModel, theta: Array, k: int, share: float) -> tuple[Array, Array]:
-    """Theta with parameter k less and more by a ``share`` of its size, within its bounds."""
-    step = share * parameter_scale(model, theta, k)
+    """Theta with parameter k less and more by a ``share`` of its size, within its bounds.
+
+    By no more than the root of the share of a value far below its default: beside a small standard deviation a
+    difference over the default's would be a secant, cut off at 0. Nor by less than the square of the share of
+    the size: a value next to 0 may be small by chance, and smaller differences drown in rounding.
+    """
+    size, value = parameter_scale(model, theta, k), abs(float(theta[k]))
+    step = share * size
+    if value > 0.0:
+        step = min(step, max(np.sqrt(share) * value, share * step))
     below, above = np.array(theta), np.array(theta)
     below[k] = max(theta[k] - step, model.lower[k])
     above[k] = min(theta[k] + step, model.upper[k])

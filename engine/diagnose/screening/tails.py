@@ -20,6 +20,7 @@ from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.screening.screen import Test
 from engine.distributions import kurtosis_z, normal_sf
+from engine.estimation.expectation import parameter_scale
 from engine.estimation.quasi_ml import DIFFERENCE, QuasiFit, neighbours
 from engine.filters.rbpf import Filtered, rbpf
 from engine.filters.sigma_point import MomentPath, moment_filter, moment_path
@@ -196,8 +197,8 @@ def _uphill(
     """The largest value near the fit's theta and ``own`` (share, ratio), with these: a few BFGS steps."""
     model, theta = fit.model, np.asarray(fit.theta)
     indices = model.free_indices(fit.free)
-    _, distances = neighbours(model, theta, indices)
-    size, known = distances / (2.0 * DIFFERENCE), np.diag(fit.information)
+    size = np.array([parameter_scale(model, theta, int(k)) for k in indices])
+    known = np.diag(fit.information)
     size = np.where(
         known > 0.0, np.minimum(size, 1.0 / np.sqrt(np.maximum(known, LEAST_KNOWN))), size
     )

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import engine
+from engine.estimation.expectation import either_side
+from engine.estimation.quasi_ml import quasi_ml
 
 UNITS = {"C": 1e-9, "R": 1e9, "q": 1e-6}  # of the same model in SI units
 
@@ -66,3 +70,64 @@ def test_likelihood_intervals_neither(record):
     )
     scale = np.array(list(UNITS.values()))[:, None]
     np.testing.assert_allclose(there.values[:2] / scale[:2], here.values[:2], rtol=1e-3)
+
+
+def level_by_deviations(default: float, na: int = 0) -> engine.MixedModel:
+    """A local level with standard deviations as parameters, which begin at 0."""
+    none = np.zeros((1, 0))
+
+    def initial(th):
+        if na:
+            return engine.Gaussian([0.0], [[1e-9]]), [], np.zeros((0, 0))
+        return None, [0.0], [[1e-9]]
+
+    return engine.MixedModel(
+        name="level",
+        dynamics=lambda a, u, t, dt, th: (a if na else [0.0], none if na else [[1.0]], th.sw**2),
+        measurement=lambda a, u, t, th: (a if na else [0.0], none if na else [[1.0]], th.sy**2),
+        initial=initial,
+        outputs={"y": "V"},
+        parameters=[engine.Parameter(name, default, "V", (0.0, 10.0)) for name in ("sw", "sy")],
+        **({"nonlinear": {"x": "V"}} if na else {"linear": {"x": "V"}}),
+    )
+
+
+@pytest.mark.parametrize("far", [1e4, 1e6])
+def test_errors_of_deviations_far_below_their_defaults_are_as_of_others(far: float) -> None:
+    rng = np.random.default_rng(0)
+    y = 1e-7 * (np.cumsum(rng.standard_normal(150)) + rng.standard_normal(150))
+    series, near = engine.Series(y, dt=1.0), {"sw": 2e-7, "sy": 2e-7}
+    found = []
+    for default in (1e-7, 1e-7 * far):
+        model = level_by_deviations(default)
+        estimate = engine.rts_em(model, series, near)
+        errors = engine.standard_errors(model, estimate, series, exact=True)
+        quasi = quasi_ml(level_by_deviations(default, 1), series, near)
+        found.append([estimate.theta, errors.values, quasi.theta, quasi.standard_errors])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-3)
+
+
+@given(st.integers(-9, 9), st.floats(0.0, 12.0), st.floats(2.0, 5.0))
+def test_differences_fit_the_value_and_are_not_lost_in_rounding(power, smaller, share):
+    unit, share = 10.0**power, 10.0**-share
+    model = engine.MixedModel(
+        name="any",
+        linear={"x": ""},
+        outputs={"y": ""},
+        parameters=[engine.Parameter("s", unit, "", (0.0, 10.0 * unit))],
+        dynamics=lambda a, u, t, dt, th: ([0.0], [[1.0]], [[th.s]]),
+        measurement=lambda a, u, t, th: ([0.0], [[1.0]], [[1.0]]),
+        initial=lambda th: (None, [0.0], [[1.0]]),
+    )
+
+    def sides(value: float) -> np.ndarray:
+        return np.ravel(either_side(model, np.array([value * unit]), 0, share)) / unit
+
+    value = 10.0**-smaller
+    low, high = sides(value)
+    assert 0.0 <= low < value < high
+    assert high - value <= max(np.sqrt(share) * value, share**2) * (1.0 + 1e-6)
+    assert high - value >= share**2 * (1.0 - 1e-3)
+    if value >= np.sqrt(share):  # as ever
+        assert high - low == pytest.approx(2.0 * share * max(value, 1.0))
+    assert sides(0.0) == pytest.approx([0.0, share])
