@@ -337,13 +337,20 @@ def _joint(AS: Array, noise: Array, S: Array) -> tuple[Array, Array, Array]:
     is subtracted, so that a diffuse P_1 does not drown what the readings tell.
     """
     n, nx = AS.shape
-    X = np.block([[AS, noise], [S, np.zeros((nx, n))]])
+    X = np.zeros((n + nx, nx + n))
+    X[:n, :nx], X[:n, nx:], X[n:, :nx] = AS, noise, S
     L = np.asarray(np.linalg.qr(X.T, mode="r"), dtype=float).T
     return L[:n, :n], L[n:, :n], L[n:, n:]
 
 
 def _root(P: Array) -> Array:
     """A square root of a covariance (n, n), taken of the correlations: units do not matter."""
+    return _root_of(P.tobytes(), len(P))
+
+
+@lru_cache(maxsize=16)  # most are the same at every time
+def _root_of(numbers: bytes, n: int) -> Array:
+    P = np.frombuffer(numbers).reshape(n, n)
     sd = np.sqrt(np.diagonal(P))
     unit = np.where(sd > 0.0, sd, 1.0)
     values, vectors = np.linalg.eigh(P / unit[:, None] / unit)
