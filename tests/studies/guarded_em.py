@@ -111,6 +111,10 @@ class Squares:
         H = np.einsum("kij,jm,lim->kl", slopes, self.past, slopes) / Q
         return self.value(theta), gradient, H
 
+    def possible(self, theta: Array) -> bool:
+        """Always: its noise depends on no parameter."""
+        return True
+
     def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
         """None (n,): eq. (35) has noise everywhere."""
         return np.zeros(len(free), dtype=bool)

@@ -76,6 +76,10 @@ class Point:
         gradient = SHARP * (self.theta - np.asarray(theta))[free]
         return self.value(np.asarray(theta)), gradient, SHARP * np.eye(len(free))
 
+    def possible(self, theta: Array) -> bool:
+        """Always: its noise depends on no parameter."""
+        return True
+
     def moves_noise_free(self, theta: Array, free: NDArray[np.intp]) -> NDArray[np.bool_]:
         """None (n,): all noise is there."""
         return np.zeros(len(free), dtype=bool)
