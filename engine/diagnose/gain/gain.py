@@ -37,12 +37,15 @@ from engine.diagnose.symptoms.error_localization import newey_west
 from engine.distributions import student_sf
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
-from engine.statespace.model import Array
+from engine.filters.sigma_point import moment_filter
+from engine.statespace.model import Array, MixedModel
 from engine.words import enumerated
 
 BLOCKS, EVERY = 25, 5  # of interleaved blocks
 FOLDS_BELOW = 500  # rows: where fewer, each block is left out in turn
-SOUGHT_TIMES = 200  # rows at most that a time is sought at
+SOUGHT_TIMES = 200  # rows at most that a time is sought at, coarsely and once more near the best
+TIED = 1e-6  # by which the likelihoods of two times that tie may differ
+NEGLIGIBLE = 10.0  # nats below the best, from which on a time is none that it may have been
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,16 +149,15 @@ def measure_gain_interleaved(
         masked = series.masked(rows)
         if not masked.observed.any():
             continue
+        when = _times_again(extended, masked, times)
+        starts = (np.asarray(base.theta), when.best(np.asarray(extended.theta)))
         fits = []
-        for fit in (base, extended):
-            theta = np.asarray(fit.theta)
-            if fit is extended:
-                theta = _times_again(extended, masked, times)
+        for fit, theta in zip((base, extended), starts, strict=True):
             try:
                 fits.append(quasi_ml(fit.model, masked, theta, fit.free))
             except (EngineError, np.linalg.LinAlgError):
-                fits.append(fit)
-        trials.append(Trial(fits[0], fits[1], rows))
+                fits.append(replace(fit, theta=fit.model.theta(theta)))
+        trials.append(Trial(fits[0], fits[1], rows, when))
     how = "every fifth block, left out of the fit"
     if len(trials) > 1:
         how = "blocks, each left out of a fit in turn"
@@ -170,12 +172,50 @@ def without(fit: QuasiFit, effects: Sequence[Effect]) -> QuasiFit:
 
 
 @dataclass(frozen=True, eq=False)
+class Times:
+    """Values (K, n) that n parameters of ``places`` (n,) may have, and how likely each is (K,), in all 1.
+
+    Of a step among rows left out the others do not tell at which of these: any one would be a guess, which the
+    rows between the guess and the step pay for.
+    """
+
+    places: NDArray[np.intp]
+    values: Array
+    likely: Array
+
+    def best(self, theta: Array) -> Array:
+        """The parameters (n_theta,) with the most likely times; of those that tie, the one in the middle."""
+        tied = self.values[self.likely >= (1.0 - TIED) * self.likely.max()]
+        theta = theta.copy()
+        theta[self.places] = np.sort(tied, axis=0)[len(tied) // 2]
+        return theta
+
+    def log_terms(self, fit: QuasiFit, series: Series, rows: NDArray[np.bool_]) -> Array:
+        """Log-densities (T,) averaged over the times, as likely as earlier readings of ``rows`` leave them."""
+        thetas = np.repeat(np.asarray(fit.theta)[None], len(self.likely), axis=0)
+        thetas[:, self.places] = self.values
+        terms = moment_filter(fit.model, thetas, series).log_terms
+        terms = np.where(np.isnan(terms), -np.inf, terms)  # a filter that is lost predicts nothing
+        so_far = np.cumsum(np.where(rows[:, None], terms, 0.0), axis=0) + np.log(self.likely)
+        with np.errstate(invalid="ignore"):  # where all are lost
+            return np.diff(np.logaddexp.reduce(so_far, axis=1), prepend=0.0)
+
+
+@dataclass(frozen=True, eq=False)
 class Trial:
-    """Two fits and the rows (T,) that neither has seen."""
+    """Two fits and the rows (T,) that neither has seen; when effects of time of the extension may act."""
 
     base: QuasiFit
     extended: QuasiFit
     rows: NDArray[np.bool_]
+    when: Times | None = None
+
+    def log_terms(self, series: Series) -> tuple[Array, Array]:
+        """Log-densities (T,) of a series, without and with the extension."""
+        before = self.base.log_terms(series)
+        if self.when is None or len(self.when.likely) == 1:
+            return before, self.extended.log_terms(series)
+        return before, self.when.log_terms(self.extended, series, self.rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +246,7 @@ def score(trials: Sequence[Trial], series: Series, first: int) -> Scored:
     for trial in trials:
         marked = trial.rows & seen
         rows |= marked
-        terms = [fit.log_terms(series) for fit in (trial.base, trial.extended)]
+        terms = trial.log_terms(series)
         d[marked] = (terms[1] - terms[0])[marked]
         lost = [one or not np.isfinite(x[marked]).all() for one, x in zip(lost, terms, strict=True)]
         shown = trial.rows[first:] if several else np.ones(len(part), dtype=bool)
@@ -329,18 +369,34 @@ def every_fifth(T: int, first: int = EVERY // 2) -> NDArray[np.bool_]:
     return np.asarray(block % EVERY == first)
 
 
-def _times_again(extended: QuasiFit, masked: Series, times: Sequence[str]) -> Array:
-    """Times that the search chose with all rows in view are sought again without those left out."""
-    model = extended.model
-    theta = np.asarray(extended.theta).copy()
-    for name in times:
-        k = model.index(name)
-        rows = np.flatnonzero(masked.observed.any(axis=1))
-        rows = rows[
-            np.unique(np.linspace(0, len(rows) - 1, min(SOUGHT_TIMES, len(rows))).astype(int))
-        ]
-        tried = np.append(masked.t[rows], theta[k])
+def _times_again(extended: QuasiFit, masked: Series, names: Sequence[str]) -> Times:
+    """Times that the search chose with all rows in view, sought again without those left out."""
+    model, theta = extended.model, np.asarray(extended.theta)
+    places = np.array([model.index(name) for name in names], dtype=np.intp)
+    when = Times(places[:0], np.zeros((1, 0)), np.ones(1))
+    for k in places:
+        tried, likely = _sought(model, masked, when.best(theta), k)
+        pairs = np.repeat(when.values, len(tried), axis=0), np.tile(tried, len(when.values))
+        each = np.outer(when.likely, likely).ravel()
+        top = np.argsort(-each, kind="stable")[:SOUGHT_TIMES]
+        few = np.column_stack(pairs)[top], each[top] / each[top].sum()
+        when = Times(places[: when.places.size + 1], *few)
+    return when
+
+
+def _sought(model: MixedModel, masked: Series, theta: Array, k: int) -> tuple[Array, Array]:
+    """Times (n,) that parameter k may have, and how likely each is (n,): on few samples, then near the best."""
+    near = every = masked.t[masked.samples]
+    for _ in range(2):
+        some = np.linspace(0, len(near) - 1, min(SOUGHT_TIMES, len(near))).astype(int)
+        tried = np.unique(np.clip([*near[some], theta[k]], model.lower[k], model.upper[k]))
         thetas = np.repeat(theta[None], len(tried), axis=0)
-        thetas[:, k] = np.clip(tried, model.lower[k], model.upper[k])
-        theta = thetas[int(np.argmax(log_likelihoods(model, [masked], thetas)))]
-    return theta
+        thetas[:, k] = tried
+        values = np.nan_to_num(log_likelihoods(model, [masked], thetas), nan=-np.inf)
+        found = np.flatnonzero(values >= values.max() - NEGLIGIBLE)
+        if len(some) == len(near):
+            break
+        first, last = tried[max(found[0] - 1, 0)], tried[min(found[-1] + 1, len(tried) - 1)]
+        near = every[(every >= first) & (every <= last)]
+    likely = np.exp(values[found] - values.max())
+    return tried[found], likely / likely.sum()

@@ -8,8 +8,16 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 import engine
+from engine.diagnose import extend
+from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.gain.adoption import Decision, in_full
-from engine.diagnose.gain.gain import diebold_mariano, every_fifth, lags_for, measure_gain
+from engine.diagnose.gain.gain import (
+    diebold_mariano,
+    every_fifth,
+    lags_for,
+    measure_gain,
+    measure_gain_interleaved,
+)
 from engine.estimation.quasi_ml import quasi_ml
 
 
@@ -90,3 +98,21 @@ def test_every_row_is_left_out_once_in_blocks(T):
     lengths = np.diff([0, *starts, T])
     assert lengths[:-1].min() >= (T // 25 if T >= 50 else 2)
     assert len(lengths) == (25 if T >= 50 else -(-T // 2))
+
+
+@pytest.mark.parametrize("row", [48, 49, 50, 51, 52])
+def test_a_step_gains_wherever_it_falls_among_rows_left_out(row):
+    """Of a step among rows left out the others do not tell at which; once it was put behind them all."""
+    model = engine.get_model("local-level")
+    theta = {"q": 100.0, "r": 400.0, "level": 1000.0}
+    plain = engine.simulate(model, theta, 120, np.random.default_rng(row)).series
+    series = plain.replace(y=plain.y + 250.0 * (np.arange(120) >= row)[:, None])
+    base = quasi_ml(model, series)
+    name = f"step:{series.y_names[0]}"
+    extended = extend(model, [name], setting_for(model, series, np.asarray(base.theta)))
+    size, time = extended.parameter_names[-2:]
+    start = [*np.asarray(base.theta), 250.0, series.t[row]]
+    fit = quasi_ml(extended, series, start, [*base.free, size])
+    gain = measure_gain_interleaved(base, fit, series, [time])
+    assert gain.log_density > 10.0
+    assert np.nanmin(gain.d) > -5.0
