@@ -214,7 +214,7 @@ def diagnose(  # noqa: PLR0913
         bootstrapped = first_round_p(question, found, bootstrap, seed, clock.progress, done)
 
     clock.start("gain")
-    unseen = HeldOut(fine.records, searched, fine.k, seed)
+    unseen = HeldOut(fine.records, searched, seed)
     shown = fine.records.train if searched.begins else searched
     judged = unseen.judge(causes, both.asked, clock.progress)
     beside = _beside_others(judged, shown)

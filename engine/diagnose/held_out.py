@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from engine.data.joined import apart
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
@@ -48,14 +49,13 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """The ``records``, k steps a sample, with their tests or their last part held out, if any.
+    """The ``records``, with their tests or their last part held out, if any.
 
     ``searched`` are the rows that the likelihood has searched.
     """
 
     records: Records
     searched: Series
-    k: int
     seed: int
 
     def judge(
@@ -124,7 +124,7 @@ class HeldOut:
         goes_on = later and (not begins or len(begins) < len(chosen))
         if not goes_on and all(cause.where == "time" for cause in causes):
             times = [name for e in chosen for name in e.sought]
-            return measure_gain_interleaved(before, after, main, times, self.seed).every(self.k)
+            return measure_gain_interleaved(before, after, self._searched, times, self.seed)
         train, held_out = self.records.train, self.records.held_out
         if not held_out:
             return None
@@ -136,7 +136,12 @@ class HeldOut:
             self.seed,
             (train, *self.records.others) if tests else (),
             without(after, begins),
-        ).every(self.k)
+        )
+
+    @property
+    def _searched(self) -> list[Series]:
+        """All records in which the likelihood has looked for effects of time, the main one to its end."""
+        return [self.records.main, *apart(self.searched)[1:]]
 
     def _asked(self, search: Search) -> tuple[Gain | None, str]:
         """The gain of the likelihood's answer, and what contradicts it."""

@@ -80,13 +80,6 @@ class Gain:
         """Whether the extension is adopted."""
         return self.decision is Decision.ADOPTED
 
-    def every(self, k: int) -> Gain:
-        """The same with its arrays at every k-th row: at the samples of a refined series."""
-        curves = [None if x is None else x[::k] for x in (self.before, self.after)]
-        return replace(
-            self, t=self.t[::k], y=self.y[::k], d=self.d[::k], before=curves[0], after=curves[1]
-        )
-
     def to_dict(self) -> dict[str, Any]:
         """Numbers and notes, without the arrays over time."""
         names = ["how", "samples", "log_density", "per_sample", "standard_error"]
@@ -129,25 +122,25 @@ def measure_gain(
 def measure_gain_interleaved(
     base: QuasiFit,
     extended: QuasiFit,
-    series: Series,
+    records: Sequence[Series],
     times: Sequence[str] = (),
     seed: int = 0,
 ) -> Gain:
-    """The gain on blocks of rows left out, for models fitted anew to the others.
+    """The gain on blocks of rows left out of all ``records``, for models fitted anew to the others.
 
     ``times`` are parameters that were sought on rows: of each fit they are sought again.
 
-    For effects of time, which seldom happen again in the last rows of a record. Every fifth block
-    is left out; in a record below 500 rows, where that is too little to judge by, five times in
+    For effects of time, which seldom happen again in the last rows of a record, nor in another one. Every
+    fifth block is left out; of fewer than 500 rows, where that is too little to judge by, five times in
     turn, so that each row is left out once. A row left out of the fit is predicted knowing all
     measurements before it.
     """
-    folds = range(EVERY) if len(series) < FOLDS_BELOW else [EVERY // 2]
-    trials = []
+    folds = range(EVERY) if sum(map(len, records)) < FOLDS_BELOW else [EVERY // 2]
+    trials: list[list[Trial]] = [[] for _ in records]
     for fold in folds:
-        rows = every_fifth(len(series), fold)
-        masked = series.masked(rows)
-        if not masked.observed.any():
+        rows = [every_fifth(len(one), fold) for one in records]
+        masked = [one.masked(out) for one, out in zip(records, rows, strict=True)]
+        if not any(one.observed.any() for one in masked):
             continue
         when = _times_again(extended, masked, times)
         starts = (np.asarray(base.theta), when.best(np.asarray(extended.theta)))
@@ -157,11 +150,15 @@ def measure_gain_interleaved(
                 fits.append(quasi_ml(fit.model, masked, theta, fit.free))
             except (EngineError, np.linalg.LinAlgError):
                 fits.append(replace(fit, theta=fit.model.theta(theta)))
-        trials.append(Trial(fits[0], fits[1], rows, when))
+        for own, out in zip(trials, rows, strict=True):
+            own.append(Trial(fits[0], fits[1], out, when))
     how = "every fifth block, left out of the fit"
-    if len(trials) > 1:
+    if len(trials[0]) > 1:
         how = "blocks, each left out of a fit in turn"
-    return replace(gain_of(base, [score(trials, series, 0)], how, seed), among=True)
+    if len(records) > 1:
+        how += f", of {len(records)} records"
+    scored = [score(own, one, 0) for own, one in zip(trials, records, strict=True)]
+    return replace(gain_of(base, scored, how, seed), among=True)
 
 
 def without(fit: QuasiFit, effects: Sequence[Effect]) -> QuasiFit:
@@ -235,6 +232,20 @@ class Scored:
     lost: tuple[bool, bool]
     drawn: Callable[[int], Array]
 
+    def by_samples(self) -> Scored:
+        """The same without the rows between samples, on which nothing is measured."""
+        rows = self.part.samples
+        if len(rows) == len(self.part):
+            return self
+        return replace(
+            self,
+            part=self.part.held(self.part.hold),
+            kept=self.kept[rows],
+            d=self.d[rows],
+            runs=(self.runs[0][rows], self.runs[1][rows]),
+            drawn=lambda seed: self.drawn(seed)[:, rows],
+        )
+
 
 def score(trials: Sequence[Trial], series: Series, first: int) -> Scored:
     """Score both models of each trial on its rows; free runs start at row ``first``."""
@@ -270,8 +281,9 @@ def score(trials: Sequence[Trial], series: Series, first: int) -> Scored:
 
 
 def gain_of(base: QuasiFit, scored: Sequence[Scored], how: str, seed: int) -> Gain:
-    """The gain on all that was scored; parts follow one another."""
-    part, notes = scored[0].part, []
+    """The gain on all samples that were scored; parts follow one another."""
+    scored = [one.by_samples() for one in scored]
+    part, notes = scored[0].part, list[str]()
     for one in scored[1:]:
         part = joined(part, one.part)
     kept = np.concatenate([one.kept for one in scored])
@@ -369,7 +381,7 @@ def every_fifth(T: int, first: int = EVERY // 2) -> NDArray[np.bool_]:
     return np.asarray(block % EVERY == first)
 
 
-def _times_again(extended: QuasiFit, masked: Series, names: Sequence[str]) -> Times:
+def _times_again(extended: QuasiFit, masked: Sequence[Series], names: Sequence[str]) -> Times:
     """Times that the search chose with all rows in view, sought again without those left out."""
     model, theta = extended.model, np.asarray(extended.theta)
     places = np.array([model.index(name) for name in names], dtype=np.intp)
@@ -384,15 +396,17 @@ def _times_again(extended: QuasiFit, masked: Series, names: Sequence[str]) -> Ti
     return when
 
 
-def _sought(model: MixedModel, masked: Series, theta: Array, k: int) -> tuple[Array, Array]:
+def _sought(
+    model: MixedModel, masked: Sequence[Series], theta: Array, k: int
+) -> tuple[Array, Array]:
     """Times (n,) that parameter k may have, and how likely each is (n,): on few samples, then near the best."""
-    near = every = masked.t[masked.samples]
+    near = every = np.unique(np.concatenate([one.t[one.samples] for one in masked]))
     for _ in range(2):
         some = np.linspace(0, len(near) - 1, min(SOUGHT_TIMES, len(near))).astype(int)
         tried = np.unique(np.clip([*near[some], theta[k]], model.lower[k], model.upper[k]))
         thetas = np.repeat(theta[None], len(tried), axis=0)
         thetas[:, k] = tried
-        values = np.nan_to_num(log_likelihoods(model, [masked], thetas), nan=-np.inf)
+        values = np.nan_to_num(log_likelihoods(model, masked, thetas), nan=-np.inf)
         found = np.flatnonzero(values >= values.max() - NEGLIGIBLE)
         if len(some) == len(near):
             break

@@ -105,10 +105,10 @@ def test_a_gain_is_promised_in_proportion_to_the_rows_less_a_nat_for_each_parame
         final=SimpleNamespace(log_likelihood=-100.0, free=("k", "size", "another")),
     )
     searched = Series(y, dt=1.0)
-    judge = HeldOut(Records(searched), searched, 1, 0)
+    judge = HeldOut(Records(searched), searched, 0)
     assert judge._promised(search, LOSS) == pytest.approx(promised)
     # of a record with five times as many samples, one in five was searched
-    judge = HeldOut(Records(Series(np.repeat(y, 5), dt=0.2)), searched, 1, 0)
+    judge = HeldOut(Records(Series(np.repeat(y, 5), dt=0.2)), searched, 0)
     assert judge._promised(search, LOSS) == pytest.approx(promised / 5.0)
 
 
@@ -151,7 +151,7 @@ def test_the_verdict_is_that_of_the_names_to_which_nothing_objects(objections, v
     found = Search(None, None, (Round(screen, tuple(refits), None, tuple(refits)),), False)
     records = SimpleNamespace(held_out=("another record",))
     base = SimpleNamespace(model=SimpleNamespace(na=0))
-    judged = Said(records, Series(np.zeros(160), dt=1.0), 1, 0, objections).judge(
+    judged = Said(records, Series(np.zeros(160), dt=1.0), 0, objections).judge(
         SimpleNamespace(search=found, verdict=Verdict.SET, base=base),
         SimpleNamespace(decides=False, search=None),
     )

@@ -113,6 +113,6 @@ def test_a_step_gains_wherever_it_falls_among_rows_left_out(row):
     size, time = extended.parameter_names[-2:]
     start = [*np.asarray(base.theta), 250.0, series.t[row]]
     fit = quasi_ml(extended, series, start, [*base.free, size])
-    gain = measure_gain_interleaved(base, fit, series, [time])
+    gain = measure_gain_interleaved(base, fit, [series], [time])
     assert gain.log_density > 10.0
     assert np.nanmin(gain.d) > -5.0

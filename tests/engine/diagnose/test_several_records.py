@@ -8,7 +8,7 @@ from engine.data.joined import together
 from engine.data.series import Series
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.free_run.windows import windows
-from engine.diagnose.gain.gain import measure_gain
+from engine.diagnose.gain.gain import measure_gain, measure_gain_interleaved
 from engine.diagnose.search.calibration import drawn_from
 from engine.errors import SeriesError
 from engine.estimation.quasi_ml import quasi_ml
@@ -202,3 +202,35 @@ def test_what_one_short_record_cannot_tell_does_not_spoil_the_fit_to_all():
     found = engine.diagnose(servo, records, effects=["cubic-sensor", "linear", "force"], seed=1)
     assert found.causes == ()
     assert not any("did not settle" in note for note in found.notes)
+
+
+LEVEL = engine.get_model("local-level")
+
+
+def levels(n, seed, begins, step=0.0):
+    """Readings of a level from a time on; from the 60th on they are too high by ``step``."""
+    theta = {"q": 20.0, "r": 400.0, "level": 1000.0}
+    series = engine.simulate(LEVEL, theta, n, np.random.default_rng(seed)).series
+    y = series.y + step * (np.arange(n) >= 60)[:, None]
+    return Series(y, t=begins + np.arange(float(n)), y_names=series.y_names)
+
+
+def test_a_step_in_one_record_is_judged_where_it_acts():
+    """On the longest record alone, which knows nothing of it, it could gain nothing."""
+    records = [levels(120, 1, 1000.0), levels(100, 2, 2000.0, 150.0)]
+    found = engine.diagnose(LEVEL, records, effects=["step"], seed=1)
+    (cause,) = found.causes
+    assert cause.parameters["step_flow_time"] == 2060.0
+    assert found.gain.samples == 220
+    assert "2 records" in found.gain.how
+    assert found.gain.log_density > 10.0
+    assert found.gain.adopt
+
+
+def test_a_gain_on_blocks_of_refined_records_is_that_of_their_samples():
+    records = [levels(60, 1, 0.0), levels(50, 2, 500.0)]
+    fit = quasi_ml(LEVEL, records)
+    fine = [one.refined(2) for one in records]
+    gain = measure_gain_interleaved(fit, fit, fine)
+    assert gain.samples == len(gain.t) == len(gain.y) == len(gain.d) == 110
+    assert gain.log_density == 0.0

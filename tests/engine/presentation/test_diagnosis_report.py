@@ -285,7 +285,7 @@ def test_step_of_the_nile_gains_on_blocks_left_out():
     extended = extend(LEVEL, ["step:level"], setting_for(LEVEL, series, base.theta))
     start = [*base.theta, -250.0, 1899.0]
     fit = quasi_ml(extended, series, start, ["q", "r", "level", "step_level"])
-    gain = measure_gain_interleaved(base, fit, series, ["step_level_time"], seed=1)
+    gain = measure_gain_interleaved(base, fit, [series], ["step_level_time"], seed=1)
     assert gain.samples == 100
     assert sum(every_fifth(100, k) for k in range(5)).tolist() == [1] * 100
     # the random walk of the model as given soon follows the step, and where the block of 1899 is left

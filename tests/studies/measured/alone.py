@@ -129,5 +129,5 @@ def _runs(answer: Answer, found: Diagnosis, data: Data) -> Runs:
         return runs_of(answer.before, answer.after, data, found.substeps)
     seed = int(_option(found, "seed"))
     times = answer.sought
-    gain = measure_gain_interleaved(answer.before, answer.after, found.series, times, seed)
-    return on_blocks(gain.every(found.substeps))
+    gain = measure_gain_interleaved(answer.before, answer.after, [found.series], times, seed)
+    return on_blocks(gain)
