@@ -74,12 +74,13 @@ class HeldOut:
     def _judged(self, found: Causes, asked: SecondOpinion, progress: Progress) -> Judged:
         search, free_run = found.search, asked.search
         if asked.decides and free_run is not None:
-            causes, before, after = named_by(search), search.base, search.final
-            gain = None
             if free_run.found:
                 causes, before, after = causes_of(free_run), free_run.before, free_run.after
                 gain = self._gain(search, free_run)
-            decision = None if gain is None else gain.decision
+            else:  # what is shown, and judged, is what the likelihood has named
+                causes, before, after = named_by(search), search.base, search.final
+                gain = self._gain(search)
+            decision = gain.decision if gain is not None and free_run.found else None
             heeded, verdict = heeding(asked, free_run.verdict, decision)
             if heeded.decides:
                 return Judged(verdict, causes, before, after, gain, search, heeded)

@@ -265,7 +265,7 @@ def _parameters(d: Diagnosis) -> Iterator[str]:
 def _gain(d: Diagnosis) -> Iterator[str]:
     gain = d.gain
     if gain is None:
-        yield from _wrapped(NOT_MEASURED if d.causes else NOTHING_ADDED, "  ")
+        yield from _wrapped(NOT_MEASURED if NOT_MEASURED in d.notes else NOTHING_ADDED, "  ")
         return
     yield from _wrapped(
         f"One-step predictive log-density on {gain.samples} samples ({gain.how}): "

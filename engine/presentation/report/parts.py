@@ -199,7 +199,7 @@ def adopted(gain: Document, how: str) -> Html:
 
 def without_gain(d: Document) -> Html:
     """Why there is no gain: nothing was added, or nothing was held out."""
-    if d["causes"]:
+    if NOT_MEASURED in d["notes"]:
         return tag("p", NOT_MEASURED, class_="warn")
     return tag("p", NOTHING_ADDED)
 

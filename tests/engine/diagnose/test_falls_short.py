@@ -9,6 +9,7 @@ import pytest
 from engine import Series
 from engine.diagnose.effects.catalogue import make_effect
 from engine.diagnose.effects.setting import Setting
+from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.adoption import Decision, falls_short
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.gain.simulation_gain import OutputGain
@@ -158,3 +159,22 @@ def test_the_verdict_is_that_of_the_names_to_which_nothing_objects(objections, v
     assert judged.verdict is verdict
     assert set(judged.causes[0].equivalent) == causes
     assert len(judged.notes) == (1 if objections else 0)
+
+
+class Measured(HeldOut):
+    """Held-out data on which the likelihood's answer gains nothing, and which know of no other."""
+
+    def _gain(self, search, beside=None):
+        return LOSS if beside is None else None
+
+
+def test_what_is_shown_is_judged_also_where_the_free_run_decides_and_names_nothing():
+    """Once the page said that nothing had been held out."""
+    found = Search(SimpleNamespace(), SimpleNamespace(), (), False)
+    free_run = SimpleNamespace(found=(), verdict=Verdict.UNKNOWN)
+    asked = SecondOpinion(Verdict.UNKNOWN, ("step:y",), True, "", search=free_run)
+    records = SimpleNamespace(held_out=("another record",))
+    judge = Measured(records, Series(np.zeros(160), dt=1.0), 0)
+    judged = judge.judge(SimpleNamespace(search=found, verdict=Verdict.UNKNOWN), asked)
+    assert judged.gain is LOSS
+    assert (judged.verdict, judged.free_run.decides) == (Verdict.UNKNOWN, True)
