@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from typing import Self
 
 MOST_DIGITS = 12  # of an estimate, however small the error that is stated of it
+TIME_DIGITS = 5  # of a time at least
 
 SYMBOL = r"[^\W\d]|[%‰°]"  # a character of the name of a unit
 
@@ -67,6 +68,17 @@ def with_unit(value: float | None, unit: str, digits: int = 3) -> str:
     return f"{number(value, digits)} {times}{text}".strip()
 
 
+def moment(t: float, step: float | None = None, unit: str = "") -> str:
+    """A time and its unit, with the digits that tell it from one a ``step`` later, also of clocks since 1970.
+
+    ``step`` is None where samples are at no common one.
+    """
+    digits = MOST_DIGITS
+    if step and math.isfinite(t):
+        digits = TIME_DIGITS if t == 0.0 else math.ceil(math.log10(abs(t) / step)) + 2
+    return with_unit(t, unit, min(max(digits, TIME_DIGITS), 15))
+
+
 def estimate(value: float | None, error: float | None, unit: str = "") -> str:
     """``0.52 +- 0.03 N``; in words what the data do not determine.
 
@@ -94,6 +106,10 @@ def bounds(low: float, high: float, unit: str = "") -> tuple[str, str]:
     for digits in range(3, 16):
         if low == high or number(low, digits) != number(high, digits):
             break
+    if (
+        digits > TIME_DIGITS
+    ):  # far from zero, as times since 1970: not to be rounded by their distance
+        digits += 2
     return with_unit(low, unit, digits), with_unit(high, unit, digits)
 
 

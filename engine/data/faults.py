@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from engine.arrays import Array
 from engine.data.lattice import lattice_step
 from engine.data.series import Series
-from engine.words import enumerated, number, percent, with_unit
+from engine.words import enumerated, moment, number, percent, with_unit
 
 OUTLIER_DEVIATIONS = 6.0  # robust standard deviations
 FLICKERS = 0.1  # share of short stretches from which a signal ends at zero by a cut
@@ -236,7 +236,7 @@ def single_outliers(name: str, unit: str, y: Array, series: Series) -> list[str]
     if not far.size or far.size > 0.1 * len(seen):
         return []
     worst = far[int(np.argmax(np.abs(distance[far])))]
-    when = with_unit(float(series.t[seen[worst]]), series.time_unit, 6)
+    when = moment(float(series.t[seen[worst]]), series.dt, series.time_unit)
     return [
         f"Output {name}: {far.size} single reading{'s' if far.size > 1 else ''} "
         f"({percent(far.size / len(seen))}) more than {OUTLIER_DEVIATIONS:g} robust standard deviations "

@@ -56,7 +56,7 @@ from engine.errors import OptionError
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.threads import single_threaded
-from engine.words import enumerated, meant, number
+from engine.words import enumerated, meant, moment
 
 __all__ = [
     "Cause",
@@ -79,7 +79,6 @@ __all__ = [
 ]
 
 LEAST_ALPHA = 0.005  # thousands of series and draws
-TIME_DIGITS = 10  # of a time in words: seconds of a clock are told apart
 
 
 @single_threaded
@@ -233,7 +232,7 @@ def diagnose(  # noqa: PLR0913
         )
     if records.keeps_back and judged.verdict in (Verdict.NOTHING, Verdict.UNKNOWN):
         notes.append(
-            f"The record from t = {number(records.main.t[len(plain)], TIME_DIGITS)} {plain.time_unit} on was "
+            f"The record from t = {moment(records.main.t[len(plain)], plain.dt, plain.time_unit)} on was "
             "held out and not searched: held_out=0 searches all of it, test= judges by other data."
         )
 

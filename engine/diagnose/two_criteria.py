@@ -35,7 +35,7 @@ from engine.distributions import chi2_sf
 from engine.errors import EngineError
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array, MixedModel, ThetaLike
-from engine.words import enumerated
+from engine.words import enumerated, moment
 
 UNLIKELY = 1e-3  # p-value of a record's first readings, below which it begins where the model says it does not
 
@@ -171,8 +171,8 @@ def _searched(
         "those that move most" if begin else "the first, as the model says where a record begins"
     )
     return part, [
-        f"The likelihood searched {len(part.samples)} of {count} samples, {which}: from t = {part.t[0]:g} to "
-        f"{part.t[-1]:g} {part.time_unit}."
+        f"The likelihood searched {len(part.samples)} of {count} samples, {which}: from "
+        f"t = {moment(part.t[0], part.dt)} to {moment(part.t[-1], part.dt, part.time_unit)}."
     ]
 
 

@@ -16,7 +16,7 @@ from engine.diagnose.search.findings import (
     LookAlike,
 )
 from engine.units import SECOND
-from engine.words import enumerated, estimate, number, with_unit
+from engine.words import digits, enumerated, estimate, moment, number, with_unit
 
 SAMPLES = "samples"  # the unit of a delay
 
@@ -52,8 +52,9 @@ def headline(cause: Cause, step: float | None = None, clock: str = SECOND) -> st
     """
     name = cause.title[:1].upper() + cause.title[1:]
     return (
-        f"{name} [{cause.effect}]: {sized(cause)}{late(cause, step, clock)}{when(cause)}, {cause.probability}, "
-        f"2 x log-likelihood gained {gained(cause.gain)}{with_others(cause.together, cause.beside)}"
+        f"{name} [{cause.effect}]: {sized(cause)}{late(cause, step, clock)}{when(cause, step)}, "
+        f"{cause.probability}, 2 x log-likelihood gained {gained(cause.gain)}"
+        f"{with_others(cause.together, cause.beside)}"
     )
 
 
@@ -90,6 +91,13 @@ def in_time(value: float | None, unit: str, step: float | None, clock: str) -> s
     return f" ({with_unit(value * step, clock)})"
 
 
+def value_of(value: float, unit: str, error: float | None, clock: str, step: float | None) -> str:
+    """A parameter to its error; one of ``clock`` that is not estimated, as when a step comes, as a time."""
+    if unit == clock and error is None:
+        return moment(value, step)
+    return number(value, digits(value, error, 4))
+
+
 def late(cause: Cause, step: float | None, clock: str) -> str:
     """How late a delay is, in time as well: behind its size, or where that is a share, in samples and time."""
     if cause.unit == SAMPLES:
@@ -99,12 +107,16 @@ def late(cause: Cause, step: float | None, clock: str) -> str:
     return "".join(f", {number(v)} samples late{in_time(v, SAMPLES, step, clock)}" for v in own)
 
 
-def when(cause: Cause) -> str:
-    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats, ``, limit 5 kW``."""
+def when(cause: Cause, step: float | None = None) -> str:
+    """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats, ``, limit 5 kW``.
+
+    ``step`` is the time between samples, if it is the same throughout.
+    """
     wanted = ("time", "frequency") if cause.where == "time" else ("limit",)
     own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
     return "".join(
-        f", {word} {number(value, 5)} {cause.units.get(name, '')}".rstrip()
+        f", {word} {moment(value, step) if word == 'time' else number(value, 5)} "
+        f"{cause.units.get(name, '')}".rstrip()
         for word, name, value in own
         if word in wanted
     )

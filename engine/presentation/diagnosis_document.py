@@ -40,7 +40,7 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
             **asdict(cause),
             "latex": to_latex(cause.equation),
             "experiment": experiment(cause),
-            "when": when(cause),
+            "when": when(cause, sample_step(d.series)),
             "late": late(cause, sample_step(d.series), d.series.time_unit),
         }
         for cause in d.causes

@@ -26,10 +26,10 @@ from engine.presentation.cause_sentences import (
     sample_step,
     standing,
     took,
+    value_of,
 )
 from engine.presentation.report.priority import asked_first
 from engine.words import (
-    digits,
     ends,
     enumerated,
     fit_quality,
@@ -249,9 +249,11 @@ def _parameters(d: Diagnosis) -> Iterator[str]:
         name = parameter.name
         before = number(float(d.base_theta[name]), 4) if name in d.model.parameter_names else ""
         values = f"{before:>12} " if d.causes else ""
-        value = float(d.theta[name])
-        values += f"{number(value, digits(value, errors.get(name), 4)):>12}"
-        error = "held"
+        error, value = "held", float(d.theta[name])
+        shown = value_of(
+            value, parameter.unit, errors.get(name), d.series.time_unit, sample_step(d.series)
+        )
+        values += f"{shown:>12}"
         if name in errors:
             error = number(errors[name], 2) if math.isfinite(errors[name]) else "unknown"
         if name in at_bounds(fit):

@@ -12,7 +12,7 @@ from engine.diagnose.symptoms.runs import smoothed
 from engine.filters.sigma_point import moment_path
 from engine.statespace.model import Array
 from engine.units import SECOND
-from engine.words import bounds, estimate, number, percent, with_unit
+from engine.words import bounds, estimate, moment, percent, with_unit
 
 CLEAR = 2.0  # standard deviations off zero
 BY_CHANCE = 0.05  # of the time; so often a course is CLEAR that is none
@@ -46,10 +46,11 @@ class UnnamedForce:
         )
         peak = estimate(float(self.mean[strongest]), float(self.sd[strongest]), self.unit)
         start, end = bounds(float(self.t[first]), float(self.t[last]))
+        step = float(np.median(np.diff(self.t)))
         return (
             f"An unnamed force acts on {self.target}: {with_unit(size, self.unit)} rms, clearly different from "
             f"zero for {percent(float(clear.mean()))} of the time, strongest ({peak}) at t = "
-            f"{number(float(self.t[strongest]), 4)} {self.time_unit}, within a stretch from {start} to {end} "
+            f"{moment(float(self.t[strongest]), step, self.time_unit)}, within a stretch from {start} to {end} "
             f"{self.time_unit}."
         )
 

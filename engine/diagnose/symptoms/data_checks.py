@@ -21,7 +21,7 @@ from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
 from engine.statespace.clock import about_clock
 from engine.statespace.model import Array, MixedModel
-from engine.words import number, percent, with_unit
+from engine.words import moment, number, percent, with_unit
 
 SHORT_SAMPLES = 100  # samples; and ten per parameter
 
@@ -73,10 +73,12 @@ def _times(series: Series) -> list[str]:
         return []
     steps, middle = series.steps, float(np.median(series.steps))
     longest = int(np.argmax(steps))
-    shortest, most = number(float(steps.min())), number(float(steps.max()))
-    text = f"Sampling is irregular: steps of {shortest} to {most} {series.time_unit}"
+    shortest, most = float(steps.min()), float(steps.max())
+    text = (
+        f"Sampling is irregular: steps of {number(shortest)} to {number(most)} {series.time_unit}"
+    )
     if steps[longest] > 5.0 * middle:
-        text += f", the longest after t = {number(float(series.t[longest]), 6)} {series.time_unit}"
+        text += f", the longest after t = {moment(float(series.t[longest]), shortest, series.time_unit)}"
     return [f"{text}; spectra are not shown."]
 
 
@@ -88,7 +90,7 @@ def _gaps(name: str, seen: NDArray[np.bool_], series: Series) -> list[str]:
     span, clock = number(length * float(np.median(series.steps))), series.time_unit
     return [
         f"Output {name}: {percent(missing)} of the readings are missing, the longest gap is {length} "
-        f"samples ({span} {clock}) from t = {number(float(series.t[start]), 6)} {clock}."
+        f"samples ({span} {clock}) from t = {moment(float(series.t[start]), series.dt, clock)}."
     ]
 
 

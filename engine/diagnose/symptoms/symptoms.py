@@ -25,7 +25,7 @@ from engine.diagnose.symptoms.sentences import correlated, overall, sentence
 from engine.filters.sigma_point import MomentPath, moment_path
 from engine.json_values import plain
 from engine.statespace.model import Array, MixedModel, ThetaLike
-from engine.words import with_unit
+from engine.words import moment
 
 __all__ = ["Comparison", "Fit", "Symptoms", "check_data", "find_symptoms"]
 
@@ -135,7 +135,7 @@ def find_symptoms(
                 )
             free = against_run(model, series, y, states, fine)
         else:
-            when = with_unit(float(series.t[row]), series.time_unit, 6)
+            when = moment(float(series.t[row]), series.dt, series.time_unit)
             sentences.append(
                 f"The free run runs away: from t = {when} on it is further off than "
                 f"{AWAY_RANGES:g} times the range of the readings."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from engine.presentation.cause_sentences import SMALLEST, in_time, took
+from engine.presentation.cause_sentences import SMALLEST, in_time, took, value_of
 from engine.presentation.report.chart import Chart
 from engine.presentation.report.comparison import (
     against_data,
@@ -123,14 +123,26 @@ def _parameters(d: Document) -> Html:
         row.append(_estimate(before[name], error, name in bounds["before"]) if known else "")
         if d["causes"]:
             error = extension["standard_errors"].get(name)
-            row.append(_estimate(value, error, name in bounds["after"]))
+            unit = extension["units"][name], d["time_unit"], d.get("step")
+            row.append(_estimate(value, error, name in bounds["after"], *unit))
         rows.append([*row, pretty(extension["units"][name])])
     titles = ["before", "after"] if d["causes"] else ["estimate"]
     return table(["parameter", *titles, "unit"], rows, "numbers")
 
 
-def _estimate(value: float, error: float | None, at_bound: bool) -> str:
-    return f"{number(value, 4)}, at its bound" if at_bound else plus_minus(value, error)
+def _estimate(
+    value: float,
+    error: float | None,
+    at_bound: bool,
+    unit: str = "",
+    clock: str = "",
+    step: float | None = None,
+) -> str:
+    if at_bound:
+        return f"{number(value, 4)}, at its bound"
+    if error is None:
+        return prose(value_of(value, unit, error, clock, step))
+    return plus_minus(value, error)
 
 
 def _testable(d: Document) -> list[object]:
