@@ -110,16 +110,18 @@ def late(cause: Cause, step: float | None, clock: str) -> str:
 def when(cause: Cause, step: float | None = None) -> str:
     """``, time 1899 s`` of what happens once, ``, frequency 0.3 Hz`` of what repeats, ``, limit 5 kW``.
 
+    Of what ends with the record in which it comes that is said, too.
     ``step`` is the time between samples, if it is the same throughout.
     """
     wanted = ("time", "frequency") if cause.where == "time" else ("limit",)
     own = [(name.rpartition("_")[2], name, value) for name, value in cause.parameters.items()]
+    only = any(word == "stays" and value == 0.0 for word, _, value in own)
     return "".join(
         f", {word} {moment(value, step) if word == 'time' else number(value, 5)} "
         f"{cause.units.get(name, '')}".rstrip()
         for word, name, value in own
         if word in wanted
-    )
+    ) + (", in the record of that time only" if only else "")
 
 
 def standing(other: LookAlike, equivalent: Sequence[str]) -> str:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from engine.data.joined import apart
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
@@ -54,7 +56,8 @@ class Setting:
     channels whose zero means nothing to the model (default: as it tells); ``substeps`` the steps that the
     model makes from one sample to the next; ``hold`` what the series says of its inputs between samples;
     ``held`` the parameters of the model that are not estimated; ``time_unit`` what its times count; ``regular``
-    whether samples are at one common step.
+    whether samples are at one common step; ``later`` the times at which further records begin, where the times
+    of several tell them apart.
     """
 
     model: MixedModel
@@ -71,6 +74,7 @@ class Setting:
     held: tuple[str, ...] = ()
     time_unit: str = SECOND
     regular: bool = True
+    later: tuple[float, ...] = ()
 
     # ---- sizes --------------------------------------------------------------------------------
 
@@ -335,7 +339,16 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         hold=series.hold,
         time_unit=series.time_unit,
         regular=series.dt is not None,
+        later=_later(series),
     )
+
+
+def _later(series: Series) -> tuple[float, ...]:
+    """The times at which the second record in time begins, and each after it; none where two overlap."""
+    spans = sorted((float(one.t[0]), float(one.t[-1])) for one in apart(series))
+    if any(start <= end for (_, end), (start, _) in pairwise(spans)):
+        return ()
+    return tuple(start for start, _ in spans[1:])
 
 
 def _spread(values: Array) -> float:

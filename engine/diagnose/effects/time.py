@@ -32,7 +32,7 @@ def _signal(
     kind: str,
     title: str,
     formula: str,
-    signal: Callable[[Any, Sequence[Any]], Any],
+    signal: Callable[[Any, Sequence[Any], Sequence[float]], Any],
     shape: Callable[[str, Setting], list[Parameter]],
     look_alikes: dict[str, str],
     held: tuple[str, ...] = (),
@@ -40,7 +40,10 @@ def _signal(
     channels: Channels = each_signal,
     power: float = 0.0,
 ) -> Kind:
-    """A kind ``size * signal(t)``, the signal of unit time^power, added to a state's equation or an output."""
+    """A kind ``size * signal(t)``, the signal of unit time^power, added to a state's equation or an output.
+
+    The signal is a function of t, of the parameters after the size, and of when further records begin.
+    """
 
     def make(setting: Setting, channel: str, name: str) -> Effect:
         at_output = channel in setting.model.outputs
@@ -50,7 +53,7 @@ def _signal(
 
         def extend(model: MixedModel) -> MixedModel:
             add = add_to_output if at_output else add_to_state
-            return add(model, channel, lambda v, own: own[0] * signal(v.t, own[1:]))
+            return add(model, channel, lambda v, own: own[0] * signal(v.t, own[1:], setting.later))
 
         return Effect(
             kind,
@@ -62,7 +65,7 @@ def _signal(
             extend,
             probes=(tuple(p.default for p in further),),
             look_alikes=look_alikes,
-            held=tuple(f"{name}_{part}" for part in held),
+            held=tuple(p.name for p in further if p.name.rpartition("_")[2] in held),
             traits=traits,
         )
 
@@ -73,6 +76,22 @@ def _when(name: str, setting: Setting) -> list[Parameter]:
     first, last = setting.span
     within = setting.limits(first, last, -np.inf)
     return [setting.time(f"{name}_time", 0.5 * (first + last), within, "when")]
+
+
+def _from_when(name: str, setting: Setting) -> list[Parameter]:
+    """When it comes; of records that times tell apart, whether it stays in those after its own."""
+    what = "1 where it stays in later records, 0 where it ends with its own"
+    stays = Parameter(f"{name}_stays", 1.0, "1", (0.0, 1.0), what)
+    return [*_when(name, setting), *([stays] if setting.later else [])]
+
+
+def _since(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
+    """1 from own[0] on: to the end, or where own[1] is 0, to that of the record which own[0] lies in."""
+    since = t >= own[0]
+    if not later:
+        return 1.0 * since
+    end = np.append(later, np.inf)[np.searchsorted(later, own[0], side="right")]
+    return 1.0 * (since & ((own[1] > 0.5) | (t < end)))
 
 
 def _harmonic(setting: Setting, channel: str, name: str) -> Effect:
@@ -120,7 +139,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
         first, last = setting.span
         parameter = setting.model.parameters[index]
         steps = kind == "parameter-step"
-        further = _when(name, setting)
+        further = _from_when(name, setting)
         if not steps:
             middle, length = 0.5 * (first + last), max(setting.length, setting.dt)
             further = [
@@ -129,7 +148,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
             ]
 
         def course(t: Any, own: Sequence[Any]) -> Any:
-            return own[0] * ((t >= own[1]) if steps else (t - own[1]) / own[2])
+            return own[0] * (_since(t, own[1:], setting.later) if steps else (t - own[1]) / own[2])
 
         def extend(model: MixedModel) -> MixedModel:
             split = Split(model)
@@ -157,7 +176,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
             (Parameter(name, 0.0, parameter.unit, description=title), *further),
             extend,
             probes=(tuple(p.default for p in further),),
-            held=() if steps else tuple(p.name for p in further),
+            held=tuple(p.name for p in further[steps:]),
             look_alikes={
                 "cubic": "depends on the state",
                 "step": "changes once, whatever the state",
@@ -170,7 +189,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
     return at_parameters(kind, make, lambda setting: setting.model.parameter_names)
 
 
-def _pulse(t: Any, own: Sequence[Any]) -> Any:
+def _pulse(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
     """1 from the sample at own[0] on for own[1] seconds; ends may be off by their rounding."""
     since = (t - own[0]) / own[1]
     return 1.0 * ((since > -ON_TIME) & (since < 1.0 - ON_TIME))
@@ -190,9 +209,10 @@ KINDS: list[Kind] = [
         "step",
         "step",
         "[t >= time]",
-        lambda t, own: 1.0 * (t >= own[0]),
-        _when,
+        _since,
+        _from_when,
         {"ramp": "goes on growing", "pulse": "lasts one sample"},
+        held=("stays",),
         traits=Traits(Course.STEP, swallowed=True, plainness=1),
     ),
     _signal(
@@ -209,7 +229,7 @@ KINDS: list[Kind] = [
         "ramp",
         "ramp",
         "(t - start)",
-        lambda t, own: t - own[0],
+        lambda t, own, later: t - own[0],
         _start,
         {"drift": "moves the reading only", "step": "comes at once"},
         held=("start",),

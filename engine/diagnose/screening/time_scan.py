@@ -100,7 +100,16 @@ def _gates(
         angle = 2.0 * np.pi * points * (t - origin)
         both = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(series), -1)
         return [(0.0, float(f), origin) for f in points], both, tries
-    return [(float(tau),) for tau in points], (t >= points).astype(float), 1
+    gate = (t >= points).astype(float)
+    if len(effect.probes[0]) == 1:
+        return [(float(tau),) for tau in points], gate, 1
+    record = np.searchsorted(series.begins, np.arange(len(series)), side="right")
+    order = np.argsort(series.t, kind="stable")
+    own = record[order[np.searchsorted(series.t[order], points)]]
+    places: list[tuple[float, ...]] = [
+        (float(tau), stays) for stays in (1.0, 0.0) for tau in points
+    ]
+    return places, np.hstack([gate, gate * (record[:, None] == own)]), 1
 
 
 def _driver(

@@ -7,9 +7,11 @@ import engine
 from engine.data.joined import together
 from engine.data.series import Series
 from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.setting import setting_for
 from engine.diagnose.free_run.windows import windows
 from engine.diagnose.gain.gain import measure_gain, measure_gain_interleaved
 from engine.diagnose.search.calibration import drawn_from
+from engine.diagnose.search.findings import Verdict
 from engine.errors import SeriesError
 from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.diagnose.free_run.test_other_models import cart
@@ -234,3 +236,25 @@ def test_a_gain_on_blocks_of_refined_records_is_that_of_their_samples():
     gain = measure_gain_interleaved(fit, fit, fine)
     assert gain.samples == len(gain.t) == len(gain.y) == len(gain.d) == 110
     assert gain.log_density == 0.0
+
+
+def test_a_step_may_end_with_its_record():
+    """Where times tell records apart; once the next one, in which it was gone, called for another step."""
+    records = [levels(120, 1, 1000.0), levels(100, 2, 2000.0, 150.0), levels(90, 3, 3000.0)]
+    found = engine.diagnose(LEVEL, records, effects=["step"], seed=1)
+    assert found.verdict is Verdict.NAMED
+    (cause,) = found.causes
+    assert cause.parameters["step_flow_time"] == 2060.0
+    assert cause.parameters["step_flow_stays"] == 0.0
+    assert "time 2060 s" in " ".join(str(found).split())
+    assert "in the record of that time only" in " ".join(str(found).split())
+
+
+@pytest.mark.parametrize(("begins", "later"), [((0.0, 500.0), (500.0,)), ((500.0, 0.0), (500.0,))])
+def test_only_times_that_tell_records_apart_end_a_step(begins, later):
+    model, theta = LEVEL, np.asarray(LEVEL.theta())
+    apart = together([levels(60, k, begin) for k, begin in enumerate(begins)])
+    assert setting_for(model, apart, theta).later == later
+    overlapping = together([levels(60, k, 0.0) for k in range(2)])
+    assert setting_for(model, overlapping, theta).later == ()
+    assert setting_for(model, levels(60, 1, 0.0), theta).later == ()
