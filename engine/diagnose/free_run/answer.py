@@ -14,6 +14,7 @@ from engine.diagnose.free_run.missing_function import MissingFunction, missing_f
 from engine.diagnose.free_run.oversampled import thinned_by
 from engine.diagnose.free_run.search import STAGE, Candidate, FreeRound, one_round
 from engine.diagnose.free_run.windows import LONG, STRETCH
+from engine.diagnose.free_run_fits.columns import CANNOT
 from engine.diagnose.free_run_fits.fitted import Fitted, Pick, fit_runs
 from engine.diagnose.screening.screening import Progress
 from engine.diagnose.search.amplitude import amplitude_of
@@ -29,7 +30,9 @@ STARTED, SEARCHED = 0.25, 0.9  # of the search: its starts, and with them all ro
 ROUNDS = 3
 SHOWN = 5  # look-alikes listed at most
 LEFT = 0.05  # of the free run's error before: so little is not worth another round
+LITTLE = 4.0  # 2 x log-likelihood, as one parameter gains by chance
 UNEXPLAINED = 0.5  # of the same: with so much left beyond noise, no name settles it
+CALLED_FOR = 0.25  # of the squared error of the others: what is found takes as much, or one record calls for it
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,8 @@ class FreeRunSearch:
     likelihood over the noise alone: parameters that a noise-free run shows are those of the free run. ``gains``
     are 2 x the log-likelihood that each round gained so. ``missing`` is a force without a name, where the last
     round has an alarm that no name explains and some function of a signal would. ``coarse`` where the steps
-    are too long for what was found last: what would be found beside it may be their error.
+    are too long for what was found last: what would be found beside it may be their error. ``alone`` is the
+    only one of several records that calls for what was found, see :func:`only_one`.
     """
 
     rounds: tuple[FreeRound, ...]
@@ -49,6 +53,7 @@ class FreeRunSearch:
     gains: tuple[float, ...]
     missing: MissingFunction | None = None
     coarse: bool = False
+    alone: Series | None = None
 
     @property
     def found(self) -> tuple[Candidate, ...]:
@@ -71,7 +76,7 @@ class FreeRunSearch:
         if not self.found:
             return Verdict.UNKNOWN if self.alarm_left else Verdict.NOTHING
         left = self.final.rms / self.rounds[0].fit.rms
-        if self.alarm_left and left > UNEXPLAINED:
+        if self.alone is not None or (self.alarm_left and left > UNEXPLAINED):
             return Verdict.UNKNOWN
         if self.missing is not None and self.missing.left < UNEXPLAINED:
             return Verdict.UNKNOWN  # a function does far better than all names
@@ -132,7 +137,31 @@ def search_free_runs(
         before, after = on_whole(done[0].fit, before, whole), on_whole(fit, after, whole)
     values = [one.log_likelihood for one in noise]
     gains = tuple(2.0 * np.diff(values))
-    return FreeRunSearch(tuple(done), before, after, gains, missing, coarse)
+    alone = None
+    if done[0].survivors and len(whole or records) > 1 and max(gains) <= LITTLE:
+        alone = only_one(done[0].fit, fit)
+    return FreeRunSearch(tuple(done), before, after, gains, missing, coarse, alone)
+
+
+def only_one(before: Fitted, after: Fitted) -> Series | None:
+    """The record without which the others do not call for what was found; None where they do.
+
+    What holds throughout, as a characteristic, is in the others too; what came once is not. To be asked where
+    one step ahead nothing is gained: else the others may just not excite it.
+    """
+    records, alike = before.records, []
+    for k in range(len(records)):
+        rest = [i for i in range(len(records)) if i != k]
+        left = [records[i] for i in rest]
+        try:
+            costs = [
+                fit_runs(f.model, left, f.theta, f.free, f.x1[rest]).cost for f in (before, after)
+            ]
+        except CANNOT:
+            return None
+        alike.append(costs[1] / costs[0] if costs[0] > 0.0 else 0.0)
+    most = int(np.argmax(alike))
+    return records[most] if alike[most] > 1.0 - CALLED_FOR else None
 
 
 def setting_of(fit: Fitted, held: tuple[str, ...]) -> Setting:

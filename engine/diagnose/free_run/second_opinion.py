@@ -40,7 +40,7 @@ from engine.diagnose.search.refits import Refit
 from engine.diagnose.search.search import part_of
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import Theta
-from engine.words import enumerated
+from engine.words import enumerated, moment
 
 ALARM_SHARE = 0.1  # of the free run's part of a diagnosis
 UNLIKELY = 0.1  # p-value of the alarm below which it is not said that noise explains it all
@@ -224,7 +224,20 @@ def _decided(
             "The likelihood decides: noise does not explain all that its extension gets wrong in free run, "
             "but no other cause does far better on rows left out."
         )
-    return True, f"The free run decides: {_too_far(first.alarm)}, and {_why(verdict, settled)}."
+    reason = f"The free run decides: {_too_far(first.alarm)}, and {_why(verdict, settled)}."
+    return True, f"{reason}{_of_one_record(found.alone)}"
+
+
+def _of_one_record(alone: Series | None) -> str:
+    """Why what holds throughout is not named, as a further sentence."""
+    if alone is None:
+        return ""
+    return (
+        f" What it found takes the error of one record alone, that of {len(alone.samples)} samples from "
+        f"t = {moment(alone.t[0], alone.dt, alone.time_unit)} on, and gains nothing one step ahead: something "
+        "is wrong there that the others do not have, so it is not named. Diagnose that record by itself, or "
+        "give each record times of its own: what comes once is then looked for in each."
+    )
 
 
 def _names_no_other(named: Sequence[Refit], found: FreeRunSearch) -> bool:
