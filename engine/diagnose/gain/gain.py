@@ -406,7 +406,10 @@ def _sought(
         tried = np.unique(np.clip([*near[some], theta[k]], model.lower[k], model.upper[k]))
         thetas = np.repeat(theta[None], len(tried), axis=0)
         thetas[:, k] = tried
-        values = np.nan_to_num(log_likelihoods(model, masked, thetas), nan=-np.inf)
+        values = log_likelihoods(model, masked, thetas)
+        values = np.where(
+            np.isfinite(values), values, np.finfo(float).min
+        )  # where a filter is lost
         found = np.flatnonzero(values >= values.max() - NEGLIGIBLE)
         if len(some) == len(near):
             break
