@@ -145,7 +145,7 @@ def test_a_shape_that_the_likelihood_refuted_is_refuted_for_the_free_run(free_ru
     named = [SimpleNamespace(effect=SimpleNamespace(name=name)) for name in ("cubic:x", "force:x")]
     alarm = SimpleNamespace(p_near=0.5, p_size=0.01, p_gain=0.1, probability="p = 0.01")
     first = SimpleNamespace(alarmed=True, alarm=alarm)
-    search = SimpleNamespace(rounds=[first], found=[SimpleNamespace(names=free_run)])
+    search = SimpleNamespace(rounds=[first], found=[SimpleNamespace(names=free_run)], alone=None)
     for refuted in (True, False):
         causes = SimpleNamespace(verdict=Verdict.UNKNOWN, another_shape=refuted)
         said, reason = _decided(causes, False, named, search)
