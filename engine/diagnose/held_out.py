@@ -27,6 +27,10 @@ from engine.diagnose.search.verdict import named_by, names_of
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 
+TESTS_NOT_USED = (
+    "The test data were not used: what was found comes with time, and they do not follow the record. Its gain "
+    "is of blocks of what was searched, left out in turn."
+)
 FAIR_NOISE = " (the noise of both fitted beside their other parameters)"
 
 
@@ -69,6 +73,13 @@ class HeldOut:
         extended = judged.causes and judged.after is not judged.before
         if extended and judged.gain is None and not self.records.held_out:
             return replace(judged, notes=(*judged.notes, NOT_MEASURED))
+        if (
+            judged.gain is not None
+            and judged.gain.among
+            and self.records.tests
+            and not self.records.kept_back
+        ):
+            return replace(judged, notes=(*judged.notes, TESTS_NOT_USED))
         return judged
 
     def _judged(self, found: Causes, asked: SecondOpinion, progress: Progress) -> Judged:
@@ -119,10 +130,9 @@ class HeldOut:
             chosen = []
         if not causes or after is before:
             return None
-        main, tests = self.records.main, self.records.tests
-        later = bool(tests) and all(o.t[0] > main.t[-1] for o in tests)  # else its clock is its own
+        tests = self.records.tests
         begins = [e for e in chosen if e.traits.of_record]
-        goes_on = later and (not begins or len(begins) < len(chosen))
+        goes_on = self._later and (not begins or len(begins) < len(chosen))
         if not goes_on and all(cause.where == "time" for cause in causes):
             times = [name for e in chosen for name in e.sought]
             return measure_gain_interleaved(before, after, self._searched, times, self.seed)
@@ -138,6 +148,16 @@ class HeldOut:
             (train, *self.records.others) if tests else (),
             without(after, begins),
         )
+
+    @property
+    def _later(self) -> bool:
+        """Whether all tests follow the main record, so that what came with time there may still be there.
+
+        Else their clock is their own, or a drift would have gone on for longer than it was seen.
+        """
+        main, tests = self.records.main, self.records.tests
+        span = main.t[-1] - main.t[0]
+        return bool(tests) and all(0.0 < one.t[0] - main.t[-1] <= span for one in tests)
 
     @property
     def _searched(self) -> list[Series]:

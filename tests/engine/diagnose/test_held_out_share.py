@@ -148,3 +148,16 @@ def test_a_record_that_tells_less_than_the_last_part_of_the_longest_is_not_held_
     assert len(records.held_out[0]) == 80
     few = [short(level, 11) for level in LEVELS]  # too few would be left
     assert records_of(LEVEL, few, None)[1].kept_back == ()
+
+
+@pytest.mark.parametrize(("begins", "used"), [(120.0, True), (0.0, False), (1e5, False)])
+def test_tests_that_do_not_follow_the_record_do_not_judge_what_comes_with_time(begins, used):
+    """A drift that would have gone on for a day is none of them; it is said that they were not used."""
+    theta = {"q": 20.0, "r": 400.0, "level": 0.0}
+    y = engine.simulate(LEVEL, theta, 180, np.random.default_rng(3)).series.y.copy()
+    y[60:] += 150.0
+    main, later = Series(y[:120], dt=1.0), Series(y[120:], t=begins + np.arange(60.0))
+    found = engine.diagnose(LEVEL, main, test=later, effects=["step"], seed=1)
+    assert found.verdict is Verdict.NAMED
+    assert found.gain.samples == (60 if used else 120)
+    assert any("test data were not used" in note for note in found.notes) is not used
