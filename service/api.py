@@ -220,15 +220,24 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
             body = dumps(thin_results(json.loads(body), points)).encode()
         return with_etag(http, body)
 
-    @api.delete(
-        "/jobs/{job_id}",
-        summary="Stop a job and keep what it has; remove the data of one that has ended",
+    @api.post(
+        "/jobs/{job_id}/stop",
+        summary="Stop a job and keep what it has; one that has ended stays as it is",
         responses=unknown,
     )
-    def dismiss(caller: Caller, job_id: JobId) -> JobStatus:
+    def stop(caller: Caller, job_id: JobId) -> JobStatus:
         find(job_id, caller)
-        row = store.dismiss(job_id)
-        return serializers.job_status(row)
+        row = store.stop(job_id)
+        return serializers.job_status(row, has_estimates(store, row))
+
+    @api.delete(
+        "/jobs/{job_id}",
+        summary="Remove the data of a job that has ended",
+        responses=problem_answers(404, 409),
+    )
+    def remove(caller: Caller, job_id: JobId) -> JobStatus:
+        find(job_id, caller)
+        return serializers.job_status(store.remove(job_id))
 
     @api.post(
         "/jobs/{job_id}/resume",

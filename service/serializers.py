@@ -28,6 +28,8 @@ def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
     if has_estimates or (row.status == "successful" and not row.removed):
         links.append(Link(href=f"{here}/results", rel="results"))
         links.append(Link(href=f"{here}/report", rel="report"))
+    if row.status in ("accepted", "running"):
+        links.append(Link(href=f"{here}/stop", rel="stop"))
     if row.status in ("failed", "dismissed") and not row.removed:
         links.append(Link(href=f"{here}/resume", rel="resume"))
     found = json.loads(row.found or "{}")

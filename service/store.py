@@ -9,7 +9,7 @@ write of an attempt that is no longer the task's own changes nothing and returns
     accepted --claim--> running --finish--> successful
         |                  |--fail--------> failed
         |                  |--lost, expire-> queued again; too often at one place: failed
-        +-----dismiss------+--------------> dismissed
+        +------stop--------+--------------> dismissed
         +<----resume---- failed, dismissed
 """
 
@@ -20,7 +20,7 @@ import json
 import time
 import uuid
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -281,33 +281,51 @@ class Store(Attempts):
             with self._engine.begin() as sql:
                 sql.execute(update(jobs).where(jobs.c.id == job_id).values(values))
 
-    def dismiss(self, job_id: str) -> Row[Any] | None:
-        """Stop a job, or remove the data of an ended one; None if there is no such job.
+    def stop(self, job_id: str) -> Row[Any] | None:
+        """End a job that waits or runs and keep all it has; the job, one that has ended as it was."""
+        return self._on_full_disk(self._stop, job_id)
 
-        On a full disk too: that is when it is needed most.
+    def _stop(self, job_id: str) -> Row[Any] | None:
+        with self._engine.begin() as sql:
+            job = self._locked(sql, job_id)
+            if job is None or job.status in ENDED:
+                return job
+            end(sql, job.seq, "dismissed", message=_stopped(job), problem=None)
+            return self._locked(sql, job_id)
+
+    def remove(self, job_id: str) -> Row[Any] | None:
+        """Remove the data of a job that has ended; the job.
+
+        Raises Problem 409 where it waits or runs: who only wants to stop it never removes what it found.
         """
-        try:
-            row = self._dismiss(job_id)
-        except OperationalError:
-            if not self._reserve.give_up():
-                raise
-            row = self._dismiss(job_id)
-        if row is not None and row.removed:
-            self._give_back()
-        self._reserve.fill()
+        row = self._on_full_disk(self._remove, job_id)
+        self._give_back()
         return row
 
-    def _dismiss(self, job_id: str) -> Row[Any] | None:
+    def _remove(self, job_id: str) -> Row[Any] | None:
         with self._engine.begin() as sql:
             job = self._locked(sql, job_id)
             if job is None or job.removed:
                 return job
-            if job.status in ENDED:
-                gone = "its data were removed by the client"
-                forget(sql, job.seq, status="dismissed", message=gone, problem=None)
-            else:
-                end(sql, job.seq, "dismissed", message=_stopped(job), problem=None)
+            if job.status not in ENDED:
+                detail = f"job '{job_id}' is {job.status}; stop it first (POST /jobs/{job_id}/stop)"
+                raise Problem(409, "not-ended", detail)
+            gone = "its data were removed by the client"
+            forget(sql, job.seq, status="dismissed", message=gone, problem=None)
             return self._locked(sql, job_id)
+
+    def _on_full_disk(
+        self, change: Callable[[str], Row[Any] | None], job_id: str
+    ) -> Row[Any] | None:
+        """A change that has to succeed on a full disk too: that is when it is needed most."""
+        try:
+            row = change(job_id)
+        except OperationalError:
+            if not self._reserve.give_up():
+                raise
+            row = change(job_id)
+        self._reserve.fill()
+        return row
 
     def resume(self, job_id: str, most: Most = ()) -> Row[Any] | None:
         """Put a failed or dismissed job back into the queue, if its data are still there; the job.

@@ -1,6 +1,6 @@
 // One job: live while it runs, then its report.
 
-import { announce, duration, element, get, number, poll, post, Problem, remove, unit, when } from "/static/api.js";
+import { announce, duration, element, get, number, poll, post, Problem, unit, when } from "/static/api.js";
 import { Convergence } from "/static/job/convergence.js";
 import { showReport } from "/static/job/results.js";
 import { download } from "/static/job/download.js";
@@ -217,7 +217,7 @@ function onClick(button, action) {
 
 onClick("stop", async () => {
   if (!confirm("Stop this job? What it has computed so far is kept, and it can go on later.")) return;
-  const job = await remove(here);
+  const job = await post(`${here}/stop`); // one that ended while the question was open stays as it is
   show(job);
   await end(job);
 });

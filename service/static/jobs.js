@@ -1,7 +1,7 @@
 // The list of jobs. Its filter, its order and its place are in the address, as the JSON call has them:
 // /jobs?status=running&kind=estimate&model=servo&tag=pump&sort=-duration&cursor=17
 
-import { announce, duration, element, get, number, patch, poll, printed, Problem, remove, value, when, words } from "/static/api.js";
+import { announce, duration, element, get, number, patch, poll, post, printed, Problem, remove, value, when, words } from "/static/api.js";
 
 const by = (id) => document.getElementById(id);
 const FILTERS = ["status", "kind", "model", "outcome", "tag", "search"];
@@ -138,14 +138,14 @@ function actions(job, name) {
     type: "button", class: "small", "data-key": `${key} ${job.jobID}`, "aria-label": `${text}: ${name}`, onclick,
   }, text);
   const link = (text, href, label) => element("a", { class: "button small", href, "data-key": `${text} ${job.jobID}`, "aria-label": `${label}: ${name}` }, text);
-  if (LIVE.has(job.status)) return [button("Name", "labels", () => label(job)), button("Stop", "end", () => end(job, "Stop this job?", "It stops at once; what it has computed so far is kept, and it can go on later.", "Stop the job"))];
+  if (LIVE.has(job.status)) return [button("Name", "labels", () => label(job)), button("Stop", "end", () => end(job, "Stop this job?", "It stops at once; what it has computed so far is kept, and it can go on later.", "Stop the job", () => post(`/jobs/${job.jobID}/stop`)))];
   const kept = job.links.some((one) => one.rel === "resume");
   if (job.status === "dismissed" && !kept) return [];
   return [
     button("Name", "labels", () => label(job)),
     ...(job.kind === "design" ? [] : [link("Repeat", `/?job=${job.jobID}`, "Repeat with changes")]),
     ...(job.kind === "diagnose" && job.status === "successful" ? [link("Extend", `/?job=${job.jobID}&extension=1`, "Estimate the extension it found")] : []),
-    button("Remove", "end", () => end(job, "Remove this job?", "Its data and its results are removed for good.", "Remove")),
+    button("Remove", "end", () => end(job, "Remove this job?", "Its data and its results are removed for good.", "Remove", () => remove(`/jobs/${job.jobID}`))),
   ];
 }
 
@@ -170,7 +170,7 @@ async function label(job) {
   await refresh();
 }
 
-async function end(job, title, text, yes) {
+async function end(job, title, text, yes, act) {
   const dialog = by("sure");
   by("sure-title").textContent = title;
   by("sure-text").textContent = `${job.kind} with ${job.model}, ${when(job.created)}. ${text}`;
@@ -179,7 +179,7 @@ async function end(job, title, text, yes) {
   dialog.showModal();
   await new Promise((resolve) => dialog.addEventListener("close", resolve, { once: true }));
   if (dialog.returnValue !== "yes") return;
-  await remove(`/jobs/${job.jobID}`);
+  await act();
   await refresh();
 }
 

@@ -125,17 +125,15 @@ class Client(threading.Thread):
                 ended = {"status": status["status"], "message": status.get("message", "")}
                 return {"job": job, "left": left(self, job)} | ended
             if right_end(name) == "dismissed" and before >= 5:
-                self.ask("DELETE", f"/jobs/{job}")
+                self.ask("POST", f"/jobs/{job}/stop")
             if name.endswith("resumed") and before >= 5 and not stopped:
                 stopped = self._stop_and_resume(job)
             time.sleep(0.2)
         return {"job": job, "status": f"hangs: {status['status']}", "left": None, "message": ""}
 
     def _stop_and_resume(self, job: str) -> bool:
-        """DELETE once, for a second would remove the data; what comes back says whether it was in time."""
-        with contextlib.suppress(httpx.TransportError):  # it may have been done all the same
-            self.http.delete(f"/jobs/{job}")
-        if self.ask("GET", f"/jobs/{job}").json()["status"] == "dismissed":
+        """What comes back says whether it was in time."""
+        if self.ask("POST", f"/jobs/{job}/stop").json()["status"] == "dismissed":
             self.ask("POST", f"/jobs/{job}/resume")
             return True
         return False

@@ -60,7 +60,7 @@ def take(folder, width=WIDTH):
         page.goto(f"{address}/jobs")
         page.wait_for_selector(f'[data-job="{long}"]')
         keep(page, folder / "jobs.png")
-        httpx.delete(f"{address}/jobs/{long}")
+        httpx.post(f"{address}/jobs/{long}/stop")
 
 
 def submit(address, samples, name, **options):

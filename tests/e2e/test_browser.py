@@ -81,7 +81,7 @@ def long(address):
     }
     job = httpx.post(f"{address}/jobs", json=request).raise_for_status().json()["jobID"]
     yield job
-    httpx.delete(f"{address}/jobs/{job}")
+    httpx.post(f"{address}/jobs/{job}/stop")
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_held_parameters_have_no_curve_from_the_first_iteration_on(visit, addres
     page.wait_for_selector("#traces canvas")
     titles = page.locator("#traces .chart-title").all_inner_texts()
     page.unroute_all(behavior="ignoreErrors")
-    httpx.delete(f"{address}/jobs/{job}")
+    httpx.post(f"{address}/jobs/{job}/stop")
     assert "omega" in titles
     assert not set(titles) & {"zeta", "gain", "sigma_v", "sigma_y"}
 
@@ -183,7 +183,7 @@ def test_a_stopped_job_goes_on_where_it_was(visit, address, long):
     trace = httpx.get(f"{address}/jobs/{long}/trace").json()["iteration"]
     assert trace == list(range(len(trace)))  # what it had was neither lost nor computed again
     assert not page.is_visible("#problem")
-    httpx.delete(f"{address}/jobs/{long}")
+    httpx.post(f"{address}/jobs/{long}/stop")
     page.wait_for_selector("#resume:visible")  # also where somebody else has stopped it
     httpx.delete(f"{address}/jobs/{long}")  # its data, without which nothing can go on
     page.reload()
@@ -224,7 +224,7 @@ def test_a_diagnosis_shows_what_it_knows_while_it_goes_on_and_keeps_it(visit, ad
     assert "Free-run simulation of y: wrong by" in page.inner_text("#results #wrong")
     assert page.is_visible("#resume")
     assert not page.is_visible("#next")
-    httpx.delete(f"{address}/jobs/{job}")
+    httpx.post(f"{address}/jobs/{job}/stop")
 
 
 def iteration(page):

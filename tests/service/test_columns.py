@@ -74,7 +74,7 @@ def test_the_service_takes_its_own_example(client, ended):
         assert answer.status_code == 201, answer.text
         body = client.get(f"{answer.headers['location']}/request").json()
         assert body["series"][0]["y"][:3] == [[1120.0], [1160.0], [963.0]]
-        client.delete(answer.headers["location"])
+        client.post(f"{answer.headers['location']}/stop")
 
 
 def test_units_behind_names_are_compared_with_those_of_the_model(client):
@@ -100,7 +100,7 @@ def test_units_behind_names_may_be_left_out(client):
         assert answer.status_code == 201, answer.text
         read = client.get(f"{answer.headers['location']}/request").json()["series"][0]
         assert (read["y"], read["t"]) == ([[1120.0], [1160.0], [963.0]], [1.0, 2.0, 3.0])
-        client.delete(answer.headers["location"])
+        client.post(f"{answer.headers['location']}/stop")
 
 
 def test_the_command_line_finds_them_so_too(tmp_path):
@@ -125,4 +125,4 @@ def test_the_hint_is_what_helps(client):
     request |= json.loads("{" + hint.replace("COLUMN", "depth") + "}")
     answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
     assert answer.status_code == 201
-    client.delete(answer.headers["location"])
+    client.post(f"{answer.headers['location']}/stop")

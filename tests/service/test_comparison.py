@@ -145,7 +145,7 @@ def test_jobs_that_cannot_be_compared(client, jobs, compare, long):
     running = client.post("/jobs", json=long).json()["jobID"]
     answer = client.get("/compare", params={"a": running, "b": jobs["first"]})
     assert (answer.status_code, answer.json()["title"]) == (404, "result not ready")
-    client.delete(f"/jobs/{running}")
+    client.post(f"/jobs/{running}/stop")
     with pytest.raises(OptionError, match="no estimate"):
         compare_results({}, {})
 

@@ -181,7 +181,7 @@ def test_a_worker_that_always_dies_at_one_place_fails_the_job_and_it_can_be_resu
     wait(service.client, url, lambda job: job["status"] == "running")
     kill_worker(service, workers, eventually, dead)
     wait(service.client, url, lambda job: "restart 1 of 2" in job["message"])
-    service.client.delete(url)
+    service.client.post(f"{url}/stop")
 
 
 @pytest.mark.slow
@@ -207,7 +207,7 @@ def test_a_stopped_job_goes_on_where_it_was(make_client, wait, ended, request_, 
     client = make_client(workers=1)
     url = client.post("/jobs", json=request_).headers["location"]
     wait(client, url, lambda job: job["iteration"] >= 10)
-    stopped = client.delete(url).json()
+    stopped = client.post(f"{url}/stop").json()
     assert stopped["status"] == "dismissed"
     assert stopped["estimate"]["theta"] is not None
     reached = client.get(f"{url}/results").json()
@@ -297,7 +297,7 @@ def test_memory_that_ends_is_taken_from_a_worker_first(running, catch, long):
         int(Path(f"/proc/{pid}/oom_score_adj").read_text()) for pid in (service.process.pid, worker)
     ]
     assert scores[0] < scores[1]
-    service.client.delete(url)
+    service.client.post(f"{url}/stop")
 
 
 UNGUARDED = """

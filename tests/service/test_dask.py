@@ -96,7 +96,7 @@ def test_estimate_cancel_and_a_killed_worker(
     url = client.post("/jobs", json=long).headers["location"]
     wait(client, url, lambda job: job["iteration"] >= 1)
     assert len(attempts()) == 1
-    client.delete(url)
+    client.post(f"{url}/stop")
     eventually(lambda: not attempts())
 
     for _ in range(10):  # until one is caught while it computes
@@ -177,7 +177,7 @@ def test_workers_that_another_service_uses_are_not_free(
     assert service.client.get(waiting).json()["status"] == "accepted"
     assert attempts() == before
     for url in running:
-        assert service.client.delete(url).json()["status"] == "dismissed"
+        assert service.client.post(f"{url}/stop").json()["status"] == "dismissed"
     job = ended(service.client, waiting)
     assert job["status"] == "successful", job["message"]
 
@@ -249,5 +249,5 @@ def test_a_scheduler_that_is_gone_and_comes_back(
     eventually(lambda: client.get("/readyz").status_code == 200)
     before = client.get(url).json()["iteration"]
     wait(client, url, lambda job: job["iteration"] > before)
-    client.delete(url)
+    client.post(f"{url}/stop")
     assert ended(client, waiting)["status"] == "successful"

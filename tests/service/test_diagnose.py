@@ -194,7 +194,7 @@ def test_what_is_known_while_it_goes_on_and_after_it_was_stopped(client, ended, 
     assert values["Fv"]["standard_error"] == early["estimate"]["Fv"]["standard_error"] > 0.0
     assert early["estimate"]["gtau"]["fixed"]
     eventually(lambda: known("first screen: "), 300.0)
-    stopped = client.delete(url).json()
+    stopped = client.post(f"{url}/stop").json()
     assert stopped["status"] == "dismissed"
     assert stopped["values"]
     early = client.get(f"{url}/results").json()["early"]

@@ -64,13 +64,13 @@ def test_in_a_file(client, wet):
     assert answer.status_code == 201, answer.text
     asked = client.get(f"{answer.headers['location']}/request").json()
     assert asked["series"][0]["extra"] == {"rain": rain.tolist()}
-    client.delete(answer.headers["location"])
+    client.post(f"{answer.headers['location']}/stop")
     # An extended model has it as an input, to be given a column as any other.
     extended = {"name": "local-level", "with": ["extra-input:rain->level"]}
     smooth = {"kind": "smooth", "model": extended, "series": [entry | {"u": {"rain": "rain"}}]}
     answer = post(smooth)
     assert answer.status_code == 201, answer.text
-    client.delete(answer.headers["location"])
+    client.post(f"{answer.headers['location']}/stop")
 
     wrong = post(REQUEST | {"series": [entry | {"extra": ["snow"]}]})
     assert "there is no column 'snow'" in wrong.json()["errors"][0]["message"]

@@ -18,7 +18,8 @@ CALLS = [
     "GET /jobs/{job_id}/request",
     "GET /jobs/{job_id}/trace", "GET /jobs/{job_id}/results", "GET /jobs/{job_id}/tasks",
     "GET /jobs/{job_id}/report", "GET /jobs/{job_id}/charts", "GET /compare", "GET /compare/report",
-    "DELETE /jobs/{job_id}", "POST /jobs/{job_id}/resume", "GET /livez", "GET /readyz", "GET /metrics",
+    "DELETE /jobs/{job_id}", "POST /jobs/{job_id}/stop", "POST /jobs/{job_id}/resume", "GET /livez",
+    "GET /readyz", "GET /metrics",
 ]  # fmt: skip
 PLAIN = ("GET /", "GET /livez", "GET /readyz")  # nothing in them can be wrong
 KEY = "the key of the fuzz test"

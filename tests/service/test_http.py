@@ -48,6 +48,7 @@ def test_allow_names_every_method_of_an_address(client):
         ("POST", "/jobs/x", "DELETE, GET, HEAD, PATCH"),
         ("DELETE", "/jobs", "GET, HEAD, POST"),
         ("GET", "/jobs/x/resume", "POST"),
+        ("DELETE", "/jobs/x/stop", "POST"),
         ("HEAD", "/preview", "POST"),
         ("POST", "/livez", "GET, HEAD"),
     ):
@@ -59,7 +60,7 @@ def test_retry_after_while_there_is_something_to_wait_for(client, long, finished
     url = client.post("/jobs", json=long).headers["location"]
     assert client.get(url).headers["retry-after"] == "1"
     assert client.get(f"{url}/results").headers["retry-after"] == "1"
-    client.delete(url)
+    client.post(f"{url}/stop")
     assert "retry-after" not in client.get(finished).headers
 
 
@@ -110,7 +111,7 @@ def test_a_model_with_a_long_name(client, estimation):
     url = answer.headers["location"]
     for path in ("", "/trace", "/tasks", "/request"):
         assert client.get(url + path).status_code == 200, path
-    client.delete(url)
+    client.post(f"{url}/stop")
     for path in ("/trace", "/results"):
         assert client.get(url + path).status_code in (200, 404), path
 
@@ -284,7 +285,13 @@ def test_keys(make_client, tmp_path, estimation):
     url = made.headers["location"]
     bearer = {"Authorization": "Bearer key of anna"}
     assert client.get(url, headers=bearer).status_code == 200
-    for verb, path in (("GET", ""), ("GET", "/trace"), ("GET", "/results"), ("DELETE", "")):
+    for verb, path in (
+        ("GET", ""),
+        ("GET", "/trace"),
+        ("GET", "/results"),
+        ("DELETE", ""),
+        ("POST", "/stop"),
+    ):
         answer = client.request(verb, url + path, headers=boris)
         assert answer.json()["type"].endswith("no-such-job"), path
     assert client.get("/jobs", headers=boris).json()["jobs"] == []
@@ -294,8 +301,8 @@ def test_keys(make_client, tmp_path, estimation):
     assert (again.status_code, again.headers["location"]) == (201, url)
     second = client.post("/jobs", json=slow, headers=boris)
     assert second.status_code == 201
-    client.delete(url, headers=anna)
-    client.delete(second.headers["location"], headers=boris)
+    client.post(f"{url}/stop", headers=anna)
+    client.post(f"{second.headers['location']}/stop", headers=boris)
 
 
 def test_without_keys_only_loopback(make_client, tmp_path):

@@ -120,8 +120,9 @@ def test_numbers_json_does_not_know(client, ended):
 
 def test_unknown_things_are_404_and_problems(client):
     for method, path in [
-        ("GET", "/jobs/none"), ("DELETE", "/jobs/none"), ("GET", "/jobs/none/trace"),
-        ("GET", "/jobs/none/results"), ("GET", "/nothing"), ("GET", "/jobs/..%2f..%2fetc"),
+        ("GET", "/jobs/none"), ("DELETE", "/jobs/none"), ("POST", "/jobs/none/stop"),
+        ("GET", "/jobs/none/trace"), ("GET", "/jobs/none/results"), ("GET", "/nothing"),
+        ("GET", "/jobs/..%2f..%2fetc"),
     ]:  # fmt: skip
         answer = client.request(method, path)
         assert answer.status_code == answer.json()["status"] == 404, path
@@ -153,7 +154,7 @@ def test_limits(make_client, estimation, long):
     full = client.post("/jobs", json=small)
     assert full.status_code == 429
     assert int(full.headers["retry-after"]) > 0
-    client.delete(first.headers["location"])
+    client.post(f"{first.headers['location']}/stop")
     assert client.post("/jobs", json=small).status_code == 201
 
 
@@ -165,7 +166,7 @@ def test_studies_cost_no_more_than_allowed(make_client, estimation):
     def post(**options):
         answer = client.post("/jobs", json=estimation(**options))
         if answer.status_code == 201:
-            client.delete(answer.headers["location"])
+            client.post(f"{answer.headers['location']}/stop")
             return None
         return answer.json()["errors"][0]
 

@@ -184,7 +184,7 @@ def test_a_waiting_job_has_a_page_and_no_report(make_client, estimation):
     assert (answer.status_code, answer.json()["title"]) == (404, "result not ready")
     tasks = client.get(f"{location}/tasks").json()["tasks"]
     assert [(task["state"], task["estimate"]) for task in tasks] == [("queued", None)]
-    client.delete(location)
+    client.post(f"{location}/stop")
     assert client.get(f"{location}/report").status_code == 404
     assert client.get(f"{location}/tasks").json()["tasks"][0]["state"] == "stopped"
 

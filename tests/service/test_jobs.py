@@ -124,14 +124,32 @@ def test_results_before_the_end_cancel_and_list(client, long, wait, eventually):
     assert running["estimate"]["theta"] is not None
     assert running["estimated_end"] > running["updated"]
 
+    assert f"{url}/stop" in [link["href"] for link in running["links"] if link["rel"] == "stop"]
     answer = client.delete(url)
-    assert (answer.status_code, answer.json()["status"]) == (200, "dismissed")
+    assert (answer.status_code, answer.json()["title"]) == (409, "not ended")
+    assert f"POST {url}/stop" in answer.json()["detail"]
+    assert client.get(url).json()["status"] == "running"
+    for _ in range(2):  # the first answer may have been lost on its way
+        answer = client.post(f"{url}/stop")
+        assert (answer.status_code, answer.json()["status"]) == (200, "dismissed")
     eventually(lambda: not client.app.state.supervisor.running())
     assert client.get(f"{url}/results").json()["outcome"] == "stopped"
     assert client.delete(url).json()["status"] == "dismissed"
     assert client.get(f"{url}/results").status_code == 404
     listed = client.get("/jobs?status=dismissed").json()["jobs"]
     assert [job["jobID"] for job in listed] == [url.removeprefix("/jobs/")]
+
+
+def test_a_stop_that_comes_after_the_end_changes_nothing(client, estimation, ended):
+    url = client.post("/jobs", json=estimation()).headers["location"]
+    before = ended(client, url)
+    results = client.get(f"{url}/results").json()
+    answer = client.post(f"{url}/stop")
+    assert (answer.status_code, answer.json()) == (200, before)
+    assert client.get(f"{url}/results").json() == results
+    for _ in range(2):
+        assert "removed by the client" in client.delete(url).json()["message"]
+    assert client.get(f"{url}/results").status_code == 404
 
 
 def test_list_pages_newest_first(client, estimation, ended):
@@ -187,7 +205,7 @@ def test_all_jobs_survive_a_restart(make_client, estimation, long, ended, wait):
     assert again.get(done).json()["status"] == "successful"
     assert again.get(waiting).json()["status"] == "accepted"
     wait(again, blocking, lambda job: job["iteration"] > there)
-    again.delete(blocking)
+    again.post(f"{blocking}/stop")
     assert ended(again, waiting)["status"] == "successful"
 
 
@@ -205,7 +223,7 @@ def test_models(client):
         request = model["example"] | {"options": {"particles": 10, "iterations": 1}}
         answer = client.post("/jobs", json=request)
         assert answer.status_code == 201, answer.text
-        client.delete(answer.headers["location"])
+        client.post(f"{answer.headers['location']}/stop")
 
 
 def test_service_document_and_livez(client):
@@ -242,7 +260,7 @@ def test_estimates_are_there_before_their_standard_errors_and_stay_when_stopped(
     assert found["estimate"]["theta"]["value"] == job["estimate"]["theta"]
     assert "not there yet" in found["message"]
     assert client.get(f"{url}/report").status_code == 200
-    assert client.delete(url).json()["status"] == "dismissed"
+    assert client.post(f"{url}/stop").json()["status"] == "dismissed"
     stopped = client.get(f"{url}/results").json()
     assert stopped == found
     assert client.get(url).json()["links"] != []

@@ -68,8 +68,8 @@ def test_metrics_of_queue_workers_durations_iterations_and_failures(
     wait(client, running, lambda job: job["iteration"] >= 3)
     second = samples(client.get("/metrics").text)
     assert second["rbps_iterations_total"] >= first["rbps_iterations_total"] + 1 >= 7
-    client.delete(waiting)
-    client.delete(running)
+    client.post(f"{waiting}/stop")
+    client.post(f"{running}/stop")
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ def test_document_lists_every_call(client):
     assert {
         ("get", "/models"), ("get", "/models/{name}"), ("post", "/jobs"), ("get", "/jobs"),
         ("get", "/jobs/{job_id}"), ("delete", "/jobs/{job_id}"), ("get", "/jobs/{job_id}/trace"),
-        ("get", "/jobs/{job_id}/results"), ("get", "/livez"),
+        ("post", "/jobs/{job_id}/stop"), ("get", "/jobs/{job_id}/results"), ("get", "/livez"),
     } <= calls  # fmt: skip
 
 

@@ -18,6 +18,7 @@ def test_names_of_others_are_not_answered(client, host):
         ("GET", "/"),
         ("GET", "/jobs"),
         ("DELETE", "/jobs/none"),
+        ("POST", "/jobs/none/stop"),
         ("GET", "/livez"),
     ):
         answer = client.request(method, path, headers={"Host": host})
@@ -52,7 +53,7 @@ def test_its_own_pages_do(client):
     own = {"Origin": str(client.base_url).rstrip("/")}
     answer = client.post("/jobs/upload", data=REQUEST, files=FILES, headers=own)
     assert answer.status_code == 201
-    assert client.delete(answer.headers["location"], headers=own).status_code == 200
+    assert client.post(f"{answer.headers['location']}/stop", headers=own).status_code == 200
 
 
 def test_further_names(make_client):

@@ -55,7 +55,7 @@ def test_a_file_that_changes_while_its_job_waits(spawn, folder, request_, long, 
     first = client.post("/jobs", json=long).headers["location"]  # the only worker has it
     url = client.post("/jobs", json=request_).headers["location"]
     (folder / "mine.py").write_text(MINE.replace('"c", 0.5', '"c", 0.7'))
-    client.delete(first)
+    client.post(f"{first}/stop")
     job = ended(client, url)
     assert job["status"] == "failed"
     assert "is not the one this job was made with" in job["message"]

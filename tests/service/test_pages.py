@@ -212,7 +212,7 @@ def test_held_out_data_in_a_file(client):
     asked = client.get(f"{answer.headers['location']}/request").json()
     assert len(asked["series"]) == 1
     assert asked["test"]["y"] == [[v] for v in y[30:]]
-    client.delete(answer.headers["location"])
+    client.post(f"{answer.headers['location']}/stop")
 
 
 def test_vendored_files_say_what_they_are():

@@ -93,7 +93,7 @@ def test_good_and_broken_and_misbehaving_models(service, workers, dead, ended, e
     url = client.post("/jobs", json=request).headers["location"]
     wait(client, url, lambda job: job["status"] == "running")
     (worker,) = eventually(lambda: workers(service.process.pid))
-    assert client.delete(url).json()["status"] == "dismissed"
+    assert client.post(f"{url}/stop").json()["status"] == "dismissed"
     eventually(lambda: dead(worker))
 
     causes = client.get("/metrics").text

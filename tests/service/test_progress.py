@@ -141,12 +141,12 @@ def made(store):
 
 @pytest.mark.parametrize("database", ["sqlite"], indirect=True)
 def test_stopped_by_whom_and_where(store: Store, made):
-    assert store.dismiss(made).message.startswith("stopped by you before it began")
+    assert store.stop(made).message.startswith("stopped by you before it began")
     store.resume(made)
     attempt = store.claim("here")
     store.record(attempt, 40, {})
     assert store.job(made).stage == "iterations"
-    row = store.dismiss(made)
+    row = store.stop(made)
     assert (
         row.message
         == "stopped by you at iteration 40; what it had computed is kept, and it can go on"

@@ -15,7 +15,7 @@ def ended(store, how="finish"):
     made = store.create("estimate", "linear-2", {"y": [1, 2]}, 10)
     attempt = store.claim("a")
     store.record(attempt, 1, {1: np.ones(5)}, {"theta": 0.5}, 1.0)
-    getattr(store, how)(*((made,) if how == "dismiss" else (attempt, {"detail": "x"})))
+    getattr(store, how)(*((made,) if how == "stop" else (attempt, {"detail": "x"})))
     return made
 
 
@@ -36,7 +36,7 @@ class Clocks:
 
 
 def test_data_go_after_their_time(store):
-    old = {ended(store, how): how for how in ("finish", "fail", "dismiss")}
+    old = {ended(store, how): how for how in ("finish", "fail", "stop")}
     finished = store.job(next(iter(old))).finished
     clocks = Clocks(finished)
     retention = Retention(store, 2.0, clocks.clock, clocks.wall)
@@ -47,7 +47,7 @@ def test_data_go_after_their_time(store):
     assert retention.look() == 3
     for made, how in old.items():
         job = store.job(made)
-        assert job.status == {"finish": "successful", "fail": "failed", "dismiss": "dismissed"}[how]
+        assert job.status == {"finish": "successful", "fail": "failed", "stop": "dismissed"}[how]
         assert (job.removed, job.estimate) == (1, None)
         assert store.document(job.seq, "request") is store.document(job.seq, "result") is None
         assert store.rows(job.seq)[0] == []
@@ -127,8 +127,8 @@ def test_a_full_disk_can_be_freed(small_disk):
     store.close()  # and a service that is started now has no more room
     store = Store(f"sqlite:///{small_disk}/rbps.sqlite")
     for job in made:
-        assert store.dismiss(job).status == "dismissed"
-        assert store.dismiss(job).removed == 1
+        assert store.stop(job).status == "dismissed"
+        assert store.remove(job).removed == 1
     create()
     assert store.document(store.job(made[-1]).seq, "request")
     with store._engine.connect() as sql:  # what is in the journal goes into the file

@@ -67,7 +67,7 @@ def test_a_heartbeat_that_went_on_meanwhile_is_no_loss(store):
 def test_the_store_of_an_earlier_version_is_taken_over(store):
     waiting = store.create("estimate", "linear-2", {"n": 1}, 10)
     dismissed = store.create("estimate", "linear-2", {"n": 1}, 10)
-    store.dismiss(dismissed)
+    store.stop(dismissed)
     with store._engine.begin() as sql:
         for table, column in (
             ("tasks", "beat"),
@@ -215,7 +215,7 @@ def test_limits_of_the_queue_and_who_is_not_counted_by_them(store):
     store.create("simulate", "m", {}, 1, owner="b", most=[(None, 3), ("b", 2)])
     with pytest.raises(Problem, match="3 jobs wait"):
         store.create("simulate", "m", {}, 1, owner="c", most=[(None, 3), ("c", 2)])
-    store.dismiss(first)
+    store.stop(first)
     store.create("simulate", "m", {}, 1, owner="a", most=most)
     with pytest.raises(Problem, match="jobs wait"):
         store.resume(first, most)
@@ -246,7 +246,7 @@ WRITERS = {
     "fail": lambda store, attempt: store.fail(attempt, {"detail": "no"}),
     "lost": lambda store, attempt: store.lost(attempt, "killed", 2),
     "expire": lambda store, attempt: store.expire({attempt.token: 1}, 2),
-    "dismiss": lambda store, attempt: store.dismiss(attempt.job_id),
+    "stop": lambda store, attempt: store.stop(attempt.job_id),
     "keep": lambda store, attempt: store.keep(attempt, 0, "part", ran=1.0),
     "take": lambda store, attempt: store.take(attempt.token),
 }
@@ -369,13 +369,13 @@ def is_lost(store, made):
 
 def is_stopped(store, made):
     attempt = begun(store)
-    assert store.dismiss(made)
+    assert store.stop(made)
     assert not store.record(attempt, 2, {2: np.ones(5)})
     return [0, 1]
 
 
 def is_stopped_in_the_queue(store, made):
-    assert store.dismiss(made)
+    assert store.stop(made)
     return []
 
 
@@ -410,20 +410,23 @@ def test_a_stopped_job_keeps_its_data_and_a_removed_one_does_not(store):
     attempt = store.claim("a")
     assert store.record(attempt, 1, {0: np.zeros(5), 1: np.ones(5)}, {"theta": 0.5}, 1.0)
     assert store.keep(attempt, 0, "part")
-    assert (store.dismiss(made).status, store.job(made).removed) == ("dismissed", 0)
+    with pytest.raises(Problem, match="running; stop it first"):
+        store.remove(made)
+    for _ in range(2):
+        assert (store.stop(made).status, store.job(made).removed) == ("dismissed", 0)
     assert not store.holds(attempt)
     assert not store.record(attempt, 2, {2: np.zeros(5)})
     assert store.document(attempt.job, "request") == b'{"y":[1,2]}'
     assert store.kept(attempt.job) == ["part"]
     assert (store.rows(attempt.job)[0], store.job(made).estimate) == ([0, 1], '{"theta":0.5}')
 
-    assert (store.dismiss(made).status, store.job(made).removed) == ("dismissed", 1)
+    assert (store.remove(made).status, store.job(made).removed) == ("dismissed", 1)
     assert store.document(attempt.job, "request") is None
     assert store.kept(attempt.job) == []
     assert (store.rows(attempt.job)[0], store.job(made).estimate) == ([], None)
-    assert store.resume(made).status == store.dismiss(made).status == "dismissed"
+    assert store.resume(made).status == store.stop(made).status == "dismissed"
     assert store.claim("a") is None
-    assert store.dismiss("none") is None
+    assert store.stop("none") is store.remove("none") is None
     assert store.resume("none") is None
     assert store.counts() == {"dismissed": 1}
     store.check()

@@ -185,7 +185,7 @@ def test_a_key_that_comes_later_is_not_kept_waiting(make_client, tmp_path, long,
     assert before["status"] == "running"
     assert before["iteration"] >= 1
     wait(Caller(anna), slow, lambda job: job["iteration"] > before["iteration"])
-    anna("DELETE", slow)
+    anna("POST", f"{slow}/stop")
 
 
 @pytest.mark.slow
