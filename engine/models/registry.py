@@ -8,14 +8,15 @@ files change.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from threading import RLock
+from typing import TypeAlias
 
 from engine.errors import EngineError, ModelError, OptionError
-from engine.models.files import ModelFile, files_of, in_file, read_models
+from engine.models.files import files_of, in_file, read_models, stamps_of
 from engine.statespace.checks import check_model
 from engine.statespace.model import MixedModel
 
@@ -25,13 +26,55 @@ OF_A_FOLDER = (
 )
 
 
+@dataclass(frozen=True)
+class Read:
+    """The checked models of a file, or why it cannot be used.
+
+    ``stamps`` are those of ``files`` when they were read, ``digest`` is their SHA-256.
+    """
+
+    models: Sequence[MixedModel]
+    files: tuple[Path, ...]
+    stamps: tuple[object, ...]
+    digest: str = ""
+    error: str = ""
+
+    @property
+    def changed(self) -> bool:
+        """Whether a file is not what it was."""
+        return stamps_of(self.files) != self.stamps
+
+
+# What reads the models of a file that have certain names; "" is the only one, OF_A_FOLDER all there are.
+Reader: TypeAlias = Callable[[Path, Collection[str]], Read]
+
+
+def read_here(path: Path, names: Collection[str]) -> Read:
+    """Import a file in this process and check its models."""
+    cannot = not_read(path)
+    try:
+        found = read_models(path)
+        every = [*found.models] if {"", OF_A_FOLDER}.intersection(names) else []
+        named = sorted({*names}.difference(every, {OF_A_FOLDER}, {""} if every else ()))
+        models = [found.model(name) for name in [*every, *named]]
+        return Read(models, found.files, found.stamps, found.digest)
+    except EngineError as error:
+        return replace(cannot, error=str(error))
+
+
+def not_read(path: Path, error: str = "") -> Read:
+    """A file that cannot be used, until it or something beside it changes: what it imports is not known."""
+    files = (path, path.parent, *sorted(path.parent.glob("*.py")))
+    return Read((), files, stamps_of(files), error=error)
+
+
 @dataclass
 class Own:
     """What :func:`register_files` was given, and what was read of it."""
 
-    references: list[str] = field(default_factory=list)
-    read: dict[Path, ModelFile] = field(default_factory=dict)
-    names: dict[Path, list[str]] = field(default_factory=dict)  # of the models of each file
+    references: dict[str, Reader] = field(default_factory=dict)
+    read: dict[Path, Read] = field(default_factory=dict)
+    names: dict[Path, list[str]] = field(default_factory=dict)  # of the models of each usable file
     errors: dict[Path, str] = field(default_factory=dict)  # why a file cannot be used
 
 
@@ -64,6 +107,7 @@ def register(model: MixedModel, replace: bool = False) -> MixedModel:
     """
     with _lock:
         _load()
+        check_model(model)
         return _register(model, replace)
 
 
@@ -73,7 +117,7 @@ def get_model(name: str) -> MixedModel:
         _load()
         _read_files()
         if name not in _models:
-            broken = "".join(f". {text}" for text in _own.errors.values())
+            broken = "".join(f". {text}" for text in _file_errors().values())
             raise OptionError(
                 f"no model is registered as '{name}'; there are {', '.join(sorted(_models))}{broken}",
                 "model",
@@ -106,17 +150,23 @@ def plugin_errors() -> dict[str, str]:
     with _lock:
         _load()
         _read_files()
-        own = {path.name: text.replace(str(path), path.name) for path, text in _own.errors.items()}
-        return {**_plugin_errors, **own}
+        return {**_plugin_errors, **_file_errors()}
 
 
-def register_files(references: Sequence[str]) -> list[str]:
+def _file_errors() -> dict[str, str]:
+    """Why files cannot be used, by their names: their places are nobody's business but the operator's."""
+    return {path.name: text.replace(f"{path.parent}/", "") for path, text in _own.errors.items()}
+
+
+def register_files(references: Sequence[str], reader: Reader = read_here) -> list[str]:
     """Make models of Python files known by their names, and read the files again where they change.
 
     Parameters
     ----------
     references : sequence of str
         Each ``path/to/file.py:name``, a file with all its models, or a folder with all its files.
+    reader : callable
+        What reads a file that is new or has changed; by default it is imported in this process.
 
     Returns
     -------
@@ -132,9 +182,9 @@ def register_files(references: Sequence[str]) -> list[str]:
     """
     with _lock:
         _load()
-        before = list(_own.references)
+        before = dict(_own.references)
         try:
-            _own.references += [one for one in references if files_of(one)]
+            _own.references |= {one: reader for one in references if files_of(one)}
             _read_files()
             for reference in references:
                 parts = in_file(reference)
@@ -169,43 +219,42 @@ def source_of(name: str) -> str | None:
 
 def _read_files() -> None:
     """Read the files that are new or not what they were, and forget those that have gone."""
-    wanted: dict[Path, set[str]] = {}
-    _own.errors.clear()  # what cannot be used is read again below
-    for reference in _own.references:
+    wanted: dict[Path, tuple[set[str], Reader]] = {}
+    _own.errors.clear()  # those of files that are still as they were are told again below
+    for reference, reader in _own.references.items():
         parts = in_file(reference)
         try:
             for file in files_of(reference):
-                wanted.setdefault(file, set()).add(parts[1] if parts else OF_A_FOLDER)
+                wanted.setdefault(file, (set(), reader))[0].add(parts[1] if parts else OF_A_FOLDER)
         except OptionError as error:  # it has been there
             _own.errors[(parts[0] if parts else Path(reference)).absolute()] = str(error)
     for path in [*_own.read]:
         if path not in wanted or _own.read[path].changed:
-            _forget(path)
-    for path, names in wanted.items():
+            _unregister(path)
+            del _own.read[path]
+    for path, (names, reader) in wanted.items():
         if path not in _own.read:
-            _read_file(path, names)
+            _own.read[path] = reader(path, names)
+        if path not in _own.names:
+            _register_file(path)
 
 
-def _read_file(path: Path, names: set[str]) -> None:
-    """Register a file's models; why that cannot be is kept."""
-    _own.names[path] = []
+def _register_file(path: Path) -> None:
+    """Register the models that were read of a file; why that cannot be is kept."""
+    found, _own.names[path] = _own.read[path], []
     try:
-        found = read_models(path)
-        every = [*found.models] if names & {"", OF_A_FOLDER} else []
-        named = sorted(names.difference(every, {OF_A_FOLDER}, {""} if every else ()))
-        for name in [*every, *named]:
-            model = _register(found.model(name), replace=False)
-            _own.names[path].append(model.name)
-        _own.read[path] = found
+        if found.error:
+            raise ModelError(found.error)
+        for model in found.models:
+            _own.names[path].append(_register(model, replace=False).name)
     except EngineError as error:
-        _forget(path)
+        _unregister(path)
         _own.errors[path] = str(error)
 
 
-def _forget(path: Path) -> None:
+def _unregister(path: Path) -> None:
     for name in _own.names.pop(path, ()):
         _models.pop(name, None)
-    _own.read.pop(path, None)
 
 
 def _register(model: MixedModel, replace: bool) -> MixedModel:
@@ -214,7 +263,6 @@ def _register(model: MixedModel, replace: bool) -> MixedModel:
             f"a model named '{model.name}' is already registered; choose another name or "
             "pass replace=True"
         )
-    check_model(model)
     _models[model.name] = model
     return model
 
@@ -235,6 +283,7 @@ def _load() -> None:
             if callable(offered) and not isinstance(offered, MixedModel):
                 offered = offered()
             for model in _several(offered):
+                check_model(model)
                 _register(model, replace=False)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's package may do anything
             _plugin_errors[point.name] = f"{type(error).__name__}: {error}"

@@ -69,8 +69,11 @@ def test_registered_ones_are_read_again_when_their_file_changes(tmp_path):
     assert after.parameters[0].default == 0.7
     assert registry.source_of("valve") != first
     path.write_text("a b")
-    with pytest.raises(OptionError, match=r"no model is registered as 'valve'.*SyntaxError"):
+    with pytest.raises(
+        OptionError, match=r"no model is registered as 'valve'.*SyntaxError"
+    ) as told:
         registry.get_model("valve")
+    assert str(tmp_path) not in str(told.value)
     assert "SyntaxError" in registry.plugin_errors()["valve.py"]
     assert str(tmp_path) not in registry.plugin_errors()["valve.py"]
     write(tmp_path, "valve")
