@@ -17,7 +17,9 @@ from service.api import router
 from service.auth import KeyFirst, Keys, check_exposure
 from service.limits import BodyLimit
 from service.origins import Origins
-from service.runner import GUARD, LocalRunner, Runner
+from service.own_models import OwnModels
+from service.processes import GUARD
+from service.runner import LocalRunner, Runner
 from service.settings import Settings
 from service.store import Store
 from service.supervisor import Supervisor
@@ -36,7 +38,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     settings = settings or Settings.from_env()
     # a worker on another machine has another working folder
     settings = replace(settings, models=",".join(settings.own_models))
-    register_files(settings.own_models)
+    register_files(settings.own_models, OwnModels(settings).read)
     keys = Keys(settings.keys_file)
     check_exposure(settings, keys)
     store = Store(settings.store_url)

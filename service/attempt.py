@@ -11,14 +11,11 @@ import contextlib
 import json
 import logging
 import os
-import resource
-import signal
 import threading
 import time
 from collections.abc import Sequence
 from importlib.metadata import version
 from multiprocessing import connection, parent_process
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -33,6 +30,7 @@ from service.db_schema import ITERATIONS
 from service.logs import configure
 from service.orphans import die_with_parent
 from service.problems import Problem, unexpected
+from service.processes import STORE_FAILED, settle
 from service.store import Store
 from service.transitions import Attempt
 from service.validation import load
@@ -43,7 +41,6 @@ _ENDS = {
     True: "task %d is done, its result is written",
     False: "task %d was computed to its end, but is not this attempt's any more",
 }
-STORE_FAILED = 75  # exit code: the store could not be used; another attempt may be luckier
 FLUSH_SECONDS = 0.1  # iterations faster than this are written several at a time
 
 
@@ -54,13 +51,7 @@ def main(url: str, attempt: Attempt, memory: int = 0, models: Sequence[str] = ()
     """
     configure()
     _die_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the service's to handle
-    os.nice(5)  # requests are answered while all cores compute
-    # short of memory, the system ends this process, not the service
-    with contextlib.suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text("500")
-    if memory:
-        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    settle(memory)
     for one in models:  # the job's own is missed by its name, with the reason
         with contextlib.suppress(EngineError):
             register_files([one])

@@ -7,23 +7,19 @@ it happens. A killed worker loses its own attempt and nothing else, which shared
 from __future__ import annotations
 
 import logging
-import multiprocessing
-import os
-import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from multiprocessing import connection, resource_tracker
-from multiprocessing.context import ForkServerContext
+from multiprocessing import connection
 from multiprocessing.process import BaseProcess
 from typing import Protocol
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.attempt import STORE_FAILED, main
+from service.attempt import main
 from service.clocks import Awake
-from service.lasting import Lasting
 from service.problems import Problem
+from service.processes import cause_of_end, joined, kill, start
 from service.settings import Settings
 from service.store import Store
 from service.transitions import Attempt
@@ -31,11 +27,6 @@ from service.transitions import Attempt
 log = logging.getLogger("service")
 
 POLL_SECONDS = 0.25  # how soon a cancelled job's process is killed
-START_TRIES = 3
-GUARD = "create_app() and uvicorn.run() belong under `if __name__ == '__main__':`"
-# The forkserver is killed when the thread that started it ends (``preload``): one that lasts.
-_starter = Lasting("starter")
-_starting = threading.Lock()  # multiprocessing polls all children when it starts one
 
 
 class Runner(Protocol):
@@ -135,12 +126,12 @@ def watch(store: Store, attempt: Attempt, settings: Settings, stopping: threadin
     try:
         cause = _until_end(store, attempt, settings, stopping, process)
     finally:
-        _kill(process)
+        kill(process)
     try:
         if cause is not None:
             cause()
         elif store.holds(attempt):  # ended without a word to the store
-            store.lost(attempt, _cause_of_end(process), settings.losses_allowed)
+            store.lost(attempt, cause_of_end(process), settings.losses_allowed)
     except SQLAlchemyError:  # nobody beats for it any more, and the task is queued again
         log.exception("the end of the attempt could not be written", extra=job)
     log.info("attempt ended, exit code %s", process.exitcode, extra=job)
@@ -150,51 +141,17 @@ def _started(store: Store, attempt: Attempt, settings: Settings) -> BaseProcess:
     """Spawn; the heartbeat goes on meanwhile, for a new forkserver has to load the engine first."""
     with ThreadPoolExecutor(1) as pool:
         work = (store.url, attempt, settings.worker_memory, settings.own_models)
-        process = pool.submit(_start, main, work)
+        process = pool.submit(start, main, work)
         while wait([process], settings.lease_seconds / 4).not_done:
             store.renew(attempt)
         return process.result()
 
 
-def _context() -> ForkServerContext:
-    """Processes forked from a server that has the engine loaded and only one thread."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[name] = "1"  # the forkserver inherits them
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["service.preload"])
-    return context
-
-
 def warm_up() -> None:
     """Return when the forkserver has the engine loaded; says so if workers cannot start."""
-    process = _start(int, ())
-    with _starting:
-        process.join()
+    process = joined(start(int, ()))
     if process.exitcode:
-        log.error("no job will be computed: %s", _cause_of_end(process))
-
-
-def _start(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
-    """Start a process; a forkserver that was killed is replaced by the next try."""
-    for tries_left in reversed(range(START_TRIES)):
-        try:
-            return _starter(_begin, target, args)
-        except (OSError, EOFError):
-            if not tries_left:
-                raise
-            threading.Event().wait(0.1)  # under a faked clock time.sleep may fail
-    raise AssertionError("unreachable")
-
-
-def _begin(target: Callable[..., object], args: tuple[object, ...]) -> BaseProcess:
-    with _starting:
-        process = _context().Process(target=target, args=args, daemon=True)
-        # Ctrl-C reaches all processes of a terminal and is the service's to handle: the forkserver inherits
-        # that this thread hears nothing of it. The tracker goes first, for its start lets the thread hear.
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        process.start()
-    return process
+        log.error("no job will be computed: %s", cause_of_end(process))
 
 
 def _until_end(
@@ -227,21 +184,3 @@ def _until_end(
         if not mine:
             return lambda: None
     return None
-
-
-def _kill(process: BaseProcess) -> None:
-    process.kill()
-    with _starting:
-        process.join()
-
-
-def _cause_of_end(process: BaseProcess) -> str:
-    """Why a worker process ended without a word to the store."""
-    code = process.exitcode
-    if code is not None and code < 0:
-        hint = " (the system may have run out of memory)" if code == -9 else ""
-        return f"the worker process was killed by signal {-code}{hint}"
-    if code == STORE_FAILED:
-        return "the store could not be written (its disk may be full)"
-    hint = f" (the log says why; in a script of your own, {GUARD})" if code == 1 else ""
-    return f"the worker process ended with exit code {code}{hint}"

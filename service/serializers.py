@@ -19,6 +19,7 @@ from service.schemas import ModelReference
 from service.strict_json import finite
 
 AFTER_ITERATIONS = 70  # per cent
+CHECK, EXAMPLE = "check", "example"  # what is kept with a model of its document
 
 
 def job_status(row: Any, has_estimates: bool = False) -> JobStatus:
@@ -126,21 +127,21 @@ def model(model: MixedModel, reference: ModelReference | None = None) -> ModelOu
     name = reference.name if reference else model.name
     with_effects = {"model": reference.model_dump()} if reference else {}
     link = Link(href=f"/models/{name}", rel="self" if reference is None else "base")
-    example = _example(name) | with_effects
+    shown = example(engine.get_model(name)) | with_effects
     return ModelOut(
         **{**members(model), "name": name},
         own=source_of(name) is not None,
-        check=list(_check(model)),
-        example=example,
+        check=list(check(model)),
+        example=shown,
         links=[link],
     )
 
 
-def _check(model: MixedModel) -> Sequence[str]:
+def check(model: MixedModel) -> Sequence[str]:
     """What the check of the model says, looked at once."""
-    if "check" not in model.derived:
-        model.derived["check"] = model_check(model)
-    found: Sequence[str] = model.derived["check"]
+    if CHECK not in model.derived:
+        model.derived[CHECK] = model_check(model)
+    found: Sequence[str] = model.derived[CHECK]
     return found
 
 
@@ -167,22 +168,22 @@ def members(model: MixedModel) -> dict[str, Any]:
     }
 
 
-def _example(name: str) -> dict[str, Any]:
+def example(model: MixedModel) -> dict[str, Any]:
     """An estimation on simulated data, made once."""
-    model, T = engine.get_model(name), 20
-    if "example" in model.derived:
-        return dict(model.derived["example"])
+    if EXAMPLE in model.derived:
+        return dict(model.derived[EXAMPLE])
+    T = 20
     u = np.ones((T, model.nu)) if model.nu else None
     try:
         y = engine.simulate(model, None, T, np.random.default_rng(0), u=u).y
     except Exception:  # noqa: BLE001 - a stranger's model; its document is shown all the same
         y = np.zeros((T, model.ny))
     series = {"y": np.round(y, 6).tolist(), "dt": 1.0}
-    model.derived["example"] = {
+    model.derived[EXAMPLE] = {
         "kind": "estimate",
-        "model": name,
+        "model": model.name,
         "series": [series | ({"u": u.tolist()} if u is not None else {})],
         "parameters": {"start": model.theta().asdict()},
         "options": {"particles": 50, "iterations": 20, "seed": 1},
     }
-    return dict(model.derived["example"])
+    return dict(model.derived[EXAMPLE])

@@ -33,6 +33,7 @@ class Settings:
     hosts: str = ""  # without keys: further names to answer to, with commas between
 
     models: str = ""  # own models, with commas between: file.py:name, file.py, or a folder of files
+    model_seconds: float = 20.0  # how long a file of own models may take to be looked at
 
     dask_scheduler: str = ""  # address of a Dask scheduler; without it, attempts run here
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)  # attempts at once
@@ -62,7 +63,9 @@ class Settings:
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"setting port = {self.port}; it must be 0 to 65535")
-        seconds = [f"{what}_seconds" for what in ("lease", "run", "turn", "body", "header")]
+        seconds = [
+            f"{what}_seconds" for what in ("model", "lease", "run", "turn", "body", "header")
+        ]
         for name in ("workers", "max_body", "max_queue", "max_connections", *seconds):
             if not getattr(self, name) > 0:
                 raise ValueError(f"setting {name} = {getattr(self, name)}; it must be positive")

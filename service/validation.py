@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -38,6 +38,8 @@ from service.schemas import (
 from service.settings import Settings
 
 ADAPTER: TypeAdapter[Request] = TypeAdapter(JobRequest)
+ELSEWHERE = "elsewhere"  # with a model whose functions are not here: what calls them where they are
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -205,7 +207,18 @@ def extended(
     """A model with the effects of a reference to it. Raises EngineError."""
     if not reference.effects:
         return model
-    return extend(model, reference.effects, _given(reference, model) or known(model))
+    return _called(_extended, model, reference.effects, _given(reference, model) or known(model))
+
+
+def _extended(model: MixedModel, effects: Sequence[str], setting: Setting | None) -> MixedModel:
+    return extend(model, effects, setting and replace(setting, model=model))
+
+
+def _called(call: Callable[..., T], model: MixedModel, *args: Any) -> T:
+    """``call(model, *args)``, where the model's functions are, see :mod:`service.own_models`."""
+    there = model.derived.get(ELSEWHERE)
+    found: T = call(model, *args) if there is None else there(call, *args)
+    return found
 
 
 def _given(reference: ModelReference, model: MixedModel) -> Setting | None:
@@ -262,9 +275,17 @@ def _check_design(request: DesignRequest, model: MixedModel, theta: Theta) -> No
             raise OptionError("bounds.dt is missing: the time between samples, s", "bounds.dt")
         causes = options.model_dump()["causes"]
         free = request.parameters.free
-        before_any(model, causes, theta, bounds.dt, free, options.alarm, options.measured)
+        _called(
+            _check_causes, model, causes, theta, bounds.dt, free, options.alarm, options.measured
+        )
     except OptionError as error:
         raise invalid(f"options.{error.field or 'causes'}", str(error)) from None
+    except EngineError as error:
+        raise invalid("options.causes", str(error)) from None
+
+
+def _check_causes(*args: Any) -> None:
+    before_any(*args)
 
 
 def check_effects(effects: Sequence[str] | None) -> None:

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from service import runner
+from service import processes, runner
 from service.app import create_app
 from service.lasting import Lasting
 from service.settings import Settings
@@ -52,12 +52,12 @@ def test_a_runner_that_is_warm_before_there_is_a_supervisor(tmp_path, monkeypatc
     assert failed == []
 
 
-@pytest.mark.parametrize("times", [1, runner.START_TRIES])
+@pytest.mark.parametrize("times", [1, processes.START_TRIES])
 def test_a_forkserver_that_is_killed_while_it_loads(store, monkeypatch, times):
     """It is replaced; where its successors die as well, the task goes back and nothing is lost."""
     failed, tries = [], []
     monkeypatch.setattr(threading, "excepthook", failed.append)
-    begin = runner._begin
+    begin = processes._begin
 
     def killed(*arguments):
         tries.append(arguments)
@@ -71,7 +71,7 @@ def test_a_forkserver_that_is_killed_while_it_loads(store, monkeypatch, times):
     store.create("simulate", "m", {}, 1)
     attempt = store.claim("x")
     with monkeypatch.context() as patched:
-        patched.setattr(runner, "_begin", killed)
+        patched.setattr(processes, "_begin", killed)
         patched.setattr("time.sleep", sleep)
         runner.watch(store, attempt, Settings(losses_allowed=0), threading.Event())
     ((task, _),) = store.tasks(attempt.job)
@@ -83,7 +83,7 @@ def test_a_forkserver_that_is_killed_while_it_loads(store, monkeypatch, times):
 
 ENDS_WHILE_IT_STARTS = """
 import concurrent.futures.thread, threading, time
-from service import runner
+from service import processes, runner
 from service.settings import Settings
 
 begun = threading.Event()
@@ -94,7 +94,7 @@ def begin(*_):
         time.sleep(0.01)
     raise EOFError("the forkserver was killed")
 
-runner._begin = begin
+processes._begin = begin
 runner.LocalRunner(None, Settings(workers=1))
 assert begun.wait(60)
 """
