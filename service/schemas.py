@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -248,6 +249,17 @@ Substeps = Annotated[
         description="steps that differential equations make from one sample to the next",
     ),
 ]
+
+
+def _spread(runs: int) -> int:
+    if runs == 1:
+        raise ValueError("1 run shows no spread; 2 or more are needed, or 0 for none")
+    return runs
+
+
+Bootstrap = Annotated[
+    int, Field(ge=0, json_schema_extra={"not": {"const": 1}}), AfterValidator(_spread)
+]
 Trajectories = Annotated[Particles | None, Field(description="null means as many as particles")]
 
 
@@ -273,8 +285,8 @@ class EstimateOptions(_Strict):
     starts: int = Field(default=1, ge=1)
     """the best of this many starts is taken. Around the first a better one is searched for; the others climb
     from where they are"""
-    bootstrap: int = Field(default=0, ge=0)
-    """standard errors from this many estimations on simulated data"""
+    bootstrap: Bootstrap = 0
+    """standard errors from this many estimations on simulated data; 0 for none"""
     substeps: Substeps = 1
 
 

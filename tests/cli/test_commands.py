@@ -194,6 +194,14 @@ class InMemory:
         return json.loads(dumps(self.results[task]))
 
 
+def test_one_run_is_no_bootstrap(rbps, flows):
+    result = rbps("fit", flows, "-m", "local-level", "--bootstrap", 1)
+    assert (result.exit_code, "--bootstrap 1: one run shows no spread" in result.stderr) == (
+        2,
+        True,
+    )
+
+
 @pytest.mark.slow
 def test_starts_and_bootstrap_are_the_services(rbps, flows):
     result = rbps("fit", flows, "-m", "local-level", "--set", "q=3000", "--free", "q,r", "--method",

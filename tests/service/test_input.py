@@ -184,6 +184,14 @@ def test_studies_cost_no_more_than_allowed(make_client, estimation):
     assert post(method="rts-em", bootstrap=10 * most) is None
 
 
+def test_one_run_is_no_bootstrap(client, estimation):
+    answer = client.post("/jobs", json=estimation(bootstrap=1))
+    assert answer.status_code == 422
+    (error,) = answer.json()["errors"]
+    assert error["field"] == "options.bootstrap"
+    assert error["message"] == "1 run shows no spread; 2 or more are needed, or 0 for none"
+
+
 def test_settings_from_the_environment():
     settings = Settings.from_env({"RBPS_PORT": "81", "RBPS_STATE_DIR": "/x", "HOME": "/"})
     assert (settings.port, settings.store_url) == (81, "sqlite:////x/rbps.sqlite")

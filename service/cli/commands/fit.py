@@ -80,7 +80,7 @@ def fit(
         typer.Option(
             metavar="N",
             min=0,
-            help="Standard errors and intervals from N estimations on simulated data instead.",
+            help="Standard errors and intervals from N >= 2 estimations on simulated data instead.",
         ),
     ] = 0,
     substeps: Annotated[
@@ -120,6 +120,10 @@ def fit(
         one_of("--method", method, ("quasi-newton", "rbps-em", "ps-em", "rts-em", "simulation"))
         one_of("--first", first, ("none", "simulation"))
         one_of("--intervals", intervals, ("symmetric", "likelihood-ratio"))
+        if bootstrap == 1:
+            raise wrong(
+                "--bootstrap 1: one run shows no spread; 2 or more are needed, or 0 for none"
+            )
         if method == "simulation":
             for unused in (
                 "first", "starts", "bootstrap", "iterations", "particles", "trajectories", "intervals",
