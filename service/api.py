@@ -34,7 +34,7 @@ from service.responses import (
     Results,
     Trace,
 )
-from service.schemas import JobRequest, LabelsIn, ModelReference, Request
+from service.schemas import JobRequest, LabelsIn, ModelReference, Request, ResumeIn
 from service.settings import Settings
 from service.store import ENDED, Store, Which
 from service.strict_json import dumps
@@ -242,14 +242,14 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
     @api.post(
         "/jobs/{job_id}/resume",
         summary="Go on with a failed or stopped job from its checkpoint",
-        responses=problem_answers(404, 409, 429),
+        responses=unread | problem_answers(404, 409, 429),
     )
-    def resume(caller: Caller, job_id: JobId) -> JobStatus:
+    def resume(caller: Caller, job_id: JobId, limit: ResumeIn | None = None) -> JobStatus:
         row = find(job_id, caller)
         if row.status == "successful" or row.removed:
             why = "its data are gone" if row.removed else "it is successful"
             raise Problem(409, "nothing-to-resume", f"job '{job_id}' cannot go on: {why}")
-        row = store.resume(job_id, limits(caller))
+        row = store.resume(job_id, limits(caller), None if limit is None else limit.run_seconds)
         supervisor.wake()
         return serializers.job_status(row)
 

@@ -10,7 +10,7 @@ import numpy as np
 from engine.presentation.examination import estimate_document, model_document
 from service import serializers
 from service.auth import Keys
-from service.problems import Problem
+from service.problems import OUT_OF_TIME, Problem
 from service.store import Store
 from service.transitions import PRELIMINARY
 from service.validation import load
@@ -26,7 +26,7 @@ def find_job(store: Store, keys: Keys, job_id: str, caller: str) -> Any:
 
 def find_result(store: Store, row: Any) -> bytes:
     """The JSON text of a job's result. Raises Problem: why it failed, or that there is none."""
-    if row.status == "failed":
+    if row.status == "failed" and not has_estimates(store, row):
         raise Problem.of(json.loads(row.problem))
     if row.removed:
         raise Problem(404, "dismissed", f"of job '{row.id}' {row.message}")
@@ -44,8 +44,13 @@ def find_result(store: Store, row: Any) -> bytes:
 
 def has_estimates(store: Store, row: Any) -> bool:
     """Whether a job that is not successful has a result so far: without standard errors, without causes."""
-    open_ = row.status in ("accepted", "running", "dismissed") and not row.removed
-    return open_ and store.has_document(row.seq, PRELIMINARY)
+    open_ = row.status in ("accepted", "running") or _ended_early(row)
+    return open_ and not row.removed and store.has_document(row.seq, PRELIMINARY)
+
+
+def _ended_early(row: Any) -> bool:
+    """Whether its owner, or its time, ended the job: what it has reached is worth having."""
+    return bool(row.status == "dismissed" or (row.status == "failed" and row.cause == OUT_OF_TIME))
 
 
 def parameter_names(store: Store, row: Any) -> list[str]:
@@ -62,8 +67,8 @@ def parameter_names(store: Store, row: Any) -> list[str]:
 
 
 def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
-    """What a stopped estimation has reached, by its best start; None where there is nothing."""
-    if row.kind != "estimate" or row.status != "dismissed" or row.removed:
+    """What an estimation that ended early has reached, by its best start; None where there is nothing."""
+    if row.kind != "estimate" or not _ended_early(row) or row.removed:
         return None
     starts = json.loads(row.stages)[0]
     reached = [
@@ -77,12 +82,14 @@ def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
     job = load(request)
     ks, rows = store.rows(row.seq, -max(reached)[1])
     theta = rows[-1][: len(job.model.parameters)]
+    more = f"; POST /jobs/{row.id}/resume with more run_seconds goes on"
+    why = f": {row.message.partition(';')[0]}{more}" if row.status == "failed" else ""
     return {
         "model": model_document(job.model),
         "estimate": estimate_document(
             job.model, theta, job.free or job.model.parameter_names, None
         ),
         "outcome": "stopped",
-        "message": f"Stopped after {ks[-1]} of at most {request['options']['iterations']} iterations.",
+        "message": f"Stopped after {ks[-1]} of at most {request['options']['iterations']} iterations{why}.",
         "trace": serializers.trace(list(job.model.parameter_names), ks, rows).model_dump(),
     }

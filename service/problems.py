@@ -15,6 +15,8 @@ MEDIA_TYPE = "application/problem+json"
 _OGC = "http://www.opengis.net/def/exceptions/ogcapi-processes-1/1.0/"
 _TYPES = {kind: _OGC + kind for kind in ("no-such-job", "result-not-ready")}
 
+OUT_OF_TIME = "run-time-exceeded"  # of a job that nothing else was wrong with
+
 # What the owner of a failed job can do; DIVERGED and COLLAPSED say so themselves.
 ADVICE = {
     "computation-failed": "Check the start values, the units of the data and the time step; if they are "
@@ -23,7 +25,8 @@ ADVICE = {
     "use more particles.",
     "not-finite": "Check the parameter values, the scale of the inputs and the time step.",
     "out-of-memory": "Use fewer particles or trajectories, or split the data into shorter series.",
-    "run-time-exceeded": "Use fewer iterations, particles or starts, or allow more time (run_seconds).",
+    OUT_OF_TIME: "Resume it and allow more time (run_seconds of POST /jobs/<id>/resume): it goes on where it "
+    "was. Or use fewer iterations, particles or starts.",
     "worker-lost": "Send the job again; if it is lost again, it probably needs more memory than the machine "
     "has: use fewer particles.",
 }

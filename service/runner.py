@@ -18,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.attempt import main
 from service.clocks import Awake
-from service.problems import Problem
+from service.problems import OUT_OF_TIME, Problem
 from service.processes import cause_of_end, joined, kill, start
 from service.settings import Settings
 from service.store import Store
@@ -170,8 +170,10 @@ def _until_end(
         if stopping.is_set():
             return lambda: store.release(attempt)
         if now > left:
-            detail = f"the computation took longer than the {run_seconds:g} s it may take"
-            problem = Problem(422, "run-time-exceeded", detail).document()
+            detail = (
+                f"the computation took longer than the {run_seconds:g} s it may take; it can go on"
+            )
+            problem = Problem(422, OUT_OF_TIME, detail).document()
             return lambda: store.fail(attempt, problem)
         try:
             if now - renewed >= settings.lease_seconds / 4:

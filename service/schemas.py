@@ -347,6 +347,12 @@ class LabelsIn(_Strict):
     tags: Tags | None = None
 
 
+class ResumeIn(_Strict):
+    """How long a job may take from now on; null leaves its limit as it was."""
+
+    run_seconds: RunSeconds = None
+
+
 def _tests(value: Any) -> Any:
     if value is None:
         return []

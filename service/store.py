@@ -327,16 +327,19 @@ class Store(Attempts):
         self._reserve.fill()
         return row
 
-    def resume(self, job_id: str, most: Most = ()) -> Row[Any] | None:
+    def resume(
+        self, job_id: str, most: Most = (), run_seconds: float | None = None
+    ) -> Row[Any] | None:
         """Put a failed or dismissed job back into the queue, if its data are still there; the job.
 
+        It may take as long again as it might before, or ``run_seconds`` where they are given.
         Raises Problem 429 beyond the limits ``most``.
         """
         with self._engine.begin() as sql:
             job = self._locked(sql, job_id)
             if job is not None and job.status in ("failed", "dismissed") and not job.removed:
                 _check_room(sql, most)
-                resume(sql, job.seq)
+                resume(sql, job.seq, **({"run_seconds": run_seconds} if run_seconds else {}))
             return self._locked(sql, job_id)
 
     def purge(self, before: float) -> int:

@@ -147,13 +147,13 @@ def _checkpoints(sql: Connection, seq: int, task: int) -> int:
     return (sql.scalar(rows) or 0) + (sql.scalar(parts) or 0)
 
 
-def resume(sql: Connection, seq: int) -> None:
+def resume(sql: Connection, seq: int, **values: Any) -> None:
     """Queue what was stopped of an ended job; its losses and its time are counted anew."""
     stopped = and_(tasks.c.job == seq, tasks.c.state == "stopped")
     change_tasks(sql, stopped, state="queued", token=None, futile=0, taken=0, spent=0.0)
     message = "resumed; continues where it was"
     anew = {"stage": "", "stage_share": None, "finished": None, "problem": None, "cause": None}
-    change_job(sql, seq, status="accepted", updated=time.time(), message=message, **anew)
+    change_job(sql, seq, status="accepted", updated=time.time(), message=message, **anew, **values)
 
 
 def forget(sql: Connection, seq: int, **values: Any) -> None:

@@ -166,15 +166,16 @@ async function showResults(job) {
 
 async function failed(job) {
   by("failure").hidden = false;
+  by("cause").textContent = job.message;
+  if (hasResults(job)) return showResults(job); // those so far, of a job whose time was up
   try {
-    await get(`${here}/results`);
+    by("advice").textContent = (await get(`${here}/results?points=2`)).message;
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
-    by("cause").textContent = error.detail;
-    by("advice").hidden = !error.advice;
     by("advice").textContent = error.advice;
   }
-  await showHowFar(job);
+  by("advice").hidden = !by("advice").textContent;
+  return showHowFar(job);
 }
 
 async function showHowFar(job) {
@@ -183,10 +184,10 @@ async function showHowFar(job) {
   await convergence.update(tasks, job.model);
   by("live").hidden = convergence.empty;
   by("live-title").textContent = "Convergence up to there";
-  if (job.kind === "estimate" && job.status === "dismissed") await showReached();
+  if (job.kind === "estimate") await showReached();
 }
 
-// The values that a stopped estimation has reached.
+// The values that an estimation has reached that was stopped, or had no more time.
 async function showReached() {
   try {
     const { estimate } = await get(`${here}/results?points=2`);
@@ -196,7 +197,7 @@ async function showReached() {
     by("results").replaceChildren(element("section", { class: "card", id: "reached" }, element("h2", {}, "Values so far"),
       element("div", { class: "scroll" }, element("table", { class: "numbers" }, element("thead", {}, head), element("tbody", {}, rows)))));
   } catch (error) {
-    if (!(error instanceof Problem)) throw error; // it had not begun
+    if (!(error instanceof Problem)) throw error; // it had not begun, or failed
   }
 }
 

@@ -407,8 +407,11 @@ def test_drain_on_shutdown(make_client, estimation, wait):
     assert again.get(url).json()["status"] == "successful"
 
 
-def test_run_seconds_of_a_job(client, long, ended):
+def test_run_seconds_of_a_job(client, long, ended, wait):
     url = client.post("/jobs", json=long | {"run_seconds": 0.5}).headers["location"]
     job = ended(client, url)
     assert (job["status"], "0.5 s" in job["message"]) == ("failed", True)
-    assert client.get(f"{url}/results").json()["type"].endswith("run-time-exceeded")
+    assert client.post(f"{url}/resume", json={"run_seconds": 0.0}).status_code == 422
+    assert client.post(f"{url}/resume", json={"run_seconds": 3600.0}).json()["status"] == "accepted"
+    wait(client, url, lambda job: job["iteration"] >= 2)
+    client.post(f"{url}/stop")

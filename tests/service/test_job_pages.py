@@ -190,7 +190,11 @@ def test_a_waiting_job_has_a_page_and_no_report(make_client, estimation):
 
 
 def test_a_failed_job_says_what_to_do(client, estimation, ended):
-    request = estimation(particles=200, iterations=10_000) | {"run_seconds": 0.2}
+    request = estimation() | {"kind": "smooth", "run_seconds": 0.2, "parameters": {}}
+    request |= {
+        "options": {"particles": 10_000},
+        "series": [{"y": [[0.1 * (k % 7)] for k in range(5000)]}],
+    }
     url = client.post("/jobs", json=request).headers["location"]
     assert ended(client, url)["status"] == "failed"
     for path in ("results", "report"):

@@ -11,6 +11,7 @@ import pytest
 from service import stages
 from service.attempt import StoredParts
 from service.clocks import Silence
+from service.lookup import find_result, has_estimates, stopped_estimate
 from service.problems import Problem
 from service.store import Store
 from service.validation import load
@@ -365,6 +366,35 @@ def is_lost(store, made):
     for _ in range(3):
         lose(store)
     return []
+
+
+def test_a_job_whose_time_is_up_keeps_what_it_has_and_is_given_more(store, estimation):
+    request = estimation(iterations=5)
+    made = store.create("estimate", "linear-2", request, 5, run_seconds=4.0)
+    attempt = store.claim("a")
+    store.record(attempt, 1, {0: np.zeros(5), 1: np.append(0.25, -np.ones(4))})
+    for cause, kept in (("computation-failed", False), ("run-time-exceeded", True)):
+        store.fail(attempt, Problem(422, cause, "took longer than 4 s; it can go on").document())
+        reached = stopped_estimate(store, store.job(made))
+        assert (reached is not None) == kept
+        store.resume(made)
+        attempt = store.claim("a")
+        assert attempt.run_seconds == 4.0
+    assert (reached["outcome"], reached["estimate"]["theta"]["value"]) == ("stopped", 0.25)
+    told = f"took longer than 4 s; POST /jobs/{made}/resume with more run_seconds goes on"
+    assert reached["message"] == f"Stopped after 1 of at most 5 iterations: {told}."
+
+    store.show(attempt, {"estimate": {}})
+    store.fail(attempt, Problem(422, "run-time-exceeded", "x").document())
+    assert has_estimates(store, store.job(made))
+    assert find_result(store, store.job(made)) == b'{"estimate":{}}'
+    store.resume(made, run_seconds=60.0)
+    attempt = store.claim("a")
+    assert attempt.run_seconds == 60.0
+    store.fail(attempt, Problem(422, "computation-failed", "x").document())
+    assert not has_estimates(store, store.job(made))
+    with pytest.raises(Problem, match="x"):
+        find_result(store, store.job(made))
 
 
 def is_stopped(store, made):
