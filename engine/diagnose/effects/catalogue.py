@@ -15,7 +15,7 @@ from engine.diagnose.effects.cogging import KINDS as COGGING
 from engine.diagnose.effects.colored import KINDS as COLORED
 from engine.diagnose.effects.delays import KINDS as LATE
 from engine.diagnose.effects.dynamic import KINDS as MEMORY
-from engine.diagnose.effects.effect import Effect
+from engine.diagnose.effects.effect import Effect, worded_for
 from engine.diagnose.effects.first_state import KINDS as FIRST_STATE
 from engine.diagnose.effects.held import KINDS as HELD
 from engine.diagnose.effects.hysteresis import KINDS as HYSTERESIS
@@ -106,7 +106,7 @@ def make_effect(name: str, setting: Setting) -> Effect:
             "steps each; it needs samples at a common step, or one step each",
             "effects",
         )
-    effect = _makers[kind][0](setting, channel)
+    effect = _made(kind, setting, channel)
     if effect is None:
         there = ", ".join(_makers[kind][1](setting)) or "none"
         raise OptionError(
@@ -117,6 +117,11 @@ def make_effect(name: str, setting: Setting) -> Effect:
     return effect
 
 
+def _made(kind: str, setting: Setting, channel: str) -> Effect | None:
+    effect = _makers[kind][0](setting, channel)
+    return effect and worded_for(setting.model, effect)
+
+
 def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Effect]:
     """Every effect of the catalogue for a model but those it has; ``kinds`` restricts to kinds or names.
 
@@ -125,7 +130,7 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
     out: list[Effect] = []
     there = set(setting.model.parameter_names)
     scales = set(setting.model.scale_states)
-    for kind, (maker, channels) in _makers.items():
+    for kind, (_, channels) in _makers.items():
         if kind in COUNTING and not setting.tells_samples:
             continue
         for channel in channels(setting):
@@ -133,7 +138,7 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
                 continue
             if not scales.isdisjoint(re.split("->|,", channel)):
                 continue
-            effect = maker(setting, channel)
+            effect = _made(kind, setting, channel)
             if effect is not None and there.isdisjoint(p.name for p in effect.parameters):
                 out.append(effect)
     return out

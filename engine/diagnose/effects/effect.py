@@ -8,6 +8,7 @@ the difference of two filters, its size is an estimated parameter, its gain a li
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -115,6 +116,18 @@ class Effect:
             equations=(*model.equations, f"{self.name}: {self.equation}"),
             description=f"{model.description} With {self.title}.".strip(),
         )
+
+
+def worded_for(model: MixedModel, effect: Effect) -> Effect:
+    """The effect, its equation meant as those of the model are.
+
+    In differential equations x' is the derivative: ``x' = ... + dt * c`` of a step is ``x' = ... + c`` there.
+    """
+    if not model.continuous:
+        return effect
+    text = re.sub(r"\b(\w+)' = \1 \+ dt ", r"\1' = ", effect.equation)  # of a state of its own
+    text = re.sub(r"^([^=']+) = \.\.\. ([+-]) dt \* ", r"\1' = ... \2 ", text)
+    return replace(effect, equation=re.sub(r"(?<=[+-] )dt \* ", "", text))
 
 
 def _is_own(function: Any) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import Effect, add_to_state, identifier
+from engine.diagnose.effects.effect import Effect, add_to_state, identifier, worded_for
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -72,7 +72,7 @@ def free_function(
 
         return add_to_state(model, target, term, (source,) if source in model.linear else ())
 
-    return Effect(
+    effect = Effect(
         "function",
         f"{source}->{target}",
         "state",
@@ -82,3 +82,4 @@ def free_function(
         extend,
         traits=Traits(unnamed=True),
     )
+    return worded_for(setting.model, effect)

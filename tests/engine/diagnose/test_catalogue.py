@@ -1,5 +1,6 @@
 """Every kind of effect: nothing at size zero, hidden at a given size, found."""
 
+import re
 from dataclasses import replace
 from itertools import combinations
 
@@ -9,6 +10,7 @@ import pytest
 import engine
 from engine.data.lattice import lattice_step
 from engine.diagnose import all_effects, diagnose, effect_kinds, extend, make_effect
+from engine.diagnose.effects.free_function import free_function
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.effects.spare_inputs import with_inputs
@@ -371,3 +373,23 @@ def test_a_score_is_the_slope_of_the_likelihood_however_well_the_states_are_seen
         slope = (values[1] - values[0]) / (ends[1, len(theta)] - ends[0, len(theta)])
         size = float(np.linalg.norm(column.v))
         assert abs(column.s.sum() - slope) < 0.05 * size, name
+
+
+def test_equations_are_of_derivatives_where_those_of_the_model_are():
+    """In a model of ``engine.continuous`` x' is the derivative: an extension typed in is the one found."""
+    tanks, servo = engine.get_model("tanks"), engine.get_model("servo")
+    named = {one.name: one.equation for one in all_effects(Setting(tanks))}
+    assert not [text for text in named.values() if re.search(r"\bdt\b", text)]
+    assert named["drag:upper"] == "upper' = ... + drag_upper * -upper|upper|"
+    assert named["coulomb:upper"] == "upper' = ... - coulomb_upper * sign(upper)"
+    assert named["step:upper"] == "upper' = ... + step_upper * [t >= time]"
+    assert named["pole:upper"].startswith(
+        "l' = (upper - l) / pole_upper_time,  upper' = ... + pole_upper"
+    )
+    assert named["path:pump->level"].endswith("level = ... + path_pump__level * l")
+    extended = extend(tanks, ["drag:upper"])
+    assert extended.equations[-1] == f"drag:upper: {named['drag:upper']}"
+    knots = free_function(Setting(tanks), "upper", "lower", np.arange(3.0), np.eye(3))
+    assert knots.equation == "lower' = ... + function_upper_lower(upper)"
+    of_steps = make_effect("drag:velocity", Setting(servo)).equation
+    assert of_steps == "velocity' = ... + dt * drag_velocity * -velocity|velocity|"
