@@ -146,6 +146,8 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
 
 def extend(model: MixedModel, effects: Sequence[str], setting: Setting | None = None) -> MixedModel:
     """The model with effects applied one after the other, by name."""
+    if not effects:  # to look where channels have their zeros would take calls of the model
+        return model
     known = (setting or Setting(model)).keeping_zeros()
     for name in effects:
         model = make_effect(name, replace(known, model=model)).apply(model)

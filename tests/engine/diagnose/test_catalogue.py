@@ -375,6 +375,20 @@ def test_a_score_is_the_slope_of_the_likelihood_however_well_the_states_are_seen
         assert abs(column.s.sum() - slope) < 0.05 * size, name
 
 
+def test_a_model_without_effects_is_not_called():
+    calls = []
+
+    def watched(*arguments):
+        calls.append(arguments)
+        raise ValueError
+
+    model = replace(
+        engine.get_model("servo"), dynamics=watched, measurement=watched, initial=watched
+    )
+    assert extend(model, ()) is model
+    assert calls == []
+
+
 def test_equations_are_of_derivatives_where_those_of_the_model_are():
     """In a model of ``engine.continuous`` x' is the derivative: an extension typed in is the one found."""
     tanks, servo = engine.get_model("tanks"), engine.get_model("servo")
