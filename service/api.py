@@ -232,12 +232,12 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
 
     @api.delete(
         "/jobs/{job_id}",
-        summary="Remove the data of a job that has ended",
-        responses=problem_answers(404, 409),
+        summary="Stop a job and keep what it has; remove the data of one that has ended",
+        responses=unknown,
     )
-    def remove(caller: Caller, job_id: JobId) -> JobStatus:
+    def dismiss(caller: Caller, job_id: JobId) -> JobStatus:
         find(job_id, caller)
-        return serializers.job_status(store.remove(job_id))
+        return serializers.job_status(store.dismiss(job_id))
 
     @api.post(
         "/jobs/{job_id}/resume",

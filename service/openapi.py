@@ -23,7 +23,7 @@ LINKS = {
     name: {"operationId": f"{name}_jobs__job_id__{rest}", "parameters": {"job_id": "$response.body#/jobID"}}
     for name, rest in (
         ("job", "get"), ("job_trace", "trace_get"), ("asked", "request_get"),
-        ("results", "results_get"), ("stop", "stop_post"), ("resume", "resume_post"), ("remove", "delete"),
+        ("results", "results_get"), ("stop", "stop_post"), ("resume", "resume_post"), ("dismiss", "delete"),
         ("tasks", "tasks_get"), ("report", "report_get"),
     )
 }  # fmt: skip

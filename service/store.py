@@ -293,25 +293,26 @@ class Store(Attempts):
             end(sql, job.seq, "dismissed", message=_stopped(job), problem=None)
             return self._locked(sql, job_id)
 
-    def remove(self, job_id: str) -> Row[Any] | None:
-        """Remove the data of a job that has ended; the job.
+    def dismiss(self, job_id: str) -> Row[Any] | None:
+        """Stop a job, or remove the data of one that has ended; None if there is no such job.
 
-        Raises Problem 409 where it waits or runs: who only wants to stop it never removes what it found.
+        Who only wants to stop it asks :meth:`stop`, which never removes what a job has found meanwhile.
         """
-        row = self._on_full_disk(self._remove, job_id)
-        self._give_back()
+        row = self._on_full_disk(self._dismiss, job_id)
+        if row is not None and row.removed:
+            self._give_back()
         return row
 
-    def _remove(self, job_id: str) -> Row[Any] | None:
+    def _dismiss(self, job_id: str) -> Row[Any] | None:
         with self._engine.begin() as sql:
             job = self._locked(sql, job_id)
             if job is None or job.removed:
                 return job
-            if job.status not in ENDED:
-                detail = f"job '{job_id}' is {job.status}; stop it first (POST /jobs/{job_id}/stop)"
-                raise Problem(409, "not-ended", detail)
-            gone = "its data were removed by the client"
-            forget(sql, job.seq, status="dismissed", message=gone, problem=None)
+            if job.status in ENDED:
+                gone = "its data were removed by the client"
+                forget(sql, job.seq, status="dismissed", message=gone, problem=None)
+            else:
+                end(sql, job.seq, "dismissed", message=_stopped(job), problem=None)
             return self._locked(sql, job_id)
 
     def _on_full_disk(

@@ -106,7 +106,7 @@ def test_what_a_result_comes_down_to(store):
     values = json.loads(estimate.found)["values"]
     assert [one["name"] for one in values] == ["log-likelihood", "held-out error of y", "k"]
     assert values[2] == {"name": "k", "value": 2.0, "standard_error": 0.25, "unit": "N/m"}
-    gone = store.remove(row.id)
+    gone = store.dismiss(row.id)
     assert (gone.outcome, gone.found) == (None, None)
 
 

@@ -128,7 +128,7 @@ def test_a_full_disk_can_be_freed(small_disk):
     store = Store(f"sqlite:///{small_disk}/rbps.sqlite")
     for job in made:
         assert store.stop(job).status == "dismissed"
-        assert store.remove(job).removed == 1
+        assert store.dismiss(job).removed == 1
     create()
     assert store.document(store.job(made[-1]).seq, "request")
     with store._engine.connect() as sql:  # what is in the journal goes into the file

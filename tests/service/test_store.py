@@ -440,8 +440,6 @@ def test_a_stopped_job_keeps_its_data_and_a_removed_one_does_not(store):
     attempt = store.claim("a")
     assert store.record(attempt, 1, {0: np.zeros(5), 1: np.ones(5)}, {"theta": 0.5}, 1.0)
     assert store.keep(attempt, 0, "part")
-    with pytest.raises(Problem, match="running; stop it first"):
-        store.remove(made)
     for _ in range(2):
         assert (store.stop(made).status, store.job(made).removed) == ("dismissed", 0)
     assert not store.holds(attempt)
@@ -450,13 +448,13 @@ def test_a_stopped_job_keeps_its_data_and_a_removed_one_does_not(store):
     assert store.kept(attempt.job) == ["part"]
     assert (store.rows(attempt.job)[0], store.job(made).estimate) == ([0, 1], '{"theta":0.5}')
 
-    assert (store.remove(made).status, store.job(made).removed) == ("dismissed", 1)
+    assert (store.dismiss(made).status, store.job(made).removed) == ("dismissed", 1)
     assert store.document(attempt.job, "request") is None
     assert store.kept(attempt.job) == []
     assert (store.rows(attempt.job)[0], store.job(made).estimate) == ([], None)
     assert store.resume(made).status == store.stop(made).status == "dismissed"
     assert store.claim("a") is None
-    assert store.stop("none") is store.remove("none") is None
+    assert store.stop("none") is store.dismiss("none") is None
     assert store.resume("none") is None
     assert store.counts() == {"dismissed": 1}
     store.check()
