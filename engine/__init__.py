@@ -8,7 +8,14 @@ from engine.data.series import Series
 from engine.design import Bounds, Design, InputBounds, design_experiment
 from engine.diagnose import Diagnosis, diagnose, register_effect
 from engine.diagnose.extended import get_model
-from engine.errors import EngineError, ModelError, NotSettledWarning, OptionError, SeriesError
+from engine.errors import (
+    EngineError,
+    ModelError,
+    NotSettledWarning,
+    OptionError,
+    ReadingWarning,
+    SeriesError,
+)
 from engine.estimation.em import Checkpoint, EmResult, Iteration, rbps_em, rts_em
 from engine.estimation.outcome import Outcome
 from engine.estimation.ps_em import ps_em
@@ -66,6 +73,7 @@ __all__ = [
     "Parameter",
     "ParticleFiltered",
     "ParticleSmoothed",
+    "ReadingWarning",
     "Series",
     "SeriesError",
     "Simulation",

@@ -9,6 +9,7 @@ Every message names what was wrong, where, and what to do about it. What can be 
 
     UserWarning
     +-- NotSettledWarning   the uncertainty of something that is no maximum of the likelihood
+    +-- ReadingWarning      a file that could be read in several ways
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ class EngineError(ValueError):
 
 class NotSettledWarning(UserWarning):
     """Standard errors were asked for at parameters that are no maximum of the likelihood."""
+
+
+class ReadingWarning(UserWarning):
+    """A file could be read in several ways, for example as two columns may have the times; says how it was."""
 
 
 class ModelError(EngineError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection, Iterable
 
 _FACTOR = re.compile(r"\s*(?:(\()|([^\s()/*·^]+))")
 _POWER = re.compile(r"\s*(?:\^|\*\*)\s*(-?\d+(?:\.\d+)?)")
@@ -21,9 +22,11 @@ _CLOCKS = {
 }
 _CLOCK = re.compile(r"(?:(?:t|time)[ _]*)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
 _SPELLED = "|".join(_CLOCKS)
-# Without brackets ``t_min`` and ``t_h`` may as well be temperatures. static/start/match.js has the same.
+# Without brackets ``t_min`` and ``t_h`` may as well be temperatures, and so may ``T``. static/start/match.js has
+# the same.
 TIMES = re.compile(
-    rf"(t|time)(s|[ _]*[\[(]\s*({_SPELLED})\s*[\])])?|time[ _]+({_SPELLED})|t[ _]+([nuµm]?s|sec|seconds?)",
+    rf"(?!(?-i:T)([sS]|[ _]+\w+)?$)((t|time)(s|[ _]*[\[(]\s*({_SPELLED})\s*[\])])?|time[ _]+({_SPELLED})"
+    r"|t[ _]+([nuµm]?s|sec|seconds?))",
     re.IGNORECASE,
 )
 _IN_BRACKETS = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]+(?:\([^()]*\)[^\[\]()]*)*)\s*[\])]\s*")
@@ -68,6 +71,12 @@ def clock_of(column: str) -> str:
     found = _CLOCK.fullmatch(column.strip())
     word = found[1].lower() if found else ""
     return _CLOCKS[word] or word if word in _CLOCKS else ""
+
+
+def times_among(columns: Iterable[str], channels: Collection[str] = ()) -> list[str]:
+    """The columns that are called as times are, ``t`` and ``time`` first; none that is a model's channel."""
+    found = [one for one in columns if TIMES.fullmatch(one) and one not in channels]
+    return sorted(found, key=lambda one: one not in ("t", "time"))
 
 
 def frequency_in(clock: str) -> str:

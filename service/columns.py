@@ -3,7 +3,8 @@
 In this order: a column of the channel's name; of that name with ``y_`` or ``u_`` before it, as written
 files have it; of that name with a unit behind it (``voltage_V``), where there is only one; the columns
 called y... or u..., where they are as many as the channels; the only column of numbers that is left, for
-the only output that is left. The page does the same in ``static/start/match.js``.
+the only output that is left. A column that is called as times are is a channel only of exactly that name. The
+page does the same in ``static/start/match.js``.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from engine.data.files import is_channel
 from engine.data.tables import Table
 from engine.errors import SeriesError
-from engine.units import TIMES
+from engine.units import times_among
 
 Test = Callable[[str, str, str], bool]  # column, channel, y or u
 
@@ -34,7 +35,8 @@ def match(
     found = dict(given)
     roles = {"y": list(outputs), "u": list(inputs)}
     taken = {*found.values(), *other}
-    left = [name for name in table.columns if name not in taken and not TIMES.fullmatch(name)]
+    times = times_among(table.columns, [*roles["y"], *roles["u"]])
+    left = [name for name in table.columns if name not in taken and name not in times]
 
     def take(channel: str, column: str) -> None:
         found[channel] = column

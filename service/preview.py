@@ -11,7 +11,7 @@ from engine.data.files import READERS
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import Array
-from engine.units import SECOND, TIMES, clock_of
+from engine.units import SECOND, clock_of, times_among
 from service.columns import counts
 from service.downsample import keep
 from service.problems import invalid
@@ -37,7 +37,7 @@ def preview(data: bytes, filename: str, time: str | None, settings: Settings) ->
     if not table.columns:
         raise invalid("file", f"holds no columns of numbers; there is {table.there()}")
     if time is None and table.dt is None:
-        time = next((name for name in table.columns if TIMES.fullmatch(name)), None)
+        time = next(iter(times_among(table.columns)), None)
     time = table.full(time) if time else time
     if time and time not in table.columns:
         raise invalid("t", f"there is no column '{time}'; there are {table.there()}")

@@ -109,7 +109,9 @@ def _read(
             wanted.t = table.full(wanted.t)
         wanted.extra = [table.full(name) for name in wanted.extra]
         y, u = (None, None) if model is None else _matched(table, wanted, model, where)
-        series = series_from(table, y, u, wanted.t, wanted.dt, wanted.hold, wanted.time_unit)
+        series = series_from(
+            table, y, u, wanted.t, wanted.dt, wanted.hold, wanted.time_unit, wanted.extra
+        )
         if model is not None:
             check_units(series, model)
     except SeriesError as error:

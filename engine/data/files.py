@@ -7,7 +7,9 @@ Which columns are which channels:
 - left out, they are all columns named y or u, alone or followed by something that is not a letter
   (``y``, ``y2``, ``u_V``, ``Y [mm]``, but not ``year``);
 - ``t`` names the column of time stamps, numbers or dates such as ``2024-03-01 13:45:00``; left out, a column
-  named ``t`` or ``time`` is used, also with a unit of time behind it (``t [h]``, ``time_min``, ``t_s``);
+  named ``t`` or ``time`` is used, also with a unit of time behind it (``t [h]``, ``time_min``, ``t_s``), unless
+  it is one of ``y`` or ``u``. ``T`` is none, which may be a temperature. Where there are several,
+  :class:`engine.ReadingWarning` says which it is;
 - ``dt`` is the time step where no column has the times; in .mat and .npz a scalar named ``dt`` or ``Ts`` is.
   Given beside times it must be their step, but that of a file where ``t`` is named;
 - ``time_unit`` says what times count (see :class:`engine.Series`); left out, what the file says: a text
@@ -23,7 +25,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -32,8 +35,8 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.series import Series
 from engine.data.tables import Table, read_csv, read_mat, read_npz
-from engine.errors import OptionError, SeriesError
-from engine.units import SECOND, TIMES, clock_of, meanings, named_with_unit
+from engine.errors import OptionError, ReadingWarning, SeriesError
+from engine.units import SECOND, clock_of, meanings, named_with_unit, times_among
 from engine.words import enumerated
 
 Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
@@ -59,7 +62,11 @@ def read_series(
         data = path.read_bytes()
     except OSError as error:
         raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
-    return series_from(read_table(data, path.name), y, u, t, dt, hold, time_unit)
+    table = read_table(data, path.name)
+    series = series_from(table, y, u, t, dt, hold, time_unit)
+    for note in table.notes:
+        warnings.warn(f"{table.file}: {note}", ReadingWarning, stacklevel=2)
+    return series
 
 
 def read_table(data: bytes, filename: str) -> Table:
@@ -78,13 +85,14 @@ def series_from(
     dt: float | None = None,
     hold: str | None = None,
     time_unit: str | None = None,
+    other: Collection[str] = (),
 ) -> Series:
-    """The series that columns of a table make, see :func:`read_series`."""
+    """The series that columns of a table make, see :func:`read_series`; ``other`` ones are no times either."""
     y_names, y_columns = _channels(table, y, "y")
     u_names, u_columns = _channels(table, u, "u")
     step = dt if dt is not None or t is not None else table.dt
     if t is None:
-        t = next((name for name in table.groups if TIMES.fullmatch(name)), None)
+        t = _times_of(table, {*y_columns, *u_columns, *other})
     times = None
     if t is not None:
         t = _lookup(table, "t", t)[0]
@@ -103,6 +111,15 @@ def series_from(
         )
     except (SeriesError, OptionError) as error:
         raise SeriesError(f"{table.file}: {error}") from error
+
+
+def _times_of(table: Table, channels: Collection[str]) -> str | None:
+    """The group of columns that has the times, None where there is none; of several, it is noted."""
+    found = times_among(table.groups, channels)
+    if len(found) > 1:
+        rest = enumerated([f"'{name}'" for name in found[1:]], "and")
+        table.notes.append(f"times are those of column '{found[0]}', not of {rest}")
+    return found[0] if found else None
 
 
 def write_series(series: Series, path: str | Path) -> None:

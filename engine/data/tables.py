@@ -44,7 +44,7 @@ class Table:
 
     ``groups`` maps a name a user may ask for to the columns it stands for: itself in a CSV, all
     channels of a two-dimensional array in .mat and .npz. ``dt``, ``hold`` and ``time_unit`` as stored in the
-    file.
+    file. ``notes`` say what was read in one of several ways.
     """
 
     file: str
@@ -55,6 +55,7 @@ class Table:
     hold: str | None = None  # of the inputs, where the file says it
     time_unit: str | None = None
     ignored: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def full(self, name: str) -> str:
         """``pressure [bar]`` of ``pressure``, where one column alone is called so; else the name itself."""

@@ -16,7 +16,7 @@ from engine.data.series import Series
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
-from engine.units import TIMES
+from engine.units import TIMES, times_among
 from service.cli.ending import wrong
 from service.columns import column_counts, match
 
@@ -57,7 +57,7 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
     table, columns = _table(path, model, columns)
     y, u = _assigned(table, model, columns)
     try:
-        series = series_from(table, y, u, *columns.clock).check(model)
+        series = series_from(table, y, u, *columns.clock, columns.extra).check(model)
         if columns.extra:
             extra = np.column_stack([table.column(name) for name in columns.extra])
             series = series.replace(extra=extra, extra_names=tuple(columns.extra))
@@ -72,6 +72,8 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
     table, columns = _table(path, model, columns)
     _, u = _assigned(table, model, columns, "u")
     some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
+    if some in times_among(table.groups, u.values()):  # and takes it for times no more
+        columns = replace(columns, time=columns.time or some)
     try:
         found = series_from(table, [some], u, *columns.clock)
         inputs = found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)

@@ -9,6 +9,7 @@ import pytest
 from engine import get_model
 from engine.data.tables import read_csv, read_npz
 from service.cli.files import Columns, series_of
+from service.cli.references import model_of
 from service.columns import match
 
 CASES = {  # columns, outputs, inputs, what is found
@@ -30,6 +31,10 @@ CASES = {  # columns, outputs, inputs, what is found
     "time is time": ("time,level_V", "level", "", {"level": "level_V"}),
     "time with its unit": ("time [h],level_V", "level", "", {"level": "level_V"}),
     "time, its unit by a line": ("time_min,t_ms,T [days],level", "level", "", {"level": "level"}),
+    "a temperature": ("t,T,y", "T", "y", {"T": "T", "y": "y"}),
+    "a temperature that is no channel": ("T,t,y_V,T_s,Ts", "y", "", {"y": "y_V"}),
+    "no temperature": ("t,P", "T", "P", {"P": "P"}),
+    "a channel called as times are": ("t,time,y", "y", "time", {"y": "y", "time": "time"}),
     "a least temperature": ("t_min,t_h", "t_min t_h", "", {"t_min": "t_min", "t_h": "t_h"}),
 }  # fmt: skip
 
@@ -111,6 +116,64 @@ def test_the_command_line_finds_them_so_too(tmp_path):
     np.testing.assert_array_equal(series.y, [[1120], [1160], [963]])
     np.testing.assert_array_equal(series.t, [1, 2, 3])
     assert "flow from column depth [1e8 m^3]" in said
+
+
+ROOM = """import numpy as np
+from engine import Gaussian, MixedModel, Parameter
+
+room = MixedModel(
+    name="room-T",
+    dynamics=lambda a, u, t, dt, th: (a + dt * (th.k * u[0] - 0.1 * a), np.zeros((1, 0)), [[1e-4]]),
+    measurement=lambda a, u, t, th: ([a[:, 0]], np.zeros((1, 0)), [[1e-2]]),
+    initial=lambda th: (Gaussian([20.0], [[1.0]]), [], np.zeros((0, 0))),
+    nonlinear={"x": "degC"}, inputs={"P": "kW"}, outputs={"T": "degC"},
+    parameters=[Parameter("k", 1.0, "degC/kJ", (0.0, 9.0))],
+)
+"""
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "room.py"
+    path.write_text(ROOM)
+    return model_of(f"{path}:room")
+
+
+@pytest.mark.parametrize("head", ["T,t,P", "T,time,P", "T,Time [s],P", "t,T,P"])
+@pytest.mark.parametrize("given", [{}, {"T": "T"}])
+def test_a_temperature_is_no_time_where_the_model_measures_it(tmp_path, room, head, given):
+    """Its column rises as times do."""
+    rows = [(20.0 + 0.1 * k**1.5, 0.5 * k, 1) for k in range(9)]
+    if head.startswith("t"):
+        rows = [(b, a, c) for a, b, c in rows]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]))
+    series, _ = series_of(path, room, Columns(given))[:2]
+    assert series.dt == 0.5
+    np.testing.assert_allclose(series.y[:, 0], 20.0 + 0.1 * np.arange(9) ** 1.5)
+
+
+def test_a_column_given_to_a_channel_is_no_time(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,time,y_V\n" + "".join(f"{k},{2 * k},{k % 3}\n" for k in range(9)))
+    model = get_model("local-level")
+    assert series_of(path, model, Columns({"flow": "y_V"}))[0].dt == 1.0
+    assert series_of(path, model, Columns({"flow": "t"}))[0].dt == 2.0
+    assert series_of(path, model, Columns({"flow": "t"}, time="t"))[0].dt == 1.0  # as it was asked
+    assert series_of(path, model, Columns({"flow": "y_V"}, extra=["t"]))[0].dt == 2.0
+
+
+def test_an_upload_takes_no_temperature_for_times(client):
+    rows = "".join(f"{20 + k / 10},{k / 50},{k % 3},1\n" for k in range(9))
+    files = {"file": ("a.csv", f"T,t,y,drive\n{rows}".encode())}
+    answer = client.post("/preview", files=files)
+    assert answer.json()["time"]["column"] == "t"
+    request = {"kind": "smooth", "model": "servo"}
+    answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
+    assert answer.status_code == 201, answer.text
+    read = client.get(f"{answer.headers['location']}/request").json()["series"][0]
+    assert read["t"] == [k / 50 for k in range(9)]
+    client.delete(answer.headers["location"])
 
 
 def test_the_hint_is_what_helps(client):

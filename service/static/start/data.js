@@ -2,7 +2,7 @@
 
 import { element, number, post, Problem } from "/static/api.js";
 import { chart } from "/static/charts.js";
-import { match } from "/static/start/match.js";
+import { isTime, match } from "/static/start/match.js";
 import { withUnit } from "/static/start/model.js";
 
 const by = (id) => document.getElementById(id);
@@ -59,6 +59,7 @@ export class DataCard {
     this.extra.clear();
     this.offerTimes();
     this.showChannels();
+    await this.leaveChannels();
   }
 
   // The data of an earlier job; they are sent again as they are.
@@ -73,6 +74,13 @@ export class DataCard {
   async useTime(column) {
     by("time").value = column;
     await this.look();
+  }
+
+  // A column that is called like a channel of the model has its values, not the times.
+  async leaveChannels() {
+    const called = (column) => this.channels.some(({ name }) => name === column);
+    if (!this.files.length || !called(by("time").value)) return;
+    await this.useTime(this.columns().map(({ name }) => name).find((name) => isTime(name) && !called(name)) ?? "");
   }
 
   // Look at the first file again, with the chosen column as time.
@@ -104,6 +112,7 @@ export class DataCard {
     this.units = model ? [...[model.nonlinear, model.linear, model.inputs, model.outputs].flatMap(Object.entries), ...model.parameters.map((one) => [one.name, one.unit])] : [];
     this.mapping.clear();
     this.showChannels();
+    this.leaveChannels();
   }
 
   // ---- mapping ----------------------------------------------------------------------------------

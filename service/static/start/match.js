@@ -5,6 +5,7 @@
 
 const CLOCK = "ns|us|µs|ms|h|s|sec|seconds?|min|minutes?|hr|hours?|days?|weeks?|months?|years?";
 const TIME = new RegExp(`^((t|time)(s|[ _]*[[(]\\s*(${CLOCK})\\s*[\\])])?|time[ _]+(${CLOCK})|t[ _]+([nuµm]?s|sec|seconds?))$`, "i");
+const MAYBE_TEMPERATURE = /^T([sS]|[ _]+[\p{L}\p{N}_]+)?$/u;
 const BY_NAME = [
   (column, { name }) => column === name,
   (column, { name }) => column.toLowerCase() === name.toLowerCase(),
@@ -12,9 +13,14 @@ const BY_NAME = [
   (column, { name }) => column.toLowerCase().startsWith(name.toLowerCase()) && !/^[\p{L}\p{N}]/u.test(column.slice(name.length)),
 ];
 
+// Whether a column is called as times are.
+export function isTime(column) {
+  return TIME.test(column) && !MAYBE_TEMPERATURE.test(column);
+}
+
 export function match(channels, columns, counting) {
   const found = new Map();
-  let left = columns.filter((column) => !TIME.test(column));
+  let left = columns.filter((column) => !isTime(column) || channels.some(({ name }) => name === column));
   const open = (member) => channels.filter((one) => (!member || one.member === member) && !found.has(key(one)));
   const take = (channel, column) => {
     found.set(key(channel), column);

@@ -21,7 +21,7 @@ from engine.data import nile
 from engine.data.files import read_series, read_table, series_from, write_series
 from engine.data.series import Series
 from engine.data.tables import read_mat
-from engine.errors import SeriesError
+from engine.errors import ReadingWarning, SeriesError
 
 
 def read_series_bytes(data, filename, **columns):
@@ -407,6 +407,17 @@ def test_a_logger_writes_dates(tmp_path, stamps, step):
     np.testing.assert_allclose(series.t, step * np.arange(3), rtol=1e-12)
     hours = read_series(path, time_unit="h")
     np.testing.assert_allclose(hours.t, step / 3600.0 * np.arange(3), rtol=1e-12)
+
+
+def test_of_several_columns_of_times_it_is_said_which_is_taken(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time [h],Time,t,T,y\n0,0,0,20,1\n1,3,2,21,2\n")
+    told = r"a\.csv: times are those of column 't', not of 'time \[h\]' and 'Time'"
+    with pytest.warns(ReadingWarning, match=told):
+        series = read_series(path)
+    assert (series.dt, series.time_unit) == (2.0, "s")
+    assert read_series(path, t="Time").dt == 3.0
+    assert read_series(path, y=["y"], u=["t", "Time"]).time_unit == "h"
 
 
 def test_a_date_that_is_none_is_named_with_its_line(tmp_path):

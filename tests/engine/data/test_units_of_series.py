@@ -37,7 +37,9 @@ def test_a_column_of_times_is_found_with_its_unit(column, tmp_path):
     assert series.time_unit == clock_of(column) != ""
 
 
-@pytest.mark.parametrize("column", ["t_min", "t_h", "time_of_flight", "T [K]", "year"])
+@pytest.mark.parametrize(
+    "column", ["t_min", "t_h", "time_of_flight", "T [K]", "year", "T", "Ts", "T_s", "T sec"]
+)
 def test_other_columns_are_none_of_times(column, tmp_path):
     (tmp_path / "a.csv").write_text(f"{column},y\n0,1\n0.5,2\n1,3\n")
     assert engine.Series.read(tmp_path / "a.csv").dt == 1.0
