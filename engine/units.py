@@ -22,8 +22,7 @@ _CLOCKS = {
 }
 _CLOCK = re.compile(r"(?:(?:t|time)[ _]*)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
 _SPELLED = "|".join(_CLOCKS)
-# Without brackets ``t_min`` and ``t_h`` may as well be temperatures, and so may ``T``. static/start/match.js has
-# the same.
+# Without brackets ``t_min``, ``t_h`` and ``T`` may as well be temperatures. static/start/match.js has the same.
 TIMES = re.compile(
     rf"(?!(?-i:T)([sS]|[ _]+\w+)?$)((t|time)(s|[ _]*[\[(]\s*({_SPELLED})\s*[\])])?|time[ _]+({_SPELLED})"
     r"|t[ _]+([nuµm]?s|sec|seconds?))",
@@ -118,6 +117,11 @@ def differ(one: str, other: str) -> bool:
     if own and wanted:
         return not any(_equal(a, b) for a in own for b in wanted)
     return not own and not wanted
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit that is known, of times as the names of columns have it, too; no number."""
+    return bool((meanings(text) and _read(text)[1]) or clock_of(text))
 
 
 def meanings(unit: str) -> list[Meaning]:

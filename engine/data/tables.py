@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +23,20 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.clock import date_of
 from engine.errors import SeriesError
-from engine.units import named_with_unit
+from engine.units import is_unit, named_with_unit
 
 # Comments at the head of a CSV.
 HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 DATED = re.compile(r"\d+([./-])\d+\1\d+")  # how a date begins, in whatever order
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "#n/a", "none", "-"))
-DELIMITERS = (",", ";", "\t")
+DELIMITERS = (
+    ";",
+    "\t",
+    ",",
+)  # which count before the others: a comma may stand in a name or a number
+EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # the first line of its files, which it hides
+LOOKED_AT = 100  # rows, for the delimiter
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # or three decimals
 LARGEST_BYTES = 4 << 30  # an .npz may unpack to, and memory for reading a .mat
@@ -107,6 +114,8 @@ class Table:
             hint = "; if it has a decimal comma, write decimal points throughout"
         elif DATED.match(text):
             hint = "; dates of a column of times are read as 2024-03-01 13:45:00"
+        elif row == 0 and not any(_is_number(cells[0].strip()) for cells in self.columns.values()):
+            hint = "; if this line holds units, write them behind the names, as in 't [s]', or delete it"
         raise SeriesError(f"{self._place(name, row)}: '{text[:40]}' is not a number{hint}")
 
     def there(self) -> str:
@@ -118,7 +127,7 @@ class Table:
 def read_csv(data: bytes, file: str) -> Table:
     """A CSV with one header line; delimiter comma, semicolon or tab; leading # lines skipped.
 
-    Where commas do not part cells they may be those of decimals.
+    Where commas do not part cells they may be those of decimals. Units may have a second line of their own.
     """
     try:
         text = data.decode("utf-8-sig")
@@ -137,17 +146,26 @@ def read_csv(data: bytes, file: str) -> Table:
         [found[1] for line in lines[:first] if (found := what.fullmatch(line.strip()))]
         for what in (HOLD, TIME_UNIT)
     )
-    delimiter = max(DELIMITERS, key=lines[first].count)
     last = len(lines)
     while not lines[last - 1].strip():  # the file's end, however many lines it has
         last -= 1
+    if told := EXCEL.fullmatch(lines[first].strip(" ")):
+        if told[1] not in DELIMITERS:
+            raise SeriesError(
+                f"{file}, line {first + 1}: separated by '{told[1]}'; a comma, semicolon or tab is needed"
+            )
+        first += 1
+        if first >= last:
+            raise SeriesError(f"{file} is empty; a header line and rows of numbers are needed")
+    delimiter = told[1] if told else _delimiter(lines[first:last])
     reader = csv.reader(lines[first:last], delimiter=delimiter)
     rows: list[list[str]] = []
     numbers: list[int] = []
     try:
         each = _short_cells(reader)
         names = [name.strip() for name in next(each)]
-        _check_header(names, file, first + 1)
+        open_ended = len(names) > 1 and not names[-1]  # each line ends with a delimiter
+        _check_header(names[: len(names) - open_ended], file, first + 1)
         for row in each:
             # An empty line is a missing value where there is one column, nothing otherwise.
             if not row and len(names) == 1:
@@ -156,11 +174,20 @@ def read_csv(data: bytes, file: str) -> Table:
                 continue
             if len(row) != len(names):
                 raise _ragged(row, names, file, first + reader.line_num)
+            if open_ended and row.pop().strip():
+                raise SeriesError(f"{file}, line {first + 1}: column {len(names)} has no name")
             rows.append(row)
             numbers.append(first + reader.line_num)
     except csv.Error as error:
         reason = _TOO_LONG if "field limit" in str(error) else str(error)
         raise SeriesError(f"{file}, line {first + reader.line_num}: {reason}") from error
+    names = names[: len(names) - open_ended]
+    if rows and (units := _units_in(rows[0])):
+        names = [
+            f"{name} [{unit}]" if unit and not named_with_unit(name)[1] else name
+            for name, unit in zip(names, units, strict=True)
+        ]
+        del rows[0], numbers[0]
     if not rows:
         raise SeriesError(f"{file} has a header and no rows of numbers")
     if delimiter != "," and _has_decimal_commas(rows):
@@ -170,6 +197,32 @@ def read_csv(data: bytes, file: str) -> Table:
     table.hold = hold[-1] if hold else None
     table.time_unit = time_unit[-1] if time_unit else None
     return table
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """That by which most of the first rows have as many cells as the header, which has several."""
+
+    def agreeing(delimiter: str) -> int:
+        try:
+            rows = [row for row in islice(csv.reader(lines, delimiter=delimiter), LOOKED_AT) if row]
+        except csv.Error:  # is told where the rows are read
+            return 0
+        return sum(len(row) == len(rows[0]) > 1 for row in rows)
+
+    best = max(DELIMITERS, key=agreeing)
+    return best if agreeing(best) else ","
+
+
+def _units_in(row: Sequence[str]) -> list[str]:
+    """The units that a second line of the header holds; empty where a cell is anything else."""
+    units = [re.sub(r"^[\[(]\s*(.*?)\s*[\])]$", r"\1", cell.strip()) for cell in row]
+    if not all(unit in ("", "-") or _is_unit(unit) for unit in units):
+        return []
+    return ["" if unit == "-" else unit for unit in units] if any(map(_is_unit, units)) else []
+
+
+def _is_unit(text: str) -> bool:
+    return text.lower() not in MISSING and not _is_number(text) and is_unit(text)
 
 
 def _has_decimal_commas(rows: Iterable[Iterable[str]]) -> bool:
@@ -319,6 +372,8 @@ def _ragged(row: list[str], names: list[str], file: str, line: int) -> SeriesErr
     hint = ""
     if len(row) == 2 * len(names):
         hint = "; are these decimal commas? write decimal points, or separate by semicolons"
+    elif len(row) > len(names) and not any(map(str.strip, row[len(names) :])):
+        hint = "; the line ends with a separator, and that of the names does not"
     return SeriesError(
         f"{file}, line {line}: {len(row)} cells for {len(names)} columns ({', '.join(names)}){hint}"
     )

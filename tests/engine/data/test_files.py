@@ -432,3 +432,53 @@ def test_a_date_that_is_none_is_named_with_its_line(tmp_path):
         SeriesError, match=r"line 2, column 't': '30.03.2024 22:00' is not a number"
     ):
         read_series(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "names", "y"),
+    [
+        ('"t";"flow, m3/s"', ["0;1100,5", "1;1107,5"], ["t", "flow, m3/s"], [1100.5, 1107.5]),
+        ("t;flow, m3/s", ["0;1100,5", "1;1107,5"], ["t", "flow, m3/s"], [1100.5, 1107.5]),
+        ("t\ta, b, c, d", ["0\t1,5", "1\t2,5"], ["t", "a, b, c, d"], [1.5, 2.5]),
+        ('t,"a;b;c;d"', ["0,1.5", "1,2.5"], ["t", "a;b;c;d"], [1.5, 2.5]),
+        ("t;a, b", ["0;1,5", "", "1;2"], ["t", "a, b"], [1.5, 2.0]),
+        ('t,"a, b"', ['0,"1.5"', "1,2"], ["t", "a, b"], [1.5, 2.0]),
+        ("sep=;\nt;a,b;c", ["0;1,5;3,25", "1;2,5;4"], ["t", "a,b", "c"], [1.5, 2.5]),
+        ('"sep=,"\nt,a', ["0,1.5", "1,2.5"], ["t", "a"], [1.5, 2.5]),
+        ("t;a;", ["0;1,5;", "1;2;"], ["t", "a"], [1.5, 2.0]),
+        ("t,a,", ["0,1.5,", "1,2,"], ["t", "a"], [1.5, 2.0]),
+        ("t;a;b;c", ["s;mm;;-", "0;1,5;1;2", "1;2;1;2"], ["t [s]", "a [mm]", "b", "c"], [1.5, 2.0]),
+        ("t,a [m]", ["[min],(m)", "0,1.5", "1,2"], ["t [min]", "a [m]"], [1.5, 2.0]),
+        ("t,a", ["NA,-", "0,1.5", "1,2"], ["t", "a"], [np.nan, 1.5, 2.0]),  # is a row
+    ],
+)  # fmt: skip
+def test_what_parts_cells_is_told_by_all_rows(head, rows, names, y):
+    """Once the decimals behind a comma became the measurement, as a name had a comma too."""
+    table = read_table("\n".join([head, *rows]).encode(), "a.csv")
+    assert list(table.columns) == names
+    np.testing.assert_array_equal(table.column(names[1]), y)
+
+
+def test_a_line_of_units_is_that_of_the_columns():
+    series = read_series_bytes(b"# log\nt;flow\nmin;L/s\n0;1,5\n2;2,5\n", "a.csv", y=["flow"])
+    assert (series.time_unit, series.units, series.dt) == ("min", {"flow": "L/s"}, 2.0)
+    with pytest.raises(SeriesError, match=r"line 5, column 'flow \[L/s\]': 'x' is not a number$"):
+        read_series_bytes(b"# log\nt;flow\nmin;L/s\n0;1,5\n2;x\n", "a.csv", y=["flow"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"t;y\ns;furlongs\n0;1\n", r"line 2, column 't': 's' is not a number; if this line holds units"),
+        (b"t;y\n0;furlongs\n0;1\n", r"line 2, column 'y': 'furlongs' is not a number$"),
+        (b"t;y\n0;1;\n1;2;\n", r"line 2: 3 cells for 2 columns \(t, y\); the line ends with a separator"),
+        (b"t;y;\n0;1;\n1;2;5\n", r"line 1: column 3 has no name"),
+        (b"t;y;\n0;1\n1;2\n", r"line 2: 2 cells for 3 columns"),
+        (b"sep=|\nt|y\n0|1\n", r"line 1: separated by '\|'; a comma, semicolon or tab is needed"),
+        (b"sep=;\n", r"a\.csv is empty"),
+        (b"t;y\ns;m\n", r"has a header and no rows of numbers"),
+    ],
+)  # fmt: skip
+def test_heads_that_are_odd(text, message):
+    with pytest.raises(SeriesError, match=message):
+        read_series_bytes(text, "a.csv")
