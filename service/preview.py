@@ -85,7 +85,7 @@ def _time(table: Table, name: str) -> TimeOut:
     good = problem is None and steps.size > 0
     return TimeOut(
         column=name,
-        problem=problem,
+        problem=problem and table.with_lines(problem),
         first=float(values[0]) if good else None,
         last=float(values[-1]) if good else None,
         step=float(np.median(steps)) if good else None,

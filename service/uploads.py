@@ -159,9 +159,10 @@ def _extra(wanted: _FileSeries, table: Table, where: str) -> dict[str, list[floa
         except SeriesError as error:
             raise invalid(where, str(error)) from None
         if (gaps := np.flatnonzero(~np.isfinite(column))).size:
+            missing = table.with_lines(f"has no value at row {gaps[0]}")
             raise invalid(
                 where,
-                f"column '{name}' has no value at row {gaps[0]}; an input must be known at every sample",
+                f"column '{name}' {missing}; an input must be known at every sample",
                 row=int(gaps[0]),
                 channel=name,
             )

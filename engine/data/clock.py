@@ -30,6 +30,10 @@ def times_in(times: Any, unit: str) -> Array:
     if array.dtype.kind in "UO" and array.size and all(isinstance(x, str) for x in array.ravel()):
         array = np.array([date_of(text) or text for text in array.ravel()], dtype=object)
     if array.dtype.kind == "O" and array.size and all(map(_is_date, array.ravel())):
+        if (row := zone_changes(array.ravel())) is not None:
+            raise SeriesError(
+                f"t: {array.ravel()[row]} at row {row} {about_zone(array.ravel()[row])}"
+            )
         array = np.array([_utc(one) for one in array.ravel()], dtype="datetime64[ns]")
     if array.dtype.kind == "M":
         since = array.ravel() - array.ravel()[:1]
@@ -40,6 +44,22 @@ def times_in(times: Any, unit: str) -> Array:
         return np.array(times, dtype=float).ravel()
     except (TypeError, ValueError) as error:
         raise SeriesError(f"t is neither numbers nor dates: {error}") from error
+
+
+def zone_changes(dates: Sequence[Any]) -> int | None:
+    """The first row that has a time zone where those before have none, or the other way round; else None."""
+    there = [row for row, one in enumerate(dates) if one == one]
+    zoned = [getattr(dates[row], "tzinfo", None) is not None for row in there]
+    return next((row for row, one in zip(there, zoned, strict=True) if one is not zoned[0]), None)
+
+
+def about_zone(date: Any) -> str:
+    """What is wrong with a date where zones change."""
+    has, have = ("no", "one") if getattr(date, "tzinfo", None) is None else ("a", "none")
+    return (
+        f"has {has} time zone, and those before have {have}: write all time stamps with their zone, or all "
+        "without"
+    )
 
 
 def _seconds_of(unit: str) -> float:
@@ -77,10 +97,28 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
     if bad.size:
         row = int(bad[0]) + 1
         kind = "repeats" if times[row] == times[row - 1] else "decreases"
-        raise SeriesError(f"t {kind} at row {row} ({times[row]:g}); time must increase")
+        shown = np.asarray(t).ravel()
+        dated = shown.dtype.kind not in "fiub"
+        text = str(shown[row]) if dated else f"{times[row]:g}"
+        hint = _winter(times, row, shown[row], unit) if dated else ""
+        raise SeriesError(f"t {kind} at row {row} ({text}); time must increase{hint}")
     if dt is not None:
         _check_step(times, _step_in(dt, unit))
     return times
+
+
+def _winter(times: Array, row: int, date: Any, unit: str) -> str:
+    """What to do where dates without a zone go back as clocks do at the end of summer time; else ""."""
+    if getattr(date, "tzinfo", None) is not None or str(date)[-6:-5] in ("+", "-"):
+        return ""
+    hour, usual = 3600.0 / _seconds_of(unit), float(np.median(np.diff(times)))
+    back = times[row - 1] - times[row]
+    if not (usual > 0.0 and abs(back + usual - hour) <= usual):
+        return ""
+    return (
+        "; if the clock was set back to winter time here, write the time stamps with their zone, as in "
+        "2024-10-27T02:00:00+01:00"
+    )
 
 
 def _step_in(dt: Any, unit: str) -> float:

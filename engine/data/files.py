@@ -97,10 +97,11 @@ def series_from(
     if t is not None:
         t = _lookup(table, "t", t)[0]
         times = table.times(t)
+    channels, inputs = _stacked(table, "y", y_columns), _stacked(table, "u", u_columns)
     try:
         return Series(
-            _stacked(table, "y", y_columns),
-            _stacked(table, "u", u_columns) if u_columns else None,
+            channels,
+            inputs if u_columns else None,
             dt=None if step is None else float(step),
             t=times,
             y_names=y_names,
@@ -110,7 +111,7 @@ def series_from(
             units=_units(y_names, y_columns) | _units(u_names, u_columns),
         )
     except (SeriesError, OptionError) as error:
-        raise SeriesError(f"{table.file}: {error}") from error
+        raise SeriesError(f"{table.file}: {table.with_lines(str(error))}") from error
 
 
 def _times_of(table: Table, channels: Collection[str]) -> str | None:

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from engine.arrays import Array
-from engine.data.clock import date_of
+from engine.data.clock import about_zone, date_of, zone_changes
 from engine.errors import SeriesError
 from engine.units import is_unit, named_with_unit
 
@@ -98,7 +98,18 @@ class Table:
                 raise SeriesError(
                     f"{self._place(name, i)}: '{cell.strip()[:40]}' is not a date such as 2024-03-01 13:45:00"
                 )
-        return [one for one in found if one is not None]
+        dates = [one for one in found if one is not None]
+        if (row := zone_changes(dates)) is not None:
+            raise SeriesError(
+                f"{self._place(name, row)}: '{values[row].strip()}' {about_zone(dates[row])}"
+            )
+        return dates
+
+    def with_lines(self, text: str) -> str:
+        """The text of an error with lines of the file in place of rows."""
+        if not self.lines:
+            return text
+        return re.sub(r"\brow (\d+)", lambda found: f"line {self.lines[int(found[1])]}", text)
 
     def _place(self, name: str, row: int) -> str:
         return f"{self.file}, line {self.lines[row]}, column '{name}'"

@@ -62,7 +62,7 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
             extra = np.column_stack([table.column(name) for name in columns.extra])
             series = series.replace(extra=extra, extra_names=tuple(columns.extra))
     except SeriesError as error:
-        text = str(error)
+        text = table.with_lines(str(error))
         raise wrong(text if path.name in text else f"{path.name}: {text}") from None
     return series, _said(path, series, [*y.values(), *u.values()], table, columns)
 

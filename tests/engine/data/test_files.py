@@ -10,6 +10,7 @@ import warnings
 import zipfile
 from contextlib import suppress
 from csv import field_size_limit
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -144,12 +145,12 @@ def test_semicolons_tabs_comments_quotes_and_byte_order_mark():
         (b"u,y\n1,2\n", {"y": ["z"]}, r"no column 'z' \(asked for as y\); there are 'u', 'y'"),
         (b"u,y\n1,2\n", {"u": {"v": "q"}}, r"no column 'q' \(asked for as u\); there are 'u'"),
         (b"u,y\n1,2\n", {"t": "time"}, r"no column 'time' \(asked for as t\)"),
-        (b"u,y\n1,2\n,4\n", {}, r"a.csv: u is not finite at row 1, channel 'u'"),
-        (b"u,y\n1,inf\n2,4\n", {}, r"a.csv: y is infinite at row 0, channel 'y'"),
+        (b"u,y\n1,2\n,4\n", {}, r"a.csv: u is not finite at line 3, channel 'u'"),
+        (b"u,y\n1,inf\n2,4\n", {}, r"a.csv: y is infinite at line 2, channel 'y'"),
         (b"u,y\n1,2\n", {}, r"a.csv: y has 1 samples; at least 2"),
-        (b"t,y\n0,1\n0,2\n", {}, r"a.csv: t repeats at row 1"),
-        (b"t,y\n0,1\n-1,2\n", {}, r"a.csv: t decreases at row 1"),
-        (b"t,y\n0,1\n,2\n", {}, r"a.csv: t is not finite at row 1"),
+        (b"t,y\n0,1\n0,2\n", {}, r"a.csv: t repeats at line 3"),
+        (b"t,y\n0,1\n-1,2\n", {}, r"a.csv: t decreases at line 3"),
+        (b"t,y\n0,1\n,2\n", {}, r"a.csv: t is not finite at line 3"),
         (b"u,y\n1,2\n3,4\n", {"dt": -1.0}, r"a.csv: dt = -1.0; a positive time step"),
     ],
 )
@@ -482,3 +483,42 @@ def test_a_line_of_units_is_that_of_the_columns():
 def test_heads_that_are_odd(text, message):
     with pytest.raises(SeriesError, match=message):
         read_series_bytes(text, "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("stamps", "message"),
+    [
+        (["2024-03-01T00:00+01:00", "2024-03-01T00:01+01:00", "2024-03-01 00:02"],
+         r"^a\.csv, line 5, column 't': '2024-03-01 00:02' has no time zone, and those before have one: "),
+        (["2024-03-01 00:00", "2024-03-01 00:01Z", "2024-03-01 00:02"],
+         r"^a\.csv, line 4, column 't': '2024-03-01 00:01Z' has a time zone, and those before have none: "),
+        (["2024-10-27 02:30", "2024-10-27 02:45", "2024-10-27 02:00", "2024-10-27 02:15"],
+         r"^a\.csv: t decreases at line 5 \(2024-10-27 02:00:00\); time must increase; if the clock was"),
+        (["2024-10-27 01:00", "2024-10-27 02:00", "2024-10-27 02:00", "2024-10-27 03:00"],
+         r"t repeats at line 5 \(2024-10-27 02:00:00\); .* winter time here, write the time stamps"),
+        (["2024-10-27 02:30", "2024-10-27 02:31", "2024-10-27 02:30", "2024-10-27 02:31"],
+         r"t decreases at line 5 \(2024-10-27 02:30:00\); time must increase$"),
+    ],
+)  # fmt: skip
+def test_dates_whose_zone_or_summer_time_is_not_told(stamps, message):
+    """Once those without a zone were taken for UTC: a jump of an hour."""
+    text = "# by hand\nt,y\n" + "".join(f"{one},{k}\n" for k, one in enumerate(stamps))
+    with pytest.raises(SeriesError, match=message):
+        read_series_bytes(text.encode(), "a.csv")
+
+
+def test_zones_that_come_and_go_are_refused_in_the_library_too():
+    mixed = ["2024-03-01T00:00+01:00", "2024-03-01 00:01"]
+    with pytest.raises(SeriesError, match="t: 2024-03-01 00:01:00 at row 1 has no time zone"):
+        Series([1.0, 2.0], t=mixed)
+    with pytest.raises(SeriesError, match="at row 1 has no time zone"):
+        Series([1.0, 2.0], t=[datetime.fromisoformat(one) for one in mixed])
+
+
+def test_errors_name_the_file_once():
+    with pytest.raises(SeriesError, match=r"^a\.csv, line 3, column 'y': '1;5' is not a number"):
+        read_series_bytes(b"t,y\n0,1\n1,1;5\n", "a.csv")
+    with pytest.raises(
+        SeriesError, match=r"a\.csv: t and dt .*: from line 3 to line 4 t goes on by"
+    ):
+        read_series_bytes(b"t,y\n0,1\n1,2\n3,2\n", "a.csv", dt=1.0)
