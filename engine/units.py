@@ -32,36 +32,50 @@ _IN_BRACKETS = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]+(?:\([^()]*\)[^\[\]()]*)
 
 
 Meaning = tuple[float, Powers]  # size in SI units, powers of them
+_BEHIND = re.compile(r"(?:_|\s*/\s*|\s+in\s+|\s+)([^\s()\[\]]+)\s*")
+_NO_SUFFIX = frozenset(("in", "t"))  # as flow_in and y_t have them
 _DEGREES = re.compile(r"\bdeg\.?\s+([CF])\b")
+_SUPERSCRIPTS = str.maketrans("⁻¹²³⁴⁵⁶⁷⁸⁹", "-123456789")
+_SUPERSCRIPT = re.compile("[⁻¹²³⁴⁵⁶⁷⁸⁹]+")
+_DIGIT = re.compile(r"(?<![\w^.])([^\W\d_]+)(-?[1-9])(?![\w.])")  # of m3 and s-1
 _PREFIXES = {
-    "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "h": 100.0, "k": 1e3, "M": 1e6, "G": 1e9,
+    "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "h": 100.0, "k": 1e3,
+    "M": 1e6, "G": 1e9,
 }  # fmt: skip
 # C and F may also be a coulomb and a farad, g what things weigh, and turns a minute are written 1/min, too.
 _CELSIUS, _FAHRENHEIT = (1.0, {"degC": 1.0}), (1.0, {"degF": 1.0})
 _NEWTON: Powers = {"kg": 1.0, "m": 1.0, "s": -2.0}
+_JOULE: Powers = {"kg": 1.0, "m": 2.0, "s": -2.0}
+_PASCAL: Powers = {"kg": 1.0, "m": -1.0, "s": -2.0}
+_OHM: Powers = {"kg": 1.0, "m": 2.0, "s": -3.0, "A": -2.0}
 _SYMBOLS: dict[str, tuple[Meaning, ...]] = {
-    "m": ((1.0, {"m": 1.0}),), "s": ((1.0, {"s": 1.0}),),
+    "m": ((1.0, {"m": 1.0}),), **dict.fromkeys(("in", "inch"), ((0.0254, {"m": 1.0}),)),
+    "ft": ((0.3048, {"m": 1.0}),), **dict.fromkeys(("s", "sec"), ((1.0, {"s": 1.0}),)),
     "g": ((1e-3, {"kg": 1.0}), (9.80665, {"m": 1.0, "s": -2.0})),
     "A": ((1.0, {"A": 1.0}),), "K": ((1.0, {"K": 1.0}),), "mol": ((1.0, {"mol": 1.0}),),
-    "min": ((60.0, {"s": 1.0}),), "h": ((3600.0, {"s": 1.0}),), "day": ((86400.0, {"s": 1.0}),),
-    "d": ((86400.0, {"s": 1.0}),), "week": ((604800.0, {"s": 1.0}),),
+    "t": ((1e3, {"kg": 1.0}),), "lb": ((0.45359237, {"kg": 1.0}),),
+    "min": ((60.0, {"s": 1.0}),), **dict.fromkeys(("h", "hr"), ((3600.0, {"s": 1.0}),)),
+    **dict.fromkeys(("d", "day"), ((86400.0, {"s": 1.0}),)), "week": ((604800.0, {"s": 1.0}),),
     "Hz": ((1.0, {"s": -1.0}),), "N": ((1.0, _NEWTON),),
-    "Nm": ((1.0, {"kg": 1.0, "m": 2.0, "s": -2.0}),), "J": ((1.0, {"kg": 1.0, "m": 2.0, "s": -2.0}),),
-    "W": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0}),), "Pa": ((1.0, {"kg": 1.0, "m": -1.0, "s": -2.0}),),
-    "bar": ((1e5, {"kg": 1.0, "m": -1.0, "s": -2.0}),),
+    **dict.fromkeys(("Nm", "J"), ((1.0, _JOULE),)), "Nmm": ((1e-3, _JOULE),), "Ncm": ((1e-2, _JOULE),),
+    "Wh": ((3600.0, _JOULE),), "Ah": ((3600.0, {"A": 1.0, "s": 1.0}),),
+    "W": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0}),), "Pa": ((1.0, _PASCAL),), "bar": ((1e5, _PASCAL),),
+    "psi": ((6894.757293168, _PASCAL),), "atm": ((101325.0, _PASCAL),), "torr": ((101325.0 / 760.0, _PASCAL),),
     "V": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0, "A": -1.0}),),
-    "Ohm": ((1.0, {"kg": 1.0, "m": 2.0, "s": -3.0, "A": -2.0}),),
+    **dict.fromkeys(("Ohm", "ohm", "Ω", "\u2126"), ((1.0, _OHM),)),
     "L": ((1e-3, {"m": 3.0}),), "l": ((1e-3, {"m": 3.0}),),
-    "rad": ((1.0, {}),), "deg": ((math.pi / 180.0, {}),),
+    "rad": ((1.0, {}),), **dict.fromkeys(("deg", "°"), ((math.pi / 180.0, {}),)),
+    **dict.fromkeys(("rev", "U"), ((2.0 * math.pi, {}), (1.0, {}))),  # U/min is German for rpm
     "rpm": ((math.pi / 30.0, {"s": -1.0}), (1.0 / 60.0, {"s": -1.0})),
-    "%": ((0.01, {}),),
+    "%": ((0.01, {}),), "‰": ((1e-3, {}),), "ppm": ((1e-6, {}),),
     **dict.fromkeys(("degC", "°C", "Celsius"), (_CELSIUS,)),
     **dict.fromkeys(("degF", "°F", "Fahrenheit"), (_FAHRENHEIT,)),
     "C": (_CELSIUS, (1.0, {"A": 1.0, "s": 1.0})),
     "F": (_FAHRENHEIT, (1.0, {"A": 2.0, "s": 4.0, "kg": -1.0, "m": -2.0})),
 }  # fmt: skip
 _PREFIXED = {
-    "m", "g", "s", "A", "K", "mol", "Hz", "N", "Nm", "J", "W", "Pa", "bar", "V", "Ohm", "L", "l", "rad", "F",
+    "m", "g", "s", "A", "K", "mol", "Hz", "N", "Nm", "J", "W", "Pa", "bar", "V", "Ohm", "ohm", "Ω", "\u2126",
+    "L", "l", "rad", "F", "Wh", "Ah",
 }  # fmt: skip
 
 
@@ -119,9 +133,19 @@ def differ(one: str, other: str) -> bool:
     return not own and not wanted
 
 
+def unit_behind(column: str, channel: str) -> str:
+    """The unit that a column has behind a channel's name, ``y_mm``, ``y/mm`` or ``y in mm``; "" if none."""
+    for name in (column, re.sub("^[yu]_", "", column)):
+        if name.lower().startswith(channel.lower()):
+            found = _BEHIND.fullmatch(name[len(channel) :])
+            if found and is_unit(found[1]) and found[1] not in _NO_SUFFIX:
+                return found[1]
+    return ""
+
+
 def is_unit(text: str) -> bool:
-    """Whether a text is a unit that is known, of times as the names of columns have it, too; no number."""
-    return bool((meanings(text) and _read(text)[1]) or clock_of(text))
+    """Whether a text is a unit that is known, and no number."""
+    return bool(_read(text)[1] and meanings(text))
 
 
 def meanings(unit: str) -> list[Meaning]:
@@ -179,12 +203,23 @@ def _read(unit: str) -> tuple[float, Powers]:
     """Number and powers of a unit; as one symbol of its own where it is not understood."""
     text = unit.strip()
     try:
-        number, powers, rest = _expression(text)
+        number, powers, rest = _expression(
+            _DIGIT.sub(_raised_digit, _SUPERSCRIPT.sub(_raised_up, text))
+        )
     except ValueError:
         rest = text
     if rest:
         return 1.0, {f"({text})": 1.0}
     return number, powers
+
+
+def _raised_up(found: re.Match[str]) -> str:
+    return f"^{found[0].translate(_SUPERSCRIPTS)}"
+
+
+def _raised_digit(found: re.Match[str]) -> str:
+    """``m^3`` of ``m3``; what is no unit with a digit may be a name."""
+    return f"{found[1]}^{found[2]}" if _known(found[1]) else found[0]
 
 
 def _expression(text: str) -> tuple[float, Powers, str]:

@@ -30,7 +30,7 @@ def times_in(times: Any, unit: str) -> Array:
     if array.dtype.kind in "UO" and array.size and all(isinstance(x, str) for x in array.ravel()):
         array = np.array([date_of(text) or text for text in array.ravel()], dtype=object)
     if array.dtype.kind == "O" and array.size and all(map(_is_date, array.ravel())):
-        if (row := zone_changes(array.ravel())) is not None:
+        if (row := zone_changes(list(array.ravel()))) is not None:
             raise SeriesError(
                 f"t: {array.ravel()[row]} at row {row} {about_zone(array.ravel()[row])}"
             )

@@ -36,7 +36,14 @@ from engine.arrays import Array
 from engine.data.series import Series
 from engine.data.tables import Table, read_csv, read_mat, read_npz
 from engine.errors import OptionError, ReadingWarning, SeriesError
-from engine.units import SECOND, clock_of, meanings, named_with_unit, times_among
+from engine.units import (
+    SECOND,
+    clock_of,
+    is_unit,
+    named_with_unit,
+    times_among,
+    unit_behind,
+)
 from engine.words import enumerated
 
 Channels: TypeAlias = "Sequence[str] | Mapping[str, str] | None"
@@ -168,17 +175,18 @@ def csv_text(series: Series) -> str:
 
 
 def _units(names: Sequence[str] | None, columns: Sequence[str]) -> dict[str, str]:
-    """{channel: unit} where the name of its column tells a unit that is known, ``pressure [bar]``.
+    """{channel: unit} where its column tells one that is known: ``pressure [bar]``, or ``pressure_bar``.
 
-    An index is none, ``y[0]``, and round brackets may hold other things, so that a letter in them says nothing.
+    An index is none, ``y[0]``, and round brackets may hold other things: a letter or ``in`` there says nothing.
     """
     out = {}
     for name, column in zip(names or (), columns, strict=True):
         unit = named_with_unit(column)[1]
-        told = any(map(str.isalpha, unit)) or unit == "%"
-        plain = column.rstrip().endswith(")") and len(unit) == 1
-        if told and not plain and meanings(unit):
+        plain = column.rstrip().endswith(")") and (len(unit) == 1 or unit == "in")
+        if is_unit(unit) and not plain:
             out[name] = unit
+        elif not unit and (behind := unit_behind(column, name)):
+            out[name] = behind
     return out
 
 

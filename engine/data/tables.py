@@ -23,7 +23,7 @@ import numpy as np
 from engine.arrays import Array
 from engine.data.clock import about_zone, date_of, zone_changes
 from engine.errors import SeriesError
-from engine.units import is_unit, named_with_unit
+from engine.units import clock_of, is_unit, named_with_unit
 
 # Comments at the head of a CSV.
 HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
@@ -233,7 +233,7 @@ def _units_in(row: Sequence[str]) -> list[str]:
 
 
 def _is_unit(text: str) -> bool:
-    return text.lower() not in MISSING and not _is_number(text) and is_unit(text)
+    return text.lower() not in MISSING and (is_unit(text) or clock_of(text) != "")
 
 
 def _has_decimal_commas(rows: Iterable[Iterable[str]]) -> bool:

@@ -131,7 +131,7 @@ def test_preview_of_what_cannot_be_read(client, name, text, t, field, words):
 
 @pytest.mark.parametrize(
     ("times", "words"),
-    [("0 1 1", "does not increase at row 2 (1 after 1)"), ("0 x 2", "'x' is not a number")],
+    [("0 1 1", "does not increase at line 4 (1 after 1)"), ("0 x 2", "'x' is not a number")],
 )
 def test_preview_of_bad_times(client, times, words):
     rows = "".join(f"{t},{i}\n" for i, t in enumerate(times.split()))

@@ -246,6 +246,15 @@ def test_times_that_do_not_fit_the_models_units_are_noted():
         ("N m", "Nm", False), ("J", "Nm", False), ("km/h", "m/s", True), ("1/s", "Hz", False),
         ("rpm", "rad/s", True), ("V", "A", True), ("L/min", "m^3/s", True), ("bar", "1e5 Pa", False),
         ("counts", "ticks", True), ("counts", "V", False), ("measured", "N", False), ("%", "1", True),
+        ("mm/s2", "m/s^2", True), ("mm/s²", "mm/s^2", False), ("m³/h", "m^3/s", True), ("m3", "1e8 m^3", True),
+        ("m3", "m³", False), ("cm²", "m^2", True), ("m s-1", "m/s", False), ("m·s⁻²", "m/s^2", False),
+        ("\u03bcm", "\u00b5m", False), ("\u03bcm", "m", True), ("°", "deg", False), ("°", "rad", True),
+        ("Ω", "Ohm", False), ("k\u2126", "Ohm", True), ("kohm", "kOhm", False), ("inch", "in", False),
+        ("in", "m", True), ("ft", "m", True), ("psi", "Pa", True), ("kWh", "J", True),
+        ("kWh", "3.6e6 J", False),
+        ("U/min", "rpm", False), ("U/min", "rad/s", True), ("U/min", "m", True), ("t", "kg", True),
+        ("Nmm", "Nm", True), ("‰", "%", True), ("atm", "bar", True), ("torr", "Pa", True), ("mAh", "Ah", True),
+        ("H2O", "m", False), ("counts2", "counts^2", True),
         ("deg", "rad", True), ("rpm", "1/min", False), ("deg C", "degC", False), ("g", "m/s^2", True),
     ],
 )  # fmt: skip
@@ -294,6 +303,40 @@ def test_units_in_the_head_of_a_file_are_those_of_the_model(head, wrong, tmp_pat
                 SeriesError, match=wrong.partition(";")[2].strip().replace("(", ".")
             ):
                 series.check(furnace())
+
+
+@pytest.mark.parametrize(
+    ("columns", "wrong"),
+    [
+        ("y_mm,drive_V", "'y' is in mm; model 'servo' takes y channel 'y' in m"),
+        ("y/mm,drive", "'y' is in mm"), ("y in mm,drive", "'y' is in mm"), ("Y_V,drive", "'y' is in V"),
+        ("y mm,drive", "'y' is in mm"), ("y,u_drive_mV", "'drive' is in mV"), ("y,drive/m3/h", "is in m3/h"),
+        ("y_m,drive/V", None), ("y_cam,drive_in", None), ("y_t,drive_raw", None), ("y (in),drive", None),
+        ("y (mm),drive", "'y' is in mm"),
+    ],
+)  # fmt: skip
+def test_a_unit_behind_a_name_counts_as_in_brackets(columns, wrong, tmp_path):
+    """Once ``y_mm`` was read as metres: the unit was dropped to find the column, and forgotten."""
+    (tmp_path / "a.csv").write_text(f"t,{columns}\n0,1,2\n1,2,3\n2,3,2\n")
+    y, u = columns.split(",")
+    model = engine.get_model("servo")
+    series = engine.Series.read(tmp_path / "a.csv", y={"y": y}, u={"drive": u})
+    if wrong is None:
+        series.check(model)
+        return
+    with pytest.raises(SeriesError, match=wrong):
+        series.check(model)
+
+
+def test_a_unit_behind_a_name_counts_in_the_names_of_a_series():
+    model = engine.get_model("servo")
+    for names, wrong in ((["y_mm"], True), (["y_m"], False), (["position_mm"], False)):
+        series = engine.Series(np.zeros(5), np.ones(5), y_names=names, u_names=["drive"])
+        if wrong:
+            with pytest.raises(SeriesError, match="channel 'y_mm' is in mm"):
+                series.check(model)
+        else:
+            series.check(model)
 
 
 def test_channels_called_like_others_of_the_model_are_refused():
