@@ -143,6 +143,13 @@ def unit_behind(column: str, channel: str) -> str:
     return ""
 
 
+def unknown_unit(column: str) -> str:
+    """What a column has in square brackets behind its name where that is neither a known unit nor an index."""
+    unit = named_with_unit(column)[1]
+    told = column.rstrip().endswith("]") and any(map(str.isalpha, unit))
+    return unit if told and not meanings(unit) else ""
+
+
 def is_unit(text: str) -> bool:
     """Whether a text is a unit that is known, and no number."""
     return bool(_read(text)[1] and meanings(text))

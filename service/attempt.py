@@ -75,7 +75,11 @@ def run(store: Store, attempt: Attempt) -> None:
             progress.reached(store.job(attempt.job_id))
         result = stages.run(job, attempt.task, progress, kept)
         progress.flush()
-        written = store.finish(attempt, result, str(result.get("message", "")))
+        notes = job.request.notes
+        if notes:
+            result["notes"] = notes
+        message = " ".join([str(result.get("message", "")), *notes]).strip()
+        written = store.finish(attempt, result, message)
         log.info(_ENDS[written], attempt.task, extra={"job": attempt.job_id})
     except SQLAlchemyError:
         raise

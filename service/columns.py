@@ -13,10 +13,13 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
+from engine.data.clock import date_of
 from engine.data.files import is_channel
+from engine.data.series import Series
 from engine.data.tables import Table
 from engine.errors import SeriesError
-from engine.units import times_among
+from engine.statespace.base import BaseModel
+from engine.units import alike, times_among, unknown_unit
 
 Test = Callable[[str, str, str], bool]  # column, channel, y or u
 
@@ -73,6 +76,67 @@ _BY_NAME: Sequence[Test] = (
         column.lower().startswith(channel.lower()) and not column[len(channel) :][:1].isalnum()
     ),
 )
+
+
+def noted(
+    table: Table,
+    series: Series,
+    model: BaseModel,
+    read: Mapping[str, str],
+    clock: tuple[bool, Collection[str]],
+    advice: tuple[str, str],
+) -> list[str]:
+    """What the reader of a file should know of how it was read, {channel: column}.
+
+    ``clock`` tells whether times or a step were asked for, and which other columns were. The ``advice`` is how
+    to give a step, and a column of times as ``{}``.
+    """
+    found = list(table.notes)
+    asked, other = clock
+    taken = {*read.values(), *other}
+    if not asked and table.dt is None and not times_among(table.groups, taken):
+        said = f"no column of times: a step of 1 {series.time_unit} is assumed; else {advice[0]}"
+        column, why = _like_times(table, taken)
+        said += f", or, as '{column}' {why}, {advice[1].format(column)}" if column else ""
+        found.append(f"{said}.")
+    units = {**model.outputs, **model.inputs}
+    unknown = [
+        f"'{unit}' of column '{column}' is taken for {units[channel]}"
+        for channel, column in read.items()
+        if (unit := unknown_unit(column)) and units[channel] and not alike(unit, units[channel])
+    ]
+    if unknown:
+        found.append(f"units that are not known are compared with none: {', '.join(unknown)}.")
+    return found
+
+
+def _like_times(table: Table, taken: Collection[str]) -> tuple[str, str]:
+    """A column that may well have the times, and why; "" where none does."""
+    left = [name for name in table.columns if name not in taken]
+    for test, why in (
+        (_has_dates, "holds dates"),
+        (column_counts, "counts up evenly"),
+        (_rises, "rises like times"),
+    ):
+        for name in left:
+            if test(table, name):
+                return name, why
+    return "", ""
+
+
+def _has_dates(table: Table, name: str) -> bool:
+    """Whether a column begins with a date, which may be missing there."""
+    values = table.columns[name]
+    if isinstance(values, np.ndarray):
+        return False
+    return date_of(next(filter(str.strip, values), "")) is not None
+
+
+def _rises(table: Table, name: str) -> bool:
+    try:
+        return bool((np.diff(table.column(name)) > 0.0).all())
+    except SeriesError:
+        return False
 
 
 def column_counts(table: Table, name: str) -> bool | None:

@@ -348,6 +348,8 @@ class Results(_Out):
     message: str | None = None
     warning: str | None = None
     """why standard errors and intervals cannot be trusted, where the estimate is no maximum"""
+    notes: list[str] | None = None
+    """what is to be known of how files were read, such as a step that was assumed"""
     log_likelihood: Uncertain | None = None
     held_out: dict[str, Any] | None = None
     """of an estimation with `test`: samples, log_density, outputs with rmse, curves by series"""

@@ -338,6 +338,10 @@ class _Labelled(_Strict):
     """words by which the job is found in the list"""
     data: list[JobName] = Field(default_factory=list, max_length=100)
     """names of the files that the data are from; an upload puts them in"""
+    notes: list[Annotated[str, Field(max_length=2000)]] = Field(
+        default_factory=list, max_length=200
+    )
+    """what is to be known of how these were read; an upload puts it in, and results have it"""
 
 
 class LabelsIn(_Strict):

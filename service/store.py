@@ -141,6 +141,7 @@ class Store(Attempts):
             "name": request.get("name", ""),
             "tags": in_lines(request.get("tags", [])),
             "data": in_lines(request.get("data", [])),
+            "message": " ".join(request.get("notes", [])),
         }
         try:
             with self._engine.begin() as sql:

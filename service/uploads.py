@@ -21,12 +21,14 @@ from engine.data.tables import Table
 from engine.diagnose.effects.setting import Setting
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
-from service.columns import match
+from service.columns import match, noted
 from service.problems import Problem, invalid
 from service.schemas import Hold, ModelReference, Request, TimeUnit
 from service.validation import ADAPTER, find_model
 
 SMALL_BYTES = 1 << 22  # bytes that any file may hold
+MOST_NOTES = 200
+ADVICE = ('"dt": STEP', '"t": "{}"')  # members of an entry of ``series``
 
 
 class _FileSeries(BaseModel):
@@ -59,18 +61,21 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
     if isinstance(body.get("model"), str):  # is told before its channels are looked for
         find_model(ModelReference(name=body["model"]), Setting)
     body.setdefault("data", list(files))
+    notes: list[str] = []
     test = body.get("test")
     if isinstance(test, dict):
         test = [test]
     if isinstance(test, list):
-        body["test"] = _read_all(test, files, "test[{}]" if len(test) > 1 else "test", body)
+        body["test"] = _read_all(test, files, "test[{}]" if len(test) > 1 else "test", body, notes)
         held_out = {one.get("file") for one in test if isinstance(one, dict)}
         files = {name: data for name, data in files.items() if name not in held_out}
     entries = body.get("series")
     if entries is None:
         entries = [{"file": name} for name in files]
     if isinstance(entries, list):
-        body["series"] = _read_all(entries, files, "series[{}]", body)
+        body["series"] = _read_all(entries, files, "series[{}]", body, notes)
+    if notes:
+        body["notes"] = notes[:MOST_NOTES]
     try:
         return ADAPTER.validate_python(body)
     except ValidationError as error:
@@ -80,17 +85,27 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
 
 
 def _read_all(
-    entries: list[Any], files: Mapping[str, bytes], where: str, body: dict[str, Any]
+    entries: list[Any],
+    files: Mapping[str, bytes],
+    where: str,
+    body: dict[str, Any],
+    notes: list[str],
 ) -> list[Any]:
-    """The entries; those that name a file are read from it."""
+    """The entries; those that name a file are read from it, with ``notes`` of how."""
     return [
-        _read(one, files, where.format(i), body) if isinstance(one, dict) and "file" in one else one
+        _read(one, files, where.format(i), body, notes)
+        if isinstance(one, dict) and "file" in one
+        else one
         for i, one in enumerate(entries)
     ]
 
 
 def _read(
-    entry: dict[str, Any], files: Mapping[str, bytes], where: str, body: dict[str, Any]
+    entry: dict[str, Any],
+    files: Mapping[str, bytes],
+    where: str,
+    body: dict[str, Any],
+    notes: list[str],
 ) -> dict[str, Any]:
     """{"file": ..., "y": columns, ...} -> {"y": table, "u": table, "t": times}."""
     try:
@@ -114,6 +129,9 @@ def _read(
         )
         if model is not None:
             check_units(series, model)
+            clock = bool(wanted.t or wanted.dt), wanted.extra
+            told = noted(table, series, model, {**(y or {}), **(u or {})}, clock, ADVICE)
+            notes += [f"{table.file}: {one}" for one in told]
     except SeriesError as error:
         raise invalid(f"{where}.file", str(error)) from None
     read = {"y": series.y, "t": series.t.tolist(), "hold": series.hold}

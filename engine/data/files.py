@@ -126,7 +126,7 @@ def _times_of(table: Table, channels: Collection[str]) -> str | None:
     found = times_among(table.groups, channels)
     if len(found) > 1:
         rest = enumerated([f"'{name}'" for name in found[1:]], "and")
-        table.notes.append(f"times are those of column '{found[0]}', not of {rest}")
+        table.notes.append(f"times are those of column '{found[0]}', not of {rest}.")
     return found[0] if found else None
 
 

@@ -157,6 +157,7 @@ def _tell(
     asked: Asked, found: engine.Diagnosis, document: dict[str, Any], kept: Early, as_json: bool
 ) -> None:
     """Write the files and print the page; then the state is removed, unless --state named it."""
+    document = asked.with_notes(document)
     written = write_outputs(asked, document, kept)
     kept.settle()
     if as_json:

@@ -46,24 +46,32 @@ class Experiment(Run):
     hold: str | None = None
     name: str = ""
     tags: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # of how the data were read
 
     def job(self, shown: Meter, extra: Sequence[str] = (), substeps: int = 1) -> Job:
-        """The model and the data, read from their files; what was read as what is shown.
+        """The model and the data, read from their files; what was read as what is shown, and noted.
 
         With so many steps a sample, for which effects that count them are made.
         """
         base = model_of(self.model)
         columns = Columns(self.columns, self.time, self.dt, extra, self.hold, self.time_unit)
-        every = []
+        every, self.notes = [], []
         for name in (*self.data, *self.test):
-            series, said = series_of(Path(name), base, columns)
+            series, said, notes = series_of(Path(name), base, columns)
             shown.note(said)
+            self.notes += notes
             every.append(series.refined(substeps) if base.continuous else series)
+        for note in self.notes:
+            shown.warn(note)
         model = with_effects(base, self.effects, every[0])
         theta = theta_of(model, self.start, self.fixed)
         free = free_of(model, self.free, list(self.fixed))
         n = len(self.data)
         return Job(base.name, model, every[:n], every[n:], theta, free)
+
+    def with_notes(self, document: dict[str, Any]) -> dict[str, Any]:
+        """The document with what is to be known of how the data were read."""
+        return {**document, "notes": self.notes} if self.notes else document
 
     def labelled(self, document: dict[str, Any]) -> dict[str, Any]:
         """The document with what tells it apart from others."""

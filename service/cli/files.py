@@ -16,9 +16,9 @@ from engine.data.series import Series
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
-from engine.units import TIMES, times_among
+from engine.units import times_among
 from service.cli.ending import wrong
-from service.columns import column_counts, match
+from service.columns import match, noted
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ def json_object(path: Path, otherwise: str) -> dict[str, Any]:
     return document
 
 
-def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, str]:
-    """A data file as the model's series, and a line that says what was read as what.
+def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, str, list[str]]:
+    """A data file as the model's series, a line that says what was read as what, and what to know of it.
 
     Which column is which channel, ``columns`` says, else ``service.columns.match``.
     """
@@ -64,11 +64,12 @@ def series_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
     except SeriesError as error:
         text = table.with_lines(str(error))
         raise wrong(text if path.name in text else f"{path.name}: {text}") from None
-    return series, _said(path, series, [*y.values(), *u.values()], table, columns)
+    notes = _notes(table, series, model, y | u, columns)
+    return series, _said(path, series, [*y.values(), *u.values()]), notes
 
 
-def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
-    """Times and inputs of a data file; y is missing throughout."""
+def inputs_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, list[str]]:
+    """Times and inputs of a data file, y is missing throughout; and what to know of them."""
     table, columns = _table(path, model, columns)
     _, u = _assigned(table, model, columns, "u")
     some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
@@ -78,7 +79,7 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> Series:
         found = series_from(table, [some], u, *columns.clock)
         inputs = found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)
         check_units(inputs, model)
-        return inputs
+        return inputs, _notes(table, inputs, model, u, columns)
     except SeriesError as error:
         raise wrong(str(error)) from None
 
@@ -128,7 +129,15 @@ def _assigned(
     return {one: found[one] for one in outputs}, {one: found[one] for one in model.inputs}
 
 
-def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns: Columns) -> str:
+def _notes(
+    table: Table, series: Series, model: MixedModel, read: Mapping[str, str], columns: Columns
+) -> list[str]:
+    clock = bool(columns.time or columns.dt), columns.extra
+    told = noted(table, series, model, read, clock, ("--dt STEP", "--time '{}'"))
+    return [f"{table.file}: {one}" for one in told]
+
+
+def _said(path: Path, series: Series, read: Sequence[str]) -> str:
     every = (
         f"every {series.dt:g} {series.time_unit}" if series.dt is not None else "at irregular times"
     )
@@ -141,11 +150,4 @@ def _said(path: Path, series: Series, read: Sequence[str], table: Table, columns
     missing = int((~series.observed).sum())
     text += f"; {missing} missing" if missing else ""
     text += f"; inputs between samples: {series.hold}" if series.hold != "zoh" else ""
-    clock = columns.time or columns.dt or table.dt or any(map(TIMES.fullmatch, table.groups))
-    if clock:
-        return text
-    text += f" (no column of times: a step of 1 {series.time_unit} is assumed; else --dt STEP"
-    maybe = next(
-        (name for name in table.columns if name not in read and column_counts(table, name)), None
-    )
-    return text + (f", or, as '{maybe}' counts up evenly, --time '{maybe}')" if maybe else ")")
+    return text

@@ -143,6 +143,7 @@ def _tell(
     job: Prepared, asked: Asked, document: dict[str, Any], recorder: Recorder, as_json: bool
 ) -> None:
     """Write the files and print the estimate; then remove a state that nothing can be resumed from."""
+    document = asked.with_notes(document)
     one_run = asked.starts == 1 and not asked.bootstrap
     open_ended = document["outcome"] in ("iterations-used-up", "wandered")
     more = one_run and open_ended and "trace" in document

@@ -30,6 +30,10 @@ class Meter:
     def note(self, text: str) -> None:
         """A line that stays."""
 
+    def warn(self, text: str) -> None:
+        """A line that is shown whatever else is not."""
+        print(f"rbps: {text}", file=sys.stderr, flush=True)
+
     def __enter__(self) -> Self:
         return self
 
@@ -110,6 +114,10 @@ class Bar(Meter):
     def note(self, text: str) -> None:
         """A line above the bar."""
         self.progress.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def warn(self, text: str) -> None:
+        """The same."""
+        self.note(text)
 
     def __enter__(self) -> Self:
         from rich.console import Console

@@ -18,6 +18,7 @@ from service import computations, strict_json
 from service.cli import references
 from service.cli.ending import wrong
 from service.cli.files import Columns, inputs_of
+from service.cli.meter import Meter
 from service.cli.outputs import figure_folder, output_path
 from service.cli.values import about
 from service.schemas import ModelReference, SimulateOptions, SimulateRequest
@@ -55,7 +56,9 @@ def run(wanted: Wanted, as_json: bool) -> None:
     output_path("--out", wanted.out, (".csv", ".mat", ".npz"))
     figure_folder("--plot", wanted.plot)
     base = references.model_of(wanted.model)
-    frame = _frame(base, wanted)
+    frame, notes = _frame(base, wanted)
+    for note in notes:
+        Meter().warn(note)
     model = references.with_effects(base, list(wanted.effects), frame)
     sizes = _sizes(base, wanted.effects, frame)
     with about("--set"):
@@ -77,15 +80,15 @@ def run(wanted: Wanted, as_json: bool) -> None:
     if wanted.plot:
         plots.of_document(document).save(wanted.plot)
     if as_json:
-        print(strict_json.dumps(document))
+        print(strict_json.dumps(document | ({"notes": notes} if notes else {})))
     elif wanted.out:
         print(f"Written: {wanted.out}, {len(drawn)} samples of {', '.join(drawn.y_names)}")
     else:
         print(csv_text(drawn), end="")
 
 
-def _frame(model: MixedModel, wanted: Wanted) -> Series:
-    """Times and inputs; y is missing throughout."""
+def _frame(model: MixedModel, wanted: Wanted) -> tuple[Series, list[str]]:
+    """Times and inputs, y is missing throughout; and what to know of how they were read."""
     names = list(model.inputs)
     for name in wanted.excite:
         if name not in names:
@@ -94,10 +97,10 @@ def _frame(model: MixedModel, wanted: Wanted) -> Series:
     if wanted.inputs is not None:
         if wanted.excite:
             raise wrong("--excite and --inputs are both given; choose one")
-        given = inputs_of(wanted.inputs, model, wanted.columns)
+        given, notes = inputs_of(wanted.inputs, model, wanted.columns)
         if wanted.samples not in (None, len(given)):
             raise wrong(f"--samples {wanted.samples}: {wanted.inputs.name} has {len(given)} rows")
-        return given
+        return given, notes
     if wanted.samples is None:
         raise wrong("--samples is missing: how many samples, or a file of --inputs")
     dt = 1.0 if wanted.columns.dt is None else wanted.columns.dt
@@ -116,13 +119,14 @@ def _frame(model: MixedModel, wanted: Wanted) -> Series:
     ]
     blank = np.full((len(t), model.ny), np.nan)
     with about("--hold"):
-        return Series(
+        made = Series(
             blank,
             np.array(u).T if u else None,
             t=t,
             hold=wanted.columns.hold or "zoh",
             time_unit=wanted.columns.time_unit or SECOND,
         )
+    return made, []
 
 
 def shape(name: str, text: str, t: Array, rng: np.random.Generator) -> Array:

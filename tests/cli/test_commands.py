@@ -308,7 +308,35 @@ def test_fit_with_an_effect(rbps, flows):
 
 def test_plain_lines_tell_what_was_read(rbps, flows):
     lines = rbps("fit", flows, "-m", "local-level", *QUICK).stderr.splitlines()
-    assert lines[0].startswith("rbps: flows.csv: 100 samples every 1 s; flow (no column of times")
+    assert lines[0] == "rbps: flows.csv: 100 samples every 1 s; flow"
+    assert lines[1].startswith(
+        "rbps: flows.csv: no column of times: a step of 1 s is assumed; else --dt STEP"
+    )
+
+
+@pytest.mark.parametrize(
+    ("column", "times", "why"),
+    [
+        ("Zeit", [f"2024-03-01 00:00:{k:02}" for k in range(9)], "holds dates"),
+        ("when", [k**1.5 for k in range(9)], "rises like times"),
+        ("year", range(1871, 1880), "counts up evenly"),
+    ],
+)
+def test_a_step_that_is_assumed_is_said_whatever_is_quiet(rbps, tmp_path, column, times, why):
+    (tmp_path / "a.csv").write_text(
+        f"{column},flow\n" + "".join(f"{one},{k % 4}\n" for k, one in enumerate(times))
+    )
+    result = rbps(
+        "fit", tmp_path / "a.csv", "-m", "local-level", *QUICK, "--json", "-q", "-o", "o.json"
+    )
+    assert result.exit_code == 0, result.stderr
+    said = "a.csv: no column of times: a step of 1 s is assumed; else --dt STEP, or, as "
+    said += f"'{column}' {why}, --time '{column}'."
+    assert result.stderr.splitlines() == [f"rbps: {said}"]
+    assert result.json()["notes"] == [said]
+    assert json.loads((tmp_path / "o.json").read_text())["notes"] == [said]
+    other = rbps("fit", tmp_path / "a.csv", "-m", "local-level", *QUICK, "-q", "--time", column)
+    assert (other.exit_code, other.stderr) == (0, "")
 
 
 # ---- diagnose ---------------------------------------------------------------------------------

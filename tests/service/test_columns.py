@@ -112,7 +112,8 @@ def test_the_command_line_finds_them_so_too(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("rain [mm],depth [1e8 m^3],clock [year]\n5,1120,1\n6,1160,2\n7,963,3\n")
     asked = Columns({"flow": "depth"}, time="clock", extra=["rain"])
-    series, said = series_of(path, get_model("local-level"), asked)
+    series, said, notes = series_of(path, get_model("local-level"), asked)
+    assert notes == []
     np.testing.assert_array_equal(series.y, [[1120], [1160], [963]])
     np.testing.assert_array_equal(series.t, [1, 2, 3])
     assert "flow from column depth [1e8 m^3]" in said
@@ -148,7 +149,8 @@ def test_a_temperature_is_no_time_where_the_model_measures_it(tmp_path, room, he
         rows = [(b, a, c) for a, b, c in rows]
     path = tmp_path / "a.csv"
     path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]))
-    series, _ = series_of(path, room, Columns(given))[:2]
+    series, _, notes = series_of(path, room, Columns(given))
+    assert notes == []
     assert series.dt == 0.5
     np.testing.assert_allclose(series.y[:, 0], 20.0 + 0.1 * np.arange(9) ** 1.5)
 
@@ -174,6 +176,27 @@ def test_an_upload_takes_no_temperature_for_times(client):
     read = client.get(f"{answer.headers['location']}/request").json()["series"][0]
     assert read["t"] == [k / 50 for k in range(9)]
     client.delete(answer.headers["location"])
+
+
+def test_what_an_upload_assumes_is_told(client, ended):
+    rows = "".join(f"2024-03-01 00:00:0{k}.5,{k % 3},1\n" for k in range(9))
+    files = {"file": ("a.csv", f"Timestamp,y [furlong],drive [V]\n{rows}".encode())}
+    request = {"kind": "smooth", "model": "servo", "options": {"particles": 5}}
+    answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
+    assert answer.status_code == 201, answer.text
+    step = "a.csv: no column of times: a step of 1 s is assumed; else \"dt\": STEP, or, as 'Timestamp' holds "
+    step += 'dates, "t": "Timestamp".'
+    unit = "a.csv: units that are not known are compared with none: 'furlong' of column 'y [furlong]' is "
+    unit += "taken for m."
+    assert answer.json()["message"] == f"{step} {unit}"
+    here = answer.headers["location"]
+    assert ended(client, here)["message"].endswith(f"{step} {unit}")
+    assert client.get(f"{here}/results").json()["notes"] == [step, unit]
+    request |= {"series": [{"file": "a.csv", "t": "Timestamp"}]}
+    again = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
+    assert again.json()["message"] == unit
+    for one in (answer, again):
+        client.delete(one.headers["location"])
 
 
 def test_the_hint_is_what_helps(client):

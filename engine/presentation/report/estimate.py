@@ -112,9 +112,9 @@ def _outcome(document: Document) -> Html:
 
 
 def _warned(document: Document) -> Html:
-    """That the errors beside the estimates are none of an estimate."""
-    warning = document.get("warning")
-    return tag("p", tag("strong", warning), class_="said") if warning else Html("")
+    """That the errors beside the estimates are none of an estimate, and how the data were read."""
+    warnings = [document.get("warning"), *(document.get("notes") or ())]
+    return join(tag("p", tag("strong", one), class_="said") for one in warnings if one)
 
 
 def _facts(document: Document) -> Html:
