@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -21,6 +22,8 @@ from engine.views import Shown, View, frame, sheet, tables
 
 if TYPE_CHECKING:
     from engine.statespace.base import BaseModel
+
+TIME_UNIT = re.compile(r"[^\W\d_]{1,20}")  # a word, as requests have it
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +118,10 @@ class Series(Shown):
         extra_ = np.zeros((T, 0)) if extra is None else _columns(extra, "extra")
         if hold not in HOLDS:
             raise OptionError(f"hold = {hold!r}; one of {', '.join(HOLDS)} is needed", "hold")
-        if not isinstance(time_unit, str) or not time_unit.strip():
+        if not isinstance(time_unit, str) or not TIME_UNIT.fullmatch(time_unit.strip()):
             raise OptionError(
-                f"time_unit = {time_unit!r}; a unit such as 's' or 'year' is needed", "time_unit"
+                f"time_unit = {time_unit!r}; a unit such as 's' or 'year' is needed, in letters",
+                "time_unit",
             )
         if T < 2:
             raise SeriesError(f"y has {T} samples; at least 2 are needed")

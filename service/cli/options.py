@@ -10,6 +10,7 @@ import typer
 
 from service.cli.ending import wrong
 
+MOST_PARTICLES = 100_000  # that the memory of a machine holds, over a long record
 # of files that are written or read, so that a resumed run finds them from any folder
 PATHS = ("out", "report", "plot", "shortest", "diagnosis", "bounds")
 
@@ -82,7 +83,10 @@ Hold = Annotated[
 Seed = Annotated[
     int,
     typer.Option(
-        metavar="N", min=0, help="Seed of random numbers: the same seed gives the same result."
+        metavar="N",
+        min=0,
+        max=2**63 - 1,
+        help="Seed of random numbers: the same seed gives the same result.",
     ),
 ]
 Out = Annotated[
@@ -133,6 +137,11 @@ def check_given(data: Sequence[Path] | None, model: str) -> None:
     """Refuse a command without data, or without a model."""
     if not data:
         raise wrong("DATA is missing: name one or more data files")
+    there = [path.resolve() for path in data]
+    if twice := [path for path, own in zip(data, there, strict=True) if there.count(own) > 1]:
+        raise wrong(
+            f"DATA {twice[0]}: the same file is named twice; one experiment is to count once"
+        )
     model_named(model)
 
 

@@ -118,7 +118,7 @@ def _frame(model: MixedModel, wanted: Wanted) -> tuple[Series, list[str]]:
         for i, name in enumerate(names)
     ]
     blank = np.full((len(t), model.ny), np.nan)
-    with about("--hold"):
+    with about("--hold, --time-unit"):
         made = Series(
             blank,
             np.array(u).T if u else None,

@@ -17,6 +17,8 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
         name, equals, value = text.rpartition("=")
         if not (equals and name.strip() and value.strip()):
             raise wrong(f"{option} {text}: NAME=VALUE is needed")
+        if name.strip() in out:
+            raise wrong(f"{option} {text}: {name.strip()} is given twice; leave one of them out")
         out[name.strip()] = value.strip()
     return out
 

@@ -45,11 +45,22 @@ def fit(
         typer.Option("--iterations", "-n", metavar="N", min=1, help="Upper limit on iterations."),
     ] = 100,
     particles: Annotated[
-        int, typer.Option(metavar="N", min=2, help="How many particles the filter has.")
+        int,
+        typer.Option(
+            metavar="N",
+            min=2,
+            max=options.MOST_PARTICLES,
+            help="How many particles the filter has.",
+        ),
     ] = 50,
     trajectories: Annotated[
         int | None,
-        typer.Option(metavar="N", min=2, help="Smoothed trajectories.  [as many as particles]"),
+        typer.Option(
+            metavar="N",
+            min=2,
+            max=options.MOST_PARTICLES,
+            help="Smoothed trajectories.  [as many as particles]",
+        ),
     ] = None,
     seed: options.Seed = 0,
     standard_errors: Annotated[
