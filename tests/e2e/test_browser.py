@@ -374,7 +374,7 @@ def test_wrong_input_is_said_beside_its_field(visit, tmp_path):
     # The only usable column is not taken for the channel.
     assert page.input_value('[id="column-y.flow"]') == ""
     units = tmp_path / "units.csv"
-    units.write_text("t,flow\n[s],[m3]\n0,12\n1,13\n2,14\n")
+    units.write_text("t,flow\n[ticks],[buckets]\n0,12\n1,13\n2,14\n")
     page.set_input_files("#file", units)
     page.wait_for_selector('#data-facts .notice:has-text("line of units")')
     assert page.locator("#data-facts .notice").count() == 1
