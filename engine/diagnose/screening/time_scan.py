@@ -35,7 +35,7 @@ def family_test(
 ) -> Test | None:
     """The test of a timed effect over its whole grid; None where it leaves no footprint."""
     b, e = _driver(effect, model, theta, series, path)
-    at, gate, tries = _gates(effect, series, path, b, e)
+    at, gate, tries = _gates(effect, model, series, path, b, e)
     root, _, _, z = whitened(path, series)
     turned, (T, ny) = np.swapaxes(root, -1, -2), z.shape
     degrees = 2 if effect.traits.course is Course.HARMONIC else 1
@@ -74,8 +74,16 @@ def grid(effect: Effect, series: Series) -> Array:
     return np.unique(t[rows])
 
 
+def reached(effect: Effect, model: MixedModel) -> slice:
+    """The rows at which what comes at a time may: of a reading all of them.
+
+    What acts on the state from the last row on shows nowhere, and from the first on looks like a first state.
+    """
+    return slice(None) if effect.channel in model.outputs else slice(1, -1)
+
+
 def _gates(
-    effect: Effect, series: Series, path: MomentPath, b: Array, e: Array
+    effect: Effect, model: MixedModel, series: Series, path: MomentPath, b: Array, e: Array
 ) -> tuple[list[tuple[float, ...]], Array, int]:
     """Values of the effect's other parameters, the factors (T, n) in time, places they were chosen from."""
     t = series.t[:, None]
@@ -88,7 +96,8 @@ def _gates(
             for x in pulse_scores(path, series, b, e)
         )
         explained = np.divide(scores**2, information, where=information > 0.0, out=0.0 * scores)
-        row = int(series.samples[1 + int(np.argmax(explained[1:-1]))])
+        rows = np.arange(len(explained))[reached(effect, model)]
+        row = int(series.samples[rows[int(np.argmax(explained[rows]))]])
         gate = np.zeros((len(series), 1))
         gate[row : row + series.substeps] = 1.0
         return [(float(series.t[row]), *effect.probes[0][1:])], gate, series.n_measured

@@ -14,7 +14,7 @@ from engine.diagnose.effects.traits import Course
 from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.screening.screen import Score
 from engine.diagnose.screening.tails import fit_tails, tails_information
-from engine.diagnose.screening.time_scan import grid
+from engine.diagnose.screening.time_scan import grid, reached
 from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit, log_likelihoods, quasi_ml
 from engine.filters.neighbours import Visited, visited_on
@@ -373,7 +373,8 @@ def _best_row(
     reach = 2
     if effect.traits.course is not Course.PULSE:  # its grid leaves rows out
         reach = int(np.ceil(len(series) / max(len(grid(effect, series)), 1)))
-    rows = np.arange(max(here - reach, 1), min(here + reach + 1, len(series) - 1))
+    rows = np.arange(len(series))[reached(effect, extended)]
+    rows = rows[np.abs(rows - here) <= reach]
     thetas = np.repeat(theta[None], len(rows) + 1, axis=0)
     thetas[1:, k] = series.t[rows]
     values = log_likelihoods(extended, [series], thetas, [visited])

@@ -45,9 +45,17 @@ def settle(
 
 
 def _led(equivalent: Sequence[Refit], setting: Setting) -> tuple[Refit, ...]:
-    """The set with the plainest of its best names in front, in any unit: of drag and of a square, say."""
+    """The set with the plainest of its best names in front, in any unit: of drag and of a square, say.
+
+    Of two as plain the one of a reading: it leaves the state alone, and all that comes after.
+    """
     if not equivalent:
         return ()
     even = [r for r in equivalent if r.score >= equivalent[0].score - EVEN]
-    first = min(even, key=lambda r: (rank((r.effect,), setting), r.effect.name))
+    outputs = setting.model.outputs
+
+    def order(r: Refit) -> tuple[tuple[int, int], bool, str]:
+        return rank((r.effect,), setting), r.effect.channel not in outputs, r.effect.name
+
+    first = min(even, key=order)
     return (first, *(r for r in equivalent if r is not first))

@@ -1,5 +1,7 @@
 """One bad reading is a pulse; where more of them are left beside it, they are outliers."""
 
+from dataclasses import replace
+
 import numpy as np
 
 import engine
@@ -40,3 +42,22 @@ def test_the_largest_of_several_bad_readings_is_not_the_cause():
     (output,) = LEVEL.outputs
     assert found.verdict is Verdict.NAMED
     assert names(found) == [f"heavy-tails:{output}"]
+
+
+def test_a_bad_last_reading_is_told_beside_the_force_that_looks_the_same():
+    """A push of the state one row before shows in the last reading only: nothing tells them apart."""
+    kinds = ["pulse", "heavy-tails", "step", "level"]
+    found = diagnose(LEVEL, readings({N - 1: 9.0}), effects=kinds, held_out=0, seed=1)
+    (output,), (state,) = LEVEL.outputs, LEVEL.linear
+    assert found.verdict is Verdict.SET
+    assert found.causes[0].equivalent == (f"pulse:{output}", f"pulse:{state}")
+    assert found.causes[0].parameters[f"pulse_{output}_time"] == N - 1
+
+
+def test_a_bad_first_reading_is_said_to_be_one():
+    known = replace(LEVEL, initial=lambda theta: (None, [1000.0], [[100.0]]))
+    kinds = ["pulse", "heavy-tails", "step"]
+    found = diagnose(known, readings({0: 9.0}), effects=kinds, seed=1)
+    (output,) = LEVEL.outputs
+    assert found.causes[0].equivalent == (f"pulse:{output}",)
+    assert found.causes[0].parameters[f"pulse_{output}_time"] == 0.0
