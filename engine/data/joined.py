@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,32 @@ def apart(series: Series) -> list[Series]:
     between = series.substeps - 1  # rows after a record's last sample
     ends = [*(row - between for row in series.begins), len(series)]
     return [series.part(start, end) for start, end in zip((0, *series.begins), ends, strict=True)]
+
+
+def starts_of(records: Sequence[Series]) -> tuple[float, ...]:
+    """The times at which a record begins anew, in order.
+
+    Not one that goes on where another ended. Of those whose clocks overlap the first counts: which of them a
+    time is in, no time tells.
+    """
+    starts, end = list[float](), -np.inf
+    for one in sorted(records, key=lambda one: float(one.t[0])):
+        if one.t[0] > end:
+            starts.append(float(one.t[0]))
+        usual = float(np.diff(one.t[one.samples]).max(initial=0.0))
+        end = max(end, float(one.t[-1]) + 1.5 * usual)
+    return tuple(starts)
+
+
+def anew(t: Any, starts: Sequence[float], early: float = 0.0) -> Any:
+    """Times (a number or any shape) as if every record began with the first, those of one record as they are.
+
+    What is no more than ``early`` before a start has begun.
+    """
+    if len(starts) < 2:
+        return t
+    begun = np.searchsorted(starts, np.asarray(t) + early, side="right") - 1
+    return t - (np.asarray(starts)[np.maximum(begun, 0)] - starts[0])
 
 
 def joined(one: Series, other: Series) -> Series:

@@ -116,14 +116,14 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
     if signal != "time" and signal not in {**model.nonlinear, **model.inputs}:
         return None
     name = identifier("variance", target, signal)
-    first, last = setting.span
+    first, last = setting.run
     middle, timely = 0.5 * (first + last), signal == "time"
     scale = max(last - first, setting.dt) if timely else setting.size(signal)
     origin = None if timely else Origin(setting, name, signal)
 
     def factor(model: MixedModel, a: Array, u: Any, t: Any, own: Any) -> Any:
         if origin is None:
-            x = t - own[2]
+            x = setting.anew(t) - own[2]
         elif signal in model.nonlinear:
             x = np.abs(a[:, list(model.nonlinear).index(signal)] - origin.of(own))
         else:
@@ -146,7 +146,8 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         channel,
         "noise",
         f"{noise} noise of {target} that changes with {'time' if origin is None else what}",
-        f"log variance of the noise of {target} + {name} * {what} / {name}_per",
+        f"log variance of the noise of {target} + {name} * {what} / {name}_per"
+        + (setting.counted if origin is None else ""),
         (Parameter(name, 0.0, "1", (-20.0, 20.0), "change of the log variance"), *further),
         lambda model: _with_noise(model, target, factor),
         probes=(tuple(p.default for p in further),),

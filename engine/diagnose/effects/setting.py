@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from engine.data.joined import apart
+from engine.data.joined import anew, apart, starts_of
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
@@ -57,7 +57,7 @@ class Setting:
     model makes from one sample to the next; ``hold`` what the series says of its inputs between samples;
     ``held`` the parameters of the model that are not estimated; ``time_unit`` what its times count; ``regular``
     whether samples are at one common step; ``later`` the times at which further records begin, where the times
-    of several tell them apart.
+    of several tell them apart; ``starts`` those from which what begins with a record counts.
     """
 
     model: MixedModel
@@ -75,6 +75,7 @@ class Setting:
     time_unit: str = SECOND
     regular: bool = True
     later: tuple[float, ...] = ()
+    starts: tuple[float, ...] = ()
 
     # ---- sizes --------------------------------------------------------------------------------
 
@@ -178,6 +179,22 @@ class Setting:
         return state in self._rates and position in self._rates[state].of
 
     # ---- time ---------------------------------------------------------------------------------
+
+    def anew(self, t: Any) -> Any:
+        """Times (a number or (M,)) as if every record began with the first: what begins with one counts so."""
+        return anew(t, self.starts, ON_TIME * self.dt)
+
+    @property
+    def run(self) -> tuple[float, float]:
+        """The first and the last time of the longest record, on that clock: ``span`` of one alone."""
+        if len(self.starts) < 2 or self.record is None:
+            return self.span
+        return self.starts[0], float(self.anew(self.record.t).max())
+
+    @property
+    def counted(self) -> str:
+        """What an equation says of t where it counts so."""
+        return ", t anew in each record" if len(self.starts) > 1 else ""
 
     @property
     def tells_samples(self) -> bool:
@@ -340,6 +357,7 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         time_unit=series.time_unit,
         regular=series.dt is not None,
         later=_later(series),
+        starts=starts_of(apart(series)),
     )
 
 

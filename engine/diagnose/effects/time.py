@@ -42,7 +42,8 @@ def _signal(
 ) -> Kind:
     """A kind ``size * signal(t)``, the signal of unit time^power, added to a state's equation or an output.
 
-    The signal is a function of t, of the parameters after the size, and of when further records begin.
+    The signal is a function of t, of the parameters after the size, and of when further records begin. What grows with
+    time begins anew with each of them.
     """
 
     def make(setting: Setting, channel: str, name: str) -> Effect:
@@ -50,17 +51,23 @@ def _signal(
         unit = setting.unit(channel) if at_output else setting.rate(channel)
         unit = product(unit, (setting.time_unit, -power)) if power else unit
         further = shape(name, setting)
+        counted = setting.counted if power else ""
 
         def extend(model: MixedModel) -> MixedModel:
             add = add_to_output if at_output else add_to_state
-            return add(model, channel, lambda v, own: own[0] * signal(v.t, own[1:], setting.later))
+            clock = setting.anew if power else lambda t: t
+
+            def term(v: Any, own: Sequence[Any]) -> Any:
+                return own[0] * signal(clock(v.t), own[1:], setting.later)
+
+            return add(model, channel, term)
 
         return Effect(
             kind,
             channel,
             "time",
             f"{title} {'of the reading' if at_output else 'of the force on'} {channel}",
-            f"{channel} = ... + {'' if at_output else 'dt * '}{name} * {formula}",
+            f"{channel} = ... + {'' if at_output else 'dt * '}{name} * {formula}{counted}",
             (Parameter(name, 0.0, unit, description=title), *further),
             extend,
             probes=(tuple(p.default for p in further),),
@@ -141,14 +148,18 @@ def _parameter_change(kind: str, title: str) -> Kind:
         steps = kind == "parameter-step"
         further = _from_when(name, setting)
         if not steps:
-            middle, length = 0.5 * (first + last), max(setting.length, setting.dt)
+            first, last = setting.run
+            length = max(min(setting.length, last - first), setting.dt)
+            middle = 0.5 * (first + last)
             further = [
                 setting.time(f"{name}_middle", middle, what="where it is zero"),
                 setting.time(f"{name}_per", length, SOME_TIME, "to which the size refers"),
             ]
 
         def course(t: Any, own: Sequence[Any]) -> Any:
-            return own[0] * (_since(t, own[1:], setting.later) if steps else (t - own[1]) / own[2])
+            if steps:
+                return own[0] * _since(t, own[1:], setting.later)
+            return own[0] * (setting.anew(t) - own[1]) / own[2]
 
         def extend(model: MixedModel) -> MixedModel:
             split = Split(model)
@@ -172,7 +183,11 @@ def _parameter_change(kind: str, title: str) -> Kind:
             "time",
             f"{title} of the parameter {channel}",
             f"{channel} -> {channel} + {name} * "
-            + (f"[t >= {name}_time]" if steps else f"(t - {name}_middle) / {name}_per"),
+            + (
+                f"[t >= {name}_time]"
+                if steps
+                else f"(t - {name}_middle) / {name}_per{setting.counted}"
+            ),
             (Parameter(name, 0.0, parameter.unit, description=title), *further),
             extend,
             probes=(tuple(p.default for p in further),),
@@ -201,7 +216,7 @@ def _width(name: str, setting: Setting) -> list[Parameter]:
 
 
 def _start(name: str, setting: Setting) -> list[Parameter]:
-    return [setting.time(f"{name}_start", setting.span[0], what="when it is zero")]
+    return [setting.time(f"{name}_start", setting.run[0], what="when it is zero")]
 
 
 KINDS: list[Kind] = [

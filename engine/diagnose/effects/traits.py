@@ -12,7 +12,8 @@ class Course(Enum):
     """How an effect runs over time: it is then tried at every time or frequency of a grid.
 
     The effect's second parameter is the time of a ``STEP`` or ``PULSE``; a ``HARMONIC`` has the amplitude of
-    the sine and the frequency, a ``DRIFT`` the time where it is zero and the one to which its size refers.
+    the sine and the frequency, a ``DRIFT`` the time where it is zero and the one to which its size refers,
+    counted anew in each record.
     """
 
     STEP = "step"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from engine.data.joined import starts_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting, setting_for
@@ -111,7 +112,7 @@ def search_free_runs(
     noise = [noise_fit(fit)]
     done: list[FreeRound] = []
     for k in range(ROUNDS + 1):  # the last one only asks whether noise explains the rest
-        setting = setting_of(fit, held)
+        setting = setting_of(fit, held, whole or records)
         others, level = (rivals, levels[0]) if k == 0 else ((), levels[1])
         theta = noise[-1].theta
         noisy, more = np.asarray(theta), k < ROUNDS
@@ -130,7 +131,7 @@ def search_free_runs(
     progress(STAGE, SEARCHED)
     last, missing = done[-1], None
     if last.alarmed and last.chosen is None:
-        missing = missing_function(fit, last.losses, setting_of(fit, held))
+        missing = missing_function(fit, last.losses, setting_of(fit, held, whole or records))
     progress(STAGE, 0.5 * (SEARCHED + 1.0))
     before, after = noise[0], noise[-1]
     if whole and done[0].survivors:
@@ -164,11 +165,15 @@ def only_one(before: Fitted, after: Fitted) -> Series | None:
     return records[most] if alike[most] > 1.0 - CALLED_FOR else None
 
 
-def setting_of(fit: Fitted, held: tuple[str, ...]) -> Setting:
-    """For effects beside a fit; of the parameters that were ``held`` those that nothing has released."""
+def setting_of(fit: Fitted, held: tuple[str, ...], whole: Sequence[Series]) -> Setting:
+    """For effects beside a fit to ``whole`` records or windows of them.
+
+    Of the parameters that were ``held`` those that nothing has released.
+    """
     released = {effect.channel for effect in fit.effects if effect.family == "parameter"}
     setting = setting_for(fit.model, fit.records[0], np.asarray(fit.theta))
-    return replace(setting, held=tuple(name for name in held if name not in released))
+    left = tuple(name for name in held if name not in released)
+    return replace(setting, held=left, starts=starts_of(whole))
 
 
 def on_whole(fit: Fitted, noise: QuasiFit, whole: Sequence[Series]) -> QuasiFit:

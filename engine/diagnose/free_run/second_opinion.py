@@ -106,7 +106,7 @@ def second_opinion(
         kinds = of_any_step(kinds, setting, base.free)
         rivals = named if all(refit.effect.name in kinds for refit in named) else []
     try:
-        beside = _beside(start, records, held, kinds)
+        beside = _beside(start, records, given, held, kinds)
         progress(STAGE, 0.5 * ALARM_SHARE)
         seen = beside.alarm(seed, level)
         progress(STAGE, ALARM_SHARE)
@@ -189,10 +189,14 @@ class _Beside:
 
 
 def _beside(
-    start: QuasiFit, records: Sequence[Series], held: tuple[str, ...], kinds: Sequence[str] | None
+    start: QuasiFit,
+    records: Sequence[Series],
+    whole: Sequence[Series],
+    held: tuple[str, ...],
+    kinds: Sequence[str] | None,
 ) -> _Beside:
     fit = fit_of(start, records)
-    setting = setting_of(fit, held)
+    setting = setting_of(fit, held, whole)
     linear = Linear(fit, columns(fit, candidates(fit, setting, kinds)))
     return _Beside(start, linear, setting, folds_of(fit.records))
 

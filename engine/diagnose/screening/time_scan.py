@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from engine.data.joined import anew, apart, starts_of
 from engine.data.series import Series
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.traits import Course
@@ -89,7 +90,7 @@ def _gates(
     t = series.t[:, None]
     if effect.traits.course is Course.DRIFT:
         middle, per = effect.probes[0]
-        return [(middle, per)], (t - middle) / per, 1
+        return [(middle, per)], (anew(t, starts_of(apart(series))) - middle) / per, 1
     if effect.traits.course is Course.PULSE:
         scores, information = (
             np.add.reduceat(x, series.samples)  # a pulse lasts a sample

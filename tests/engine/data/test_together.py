@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 import engine
-from engine.data.joined import apart, together
+from engine.data.joined import anew, apart, starts_of, together
 from engine.diagnose import all_effects, make_effect
 from engine.diagnose.effects.setting import setting_for
-from engine.diagnose.screening.score_columns import effect_columns
-from engine.diagnose.screening.time_scan import FINER, grid
+from engine.diagnose.screening.score_columns import Projection, effect_columns
+from engine.diagnose.screening.screen import make_test
+from engine.diagnose.screening.time_scan import FINER, family_test, grid, is_timed
 from engine.estimation.quasi_ml import derivatives, quasi_ml
 from engine.filters.sigma_point import moment_filter, moment_path
 
@@ -156,6 +157,44 @@ def test_time_between_records_is_none_in_which_anything_is_looked_for(days):
     assert (setting.record.dt < 0.1).all()
     wave = make_effect("harmonic:y", setting)
     assert len(grid(wave, whole)) <= FINER * len(whole)
+
+
+GROWING = ["drift:y", "ramp:velocity", "parameter-drift:omega", "variance:y->time"]
+
+
+@pytest.mark.parametrize("name", GROWING)
+def test_what_grows_with_time_begins_anew_with_each_record(name):
+    """Two warm-ups a day apart look as they do on two clocks from zero, and so do sizes that would be seen."""
+    model, theta, each = records("oscillator")
+
+    def seen(days):
+        whole = together([one.replace(t=one.t + 86400.0 * days * k) for k, one in enumerate(each)])
+        effect = make_effect(name, setting_for(model, whole, theta))
+        path = moment_path(model, theta, whole)
+        if is_timed(effect):
+            test = family_test(effect, model, theta, whole, path, Projection([]))
+        else:
+            columns = effect_columns(effect, model, theta, whole, path)
+            test = make_test(effect, [columns], Projection([]))
+        return effect, test
+
+    (one, alike), (other, apart_) = seen(0.0), seen(1.0)
+    assert apart_.norm[0] == pytest.approx(alike.norm[0], rel=1e-4)
+    np.testing.assert_allclose(apart_.s, alike.s, rtol=1e-4, atol=1e-4 * np.abs(alike.s).max())
+    assert "anew in each record" in other.equation
+    assert other.equation.startswith(one.equation)
+
+
+def test_a_record_that_goes_on_begins_nothing_anew():
+    _, _, (one, other, _) = records("oscillator")
+    halves = (one.part(0, 40), one.part(40, 80))
+    later = other.replace(t=other.t + 1000.0)
+    assert starts_of(halves) == (0.0,)
+    assert starts_of([one, other]) == (0.0,)  # two clocks from zero
+    assert starts_of([later, *halves[::-1]]) == (0.0, 1000.0)
+    assert anew(one.t, (0.0,)) is one.t
+    assert anew(1000.0, (0.0, 1000.0)) == 0.0
+    assert np.array_equal(anew(np.array([3.0, 1002.0]), (0.0, 1000.0)), [3.0, 2.0])
 
 
 def test_a_fit_of_records_together_is_that_of_their_list():
