@@ -32,6 +32,7 @@ from engine.diagnose.effects.catalogue import (
     extend,
     make_effect,
     register_effect,
+    shadowed,
 )
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
@@ -205,6 +206,12 @@ def diagnose(  # noqa: PLR0913
     both = ask_both(model, records, fine, theta, asked, clock, done)
     fine, causes, searched, found = both.fine, both.causes, both.searched, both.causes.search
     notes.extend(both.notes)
+    hidden = shadowed(causes.setting, effects)
+    if hidden:
+        notes.append(
+            f"Not looked for: {enumerated(hidden)}, as parameters of the model have the names of theirs; name "
+            "these otherwise."
+        )
 
     bootstrapped = None
     if bootstrap:

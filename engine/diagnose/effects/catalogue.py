@@ -8,7 +8,7 @@ from makers registered with :func:`register_effect`, those shipped and anybody's
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from engine.diagnose.effects.cogging import KINDS as COGGING
@@ -127,8 +127,25 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
 
     None of a state that only scales noise: nothing physical acts on it.
     """
-    out: list[Effect] = []
     there = set(setting.model.parameter_names)
+    return [e for e in _every(setting, kinds) if there.isdisjoint(p.name for p in e.parameters)]
+
+
+def shadowed(setting: Setting, kinds: Sequence[str] | None = None) -> list[str]:
+    """Names of effects that the model lacks, and that are not looked for as its parameters have their names."""
+    there = set(setting.model.parameter_names)
+    has = {
+        line.partition(": ")[0] for line in setting.model.equations
+    }  # as those it was extended by
+    return [
+        e.name
+        for e in _every(setting, kinds)
+        if e.name not in has and not there.isdisjoint(p.name for p in e.parameters)
+    ]
+
+
+def _every(setting: Setting, kinds: Sequence[str] | None) -> Iterator[Effect]:
+    """The effects of these kinds, also those that the model has."""
     scales = set(setting.model.scale_states)
     for kind, (_, channels) in _makers.items():
         if kind in COUNTING and not setting.tells_samples:
@@ -139,9 +156,8 @@ def all_effects(setting: Setting, kinds: Sequence[str] | None = None) -> list[Ef
             if not scales.isdisjoint(re.split("->|,", channel)):
                 continue
             effect = _made(kind, setting, channel)
-            if effect is not None and there.isdisjoint(p.name for p in effect.parameters):
-                out.append(effect)
-    return out
+            if effect is not None:
+                yield effect
 
 
 def extend(model: MixedModel, effects: Sequence[str], setting: Setting | None = None) -> MixedModel:

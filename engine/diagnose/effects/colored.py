@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from engine.diagnose.effects.augmentation import Begin, add_linear_states, beside
-from engine.diagnose.effects.effect import Effect, Split, identifier
+from engine.diagnose.effects.effect import Effect, Split
 from engine.diagnose.effects.kinds import Kind, each_output
 from engine.diagnose.effects.setting import FREQUENCIES, SLOWEST_PROBE, Setting
 from engine.diagnose.effects.traits import Traits
@@ -29,7 +29,7 @@ def _colored(setting: Setting, channel: str) -> Effect | None:
         if force is None:
             return None
         return replace(force, kind="colored", title=f"coloured process noise of {channel}")
-    name, unit = identifier("colored", channel), setting.unit(channel)
+    name, unit = setting.identifier("colored", channel), setting.unit(channel)
     most = setting.limits(0.0, 100.0 * setting.size(channel) ** 2, 0.0)
 
     def extend(model: MixedModel) -> MixedModel:
@@ -75,7 +75,7 @@ def _latent(setting: Setting, channel: str) -> Effect | None:
     target, _, manner = channel.partition(",")
     if target not in setting.states or manner not in ("", OSCILLATING):
         return None
-    name, unit = identifier(LATENT, channel), setting.rate(target)
+    name, unit = setting.identifier(LATENT, channel), setting.rate(target)
     most = setting.limits(0.0, 100.0 * (setting.size(target) / setting.dt) ** 2, 0.0)
     swings = manner == OSCILLATING
     states = {f"force_{target}": unit}

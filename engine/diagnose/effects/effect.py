@@ -139,12 +139,6 @@ def _is_own(function: Any) -> bool:
 Parts: TypeAlias = Callable[[Any], tuple[Any, Any]]
 
 
-def identifier(*parts: str) -> str:
-    """A parameter name from an effect's kind and channel."""
-    text = "_".join(parts)
-    return "".join(c if c.isalnum() else "_" for c in text)
-
-
 @dataclass(frozen=True)
 class Values:
     """Named signals at the points where a model is evaluated: ``v["velocity"]`` is (M,) or a number.

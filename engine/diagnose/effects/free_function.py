@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.diagnose.effects.effect import Effect, add_to_state, identifier, worded_for
+from engine.diagnose.effects.effect import Effect, add_to_state, worded_for
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.traits import Traits
 from engine.statespace.model import Array, MixedModel, Parameter
@@ -60,7 +60,7 @@ def free_function(
 
     Its values at the ``knots`` (K,) are ``directions`` (K, r) @ parameters (r,): those that data can tell.
     """
-    name = identifier("function", source, target)
+    name = setting.identifier("function", source, target)
     unit = setting.rate(target)
 
     def extend(model: MixedModel) -> MixedModel:

@@ -14,7 +14,6 @@ from engine.diagnose.effects.effect import (
     Split,
     add_to_state,
     change_inputs,
-    identifier,
     on_base,
 )
 from engine.diagnose.effects.kinds import Kind, at_inputs
@@ -172,7 +171,7 @@ def _extra_input(setting: Setting, channel: str) -> Effect | None:
     taken = {**setting.states, **setting.model.outputs}
     if target not in setting.states or not source or source in taken:
         return None
-    name = identifier("extra_input", source, target)
+    name = setting.identifier("extra_input", source, target)
     known = setting
     if source not in setting.model.inputs:
         known = replace(setting, model=with_inputs(setting.model, [source]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterable, Iterator
 from typing import TypeAlias
 
-from engine.diagnose.effects.effect import Effect, identifier
+from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.setting import Setting
 
 # A maker: (setting, channel) -> the effect, or None where the channel is not of its sort.
@@ -119,7 +119,7 @@ def at_pairs(
         target = target or source
         if not {source, target} <= set(setting.states):
             return None
-        return make(setting, channel, identifier(kind, channel), source, target)
+        return make(setting, channel, setting.identifier(kind, channel), source, target)
 
     return kind, maker, channels
 
@@ -132,6 +132,6 @@ def at_any(
     def maker(setting: Setting, channel: str) -> Effect | None:
         if channel not in there(setting):
             return None
-        return make(setting, channel, identifier(kind, channel))
+        return make(setting, channel, setting.identifier(kind, channel))
 
     return kind, maker, channels

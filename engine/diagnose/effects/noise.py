@@ -13,7 +13,6 @@ from engine.diagnose.effects.effect import (
     Split,
     change_output,
     change_step,
-    identifier,
     per_point,
 )
 from engine.diagnose.effects.kinds import Kind, at_outputs, at_signals, each_signal
@@ -115,7 +114,7 @@ def _variance(setting: Setting, channel: str) -> Effect | None:
         return None
     if signal != "time" and signal not in {**model.nonlinear, **model.inputs}:
         return None
-    name = identifier("variance", target, signal)
+    name = setting.identifier("variance", target, signal)
     first, last = setting.run
     middle, timely = 0.5 * (first + last), signal == "time"
     scale = max(last - first, setting.dt) if timely else setting.size(signal)
@@ -170,7 +169,7 @@ def _correlation(setting: Setting, channel: str) -> Effect | None:
     states = list(setting.states)
     if one not in states or other not in states or one == other:
         return None
-    name = identifier("correlation", one, other)
+    name = setting.identifier("correlation", one, other)
 
     def extend(model: MixedModel) -> MixedModel:
         all_states = [*model.nonlinear, *model.linear]

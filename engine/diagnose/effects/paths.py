@@ -11,7 +11,6 @@ from engine.diagnose.effects.effect import (
     Effect,
     Split,
     add_to_output,
-    identifier,
     per_point,
 )
 from engine.diagnose.effects.kinds import Kind, each_input, each_output, each_path
@@ -48,7 +47,7 @@ def _direct(setting: Setting, channel: str) -> Effect | None:
     if ends is None or not ends[2]:
         return None
     source, target, _ = ends
-    name = identifier("direct", channel)
+    name = setting.identifier("direct", channel)
     origin = Origin(setting, name, source)
     return Effect(
         "direct",
@@ -74,7 +73,7 @@ def _path(setting: Setting, channel: str) -> Effect | None:
     if ends is None:
         return None
     source, target, at_output = ends
-    name = identifier("path", channel)
+    name = setting.identifier("path", channel)
     origin = Origin(setting, name, source)
     first, until = setting.first(source), f"{source} until the record"
     before = Parameter(f"{name}_first", first, setting.unit(source), description=until)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import Any
 
 import numpy as np
@@ -222,6 +223,32 @@ class Setting:
 
     # ---- channels -----------------------------------------------------------------------------
 
+    def identifier(self, *parts: str) -> str:
+        """A parameter name from an effect's kind and channel: another one for each channel."""
+        return _spelled("_".join(map(self._apart, parts)))
+
+    def _apart(self, part: str) -> str:
+        """A channel, or those that an arrow or a comma joins, with numbers where names are spelled alike."""
+        known = self._numbered
+        if part in known:
+            return known[part]
+        return "".join(known.get(word, word) for word in re.split("(->|,)", part))
+
+    @cached_property
+    def _numbered(self) -> dict[str, str]:
+        """Channels spelled as another one before them, as "T_1" is after "T 1", with a number behind."""
+        out: dict[str, str] = {}
+        names = dict.fromkeys([*self.states, *self.model.inputs, *self.model.outputs])
+        taken = set(map(_spelled, names))
+        seen: set[str] = set()
+        for name in names:
+            if _spelled(name) in seen:
+                free = (f"{name}_{k}" for k in count(2))
+                out[name] = next(word for word in free if _spelled(word) not in taken)
+                taken.add(_spelled(out[name]))
+            seen.add(_spelled(name))
+        return out
+
     @property
     def states(self) -> dict[str, str]:
         """All states with their units."""
@@ -367,6 +394,11 @@ def _later(series: Series) -> tuple[float, ...]:
     if any(start <= end for (_, end), (start, _) in pairwise(spans)):
         return ()
     return tuple(start for start, _ in spans[1:])
+
+
+def _spelled(name: str) -> str:
+    """The name with nothing but letters, digits and underscores."""
+    return "".join(c if c.isalnum() else "_" for c in name)
 
 
 def _spread(values: Array) -> float:

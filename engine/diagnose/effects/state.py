@@ -14,7 +14,6 @@ from engine.diagnose.effects.effect import (
     Split,
     add_linear_coupling,
     add_to_state,
-    identifier,
     on_base,
     pushed,
 )
@@ -179,7 +178,7 @@ def _coupling(setting: Setting, channel: str) -> Effect | None:
     source, _, target = channel.partition("->")
     if source == target or not {source, target} <= set(setting.states):
         return None
-    name = identifier("coupling", source, target)
+    name = setting.identifier("coupling", source, target)
     origin = Origin(setting, name, source)
     return Effect(
         "coupling",

@@ -42,8 +42,8 @@ def _signal(
 ) -> Kind:
     """A kind ``size * signal(t)``, the signal of unit time^power, added to a state's equation or an output.
 
-    The signal is a function of t, of the parameters after the size, and of when further records begin. What grows with
-    time begins anew with each of them.
+    The signal is a function of t, of the parameters after the size, and of when further records begin. What
+    grows with time begins anew with each of them.
     """
 
     def make(setting: Setting, channel: str, name: str) -> Effect:
@@ -159,7 +159,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
         def course(t: Any, own: Sequence[Any]) -> Any:
             if steps:
                 return own[0] * _since(t, own[1:], setting.later)
-            return own[0] * (setting.anew(t) - own[1]) / own[2]
+            return own[0] * ((setting.anew(t) - own[1]) / own[2])
 
         def extend(model: MixedModel) -> MixedModel:
             split = Split(model)

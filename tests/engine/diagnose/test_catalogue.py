@@ -10,6 +10,7 @@ import pytest
 import engine
 from engine.data.lattice import lattice_step
 from engine.diagnose import all_effects, diagnose, effect_kinds, extend, make_effect
+from engine.diagnose.effects.catalogue import shadowed
 from engine.diagnose.effects.free_function import free_function
 from engine.diagnose.effects.hide import hide
 from engine.diagnose.effects.setting import Setting, setting_for
@@ -407,3 +408,38 @@ def test_equations_are_of_derivatives_where_those_of_the_model_are():
     assert knots.equation == "lower' = ... + function_upper_lower(upper)"
     of_steps = make_effect("drag:velocity", Setting(servo)).equation
     assert of_steps == "velocity' = ... + dt * drag_velocity * -velocity|velocity|"
+
+
+def test_channels_that_are_spelled_alike_have_effects_of_their_own():
+    """A record calls its columns "T 1" and "T_1", a parameter may hold neither blank nor sign."""
+    level = engine.get_model("local-level")
+    (unit,) = level.outputs.values()
+
+    def twice(a, u, t, theta):
+        h, C, R = level.measurement(a, u, t, theta)
+        return [*h, *h], [*C, *C], np.diag([R[0][0]] * 2)
+
+    level = replace(level, reference={})
+    model = replace(level, measurement=twice, outputs={"T 1": unit, "T_1": unit})
+    kinds = ["step", "bias", "drift", "gain", "variance"]
+    effects = all_effects(Setting(model), kinds)
+    plain = all_effects(Setting(replace(model, outputs={"T_1": unit, "E": unit})), kinds)
+    assert len(effects) == len(plain)
+    names = [p.name for effect in effects for p in effect.parameters]
+    assert len(set(names)) == len(names)
+    both = extend(model, ["step:T 1", "step:T_1"])
+    assert {"step_T_1", "step_T_1_2", "step_T_1_2_time"} <= set(both.parameter_names)
+    assert not shadowed(Setting(both), kinds)
+
+
+def test_what_is_not_looked_for_as_a_parameter_has_its_name_is_said():
+    level = engine.get_model("local-level")
+    (output,) = level.outputs
+    own = engine.Parameter(f"step_{output}", 0.0)
+    model = replace(level, parameters=(*level.parameters, own))
+    assert shadowed(Setting(model)) == [f"step:{output}"]
+    assert not shadowed(Setting(level))
+    rng = np.random.default_rng(0)
+    series = engine.Series(y=1000.0 + rng.normal(0.0, 120.0, (60, 1)))
+    found = diagnose(model, series, free=level.parameter_names, effects=["step", "bias"])
+    assert any(f"Not looked for: step:{output}," in note for note in found.notes)
