@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.arrays import Array
-from engine.data.lattice import lattice_step
+from engine.data.lattice import FEWEST_LEVELS, lattice_step
 from engine.data.series import Series
 from engine.words import enumerated, moment, number, percent, with_unit
 
@@ -23,6 +23,11 @@ COMMON = 20  # readings of two outputs; that fewer are the same may be chance
 MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
 MARKS = 0.3  # largest share of the readings that are marks: what is there more often is a state of the plant
 FEWEST_VALUES = 20  # other values; a signal of few levels may well have one that is far away
+OUT_OF_LINE = (
+    5.0  # times as long as the next one is a stretch of equal readings that tells of a fault
+)
+FEWEST_MOVES = 20  # without which nobody knows how long a reading usually stays
+STUCK_OFTEN = 3  # such stretches at most
 MOST_TOLD = 3  # sentences about several records
 
 
@@ -141,7 +146,8 @@ def identical(outputs: Mapping[str, str], series: Series) -> list[str]:
 def _held(name: str, unit: str, y: Array, u: Array) -> list[str]:
     """Readings that stay the same: cut at an extreme while they moved, or stuck.
 
-    Readings that rest while all inputs rest are neither.
+    Readings that rest while all inputs rest are neither, nor are those of a signal that moves slowly beside the
+    step in which they come.
     """
     cut = [text for sign in (1.0, -1.0) for text in _cut(sign, unit, y)]
     clipped = [f"Output {name} looks clipped: {enumerated(cut)}."] if cut else []
@@ -151,6 +157,10 @@ def _held(name: str, unit: str, y: Array, u: Array) -> list[str]:
         return clipped
     if u.shape[1] and not np.ptp(u[start - 1 : start + int(0.9 * length)], axis=0).any():
         return clipped
+    seen = y[~np.isnan(y)]
+    rounded = len(np.unique(seen)) < FEWEST_LEVELS or lattice_step(seen) is not None
+    if rounded and not _out_of_line(same):
+        return clipped
     resting = y[start] == 0.0 and y[start] in (np.nanmin(y), np.nanmax(y))
     what = "nothing to measure there, or a stuck reading?" if resting else "a stuck reading?"
     return [
@@ -158,6 +168,19 @@ def _held(name: str, unit: str, y: Array, u: Array) -> list[str]:
         f"Output {name} stays at exactly {with_unit(float(y[start]), unit)} for {length + 1} samples from "
         f"row {start - 1}: {what}",
     ]
+
+
+def _out_of_line(same: NDArray[np.bool_]) -> bool:
+    """Whether one or a few stretches of equal readings are far longer than all others, of which there are many.
+
+    Rounded readings of what moves slowly repeat themselves everywhere, and most where it turns: at the top of a
+    wave nearly five times as often as on the next step.
+    """
+    _, lengths = _stretches(same)
+    if len(same) - lengths.sum() < FEWEST_MOVES:
+        return False
+    longest = np.sort(np.append(lengths, np.zeros(STUCK_OFTEN, int)) + 1)[::-1][: STUCK_OFTEN + 1]
+    return bool((longest[:-1] > OUT_OF_LINE * longest[1:]).any())
 
 
 def _cut(sign: float, unit: str, y: Array) -> list[str]:

@@ -31,6 +31,10 @@ def test_marks_in_place_of_readings_are_found_in_any_unit(scale):
     assert sorted(marks(scale * y)) == [(-999.0 * scale, 6), (9999.0 * scale, 2)]
 
 
+def told(y):
+    return faults_of({"y": ""}, {}, Series(y=y[:, None]))
+
+
 def test_what_is_no_mark():
     y = noisy()
     assert marks(y) == []
@@ -102,3 +106,27 @@ def test_a_fit_of_the_simulation_tells_of_faults():
     y[[20, 21, 70]] = -999.0
     fit = fit_simulation(TANKS, replace(series, y=y), n_starts=1, max_evaluations=3)
     assert "a mark for 'no reading'" in fit.message
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_rounded_readings_of_a_slow_signal_are_not_stuck(seed):
+    rng, t = np.random.default_rng(seed), np.arange(400)
+    for slow in (np.sin(t / 50.0), 5.0 * np.exp(-t / 60.0), np.cumsum(rng.normal(0.0, 0.03, 400))):
+        for step in (0.1, 0.2, 0.5):
+            rounded = step * np.round((slow + rng.normal(0.0, 0.01, 400)) / step)
+            assert not any("stuck" in said for said in told(rounded))
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-3, 0.1])
+def test_a_stuck_reading_is_told_rounded_or_not(step):
+    """Once, and twice in one record."""
+    t, rng = np.arange(400), np.random.default_rng(0)
+    y = 10.0 * np.sin(t / 8.0) + rng.normal(0.0, 0.05, 400)
+    y = step * np.round(y / step) if step else y
+    for places in ([90], [90, 250]):
+        stuck = y.copy()
+        for row in places:
+            stuck[row : row + 40] = stuck[row]
+        (said,) = told(stuck)
+        assert "for 40 samples" in said
+        assert said.endswith("a stuck reading?")
