@@ -204,7 +204,8 @@ def _one_after_the_other(  # noqa: PLR0913
                 break
             of_state, tails = _OfState(len(rounds) - 1, found, fit.log_likelihood), other
             others = tuple(one for one in found.refits if one is not other)
-            rounds[-1] = replace(found, refits=(other, *others), equivalent=(other,))
+            beside = (one for one in found.equivalent if one not in (other, found.refits[0]))
+            rounds[-1] = replace(found, refits=(other, *others), equivalent=(other, *beside))
         usual = replace(fit, theta=fit.model.theta(tails.fit.theta[: len(fit.theta)]))
         series = without_outliers(usual, series, tails.effect.channel, seed)
         fit = here.fit(fit.model, partial(quasi_ml, fit.model, series, fit.theta, fit.free))

@@ -176,7 +176,8 @@ def _look_alikes(found: Round, best: Refit) -> tuple[LookAlike, ...]:
         less = 0.0 if refit is None else min(best.gain - refit.gain, behind)
         ruled_out = worse and less > RULED_OUT  # parameters more are no evidence against it
         difference = best.effect.look_alikes.get(other.kind, "")
-        if behind < -MARGIN:  # outliers of a state, see the search
+        ahead = behind < (0.0 if other.traits.outliers else -MARGIN)
+        if ahead and other.name not in set_of(found):  # outliers of a state, see the search
             difference = WAS_LIKELIER
         elif same and other.name not in set_of(found):
             difference = SAME

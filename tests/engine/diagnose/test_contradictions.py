@@ -135,6 +135,29 @@ def test_only_a_refit_that_has_ended_can_be_ruled_out():
     assert told.difference == "was likelier before what was found beside the cause"
 
 
+def test_outliers_of_a_state_that_were_a_little_likelier_are_not_the_same_in_other_words():
+    """The search goes on with those of a reading where, with what is found beside them, they do better."""
+    setting = Setting(DRIVE)
+    effects = [make_effect(f"heavy-tails:{name}", setting) for name in ("reading", "speed")]
+    scores = tuple(SimpleNamespace(effect=e, statistic=30.0) for e in effects)
+    fit = SimpleNamespace(given_up=False)
+    refits = [
+        SimpleNamespace(effect=e, score=s, gain=s, fit=fit)
+        for e, s in zip(effects, (248.91, 250.27), strict=True)
+    ]
+    one = SimpleNamespace(
+        screen=SimpleNamespace(scores=scores, likeness=lambda i, j: 0.9),
+        refits=tuple(refits),
+        equivalent=(refits[0],),
+        generic=None,
+    )
+    (told,) = _look_alikes(one, refits[0])
+    assert told.difference == "was likelier before what was found beside the cause"
+    one.equivalent = tuple(refits)
+    (told,) = _look_alikes(one, refits[0])
+    assert not told.difference.startswith("was likelier")
+
+
 def test_a_model_far_from_the_data_has_no_named_cause():
     """Its noise is held at a tenth of what is there."""
     known = engine.get_model("local-level")
