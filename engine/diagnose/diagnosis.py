@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from engine.data.faults import faults_of
 from engine.data.series import Series
@@ -14,14 +18,16 @@ from engine.diagnose.free_run.answer import FreeRunSearch
 from engine.diagnose.free_run.second_opinion import SecondOpinion
 from engine.diagnose.gain.gain import Gain
 from engine.diagnose.over_horizon import OverHorizon
+from engine.diagnose.screening.noise_parameters import noise_of
 from engine.diagnose.search.findings import Cause, Detectable, Verdict
 from engine.diagnose.search.found import Search
 from engine.diagnose.search.rounds import Round
 from engine.diagnose.symptoms.symptoms import Symptoms
+from engine.errors import EngineError
 from engine.estimation.quasi_ml import QuasiFit
 from engine.statespace.model import MixedModel, Theta
 from engine.views import Figures, Shown, View, plots, save, sheet, tables, view
-from engine.words import tidy
+from engine.words import tidy, with_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +154,28 @@ class Diagnosis(Shown):
             return ()
         return faults_of(self.model.outputs, self.model.inputs, self.series)
 
+    @cached_property
+    def stopped(self) -> tuple[str, ...]:
+        """Sentences on parameters of the model as given, but those of its noise, that a bound has stopped."""
+        fit = self.before
+        stopped = {*fit.model.at_bounds(fit.theta, fit.free)} if self.causes else set()
+        if stopped:
+            with suppress(EngineError, np.linalg.LinAlgError):
+                noise = noise_of(fit, self.series)
+                stopped -= {name for name, yes in zip(fit.free, noise, strict=True) if yes}
+        units = {p.name: p.unit for p in fit.model.parameters}
+        return tuple(
+            f"Before anything was added, {name} was stopped by its bound, "
+            f"{with_unit(float(fit.theta[name]), units[name])}: what was found may only make up for that."
+            for name in fit.free
+            if name in stopped
+        )
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the names of the causes are, so that an extension by them may be adopted."""
+        return self.verdict is not Verdict.UNKNOWN
+
     @property
     def measured(self) -> tuple[str, ...]:
         """The outputs of which the record has readings."""
@@ -212,7 +240,11 @@ class Diagnosis(Shown):
             tables().line(self.verdict.sentence),
             tables().table(head, causes),
             tables().lines(self.extended.equations if causes else ()),
-            tables().line("" if self.gain is None else view("diagnosis_text").gain_line(self.gain)),
+            tables().line(
+                ""
+                if self.gain is None
+                else view("diagnosis_text").gain_line(self.gain, self.trusted)
+            ),
             tables().line("print() shows all of it, .plot() the pictures."),
         )
 

@@ -85,10 +85,11 @@ def as_dict(d: Diagnosis) -> dict[str, Any]:
         "over_horizon": None if d.over_horizon is None else over_horizon(d.over_horizon),
         "symptoms": d.symptoms.to_dict(),
         "next": _next(d),
-        "gain": None if d.gain is None else _gain(d.gain, list(d.model.outputs)),
+        "gain": None if d.gain is None else _gain(d.gain, list(d.model.outputs), d.trusted),
         "detectable": [asdict(item) for item in d.detectable],
         "rounds": [_round(found) for found in d.rounds],
         "faults": list(d.faults),
+        "stopped": list(d.stopped),
         "notes": list(d.notes),
         "seconds": d.seconds,
         "page": page(d),
@@ -210,18 +211,19 @@ def _force(force: UnnamedForce) -> dict[str, Any]:
     }
 
 
-def _gain(gain: Gain, outputs: list[str]) -> dict[str, Any]:
+def _gain(gain: Gain, outputs: list[str], trusted: bool) -> dict[str, Any]:
     """Its numbers, where the squared error of the free run went, and curves on the held-out rows.
 
     ``budget`` splits the mean square error before into shares: ``noise`` of the measurement,
     ``left`` after the extension, and ``gone``; the three add up to 1. ``decision`` holds the ``outcome`` (see
     :class:`engine.diagnose.gain.adoption.Decision`) and why, ``in_short`` beside the numbers and ``in_full``.
+    Nothing is adopted whose name is not ``trusted``.
     """
-    document = gain.to_dict()
+    document = {**gain.to_dict(), "adopt": gain.adopt and trusted}
     document["decision"] = {
         "outcome": gain.decision.value,
-        "in_short": in_short(gain),
-        "in_full": in_full(gain),
+        "in_short": in_short(gain, trusted),
+        "in_full": in_full(gain, trusted),
     }
     document["budget"] = [
         {

@@ -78,6 +78,8 @@ def _head(d: Diagnosis) -> Iterator[str]:
     yield from _wrapped(f"{d.verdict.value.upper()}: {d.verdict.sentence}", "")
     for fault in d.faults:
         yield from _wrapped(f"Look at the record first. {fault}", "  ")
+    for said in d.stopped:
+        yield from _wrapped(said, "  ")
     if d.verdict.value == "unknown" and (known := _known(d)):
         yield from _wrapped(known, "  ")
     for k, cause in enumerate(d.causes):
@@ -101,7 +103,7 @@ def _head(d: Diagnosis) -> Iterator[str]:
             f"By parametric bootstrap (simulated, refitted, screened again): {p}.", "  "
         )
     if d.gain is not None:
-        yield from _wrapped(gain_line(d.gain), "  ")
+        yield from _wrapped(gain_line(d.gain, d.trusted), "  ")
 
 
 def _headline(d: Diagnosis, cause: Cause) -> str:
@@ -120,7 +122,7 @@ def _known(d: Diagnosis) -> str:
     return d.symptoms.sentences[0] if d.symptoms.sentences else ""
 
 
-def gain_line(gain: Gain) -> str:
+def gain_line(gain: Gain, named: bool = True) -> str:
     """The gain in one line."""
     text = (
         f"On {gain.samples} held-out samples: log-density {_signed(gain.log_density)} "
@@ -134,7 +136,7 @@ def gain_line(gain: Gain) -> str:
             f"; free run of {output.output} {with_unit(output.rmse_before, output.unit)} rms before, "
             f"{with_unit(output.rmse_after, output.unit)} after"
         )
-    return f"{text}. {in_short(gain)}"
+    return f"{text}. {in_short(gain, named)}"
 
 
 def _wrong(d: Diagnosis) -> Iterator[str]:
@@ -227,7 +229,7 @@ def unnamed(d: Diagnosis) -> UnnamedForce | None:
 def _extension(d: Diagnosis) -> Iterator[str]:
     if not d.causes:
         yield "  None: the model stays as it is."
-    elif d.gain is not None and not d.gain.adopt:
+    elif d.gain is not None and not (d.gain.adopt and d.trusted):
         yield "  Not adopted, as 4 says: the model stays as it is. With what was found it would be"
     elif d.gain is None:
         yield "  Not judged, as 4 says. With what was found the model would be"
@@ -289,7 +291,7 @@ def _gain(d: Diagnosis) -> Iterator[str]:
         yield from _wrapped(text + ".", "  - ")
     for note in gain.notes:
         yield from _wrapped(note, "  - ")
-    yield from _wrapped(in_full(gain), "  ")
+    yield from _wrapped(in_full(gain, d.trusted), "  ")
 
 
 def _share_gone(share: float) -> str:

@@ -129,19 +129,21 @@ def _by_noise(o: OutputGain) -> bool:
     return o.as_worse is not None and o.as_worse > TEST_LEVEL
 
 
-def in_short(gain: Gain) -> str:
-    """A few words beside the numbers."""
+def in_short(gain: Gain, named: bool = True) -> str:
+    """A few words beside the numbers; not ``named`` is an extension whose cause is unknown."""
     if gain.decision is Decision.LOSES:
         return "NOT adopted: it does worse there."
     if gain.decision is Decision.NO_EVIDENCE:
         return "NOT adopted: no evidence there that it does better."
-    if gain.p_value <= TEST_LEVEL:
-        return "Adopted."
-    return f"Adopted: better in free run of {_names(runs_changed(gain.outputs)[0])}."
+    better = f"better in free run of {_names(runs_changed(gain.outputs)[0])}"
+    if not named:
+        what = "gain" if gain.p_value <= TEST_LEVEL else f"be {better}"
+        return f"NOT adopted, though it would {what}: no cause is named."
+    return "Adopted." if gain.p_value <= TEST_LEVEL else f"Adopted: {better}."
 
 
-def in_full(gain: Gain) -> str:
-    """One sentence with the reason."""
+def in_full(gain: Gain, named: bool = True) -> str:
+    """One sentence with the reason; not ``named`` is an extension whose cause is unknown."""
     if gain.decision is Decision.LOSES:
         better = _names(runs_changed(gain.outputs)[0])
         but = f"; its free run of {better} is better" if better else ""
@@ -170,7 +172,8 @@ def in_full(gain: Gain) -> str:
         but += f"; {enumerated(_runs(noise))}, as noise alone would often have it"
     if constant:
         but += f"; {enumerated(_runs(constant))}, but it was hardly better than a constant before"
-    return f"Adopted: on data that it has not seen it does significantly better {enumerated(reasons)}{but}."
+    taken = "Adopted" if named else "Not adopted, as no cause is named"
+    return f"{taken}: on data that it has not seen it does significantly better {enumerated(reasons)}{but}."
 
 
 def _one_step(gain: Gain) -> str:

@@ -41,7 +41,8 @@ def verdict(d: Document) -> Html:
         testable = [x["testable"] for x in d["detectable"]]
         names = [tag("p", looked_for(p_value(d), testable))]
     faults = [tag("p", f"Look at the record first. {prose(one)}") for one in d.get("faults", ())]
-    return join([said, *faults, *names])
+    stopped = [tag("p", prose(one)) for one in d.get("stopped", ())]
+    return join([said, *faults, *stopped, *names])
 
 
 def _known(d: Document) -> str:

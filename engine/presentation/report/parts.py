@@ -192,7 +192,7 @@ def adopted(gain: Document, how: str) -> Html:
     said = "Adopted." if gain["adopt"] else "Not adopted: it does worse on held-out data."
     decision = gain.get("decision", {})
     tone = "good" if gain["adopt"] else "bad"
-    if decision.get("outcome") == "no evidence":
+    if not gain["adopt"] and decision.get("outcome") in ("no evidence", "adopted"):
         tone = "warn"
     return tag("p", decision.get(how, said), class_=tone)
 

@@ -177,6 +177,45 @@ def test_adoption_needs_evidence_and_no_loss(p_gain, log_density, outputs, decis
     assert in_short(gain).startswith("Adopted" if gain.adopt else "NOT adopted")
 
 
+@pytest.mark.parametrize(
+    ("p_gain", "said"),
+    [
+        (0.01, "NOT adopted, though it would gain: no cause is named."),
+        (0.6, "NOT adopted, though it would be better in free run of x: no cause is named."),
+    ],
+)
+def test_what_would_be_adopted_is_not_while_its_cause_is_unknown(found, p_gain, said):
+    gain = Gain("rows", 100, 5.0, 0.0, 0.1, p_gain, 1.0 - p_gain, (BETTER,), Decision.ADOPTED)
+    assert in_short(gain, False) == said
+    assert in_full(gain, False).startswith("Not adopted, as no cause is named: on data")
+    for verdict, adopted in ((Verdict.SET, True), (Verdict.UNKNOWN, False)):
+        one = replace(found, gain=gain, verdict=verdict)
+        assert ("Adopted" in str(one)) == adopted
+        assert ("as 4 says" in str(one)) != adopted
+        assert one.to_dict()["gain"]["adopt"] is adopted
+    assert gain.adopt  # what held-out data say of it
+
+
+def test_a_bound_that_stopped_the_model_is_said_at_the_top(found):
+    """Of its noise none is: that may well be zero."""
+    assert not found.stopped
+
+    def at_its_bound(model, series):
+        (first, *_) = model.parameters
+        base = quasi_ml(model, series)
+        base = replace(base, theta=model.theta({first.name: first.bounds[0]}))
+        return replace(found, search=replace(found.search, base=base), series=series)
+
+    one = at_its_bound(LINEAR, found.series)
+    assert one.stopped[0].startswith(
+        "Before anything was added, theta was stopped by its bound, -2:"
+    )
+    assert "was stopped by its bound" in str(one).partition("1. What")[0]
+    assert one.to_dict()["stopped"] == list(one.stopped)
+    level = simulate(LEVEL, None, 60, np.random.default_rng(0)).series
+    assert not at_its_bound(LEVEL, level).stopped
+
+
 def test_the_reason_names_what_decided():
     def said(p_gain, log_density, outputs):
         p_loss = 1.0 - p_gain
