@@ -23,11 +23,9 @@ COMMON = 20  # readings of two outputs; that fewer are the same may be chance
 MAD = 1.4826  # standard deviation of a Gaussian over its median absolute deviation
 MARKS = 0.3  # largest share of the readings that are marks: what is there more often is a state of the plant
 FEWEST_VALUES = 20  # other values; a signal of few levels may well have one that is far away
-OUT_OF_LINE = (
-    5.0  # times as long as the next one is a stretch of equal readings that tells of a fault
-)
+OUT_OF_LINE = 5.0  # times as long as the next longest is a run of equal readings that is stuck
+STUCK_OFTEN = 3  # such runs at most
 FEWEST_MOVES = 20  # without which nobody knows how long a reading usually stays
-STUCK_OFTEN = 3  # such stretches at most
 MOST_TOLD = 3  # sentences about several records
 
 
@@ -159,7 +157,7 @@ def _held(name: str, unit: str, y: Array, u: Array) -> list[str]:
         return clipped
     seen = y[~np.isnan(y)]
     rounded = len(np.unique(seen)) < FEWEST_LEVELS or lattice_step(seen) is not None
-    if rounded and not _out_of_line(same):
+    if rounded and not _out_of_line(y, (np.nanmin(y), np.nanmax(y)) if cut else ()):
         return clipped
     resting = y[start] == 0.0 and y[start] in (np.nanmin(y), np.nanmax(y))
     what = "nothing to measure there, or a stuck reading?" if resting else "a stuck reading?"
@@ -170,17 +168,17 @@ def _held(name: str, unit: str, y: Array, u: Array) -> list[str]:
     ]
 
 
-def _out_of_line(same: NDArray[np.bool_]) -> bool:
-    """Whether one or a few stretches of equal readings are far longer than all others, of which there are many.
+def _out_of_line(y: Array, cut: Sequence[float]) -> bool:
+    """Whether one or a few runs of equal readings are far longer than all others, of which there are many.
 
-    Rounded readings of what moves slowly repeat themselves everywhere, and most where it turns: at the top of a
-    wave nearly five times as often as on the next step.
+    Not those at levels where the signal is ``cut``. Rounded readings of what moves slowly repeat themselves
+    everywhere, and most where it turns: at the top of a wave nearly five times as long as on the steps beside.
     """
-    _, lengths = _stretches(same)
-    if len(same) - lengths.sum() < FEWEST_MOVES:
-        return False
-    longest = np.sort(np.append(lengths, np.zeros(STUCK_OFTEN, int)) + 1)[::-1][: STUCK_OFTEN + 1]
-    return bool((longest[:-1] > OUT_OF_LINE * longest[1:]).any())
+    starts = np.flatnonzero(np.append(True, np.diff(y) != 0.0))
+    lengths = np.diff(np.append(starts, len(y)))
+    longest = np.sort(lengths[~np.isin(y[starts], cut)])[::-1]
+    few = longest[: STUCK_OFTEN + 1]
+    return len(longest) >= FEWEST_MOVES and bool((few[:-1] > OUT_OF_LINE * few[1:]).any())
 
 
 def _cut(sign: float, unit: str, y: Array) -> list[str]:
