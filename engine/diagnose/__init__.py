@@ -144,10 +144,10 @@ def diagnose(  # noqa: PLR0913
         ``early(document)`` is called twice while the search goes on, with JSON values: the fitted model and
         what its simulation gets wrong; then also the first screen of effects.
     held_out : float
-        Share, 0 to 0.5, that is not searched and judges what is found. It is the last part of the longest record,
-        or that share of many records, one of five, if they hold as many rows. Where ``test`` is given it
-        decides, and this is to be left out. With 0 all is searched: effects of time are judged on blocks left
-        out of the fit in turn, and what others gain is not measured.
+        Share, 0 to 0.5, that is not searched and judges what is found. It is the last part of the longest
+        record, or that share of many records, one of five, if they hold as many rows. Where ``test`` is given
+        it decides, and this is to be left out. With 0 all is searched: effects of time are judged on blocks
+        left out of the fit in turn, and what others gain is not measured.
 
     Returns
     -------
