@@ -12,6 +12,10 @@ approximation's error, whose size is that of the differences' deviations in exce
 taken as far as it is known, which takes a few smoothers in place of a hundred. Where it is off by more than a
 part, or cannot be had, the directions are found in a first round and refined in a second, and the
 differences alone count.
+
+Where parameters lie on a curved ridge, half a standard error along a straight line leaves it, and the
+differences show more information than there is at theta. Scores without noise are therefore differenced over
+far less, and of particles' differences so much is taken off as the moment filter sees too much over their reach.
 """
 
 from __future__ import annotations
@@ -43,8 +47,13 @@ from engine.words import percent
 ROUNDS = 3  # of finding the directions; only the last uses all replicates ...
 MOST_ROUNDS = 15  # ... and so many where a round may not widen a direction as far as it should
 GUESS = 0.1  # share of the complete-data information that the data usually hold, to start with
-# Length of the differences in standard errors: further out the curvature differs.
+# Length of the differences in standard errors: further out the curvature differs, and nearer noise is larger.
 REACH_ERRORS = 0.5
+EXACT_REACH = 0.03  # without noise: along a curved ridge half an error already leaves it
+EVEN_NEARER = 0.01  # of differences of a log-likelihood that give a score
+BENT = (
+    0.05  # of the information, by how much more of it is seen over REACH_ERRORS: less is left alone
+)
 REPLICATES = 8
 # Standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases.
 SETTLED_ERRORS = 0.5
@@ -228,6 +237,7 @@ def _differences(
         if k >= ROUNDS - 2 and np.linalg.eigvalsh(G)[0] > FLOOR:
             break  # with little noise the data hold a millionth of the complete-data information
     every = np.array([_whitened_information(score, L, which) for which in seeds])
+    every -= _bend(score, L, every.mean(axis=0))
     refined = L @ _root(_inverse(every.mean(axis=0)))
     relative = _jackknife(L, every)
     if len(every) > 1:  # an inverse kept above FLOOR hides how much of it is noise
@@ -251,8 +261,9 @@ def _guessed(
     L = _root_of_inverse(guess)
     expected = float((scores @ L).var(axis=0, ddof=1).mean())
     made: list[Array] = []
+    bend = _bend(score, L)
     for which in seeds:
-        made.append(_whitened_information(score, L, which))
+        made.append(_whitened_information(score, L, which) - bend)
         G = np.array(made)
         n = len(made)
         noise = float(G.var(axis=0, ddof=1).mean() / n) if n > 1 else expected
@@ -265,8 +276,7 @@ def _guessed(
     error = max(deviation - noise, TRUSTED**2)
     share = error / (error + noise)  # of a deviation that is believed
     believed = np.eye(len(L)) + share * (G - np.eye(len(L)))
-    values = np.linalg.eigvalsh(believed.mean(axis=0))
-    if values[0] < GOOD_GUESS[0] or values[-1] > GOOD_GUESS[1]:
+    if not _good(believed.mean(axis=0)):
         return None
     refined = L @ _root(_inverse(believed.mean(axis=0)))
     return refined @ refined.T, _jackknife(L, believed), ""
@@ -326,16 +336,57 @@ def _said_of_the_end(found: Estimate | None) -> str:
 
 def _whitened_information(score: Score, L: Array, which: np.random.SeedSequence) -> Array:
     """L' I L from central differences of the score along the columns of L, clipped to the bounds."""
-    n, x = len(L), score.x
-    G = np.empty((n, n))
-    for k in range(n):
-        ends, lengths = [], []
-        for sign in (-1.0, 1.0):
-            length = shift_within(x, sign * L[:, k], *score.bounds, REACH_ERRORS)
-            ends.append(score.at(x + sign * length * L[:, k], which)[0])
-            lengths.append(length)
-        G[:, k] = L.T @ (ends[0] - ends[1]) / sum(lengths)
+    ends, lengths = _ends(score, L, EXACT_REACH if score.exact else REACH_ERRORS)
+    low, high = (np.array([score.at(x, which)[0] for x in side]) for side in ends)
+    G: Array = (low - high) @ L / lengths.sum(axis=0)[:, None]
     return 0.5 * (G + G.T)
+
+
+def _ends(score: Score, L: Array, reach: float) -> tuple[Array, Array]:
+    """Points (2, n, n) to either side of theta along the columns of L, and how far they are (2, n)."""
+    x, sides = score.x, np.array([-L.T, L.T])
+    lengths = np.array(
+        [[shift_within(x, step, *score.bounds, reach) for step in side] for side in sides]
+    )
+    return x + lengths[:, :, None] * sides, lengths
+
+
+def _bend(score: Score, L: Array, held: Array | None = None) -> Array:
+    """By how much differences over the particles' reach show too much of L' I L, by the moment filter.
+
+    Zero where that sees hardly any more so far out, or is no guide: it is far from what is ``held`` (n, n) over
+    that reach, or, where that is not given, from the identity next to theta.
+    """
+    none = np.zeros_like(L)
+    if score.exact:
+        return none
+    beside = [_ends(score, L, reach) for reach in (EXACT_REACH, REACH_ERRORS)]
+    top = score.values(score.x)
+    first, second = (
+        2.0 * ((top - score.values(at)) / lengths).sum(axis=0) / lengths.sum(axis=0)
+        for at, lengths in beside
+    )
+    # second differences of a value show half of the bend that differences of its slope do
+    if not np.abs(2.0 * (second - first)).max() > BENT:  # nor where they are not finite
+        return none
+    step = EVEN_NEARER * L.T
+    seen = []
+    for at, lengths in beside:
+        points = at[:, :, None]
+        low, high = score.values(points + step) - score.values(points - step)
+        G = (low - high) / (2.0 * EVEN_NEARER * lengths.sum(axis=0)[:, None])
+        seen.append(0.5 * (G + G.T))
+    if not np.isfinite(seen).all():
+        return none
+    near, far = seen
+    root = None if held is None else _root(_inverse(held))
+    return far - near if _good(near if root is None else root @ far @ root) else none
+
+
+def _good(G: Array) -> bool:
+    """Whether information (n, n), in units of a guess, shows that to be a good one."""
+    values = np.linalg.eigvalsh(G)
+    return bool(GOOD_GUESS[0] <= values[0] and values[-1] <= GOOD_GUESS[1])
 
 
 def _root(S: Array) -> Array:

@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.series import Series
+from engine.errors import ModelError
 from engine.estimation.e_steps import Expect, rbps_step, rts_step
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.particle_likelihood import ParticleLikelihood, likelihood_of
-from engine.estimation.quasi_ml import with_scales
+from engine.estimation.quasi_ml import log_likelihoods, with_scales
+from engine.filters.sigma_point import free_thetas
 from engine.statespace.model import Array, MixedModel, Theta
 
 
@@ -81,6 +83,15 @@ class Score:
         values = np.array(self.theta)
         values[self.indices] = x
         return self.likelihood.of(Theta(values, self.theta.names))
+
+    def values(self, points: Array) -> Array:
+        """The same at points (..., n), by the filter of moments; NaN for all where it cannot be had."""
+        thetas = free_thetas(np.asarray(self.theta), self.indices, points.reshape(-1, len(self.x)))
+        try:
+            found = log_likelihoods(self.model, self.likelihood.all_series, thetas)
+        except (ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            found = np.full(len(thetas), np.nan)
+        return found.reshape(points.shape[:-1])
 
     def at(self, x: Array, seed: np.random.SeedSequence) -> tuple[Array, Array]:
         """Score (n,) at values x (n,) of the parameters, and complete-data information (n, n)."""

@@ -212,6 +212,55 @@ def test_one_that_claims_too_much_is_corrected(times, monkeypatch, best):
         assert found.values[0] == pytest.approx(exact, rel=0.15)
 
 
+@pytest.fixture(scope="module")
+def ridge():
+    """A fuel cell's voltage: A ln(i0) is known far better than A or i0, and i0 to a third.
+
+    With the maximum and the inverse of a Hessian by short differences, in the logarithms.
+    """
+    rng = np.random.default_rng(3)
+    i = rng.uniform(0.05, 1.1, 120)
+    model = engine.MixedModel(
+        name="cell",
+        linear={"w": "Ohm"},
+        inputs={"i": "A"},
+        outputs={"U": "V"},
+        dynamics=lambda a, u, t, dt, th: ([0.0], [[0.9]], [[1e-5]]),
+        measurement=lambda a, u, t, th: (
+            [1.18 - th.A * np.log(u[0] / th.i0) - th.R0 * u[0]], [[-u[0]]], [[4e-6]]
+        ),
+        initial=lambda th: (None, [0.0], [[5e-5]]),
+        parameters=[
+            engine.Parameter("A", 0.026, "V", (0.005, 0.2)),
+            engine.Parameter("i0", 3e-7, "A", (1e-10, 1e-3)),
+            engine.Parameter("R0", 0.15, "Ohm", (0.0, 2.0)),
+        ],
+    )  # fmt: skip
+    series = engine.simulate(model, None, 120, rng, u=i).series
+    at = quasi_ml(model, series, tolerance=1e-8).theta
+    steps = 1e-3 * np.eye(3)
+
+    def value(logs):
+        return engine.kalman_smoother(model, np.exp(logs), series).log_likelihood
+
+    x = np.log(np.asarray(at))
+    H = [
+        [(value(x + j + k) - value(x + j - k) - value(x - j + k) + value(x - j - k)) for j in steps]
+        for k in steps
+    ]
+    inverse = np.linalg.inv(-np.array(H) / (4.0 * 1e-6))
+    return model, series, at, np.asarray(at) * np.sqrt(np.diag(inverse))
+
+
+@pytest.mark.parametrize("options", [{"exact": True}, {}, {"replicates": 2}])
+def test_on_a_curved_ridge_the_errors_are_those_at_the_maximum(options, ridge):
+    """Half an error along a straight line leaves the ridge, and sees twice the information."""
+    model, series, at, errors = ridge
+    found = engine.standard_errors(model, at, series, **{**SMALL, **options})
+    np.testing.assert_allclose(found.values, errors, rtol=0.03)
+    assert found.settled
+
+
 @pytest.mark.parametrize("R", [2, 5])
 def test_the_error_of_the_score_is_that_of_a_mean(R, best):
     """Exactly, from the scores of the same smoothers."""
@@ -353,10 +402,13 @@ class Sloped:
         self.noise, self.held, self.x, self.calls = noise, held, np.zeros(n), 0
         self.theta, self.indices = np.zeros(n), np.arange(n)
         self.bounds = np.full(n, -np.inf), np.full(n, np.inf)
-        self.likelihood = self
+        self.likelihood, self.exact = self, False
 
     def information(self, theta, indices):
         return np.eye(len(indices))
+
+    def values(self, points):
+        return -0.5 * (points**2).sum(axis=-1)
 
     def at(self, x, which):
         self.calls += 1
