@@ -14,9 +14,13 @@ it is the efficient score
 
 an average over smoothed trajectories by Fisher's identity. So the slope is taken at a few values of
 theta_k to either side, joined by a spline and integrated. For linear Gaussian models, with the Kalman
-smoother, the curve at the ends is right to about 0.1 (of 1.92 that it falls by), as I is that at the
-estimate; else it has Monte Carlo noise too, which ``errors`` tells, and the particles' bias in the
-slope, which vanishes as their number grows.
+smoother, each step of the curve is held against the likelihood itself, and is halved until they agree; else
+it has Monte Carlo noise, which ``errors`` tells, and the particles' bias in the slope, which vanishes as their
+number grows.
+
+The other parameters follow by scoring. On a curved ridge the information at the estimate leads them astray
+elsewhere, so that it changes along the way as the moment filter's does. Where they do not arrive the step is
+halved, too; an end to which there is no way is not found, and is said to be so.
 
 The maximum is that of the curve, next to the estimate. An estimate at which EM stopped a little
 early therefore does no harm. Another maximum further away is inside only if the likelihood does not
@@ -28,6 +32,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -39,7 +44,14 @@ from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.distributions import chi2_quantile
 from engine.errors import ModelError, NotSettledWarning, OptionError
-from engine.estimation.uncertainty.observed import Estimate, of_estimate, standard_errors
+from engine.estimation.uncertainty.observed import (
+    Estimate,
+    good_guess,
+    of_estimate,
+    root_of_inverse,
+    score_decrement,
+    standard_errors,
+)
 from engine.estimation.uncertainty.observed_result import StandardErrors
 from engine.estimation.uncertainty.score import Score
 from engine.randomness import check_seed
@@ -47,18 +59,26 @@ from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
 from engine.threads import single_threaded
 from engine.ties import scaled_inverse
 from engine.views import Shown, View, sheet, tables
-from engine.words import Told, digits_of_ends
+from engine.words import Told, digits_of_ends, enumerated
 
 STEP_ERRORS = 0.7  # between the values of theta_k, in standard errors ...
-GROWTH = 1.25  # ... and by how much it grows from one to the next
-SIDE_POINTS = 20  # on one side at most; the last is some 240 standard errors away
+GROWTH = 1.25  # ... and by how much it grows from one to the next ...
+FLAT_GROWTH, FLAT_NATS = 2.0, 0.1  # ... or where the likelihood fell by less than so many nats
+SIDE_POINTS = 60  # on one side at most
 # Nats beyond the end: the step is halved, so that the spline has a point nearby.
 OVERSHOOT_NATS = 1.5
-HALVINGS = 3
+LEAST_STEP = 0.01  # standard errors, or of the room to the bound: it is not halved any more
 BEYOND_NATS = 0.3  # nats that the last point is beyond the end
 NEAR_ERRORS = 0.01  # standard errors from a bound count as being there
-LAG_NATS = 0.01  # nats by which the other parameters may be away from their maximum ...
-CORRECTIONS = 3  # ... after this many steps towards it at most
+# So far away a likelihood that falls by so little while the distance grows by its own length has levelled off.
+FAR_ERRORS, LEVEL_NATS = 240.0, 0.1
+LAG_NATS = (
+    0.01  # nats by which the other parameters may be away from their maximum, beside noise ...
+)
+EXACT_LAG = 1e-4  # ... and without any, ...
+CORRECTIONS = 3  # ... after this many steps towards it at most,
+EXACT_CORRECTIONS = 8  # each of which brings them nearer
+AGREED_NATS = 0.03  # between the likelihood itself and the integral of its slope over one step
 AWAY_ERRORS = 1.0  # standard errors between the estimate and the maximum are worth a warning
 STEP_PARTS = 64  # parts of each step on which the curve is searched
 
@@ -76,14 +96,16 @@ class LikelihoodIntervals(Shown):
     level : float
         Confidence of each interval, such as 0.95.
     values : array (n_theta, 2)
-        The intervals; NaN for parameters that are held fixed or at a bound. An end that is the parameter's
-        bound, which may be infinite, says that the likelihood does not fall enough before it.
+        The intervals; NaN for parameters that are held fixed or at a bound, and for an end that was not found,
+        which ``warning`` tells. An end that is the parameter's bound, which may be infinite, says that the
+        likelihood does not fall enough before it.
     errors : array (n_theta, 2)
         Monte Carlo standard errors of the ends, NaN where there is no end but a bound.
     maximum : array (n_theta,)
         Value at which each profile is highest: the estimate, if it is the maximum.
     warning : str
-        A sentence where a maximum is more than a standard error away from the estimate, else "".
+        What is to be known: that a maximum is more than a standard error away from the estimate; which ends
+        were not found. Else "".
     """
 
     model: MixedModel
@@ -96,7 +118,7 @@ class LikelihoodIntervals(Shown):
 
     def _view(self) -> View:
         rows = [
-            (p.name, *(Told(one, digits_of_ends(low, high)) for one in (value, low, high)), p.unit)
+            (p.name, *(_shown(one, low, high) for one in (value, low, high)), p.unit)
             for p, value, (low, high) in zip(
                 self.model.parameters, self.theta.tolist(), self.values.tolist(), strict=True
             )
@@ -105,6 +127,11 @@ class LikelihoodIntervals(Shown):
         head = ("parameter", "estimate", f"{100 * self.level:g} % from", "to", "unit")
         title = f"{self.model.name}: intervals by the likelihood ratio"
         return sheet(title, tables().line(self.warning), tables().table(head, rows))
+
+
+def _shown(value: float, low: float, high: float) -> float | str:
+    """A value, or an end, to the digits that the interval needs."""
+    return "not found" if np.isnan(value) else Told(value, digits_of_ends(low, high))
 
 
 @single_threaded
@@ -191,10 +218,16 @@ def likelihood_intervals(  # noqa: PLR0913
         if callback is not None:
             callback(errors.names[k])
         at, slopes, outermost = march.profile(k, fall)
+        if len(at) == 1:  # no way from the estimate
+            continue
         values[index], maximum[index] = ends(at, slopes.mean(axis=0), theta[index], fall, outermost)
+        low, high = np.nan_to_num(values[index], nan=theta[index])
+        if errors.settled and not low <= theta[index] <= high:  # there is no way up from a maximum
+            values[index], maximum[index] = np.nan, theta[index]
+            continue
         spread[index] = _jackknife(at, slopes, theta[index], fall, outermost)
         spread[index, np.isin(values[index], score.bounds)] = np.nan
-    warning = _warning(errors, maximum)
+    warning = " ".join(filter(None, (_warning(errors, maximum), _said_of_missing(errors, values))))
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
     return LikelihoodIntervals(model, theta, level, values, spread, maximum, warning)
@@ -216,6 +249,36 @@ def _warning(errors: StandardErrors, maximum: Array) -> str:
     )
 
 
+def _said_of_missing(errors: StandardErrors, values: Array) -> str:
+    """A sentence about ends that were not found, "" without any."""
+    missing = []
+    for name in errors.names:
+        no_low, no_high = np.isnan(values[errors.model.index(name)])
+        if no_low or no_high:
+            which = "" if no_low and no_high else " (lower end)" if no_low else " (upper end)"
+            missing.append(f"{name}{which}")
+    if not missing:
+        return ""
+    return (
+        f"Not found: the interval of {enumerated(missing)}, as the maximum over the other parameters could "
+        "not be followed to where the likelihood has fallen enough."
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Of a profile: the parameters x (n,), slopes (R,), dx / dx_k (n,), and its height where that is exact."""
+
+    x: Array
+    slopes: Array
+    direction: Array
+    height: float
+
+    @property
+    def slope(self) -> float:
+        return float(self.slopes.mean())
+
+
 @dataclass(frozen=True, eq=False)
 class _March:
     """Along the profile of one parameter after the other, away from the estimate."""
@@ -225,70 +288,103 @@ class _March:
     replicates: int
     seeds: np.random.SeedSequence
 
+    @cached_property
+    def _information_at_estimate(self) -> Array:
+        return scaled_inverse(self.covariance)
+
+    @cached_property
+    def _guide(self) -> Array | None:
+        """A root (n, n) of the moment filter's information at the estimate, where that is much as here."""
+        found, L = (
+            self.score.information(self.score.x),
+            root_of_inverse(self._information_at_estimate),
+        )
+        return None if found is None or not good_guess(L.T @ found @ L) else _cholesky(found)
+
     def profile(self, k: int, fall: float) -> tuple[Array, Array, tuple[float, float]]:
         """Values of parameter k in order (P,), and the slopes of its profile there (R, P).
 
         Then how far its interval may reach: to the outermost values, or to a bound before which the
         likelihood did not fall enough.
         """
-        x = self.score.x
-        scores = self._scores(x)
-        v, other = self._directions(k, x, scores)
-        centre = x + other @ scores.mean(axis=0)
-        at, slopes, outermost = [x[k]], [scores @ v], []
+        start = self._at(k, self.score.x)
+        if start is None:
+            return self.score.x[[k]], np.zeros((self.replicates, 1)), (np.nan, np.nan)
+        points, outermost = [start], []
         for sign in (-1.0, 1.0):
-            side, reach = self._side(k, sign, self._clipped(centre, k), slopes[0], fall)
+            side, reach = self._side(k, sign, start, fall)
             outermost.append(reach)
-            for value, slope in side:
-                at.append(value)
-                slopes.append(slope)
-        order = np.argsort(at)
-        return np.array(at)[order], np.array(slopes)[order].T, (outermost[0], outermost[1])
+            points += side
+        points.sort(key=lambda point: float(point.x[k]))
+        at, slopes = np.array([p.x[k] for p in points]), np.array([p.slopes for p in points])
+        return at, slopes.T, (outermost[0], outermost[1])
 
-    def _side(
-        self, k: int, sign: float, x: Array, slope: Array, fall: float
-    ) -> tuple[list[tuple[float, Array]], float]:
-        """Values and slopes on one side until the curve has fallen, and how far that side reaches."""
+    def _side(self, k: int, sign: float, start: _Point, fall: float) -> tuple[list[_Point], float]:
+        """Points on one side until the curve has fallen, and how far that side reaches; NaN if not found."""
         sd = float(np.sqrt(self.covariance[k, k]))
         lower, upper = self.score.bounds
-        bound = lower[k] if sign < 0.0 else upper[k]
-        v = self.covariance[:, k] / self.covariance[k, k]
-        step, halvings = STEP_ERRORS * sd, 0
-        at, slopes = [x[k]], [float(slope.mean())]
-        out: list[tuple[float, Array]] = []
-        while len(out) < SIDE_POINTS:
-            room = abs(bound - x[k])
-            if room < NEAR_ERRORS * sd:
-                break
+        bound = float(lower[k] if sign < 0.0 else upper[k])
+        step, fallen = STEP_ERRORS * sd, 0.0
+        points = [start]
+        while len(points) <= SIDE_POINTS:
+            last = points[-1]
+            room = abs(bound - last.x[k])
+            if room < NEAR_ERRORS * sd or self._level(k, start, last):
+                return points[1:], bound
             length = min(step, 0.9 * room)  # at a bound a variance may be zero
-            there, slope_there, direction = self._at(k, x + sign * length * v)
-            fallen = _fallen([*at, there[k]], [*slopes, float(slope_there.mean())])
-            if fallen > fall + OVERSHOOT_NATS and halvings < HALVINGS:
-                step, halvings = 0.5 * length, halvings + 1
+            there = self._after(k, points, sign * length)
+            now = np.inf if there is None else _fallen(k, [*points, there])
+            if now > fall + OVERSHOOT_NATS and 0.5 * length > LEAST_STEP * min(sd, room):
+                step = 0.5 * length
                 continue
-            out.append((float(there[k]), slope_there))
-            if fallen > fall + BEYOND_NATS:
-                return out, float(there[k])
-            x, v = there, direction
-            at.append(x[k])
-            slopes.append(float(slope_there.mean()))
-            step *= GROWTH
-        return out, float(bound)
-
-    def _at(self, k: int, x: Array) -> tuple[Array, Array, Array]:
-        """The point of the profile next to x, its slopes (R,), and the profile's direction there."""
-        x = self._clipped(x, k)
-        scores = self._scores(x)
-        v, other = self._directions(k, x, scores)
-        s = scores.mean(axis=0)
-        for _ in range(CORRECTIONS):
-            if 0.5 * float(s @ other @ s) <= LAG_NATS:
+            if there is None:
                 break
-            x = self._clipped(x + other @ s, k)
+            points.append(there)
+            if now > fall + BEYOND_NATS:
+                return points[1:], float(there.x[k])
+            step = length * (FLAT_GROWTH if now - fallen < FLAT_NATS else GROWTH)
+            fallen = now
+        return points[1:], np.nan
+
+    def _after(self, k: int, points: list[_Point], step: float) -> _Point | None:
+        """The point of the profile after the last one, a ``step`` away; None where it is not surely that."""
+        last = points[-1]
+        try:
+            there = self._at(k, last.x + step * last.direction)
+        except (ModelError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        if there is None or not self.score.exact:
+            return there
+        heights = _heights(k, [*points, there])
+        rise = there.height - last.height
+        return there if abs(rise - (heights[-1] - heights[-2])) < AGREED_NATS else None
+
+    def _level(self, k: int, start: _Point, last: _Point) -> bool:
+        """Whether the profile has levelled off, so far as noise of its slope lets it be seen."""
+        distance = abs(last.x[k] - start.x[k])
+        noise = last.slopes.std() / np.sqrt(len(last.slopes))
+        far = distance > FAR_ERRORS * np.sqrt(self.covariance[k, k])
+        return bool(far and (abs(last.slope) - 2.0 * noise) * distance < LEVEL_NATS)
+
+    def _at(self, k: int, x: Array) -> _Point | None:
+        """The point of the profile next to x, None where the other parameters do not arrive there."""
+        exact, before = self.score.exact, np.inf
+        x = self._clipped(x, k)
+        for _ in range(1 + (EXACT_CORRECTIONS if exact else CORRECTIONS)):
             scores = self._scores(x)
             v, other = self._directions(k, x, scores)
-            s = scores.mean(axis=0)
-        return self._clipped(x + other @ s, k), scores @ v, v
+            decrement, noise = score_decrement(other, scores)
+            here, lag = x, 0.5 * decrement
+            if lag <= (EXACT_LAG if exact else LAG_NATS) or (exact and lag > before):
+                break
+            x, before = self._clipped(x + other @ scores.mean(axis=0), k), lag
+        if lag > LAG_NATS + 0.5 * noise:
+            return None
+        if not exact:
+            return _Point(
+                self._clipped(here + other @ scores.mean(axis=0), k), scores @ v, v, np.nan
+            )
+        return _Point(here, scores @ v, v, self.score.value(here) + lag)
 
     def _scores(self, x: Array) -> Array:
         """(R, n) with random numbers of their own: noise at one value is not that at the next."""
@@ -307,7 +403,7 @@ class _March:
         held = ((x <= low) & (s < 0.0)) | ((x >= high) & (s > 0.0))
         held[k] = True
         moving = np.flatnonzero(~held)
-        information = scaled_inverse(self.covariance)
+        information = self._information(x)
         v, other = np.zeros(len(x)), np.zeros((len(x), len(x)))
         v[k] = 1.0
         if moving.size:
@@ -315,6 +411,15 @@ class _March:
             v[moving] = -inverse @ information[moving, k]
             other[np.ix_(moving, moving)] = inverse
         return v, other
+
+    def _information(self, x: Array) -> Array:
+        """That at the estimate (n, n), changed as the moment filter's is from there to x."""
+        there = None if self._guide is None else self.score.information(x)
+        root = None if there is None else _cholesky(there)
+        if root is None or self._guide is None:
+            return self._information_at_estimate
+        change = root @ np.linalg.inv(self._guide)
+        return np.asarray(change @ self._information_at_estimate @ change.T)
 
     def _room(self) -> tuple[Array, Array]:
         """How far each parameter may go: nearly to its bounds."""
@@ -328,11 +433,25 @@ class _March:
         return out
 
 
-def _fallen(at: list[float], slopes: list[float]) -> float:
-    """How far below its highest value the curve with these slopes is at the last of ``at``."""
+def _cholesky(matrix: Array) -> Array | None:
+    """Its Cholesky factor, None where it has none."""
+    try:
+        return np.asarray(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _heights(k: int, points: Sequence[_Point]) -> Array:
+    """The curve (P,) at points in turn, from its slopes."""
+    at, slopes = np.array([p.x[k] for p in points]), np.array([p.slope for p in points])
     order = np.argsort(at)
-    height = CubicSpline(np.array(at)[order], np.array(slopes)[order]).antiderivative()(at)
-    return float(height.max() - height[-1])
+    return np.asarray(CubicSpline(at[order], slopes[order]).antiderivative()(at))
+
+
+def _fallen(k: int, points: Sequence[_Point]) -> float:
+    """How far below its highest value the curve is at the last of the points."""
+    heights = _heights(k, points)
+    return float(heights.max() - heights[-1])
 
 
 def ends(

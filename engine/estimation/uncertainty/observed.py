@@ -15,7 +15,7 @@ differences alone count.
 
 Where parameters lie on a curved ridge, half a standard error along a straight line leaves it, and the
 differences show more information than there is at theta. Scores without noise are therefore differenced over
-far less, and of particles' differences so much is taken off as the moment filter sees too much over their reach.
+far less, and from particles' differences is taken what the moment filter sees too much over their reach.
 """
 
 from __future__ import annotations
@@ -57,9 +57,8 @@ BENT = (
 REPLICATES = 8
 # Standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases.
 SETTLED_ERRORS = 0.5
-DOUBTFUL_ERRORS = (
-    3.0  # so far from a maximum may be by the noise of a few scores: then there are more
-)
+# So far from a maximum may be by the noise of a few scores: then there are more.
+DOUBTFUL_ERRORS = 3.0
 FURTHER_SCORES = 12
 FEW_REPLICATES = 4  # where the moment filter's information is a good guess,
 GOOD_GUESS = (0.4, 2.5)  # which it is where particles see so many times as much
@@ -192,11 +191,11 @@ def standard_errors(
         moment = score.likelihood.score(theta, score.indices)[0]
         decrement, noise = float(moment @ covariance[np.ix_(kept, kept)] @ moment), 0.0
     else:
-        decrement, noise = _decrement(covariance, scores)
+        decrement, noise = score_decrement(covariance, scores)
         if not exact and SETTLED_ERRORS**2 + noise < decrement < DOUBTFUL_ERRORS**2:
             further = np.random.SeedSequence(seed).spawn(most + FURTHER_SCORES)[most:]
             scores = np.array([*scores, *(whole.at(whole.x, which)[0] for which in further)])
-            decrement, noise = _decrement(covariance, scores)
+            decrement, noise = score_decrement(covariance, scores)
     settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
     if warning:
@@ -230,7 +229,7 @@ def _differences(
     score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence]
 ) -> tuple[Array, Array, str]:
     """Covariance (n, n) and relative errors (n,) from differences of the score alone, and no remark."""
-    L = _root_of_inverse(complete / GUESS)
+    L = root_of_inverse(complete / GUESS)
     for k in range(MOST_ROUNDS - 1):
         G = _whitened_information(score, L, seeds[0])
         L = L @ _root(_inverse(G))
@@ -258,7 +257,7 @@ def _guessed(
     guess = None if found is None else bounded(found, complete, NEXT_TO_NOTHING)
     if guess is None:
         return None
-    L = _root_of_inverse(guess)
+    L = root_of_inverse(guess)
     expected = float((scores @ L).var(axis=0, ddof=1).mean())
     made: list[Array] = []
     bend = _bend(score, L)
@@ -276,13 +275,13 @@ def _guessed(
     error = max(deviation - noise, TRUSTED**2)
     share = error / (error + noise)  # of a deviation that is believed
     believed = np.eye(len(L)) + share * (G - np.eye(len(L)))
-    if not _good(believed.mean(axis=0)):
+    if not good_guess(believed.mean(axis=0)):
         return None
     refined = L @ _root(_inverse(believed.mean(axis=0)))
     return refined @ refined.T, _jackknife(L, believed), ""
 
 
-def _decrement(covariance: Array, scores: Array) -> tuple[float, float]:
+def score_decrement(covariance: Array, scores: Array) -> tuple[float, float]:
     """Newton's decrement of the mean of scores (R, n), and what their noise may add to it (95 %)."""
     mean, R = scores.mean(axis=0), len(scores)
     decrement = float(mean @ covariance @ mean)
@@ -380,10 +379,10 @@ def _bend(score: Score, L: Array, held: Array | None = None) -> Array:
         return none
     near, far = seen
     root = None if held is None else _root(_inverse(held))
-    return far - near if _good(near if root is None else root @ far @ root) else none
+    return far - near if good_guess(near if root is None else root @ far @ root) else none
 
 
-def _good(G: Array) -> bool:
+def good_guess(G: Array) -> bool:
     """Whether information (n, n), in units of a guess, shows that to be a good one."""
     values = np.linalg.eigvalsh(G)
     return bool(GOOD_GUESS[0] <= values[0] and values[-1] <= GOOD_GUESS[1])
@@ -396,7 +395,7 @@ def _root(S: Array) -> Array:
     return root
 
 
-def _root_of_inverse(H: Array) -> Array:
+def root_of_inverse(H: Array) -> Array:
     """A root of H^{-1}, taken of the correlations: rounding must not mix parameters of units far apart."""
     scale = np.sqrt(np.diag(H))
     correlations = np.asarray(np.linalg.inv(H / scale[:, None] / scale), dtype=float)

@@ -93,6 +93,14 @@ class Score:
             found = np.full(len(thetas), np.nan)
         return found.reshape(points.shape[:-1])
 
+    def information(self, x: Array) -> Array | None:
+        """Of the parameters (n, n) at values x (n,), by the filter of moments; None where it cannot be had."""
+        if isinstance(self.likelihood, ParticleLikelihood):  # that filter is blind
+            return None
+        values = np.array(self.theta)
+        values[self.indices] = x
+        return self.likelihood.information(values, self.indices)
+
     def at(self, x: Array, seed: np.random.SeedSequence) -> tuple[Array, Array]:
         """Score (n,) at values x (n,) of the parameters, and complete-data information (n, n)."""
         values = np.array(self.theta)

@@ -261,6 +261,43 @@ def test_on_a_curved_ridge_the_errors_are_those_at_the_maximum(options, ridge):
     assert found.settled
 
 
+def test_along_a_curved_ridge_intervals_end_where_the_profile_has_fallen(ridge):
+    model, series, at, _ = ridge
+    found = engine.likelihood_intervals(model, at, series, exact=True)
+    assert not found.warning
+    top = quasi_ml(model, series, at, tolerance=1e-8).log_likelihood
+    for name, value, (low, high) in zip(at.names, at.tolist(), found.values, strict=True):
+        assert low < value < high
+        others = [other for other in at.names if other != name]
+        for end in (low, high):
+            held = quasi_ml(model, series, {**at.asdict(), name: end}, others, tolerance=1e-8)
+            assert top - held.log_likelihood == pytest.approx(1.92, abs=0.05)
+
+
+def test_ends_to_which_there_is_no_way_are_not_found(monkeypatch, best):
+    """And not the parameter's bound, which would say that the likelihood does not fall."""
+    sd = engine.standard_errors(MODEL, best, SERIES, exact=True).values[0]
+    own = Score.at
+
+    def lost(self, x, seed):
+        if x[0] > best["theta"] + 1.5 * sd:
+            raise engine.ModelError("the likelihood is not finite here")
+        return own(self, x, seed)
+
+    errors = engine.standard_errors(MODEL, best, SERIES, exact=True)
+    whole = engine.likelihood_intervals(MODEL, best, SERIES, errors=errors, exact=True)
+    monkeypatch.setattr(Score, "at", lost)
+    with pytest.warns(NotSettledWarning, match=r"Not found: the interval of theta \(upper end\)"):
+        found = engine.likelihood_intervals(MODEL, best, SERIES, errors=errors, exact=True)
+    assert np.isnan(found.values[0, 1])
+    assert found.values[0, 0] == pytest.approx(whole.values[0, 0], rel=1e-3)
+    assert "not found" in found._repr_html_()
+    monkeypatch.setattr(likelihood._March, "_at", lambda *asked: None)
+    with pytest.warns(NotSettledWarning, match="Not found: the interval of theta,"):
+        found = engine.likelihood_intervals(MODEL, best, SERIES, errors=errors, exact=True)
+    assert np.isnan(found.values[0]).all()
+
+
 @pytest.mark.parametrize("R", [2, 5])
 def test_the_error_of_the_score_is_that_of_a_mean(R, best):
     """Exactly, from the scores of the same smoothers."""
@@ -277,10 +314,10 @@ def test_the_error_of_the_score_is_that_of_a_mean(R, best):
 def test_settled_is_within_half_a_standard_error(top):
     """And the limit grows with the noise of the score: 0.25 + t^2 times its variance in those errors."""
     variance = np.array([[4.0]])
-    decrement, noise = observed._decrement(variance, np.array([[0.3]]))
+    decrement, noise = observed.score_decrement(variance, np.array([[0.3]]))
     assert (decrement, noise) == (pytest.approx(0.36), 0.0)
     scores = np.array([[0.1], [0.5]])
-    decrement, noise = observed._decrement(variance, scores)
+    decrement, noise = observed.score_decrement(variance, scores)
     assert decrement == pytest.approx(0.36)
     assert noise == pytest.approx(4.0 * (0.08 / 2.0) * 12.7062**2, rel=1e-4)
     sd = engine.standard_errors(MODEL, top, LONG, exact=True).values[0]
