@@ -33,6 +33,8 @@ from engine.estimation.wandering import (
 from engine.randomness import check_seed
 from engine.statespace.base import Array, BaseModel, Theta, ThetaLike
 
+TOLD_SHARE = 0.01  # of rows with one particle left, that is worth a word
+
 Callback: TypeAlias = Callable[[Iteration], Any]
 
 
@@ -200,11 +202,12 @@ class _Log:
         theta = trace[-1]
         if outcome is Outcome.CONVERGED and self.memory[-1] is None:
             theta = mean_point(trace[-WINDOW:])
-        lost = collapsed[-WINDOW:].mean() if self.k else 0.0
+        # of the end alone: a start from which the run came away says nothing of where it is
+        lost = collapsed[-min(WINDOW, (self.k + 1) // 2) :].mean() if self.k else 0.0
         if outcome is not Outcome.DIVERGED and lost > LOST_SHARE:
             outcome = Outcome.COLLAPSED
         message = outcome.value
-        if lost > 0.0:
+        if lost >= TOLD_SHARE:
             message += f" The filter was left with one particle at {100 * lost:.1f} % of the rows."
         stuck: tuple[str, ...] = ()
         if last is not None and outcome is not Outcome.DIVERGED:

@@ -21,6 +21,7 @@ from engine import (
     standard_errors,
 )
 from engine.estimation.em import Checkpoint
+from engine.estimation.em_loop import Loop, _Log
 from engine.filters.proposals import bootstrap
 from tests.engine.models_for_tests import draw, random_walk, theta_everywhere
 
@@ -216,6 +217,28 @@ def test_a_filter_that_stays_collapsed_makes_the_run_lost():
     assert not result.outcome.success
     assert "% of the rows" in result.message
     assert result.collapsed.min() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("collapsed", "lost", "told"),
+    [
+        ([0.6, *[0.0] * 7], False, ""),
+        ([0.0] * 4 + [0.004] * 4, False, ""),
+        ([0.0] * 4 + [0.02] * 4, False, " at 2.0 % of the rows"),
+        ([0.0] * 4 + [0.2] * 4, True, " at 20.0 % of the rows"),
+        ([0.6], True, " at 60.0 % of the rows"),
+    ],
+)
+def test_only_the_end_makes_a_run_lost(collapsed, lost, told):
+    """A first E step at a bad start, from which the run came away, does not; a row in a thousand is no word."""
+    log = _Log(MODEL, Loop(), 0)
+    log.trace = [MODEL.theta()] * (len(collapsed) + 1)
+    log.rows = [(-80.0, 9.0, 0.1, share) for share in collapsed]
+    log.memory = [None] * len(collapsed)
+    found = log.result(("theta",), Outcome.ITERATIONS_USED_UP, None, "")
+    assert (found.outcome is Outcome.COLLAPSED) == lost
+    assert told in found.message
+    assert told or "of the rows" not in found.message
 
 
 def test_a_run_that_is_no_longer_finite_has_diverged():
