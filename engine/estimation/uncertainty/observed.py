@@ -192,11 +192,13 @@ def standard_errors(
         decrement, noise = float(moment @ covariance[np.ix_(kept, kept)] @ moment), 0.0
     else:
         decrement, noise = score_decrement(covariance, scores)
-        if not exact and SETTLED_ERRORS**2 + noise < decrement < DOUBTFUL_ERRORS**2:
+        if not exact and _doubtful(decrement, noise, len(scores)):
             further = np.random.SeedSequence(seed).spawn(most + FURTHER_SCORES)[most:]
             scores = np.array([*scores, *(whole.at(whole.x, which)[0] for which in further)])
             decrement, noise = score_decrement(covariance, scores)
-    settled = decrement <= SETTLED_ERRORS**2 + noise and not drawn
+    away = _surely_away(scores[:, kept], np.diag(H))
+    decrement = max(decrement, away)
+    settled = decrement <= SETTLED_ERRORS**2 + noise and not away and not drawn
     warning = "" if settled else _warning(found, decrement, drawn)
     if warning:
         warnings.warn(warning, NotSettledWarning, stacklevel=3)  # to the caller
@@ -229,13 +231,21 @@ def _differences(
     score: Score, complete: Array, seeds: Sequence[np.random.SeedSequence]
 ) -> tuple[Array, Array, str]:
     """Covariance (n, n) and relative errors (n,) from differences of the score alone, and no remark."""
-    L = root_of_inverse(complete / GUESS)
+    L = before = root_of_inverse(complete / GUESS)
     for k in range(MOST_ROUNDS - 1):
         G = _whitened_information(score, L, seeds[0])
-        L = L @ _root(_inverse(G))
+        if not np.isfinite(G).all():  # noise has widened a direction to where no filter follows
+            L = before
+            break
+        before, L = L, L @ _root(_inverse(G))
         if k >= ROUNDS - 2 and np.linalg.eigvalsh(G)[0] > FLOOR:
             break  # with little noise the data hold a millionth of the complete-data information
     every = np.array([_whitened_information(score, L, which) for which in seeds])
+    if not np.isfinite(every).all():
+        raise ModelError(
+            "the likelihood is not finite within half a standard error of this theta; start the estimation "
+            "elsewhere, or use more n_particles"
+        )
     every -= _bend(score, L, every.mean(axis=0))
     refined = L @ _root(_inverse(every.mean(axis=0)))
     relative = _jackknife(L, every)
@@ -290,6 +300,29 @@ def score_decrement(covariance: Array, scores: Array) -> tuple[float, float]:
     variance = (scores - mean).T @ (scores - mean) / (R - 1) / R
     # a sum of squares with this mean has its largest quantiles where it is a single square
     return decrement, float(np.trace(covariance @ variance) * student_quantile(0.975, R - 1) ** 2)
+
+
+def _doubtful(decrement: float, noise: float, R: int) -> bool:
+    """Whether more than these R scores are needed to tell a maximum from a point short of one.
+
+    It may be short of one by the noise of so few, or that may hide that it is far from one.
+    """
+    on_average = noise / float(student_quantile(0.975, max(R - 1, 1))) ** 2
+    settled = SETTLED_ERRORS**2
+    return settled + on_average < decrement < max(DOUBTFUL_ERRORS**2, settled + noise)
+
+
+def _surely_away(scores: Array, information: Array) -> float:
+    """A squared distance to the maximum that needs no covariance, which noise may make anything; 0 for none.
+
+    In errors that complete data of ``information`` (n,) would leave one parameter by its scores (R, n): what
+    they would still gain, the data, which know less, gain more than that.
+    """
+    mean, R = scores.mean(axis=0), len(scores)
+    noise = scores.std(axis=0, ddof=min(R - 1, 1)) / np.sqrt(R)
+    surely = np.abs(mean) - float(student_quantile(0.975, max(R - 1, 1))) * noise
+    far = surely > SETTLED_ERRORS * np.sqrt(information)
+    return float((mean[far] ** 2 / information[far]).max(initial=0.0))
 
 
 def _drawn_inside(score: Score, scores: Array, information: Array) -> list[str]:

@@ -36,7 +36,8 @@ class StandardErrors:
         Monte Carlo errors of the standard errors themselves, as shares of them.
     decrement : float
         s' C s: the squared distance, in standard errors, between theta and the maximum that s and C point to
-        (Newton's decrement; twice what the log-likelihood can still gain).
+        (Newton's decrement; twice what the log-likelihood can still gain). Where the score of one parameter
+        alone surely tells of a distance in the errors that complete data would leave, it is no less than that.
     settled : bool
         Whether theta is a maximum of the likelihood. False where the decrement exceeds a quarter by more than
         its Monte Carlo noise, or where the likelihood draws a parameter away from the bound that holds it.

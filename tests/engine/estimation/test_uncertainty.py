@@ -298,6 +298,30 @@ def test_ends_to_which_there_is_no_way_are_not_found(monkeypatch, best):
     assert np.isnan(found.values[0]).all()
 
 
+def test_a_score_far_from_zero_is_no_maximum_however_badly_its_errors_are_known():
+    """Eighteen times its noise, with a covariance that noise has made small or huge."""
+    scores = np.array([-68.0, 0.2]) + np.array([[-7.0, 1.0], [-2.0, -1.0], [2.0, 1.0], [7.0, -1.0]])
+    complete = np.array([6700.0, 100.0])
+    assert observed._surely_away(scores, complete) == pytest.approx(68.0**2 / 6700.0)
+    assert observed._surely_away(scores, 100.0 * complete) == 0.0
+    assert observed._surely_away(scores - scores.mean(axis=0), complete) == 0.0
+    assert observed._doubtful(8.3, 9.0, 4)  # hidden by the noise of four scores
+    assert observed._doubtful(1.0, 0.5, 4)  # perhaps by their noise
+    assert not observed._doubtful(1.0, 9.0, 4)  # as much as noise makes on average
+    assert not observed._doubtful(20.0, 9.0, 16)
+
+
+def test_a_distance_that_a_wrong_covariance_hides_is_told(top, monkeypatch):
+    """The covariance is taken for far too small: its decrement says nothing."""
+    sd = engine.standard_errors(MODEL, top, LONG, exact=True).values[0]
+    small = np.array([[1e-3 * sd**2]]), np.zeros(1), ""
+    monkeypatch.setattr(observed, "_differences", lambda *asked: small)
+    with pytest.warns(NotSettledWarning):
+        found = engine.standard_errors(MODEL, top["theta"] + 4.0 * sd, LONG, exact=True)
+    assert not found.settled
+    assert found.decrement > 0.25
+
+
 @pytest.mark.parametrize("R", [2, 5])
 def test_the_error_of_the_score_is_that_of_a_mean(R, best):
     """Exactly, from the scores of the same smoothers."""
