@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter
 
+from engine.data.given import check_enough
 from engine.data.series import Series
 from engine.design import Bounds
 from engine.design.candidates import before_any
@@ -97,6 +98,9 @@ def prepare(request: Request) -> Prepared:
             series = _inputs(request, model)
         case _:
             series = _all_series(request.series, model, "series")
+    if isinstance(request, EstimateRequest):
+        with _at("series"):
+            check_enough(series, len(model.free_indices(free)))
     if isinstance(request, DiagnoseRequest):
         longest = longest_of(series)
         with _at(f"series[{longest}].y"):

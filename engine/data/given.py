@@ -63,6 +63,16 @@ def as_series_list(
     return all_series
 
 
+def check_enough(all_series: Sequence[Series], parameters: int) -> None:
+    """Raise SeriesError where there are no more readings than parameters: they can all be met exactly."""
+    readings = sum(int(one.observed.sum()) for one in all_series)
+    if readings <= parameters:
+        raise SeriesError(
+            f"{readings} readings do not tell {parameters} parameters: give more data, or hold parameters "
+            "fixed (free=)"
+        )
+
+
 def same_clock(all_series: Sequence[Series]) -> None:
     """Raise SeriesError where the times of two series are in different units."""
     for one in all_series:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.data.faults import about_faults
-from engine.data.given import as_series_list
+from engine.data.given import as_series_list, check_enough
 from engine.data.series import Series
 from engine.errors import OptionError
 from engine.estimation.e_steps import rbps_step, rts_step
@@ -129,12 +129,14 @@ def rbps_em(  # noqa: PLR0913
     OptionError
         An option is not known or out of its range; ``field`` names it.
     SeriesError
-        Channels or units are not the model's, or nothing was measured; names the channel.
+        Channels or units are not the model's, or nothing was measured; names the channel. Or there are no more
+        readings than free parameters.
     ModelError
         A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     newton = _is_newton(method)
     all_series = as_series_list(series, model)
+    check_enough(all_series, len(model.free_indices(free)))
     given, model = model, scaled(model, all_series, theta0, free, resume)
     first = first_of(model, theta0, resume)
     likelihood = likelihood_of(model, all_series, first, n_particles)
@@ -217,10 +219,12 @@ def rts_em(
     OptionError
         An option is not known or out of its range; ``field`` names it.
     SeriesError
-        Channels or units are not the model's, or nothing was measured; names the channel.
+        Channels or units are not the model's, or nothing was measured; names the channel. Or there are no more
+        readings than free parameters.
     """
     newton = _is_newton(method)
     all_series = as_series_list(series, model)
+    check_enough(all_series, len(model.free_indices(free)))
     given, model = model, scaled(model, all_series, theta0, free, resume)
     loop = Loop(theta0, free, n_iterations, 0, callback, resume, m_step, tolerance)
     likelihood = LikelihoodStep(model, all_series, exact=True, worth=1e-8)

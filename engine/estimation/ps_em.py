@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from engine.data.given import as_series_list
+from engine.data.given import as_series_list, check_enough
 from engine.data.series import Series
 from engine.errors import OptionError
 from engine.estimation.e_steps import ParticleStep
@@ -112,11 +112,13 @@ def ps_em(  # noqa: PLR0913
     OptionError
         An option is not known or out of its range; ``field`` names it.
     SeriesError
-        Channels or units are not the model's, or nothing was measured; names the channel.
+        Channels or units are not the model's, or nothing was measured; names the channel. Or there are no more
+        readings than free parameters.
     ModelError
         A function of the model fails, or returns a wrong shape or covariance; names the function and the time.
     """
     all_series = as_series_list(series, model)
+    check_enough(all_series, len(model.free_indices(free)))
     N = n_particles if n_trajectories is None else n_trajectories
     check_options(n_particles, resampling, ess_threshold)
     given, likelihood = model, None

@@ -12,7 +12,9 @@ from engine import (
     Outcome,
     Parameter,
     Series,
+    SeriesError,
     get_model,
+    ps_em,
     rb_ffbsi,
     rbpf,
     rbps_em,
@@ -217,6 +219,19 @@ def test_a_filter_that_stays_collapsed_makes_the_run_lost():
     assert not result.outcome.success
     assert "% of the rows" in result.message
     assert result.collapsed.min() > 0.5
+
+
+@pytest.mark.parametrize("estimate", [rbps_em, rts_em, ps_em])
+def test_readings_that_do_not_tell_the_parameters_are_refused(estimate):
+    """They can all be met exactly: the likelihood has no maximum."""
+    model = get_model("local-level")
+    free = ["q", "r", "level"]
+    series = Series([1.0, np.nan, 2.0, 0.5])
+    with pytest.raises(SeriesError, match="3 readings do not tell 3 parameters: give more data"):
+        estimate(model, series, free=free)
+    estimate(model, series, free=free[:2], n_iterations=1)
+    with pytest.raises(SeriesError, match="2 readings do not tell 3 parameters"):
+        estimate(model, [Series([1.0, np.nan]), Series([2.0, np.nan])], free=free)
 
 
 @pytest.mark.parametrize(
