@@ -13,7 +13,7 @@ from engine.filters.sigma_point import MomentFiltered, moment_filter
 from engine.simulation.step_length import said_of, too_long
 from engine.statespace.model import Array, MixedModel
 
-FELT = 4.0  # squared differences of predictions, in their scatter: no estimate moves by two errors below it
+FELT = 0.25  # squared differences of predictions, in their scatter: no estimate moves by half an error below it
 
 
 def about_predictions(model: MixedModel, theta: Array, all_series: Sequence[Series]) -> str:

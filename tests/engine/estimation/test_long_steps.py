@@ -7,6 +7,7 @@ import pytest
 
 import engine
 from engine.estimation.long_steps import about_predictions
+from engine.estimation.quasi_ml import quasi_ml
 from tests.engine.simulation.test_step_length import TOO_LONG, advised, pendulum, swings
 
 QUICK = {"n_particles": 10, "n_iterations": 2, "warm_start": False}
@@ -20,6 +21,19 @@ def test_maximum_likelihood_says_so_and_advises_enough():
     fine = series.refined(advised(found.message))
     truth = {"w2": 40.0, "d": 0.2, "q": 1e-4, "r": 4e-4}
     assert TOO_LONG not in engine.rbps_em(model, fine, truth, **QUICK).message
+
+
+@pytest.mark.parametrize(("q", "steps"), [(1e-2, 2), (1e-4, 4), (1e-4, 8), (1e-2, 8)])
+def test_what_moves_an_estimate_by_half_an_error_is_told(q, steps):
+    """And what moves none by a third of that is not."""
+    model, truth, free = pendulum(), {"w2": 40.0, "d": 0.2, "q": q, "r": 4e-4}, ["w2", "d", "r"]
+    coarse, fine = (quasi_ml(model, swings().refined(k), truth, free) for k in (steps, 32))
+    moved = [
+        abs(coarse.theta[name] - fine.theta[name]) / error
+        for name, error in zip(free, fine.standard_errors, strict=True)
+    ]
+    said = about_predictions(model, np.asarray(coarse.theta), [swings().refined(steps)])
+    assert bool(said) == (max(moved) > 0.5)
 
 
 def test_particle_em_says_so():
