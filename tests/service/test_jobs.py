@@ -270,3 +270,12 @@ def test_with_its_standard_errors_a_result_replaces_the_one_without(client, esti
     found = client.get(f"{url}/results").json()
     assert found["estimate"]["theta"]["standard_error"] > 0.0
     assert "not there yet" not in found["message"]
+
+
+def test_readings_that_do_not_tell_the_parameters_are_refused_at_once(client, estimation):
+    request = estimation()
+    request |= {"model": "local-level", "series": [{"y": [[1.0], [2.0], [0.5]], "dt": 1.0}]}
+    request["parameters"] = {"start": {}, "free": ["q", "r", "level"]}
+    answer = client.post("/jobs", json=request)
+    assert answer.status_code == 422
+    assert "3 readings do not tell 3 parameters" in answer.text
