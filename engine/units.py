@@ -133,13 +133,24 @@ def differ(one: str, other: str) -> bool:
     return not own and not wanted
 
 
+class Suffix(str):
+    """A unit that stands behind a name without brackets, ``y_mm``: it may as well be a part of the name."""
+
+    __slots__ = ()
+
+
+def same_kind(one: str, other: str) -> bool:
+    """Whether two units may measure the same, as mm and m."""
+    return any(a[1] == b[1] for a in meanings(one) for b in meanings(other))
+
+
 def unit_behind(column: str, channel: str) -> str:
     """The unit that a column has behind a channel's name, ``y_mm``, ``y/mm`` or ``y in mm``; "" if none."""
     for name in (column, re.sub("^[yu]_", "", column)):
         if name.lower().startswith(channel.lower()):
             found = _BEHIND.fullmatch(name[len(channel) :])
             if found and is_unit(found[1]) and found[1] not in _NO_SUFFIX:
-                return found[1]
+                return Suffix(found[1])
     return ""
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from engine.errors import SeriesError
-from engine.units import differ, unit_behind
+from engine.units import Suffix, differ, same_kind, unit_behind
 
 if TYPE_CHECKING:
     from engine.data.series import Series
@@ -58,14 +58,15 @@ def check_units(series: Series, model: BaseModel) -> None:
     """Raise SeriesError where a channel's unit is surely not that of the model, see :func:`differ`.
 
     The series may lack channels; those that have the model's names are told by these. A name with a unit behind
-    that of the channel tells it, too, ``y_mm``.
+    that of the channel tells it, too, ``y_mm``, if it is of the same kind: ``T_h`` may be the hot one.
     """
     for names, own, what in _kinds(series, model):
         for name, placed in zip(names, own, strict=False):
             channel = name if name in own else placed
             unit = own[channel]
             told = series.units.get(name, unit_behind(name, channel) or unit)
-            if unit and differ(told, unit):
+            part_of_name = isinstance(told, Suffix) and not same_kind(told, unit)
+            if unit and not part_of_name and differ(told, unit):
                 raise SeriesError(
                     f"channel '{name}' is in {told or '1'}; model '{model.name}' takes {what} "
                     f"channel '{channel}' in {unit}: convert the values, or leave the unit away"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import engine
-from engine.diagnose import Verdict, all_effects, effect_kinds
+from engine.diagnose import LEAST_ALPHA, Verdict, all_effects, effect_kinds
 from engine.diagnose.effects.setting import Setting
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.diagnose.records import HELD_OUT
@@ -87,8 +87,9 @@ def _work(asked: Asked, begun: Callable[[Meter], Early], as_json: bool, quiet: b
 def _check(asked: Asked) -> None:
     """Refuse what cannot be written, or asked, before any time is spent."""
     check_outputs(asked)
-    if not 0.0 < asked.alpha < 1.0:
-        raise wrong(f"--alpha {asked.alpha:g}: a probability between 0 and 1 is needed")
+    if not LEAST_ALPHA <= asked.alpha < 1.0:
+        needed = f"a probability from {LEAST_ALPHA:g} to below 1 is needed"
+        raise wrong(f"--alpha {asked.alpha:g}: {needed}")
     if asked.test and asked.held_out != HELD_OUT:
         raise wrong(
             f"--held-out {asked.held_out:g}: --test is what is held out then; give one of the two"

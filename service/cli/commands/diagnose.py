@@ -35,8 +35,6 @@ def diagnose(
         float,
         typer.Option(
             metavar="P",
-            min=0.005,
-            max=1.0,
             help="Probability of a false alarm, where nothing is wrong.",
         ),
     ] = 0.05,

@@ -28,7 +28,7 @@ def test_two_parameters_held_at_zero_are_refitted_together(monkeypatch):
     free = [name for name in SERVO.parameter_names if name not in HELD]
     start = SERVO.theta({"Fc": 0.0, "offset": 0.0})
     fit = fit_of(quasi_ml(SERVO, series, start, free, max_iterations=5), [series])
-    effects = candidates(fit, setting_of(fit, HELD), ["held", "coulomb", "quadratic"])
+    effects = candidates(fit, setting_of(fit, HELD, fit.records), ["held", "coulomb", "quadratic"])
     monkeypatch.setattr(Linear, "pairs", lambda self, most: [])  # as where other pairs take more,
     monkeypatch.setattr(search, "BESIDE", 0)  # and other effects beside the leading ones
     found = refits(fit, Linear(fit, columns(fit, effects)), effects, (), lambda *_: None)

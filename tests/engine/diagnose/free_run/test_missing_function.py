@@ -54,7 +54,9 @@ def _fit(unit, zero, strength):
 @cache
 def _missing(unit, zero, strength):
     fit = _fit(unit, zero, strength)
-    return missing_function(fit, losses(fit, folds_of(fit.records)), setting_of(fit, ()))
+    return missing_function(
+        fit, losses(fit, folds_of(fit.records)), setting_of(fit, (), fit.records)
+    )
 
 
 @pytest.mark.parametrize(("unit", "zero"), [(1.0, 0.0), (1e-6, 3e5)])
