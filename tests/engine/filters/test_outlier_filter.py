@@ -91,7 +91,7 @@ def test_outliers_gain_what_they_do_with_noise_of_the_right_size(share_of_noise)
     hit = rng.choice(300, 12, replace=False)
     y[hit, 0] += 800.0 * rng.standard_normal(12)
     series = engine.Series(y, dt=1.0)
-    # not from so small an r: as the first density's variance is r, too, it ends where r and the first error vanish
+    # not from so small an r, which is the first state's variance, too: it ends where both vanish
     fit = quasi_ml(level, series, {"q": 1500.0, "level": 1000.0})
     setting = Setting(level)
     output = next(iter(level.outputs))
