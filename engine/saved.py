@@ -34,6 +34,7 @@ from engine.models.registry import model_names
 from engine.simulation.fit import SimulationFit, with_runs
 from engine.statespace.fingerprint import differences, fingerprint, parameters_in
 from engine.statespace.model import MixedModel
+from engine.units import Suffix
 from engine.words import enumerated
 
 FORMAT = 1
@@ -213,7 +214,8 @@ def _arrays(series: Series) -> dict[str, Any]:
         "substeps": series.substeps,
         "hold": series.hold,
         "time_unit": series.time_unit,
-        "units": dict(series.units),
+        # a suffix may be no unit at all, and a file cannot tell it from one
+        "units": {k: v for k, v in series.units.items() if not isinstance(v, Suffix)},
     }
 
 

@@ -35,7 +35,7 @@ class Told(float):
 
     digits: int
 
-    def __new__(cls, value: float, digits: int) -> Self:
+    def __new__(cls, value: float, digits: int = 4) -> Self:
         """The number, which knows its digits."""
         self = super().__new__(cls, value)
         self.digits = digits

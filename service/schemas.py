@@ -94,6 +94,8 @@ class _Strict(BaseModel):
 # ---- requests -------------------------------------------------------------------------------
 
 
+MOST_NOTES, LONGEST_NOTE = 200, 2000  # of how files were read, and letters of each
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Values = dict[Annotated[str, Field(max_length=200)], Number]
 Names = Annotated[list[Annotated[str, Field(max_length=200)]], _FIRST]
@@ -113,6 +115,10 @@ class SettingIn(_Strict):
     dt: float = Field(gt=0, allow_inf_nan=False)
     substeps: int = Field(default=1, ge=1, le=64)
     time_unit: TimeUnit = "s"
+    later: list[Number] = Field(default_factory=list, max_length=1000)
+    """times at which further records begin, where a step may end with its record"""
+    starts: list[Number] = Field(default_factory=list, max_length=1000)
+    """times from which a drift counts anew"""
 
     @field_validator("span")
     @classmethod
@@ -338,8 +344,8 @@ class _Labelled(_Strict):
     """words by which the job is found in the list"""
     data: list[JobName] = Field(default_factory=list, max_length=100)
     """names of the files that the data are from; an upload puts them in"""
-    notes: list[Annotated[str, Field(max_length=2000)]] = Field(
-        default_factory=list, max_length=200
+    notes: list[Annotated[str, Field(max_length=LONGEST_NOTE)]] = Field(
+        default_factory=list, max_length=MOST_NOTES
     )
     """what is to be known of how these were read; an upload puts it in, and results have it"""
 

@@ -23,11 +23,10 @@ from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
 from service.columns import match, noted
 from service.problems import Problem, invalid
-from service.schemas import Hold, ModelReference, Request, TimeUnit
+from service.schemas import LONGEST_NOTE, MOST_NOTES, Hold, ModelReference, Request, TimeUnit
 from service.validation import ADAPTER, find_model
 
 SMALL_BYTES = 1 << 22  # bytes that any file may hold
-MOST_NOTES = 200
 ADVICE = ('"dt": STEP', '"t": "{}"')  # members of an entry of ``series``
 
 
@@ -75,7 +74,7 @@ def with_files(text: str, files: Mapping[str, bytes], max_values: int) -> Reques
     if isinstance(entries, list):
         body["series"] = _read_all(entries, files, "series[{}]", body, notes)
     if notes:
-        body["notes"] = notes[:MOST_NOTES]
+        body["notes"] = [one[:LONGEST_NOTE] for one in notes[:MOST_NOTES]]
     try:
         return ADAPTER.validate_python(body)
     except ValidationError as error:

@@ -233,7 +233,14 @@ def _given(reference: ModelReference, model: MixedModel) -> Setting | None:
         raise invalid("model.setting.substeps", one_step(model, given.substeps))
     span = given.span[0], given.span[1]
     return Setting(
-        model, given.scale, span, given.dt, substeps=given.substeps, time_unit=given.time_unit
+        model,
+        given.scale,
+        span,
+        given.dt,
+        substeps=given.substeps,
+        time_unit=given.time_unit,
+        later=tuple(given.later),
+        starts=tuple(given.starts),
     )
 
 

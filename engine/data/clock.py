@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from itertools import combinations
@@ -109,7 +110,8 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
 
 def _winter(times: Array, row: int, date: Any, unit: str) -> str:
     """What to do where dates without a zone go back as clocks do at the end of summer time; else ""."""
-    if getattr(date, "tzinfo", None) is not None or str(date)[-6:-5] in ("+", "-"):
+    zone = getattr(date, "tzinfo", None) or re.search(r":\d\d.*(Z|[+-]\d\d:?\d\d)$", str(date))
+    if zone is not None:
         return ""
     hour, usual = 3600.0 / _seconds_of(unit), float(np.median(np.diff(times)))
     back = times[row - 1] - times[row]

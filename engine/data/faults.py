@@ -111,6 +111,8 @@ def marks_in(y: Array) -> Iterator[tuple[float, int, float, float]]:
     values = y.copy()
     for _ in range(2):
         seen = values[~np.isnan(values)]
+        if not seen.size:
+            return
         for mark in (seen.min(), seen.max()):
             others, often = seen[seen != mark], int((seen == mark).sum())
             starts, lengths = _stretches(seen == mark)

@@ -45,8 +45,8 @@ def starts_of(records: Sequence[Series]) -> tuple[float, ...]:
     for one in sorted(records, key=lambda one: float(one.t[0])):
         if one.t[0] > end:
             starts.append(float(one.t[0]))
-        usual = float(np.diff(one.t[one.samples]).max(initial=0.0))
-        end = max(end, float(one.t[-1]) + 1.5 * usual)
+        longest = float(np.diff(one.t[one.samples]).max(initial=0.0))
+        end = max(end, float(one.t[-1]) + 1.5 * longest)
     return tuple(starts)
 
 

@@ -30,11 +30,8 @@ HOLD = re.compile(r"#\s*hold\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 TIME_UNIT = re.compile(r"#\s*time[ _]unit\s*[:=]\s*(\S+)\s*", re.IGNORECASE)
 DATED = re.compile(r"\d+([./-])\d+\1\d+")  # how a date begins, in whatever order
 MISSING = frozenset(("", "nan", "null", "na", "n/a", "#n/a", "none", "-"))
-DELIMITERS = (
-    ";",
-    "\t",
-    ",",
-)  # which count before the others: a comma may stand in a name or a number
+# Which count before the others: a comma may stand in a name or a number.
+DELIMITERS = (";", "\t", ",")
 EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # the first line of its files, which it hides
 LOOKED_AT = 100  # rows, for the delimiter
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
@@ -109,7 +106,12 @@ class Table:
         """The text of an error with lines of the file in place of rows."""
         if not self.lines:
             return text
-        return re.sub(r"\brow (\d+)", lambda found: f"line {self.lines[int(found[1])]}", text)
+
+        def line(found: re.Match[str]) -> str:
+            row = int(found[2])
+            return f"{found[1]} line {self.lines[row]}" if row < len(self.lines) else found[0]
+
+        return re.sub(r"\b(at|from|to) row (\d+)", line, text)
 
     def _place(self, name: str, row: int) -> str:
         return f"{self.file}, line {self.lines[row]}, column '{name}'"

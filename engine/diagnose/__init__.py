@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.joined import apart, starts_of
 from engine.data.series import Series
 from engine.diagnose.diagnosis import Asked, Diagnosis
 from engine.diagnose.early import EarlyAnswer, Told
@@ -36,6 +37,7 @@ from engine.diagnose.effects.catalogue import (
 )
 from engine.diagnose.effects.effect import Effect
 from engine.diagnose.effects.hide import hide
+from engine.diagnose.effects.setting import later_of
 from engine.diagnose.effects.traits import Course, Traits
 from engine.diagnose.free_run.second_opinion import overtaken
 from engine.diagnose.free_run.windows import rows_searched
@@ -283,6 +285,8 @@ def diagnose(  # noqa: PLR0913
         substeps=fine.k,
         over_horizon=beside,
         asked=Asked(*given, parts=dict(parts)),
+        later=later_of(apart(searched)),
+        starts=starts_of(apart(searched)),
     )
 
 

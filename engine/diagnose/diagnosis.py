@@ -126,6 +126,9 @@ class Diagnosis(Shown):
     records: int = 1  # given
     over_horizon: OverHorizon | None = None
     asked: Asked | None = None  # what was asked, by which it can be kept
+    # of the records searched: where a step may end with its record, and from where a drift counts anew
+    later: tuple[float, ...] = ()
+    starts: tuple[float, ...] = ()
     p_bootstrap_at_floor: bool = False
 
     def __reduce__(self) -> tuple[Any, ...]:  # its models hold functions made on the spot

@@ -53,7 +53,7 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """The ``records``, with their tests or their last part held out, if any.
+    """The ``records``, with their tests, whole ones or their last part held out, if any.
 
     ``searched`` are the rows that the likelihood has searched.
     """

@@ -321,8 +321,8 @@ def dependence(
                 continue
             rows = np.unique(np.linspace(0, n - 1, FEW_ROWS).astype(int))
             few = points.arguments(rows, transition)
-            ask = partial(partial, function.once)
-            mask |= _used(ask(*few), ask(*every), model, theta, mask)
+            first, then = partial(function.once, *few), partial(function.once, *every)
+            mask |= _used(first, then, model, theta, mask)
     return masks
 
 

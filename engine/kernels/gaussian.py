@@ -18,9 +18,8 @@ PIVOT = 1e-12  # a pivot below this share of its own diagonal element is roundin
 ROOT_PIVOT = 1e-13  # the same of a standard deviation, where roots are never squared
 ROUNDING = 1e-11  # what computing a residual may leave, as a share of the numbers it is made of ...
 EXACT = 1e-7  # ... and, of the standard deviations next to it, what dropping a pivot may leave
-NEGATIVE = (
-    1e-9  # of its variances: a covariance may be off by so much, and no more, and still be one
-)
+# Of its variances: a covariance may be off by so much, and no more, and still be one.
+NEGATIVE = 1e-9
 MEASURED = 1e-7  # readings are written with seven digits or more
 
 

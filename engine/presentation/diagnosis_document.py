@@ -186,6 +186,8 @@ def _reference(d: Diagnosis) -> dict[str, Any]:
             "dt": setting.dt,
             "substeps": d.substeps,
             "time_unit": setting.time_unit,
+            "later": d.later,
+            "starts": d.starts,
         },
     }
 

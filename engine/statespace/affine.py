@@ -59,10 +59,8 @@ class Affine:
         self._first: Any = None  # the parameters at which they were met
         self._moved: set[int] = set()  # of which these have moved since
         self._met = np.empty((0, 0))  # all inputs met, each once
-        self._thetas, self._next = (
-            0,
-            FIRST,
-        )  # so many, and at how many all inputs are looked at again
+        self._thetas = 0  # parameter vectors, and at how many all inputs are looked at again
+        self._next = FIRST
         self._record: Array | None = None  # to be met first
         self._waiting: list[Array] = []  # met one by one
         self._due = FIRST

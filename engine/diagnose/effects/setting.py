@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count, pairwise
@@ -383,17 +383,17 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
         hold=series.hold,
         time_unit=series.time_unit,
         regular=series.dt is not None,
-        later=_later(series),
+        later=later_of(apart(series)),
         starts=starts_of(apart(series)),
     )
 
 
-def _later(series: Series) -> tuple[float, ...]:
-    """The times at which the second record in time begins, and each after it; none where two overlap."""
-    spans = sorted((float(one.t[0]), float(one.t[-1])) for one in apart(series))
+def later_of(records: Sequence[Series]) -> tuple[float, ...]:
+    """The times at which a further record begins anew, as of :func:`starts_of`; none where two overlap."""
+    spans = sorted((float(one.t[0]), float(one.t[-1])) for one in records)
     if any(start <= end for (_, end), (start, _) in pairwise(spans)):
         return ()
-    return tuple(start for start, _ in spans[1:])
+    return starts_of(records)[1:]
 
 
 def _spelled(name: str) -> str:

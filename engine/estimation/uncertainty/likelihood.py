@@ -72,9 +72,8 @@ BEYOND_NATS = 0.3  # nats that the last point is beyond the end
 NEAR_ERRORS = 0.01  # standard errors from a bound count as being there
 # So far away a likelihood that falls by so little while the distance grows by its own length has levelled off.
 FAR_ERRORS, LEVEL_NATS = 240.0, 0.1
-LAG_NATS = (
-    0.01  # nats by which the other parameters may be away from their maximum, beside noise ...
-)
+# Nats by which the other parameters may be away from their maximum: beside noise ...
+LAG_NATS = 0.01
 EXACT_LAG = 1e-4  # ... and without any, ...
 CORRECTIONS = 3  # ... after this many steps towards it at most,
 EXACT_CORRECTIONS = 8  # each of which brings them nearer

@@ -51,9 +51,8 @@ GUESS = 0.1  # share of the complete-data information that the data usually hold
 REACH_ERRORS = 0.5
 EXACT_REACH = 0.03  # without noise: along a curved ridge half an error already leaves it
 EVEN_NEARER = 0.01  # of differences of a log-likelihood that give a score
-BENT = (
-    0.05  # of the information, by how much more of it is seen over REACH_ERRORS: less is left alone
-)
+# Of the information, by how much more of it is seen over REACH_ERRORS: less is left alone.
+BENT = 0.05
 REPLICATES = 8
 # Standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases.
 SETTLED_ERRORS = 0.5

@@ -130,3 +130,11 @@ def test_a_stuck_reading_is_told_rounded_or_not(step):
         (said,) = told(stuck)
         assert "for 40 samples" in said
         assert said.endswith("a stuck reading?")
+
+
+def test_an_output_that_was_never_read_and_a_mark_alone_are_no_fault():
+    y = np.column_stack([noisy(), np.full(300, np.nan)])
+    outputs = {"a": "m", "b": "m"}
+    assert about_faults(outputs, {}, [Series(y)], outliers=True) == ""
+    y[5, 1] = -999.0
+    assert marks(y[:, 1]) == []

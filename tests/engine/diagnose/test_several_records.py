@@ -6,14 +6,17 @@ import pytest
 import engine
 from engine.data.joined import together
 from engine.data.series import Series
+from engine.diagnose import extend
 from engine.diagnose.effects.hide import hide
-from engine.diagnose.effects.setting import setting_for
+from engine.diagnose.effects.setting import Setting, setting_for
 from engine.diagnose.free_run.windows import windows
 from engine.diagnose.gain.gain import measure_gain, measure_gain_interleaved
 from engine.diagnose.search.calibration import drawn_from
 from engine.diagnose.search.findings import Verdict
 from engine.errors import SeriesError
 from engine.estimation.quasi_ml import quasi_ml
+from engine.presentation.diagnosis_document import as_dict
+from service.schemas import SettingIn
 from tests.engine.diagnose.free_run.test_other_models import cart
 
 KINDS = ["drag", "cubic", "quadratic"]
@@ -258,3 +261,22 @@ def test_only_times_that_tell_records_apart_end_a_step(begins, later):
     overlapping = together([levels(60, k, 0.0) for k in range(2)])
     assert setting_for(model, overlapping, theta).later == ()
     assert setting_for(model, levels(60, 1, 0.0), theta).later == ()
+
+
+def test_what_effects_were_told_of_several_records_goes_with_the_result():
+    """A step that may end with its record has one parameter more: without it the extension is another model."""
+    rng, records = np.random.default_rng(4), []
+    level = engine.get_model("local-level")
+    for begins, shift in ((0.0, 0.0), (500.0, 150.0)):
+        y = engine.simulate(level, {"q": 20.0, "r": 400.0, "level": 0.0}, 120, rng).series.y.copy()
+        y[60:] += shift
+        records.append(Series(y, t=begins + np.arange(120.0)))
+    found = engine.diagnose(level, records, effects=["step"], seed=1)
+    assert found.later == (500.0,)
+    assert found.starts == (0.0, 500.0)
+    reference = as_dict(found)["extension"]["model"]
+    told = SettingIn(**reference["setting"])
+    setting = Setting(level, told.scale, tuple(told.span), told.dt, later=tuple(told.later))
+    assert (
+        extend(level, reference["with"], setting).parameter_names == found.extended.parameter_names
+    )
