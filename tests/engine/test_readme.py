@@ -147,6 +147,8 @@ def test_the_drive(capsys):
     assert abs(float(size) - 0.6) < 1.96 * float(error)
     promised = README.split("It prints (the whole page")[1].split("| what the simulation")[0]
     assert f"Quadratic drag of velocity [drag:velocity]: {size} +- {error}" in promised
+    for line in printed.splitlines()[2:7]:  # what it gains, too
+        assert f"    {line}" in promised
 
 
 @pytest.mark.slow
