@@ -59,7 +59,7 @@ export class DataCard {
     this.extra.clear();
     this.offerTimes();
     this.showChannels();
-    this.leaveChannels();
+    await this.leaveChannels();
   }
 
   // The data of an earlier job; they are sent again as they are.
@@ -112,7 +112,7 @@ export class DataCard {
     this.units = model ? [...[model.nonlinear, model.linear, model.inputs, model.outputs].flatMap(Object.entries), ...model.parameters.map((one) => [one.name, one.unit])] : [];
     this.mapping.clear();
     this.showChannels();
-    await this.leaveChannels();
+    this.leaveChannels();
   }
 
   // ---- mapping ----------------------------------------------------------------------------------
