@@ -22,6 +22,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from engine.arrays import Array
+from engine.diagnose import LEAST_ALPHA
 
 # ---- tables of numbers ----------------------------------------------------------------------
 
@@ -317,7 +318,7 @@ class SimulateOptions(_Strict):
 class DiagnoseOptions(_Strict):
     """What to look for, and how sure to be."""
 
-    alpha: float = Field(default=0.05, ge=0.005, lt=1)
+    alpha: float = Field(default=0.05, ge=LEAST_ALPHA, lt=1)
     """probability of an alarm where nothing is wrong"""
     effects: Names | None = Field(default=None, min_length=1, max_length=500)
     """kinds or names of effects to look for; null means all"""

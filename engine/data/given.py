@@ -63,13 +63,15 @@ def as_series_list(
     return all_series
 
 
-def check_enough(all_series: Sequence[Series], parameters: int) -> None:
-    """Raise SeriesError where there are no more readings than parameters: they can all be met exactly."""
+def check_enough(all_series: Sequence[Series], parameters: int, first_states: int = 0) -> None:
+    """Raise SeriesError where there are no more readings than is to be found: they can all be met exactly."""
     readings = sum(int(one.observed.sum()) for one in all_series)
-    if readings <= parameters:
+    if readings <= parameters + first_states:
+        found = f"{parameters} parameters" + (
+            f" and {first_states} first states" if first_states else ""
+        )
         raise SeriesError(
-            f"{readings} readings do not tell {parameters} parameters: give more data, or hold parameters "
-            "fixed (free=)"
+            f"{readings} readings do not tell {found}: give more data, or hold parameters fixed (free=)"
         )
 
 

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
 from engine.data.faults import about_faults
-from engine.data.given import as_series_list
+from engine.data.given import as_series_list, check_enough
 from engine.data.series import Series
-from engine.errors import SeriesError
 from engine.randomness import check_seed
 from engine.simulation.free_run import (
     FreeRun,
@@ -305,7 +304,7 @@ def _fitted(
 ) -> tuple[FreeRunProblem, OptimizeResult, int]:
     """The problem and the best of its starts, followed to its end, unless stopped after so many of them."""
     problem.look_for_silent()
-    _check_enough(problem)
+    check_enough(problem.series, problem.active.size, len(problem.series) * problem.uncertain.size)
     starts = problem.starts(n_starts, np.random.default_rng(seed))
     tried = []
     told.begin(len(starts) + 1)
@@ -315,17 +314,6 @@ def _fitted(
             return problem, min(tried, key=lambda end: float(end.cost)), len(tried)
     best = min(tried, key=lambda end: float(end.cost))
     return problem, problem.descend(best.x, evaluations), 0
-
-
-def _check_enough(problem: FreeRunProblem) -> None:
-    """Raise SeriesError where the readings are no more than what is to be found: any errors would be none."""
-    parameters, first = problem.active.size, len(problem.series) * problem.uncertain.size
-    readings = sum(int(one.observed.sum()) for one in problem.series)
-    if readings <= parameters + first:
-        raise SeriesError(
-            f"{readings} readings do not tell {parameters} parameters and {first} first states: give more "
-            "data, or hold parameters fixed (free=)"
-        )
 
 
 def _speaks(problem: FreeRunProblem, best: OptimizeResult, free: NDArray[np.intp]) -> bool:

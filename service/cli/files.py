@@ -72,9 +72,9 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
     """Times and inputs of a data file, y is missing throughout; and what to know of them."""
     table, columns = _table(path, model, columns)
     _, u = _assigned(table, model, columns, "u")
-    some = next(iter(table.groups))  # a file needs no outputs here; read_series wants one
-    if some in times_among(table.groups, u.values()):  # and takes it for times no more
-        columns = replace(columns, time=columns.time or some)
+    # A file needs no outputs here, and series_from wants one: an input, or what may not have the times.
+    times = times_among(table.groups, u.values())
+    some = next(iter([*u.values(), *(name for name in table.groups if name not in times), *times]))
     try:
         found = series_from(table, [some], u, *columns.clock)
         inputs = found.replace(y=np.full((len(found), model.ny), np.nan), y_names=None)

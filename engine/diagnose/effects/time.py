@@ -51,7 +51,7 @@ def _signal(
         unit = setting.unit(channel) if at_output else setting.rate(channel)
         unit = product(unit, (setting.time_unit, -power)) if power else unit
         further = shape(name, setting)
-        counted = setting.counted if power else ""
+        counted = setting.counted if power else _lasting(further)
 
         def extend(model: MixedModel) -> MixedModel:
             add = add_to_output if at_output else add_to_state
@@ -90,6 +90,12 @@ def _from_when(name: str, setting: Setting) -> list[Parameter]:
     what = "1 where it stays in later records, 0 where it ends with its own"
     stays = Parameter(f"{name}_stays", 1.0, "1", (0.0, 1.0), what)
     return [*_when(name, setting), *([stays] if setting.later else [])]
+
+
+def _lasting(further: Sequence[Parameter]) -> str:
+    """What an equation says of a step that may end with its record."""
+    stays = any(p.name.endswith("_stays") for p in further)
+    return ", to the end of that record where stays = 0" if stays else ""
 
 
 def _since(t: Any, own: Sequence[Any], later: Sequence[float]) -> Any:
@@ -184,7 +190,7 @@ def _parameter_change(kind: str, title: str) -> Kind:
             f"{title} of the parameter {channel}",
             f"{channel} -> {channel} + {name} * "
             + (
-                f"[t >= {name}_time]"
+                f"[t >= {name}_time]{_lasting(further)}"
                 if steps
                 else f"(t - {name}_middle) / {name}_per{setting.counted}"
             ),

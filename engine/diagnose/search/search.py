@@ -59,10 +59,8 @@ from engine.statespace.model import MixedModel
 FIRST = 0.7  # of alpha, for the first screen; the rest is for refits of what noise has swallowed
 LATER = 0.1  # of alpha, for screens after the first, as each round is a new chance
 LOOKED_BACK = 0.9  # of looking back: all but the last fit
-AFTER, PASSES = (
-    3,
-    3,
-)  # samples after an outlier that are judged again without it, and how often at most
+# Samples after an outlier that are judged again without it, and how often at most.
+AFTER, PASSES = 3, 3
 OUTLYING = 3.5  # standardised one-step errors beyond this are taken out once outliers are named
 
 
@@ -93,9 +91,8 @@ def search(
         max_effects=max_effects,
         kinds=kinds,
         seed=seed,
-        progress=progress,
     )
-    found, begun = look(kept=kept)
+    found, begun = look(progress=progress, kept=kept)
     if begun is None or not may_begin_otherwise(found):
         return found
 
@@ -107,7 +104,8 @@ def search(
 
     def other(first: Round) -> Search:
         apart = kept.apart(f"beginning with {first.refits[0].effect.name}")
-        return look(kept=apart, first=first)[0]
+        # told for who wants to stop it; the search has come as far as that already
+        return look(progress=lambda *_: progress(STAGE, 1.0), kept=apart, first=first)[0]
 
     return best_beginning(found, begun, series, beside, other)
 

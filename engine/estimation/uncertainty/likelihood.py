@@ -44,22 +44,21 @@ from engine.data.given import as_series_list
 from engine.data.series import Series
 from engine.distributions import chi2_quantile
 from engine.errors import ModelError, NotSettledWarning, OptionError
+from engine.estimation.uncertainty.likelihood_result import LikelihoodIntervals
 from engine.estimation.uncertainty.observed import (
     Estimate,
-    good_guess,
     of_estimate,
-    root_of_inverse,
     score_decrement,
     standard_errors,
 )
 from engine.estimation.uncertainty.observed_result import StandardErrors
+from engine.estimation.uncertainty.roots import good_guess, root_of_inverse
 from engine.estimation.uncertainty.score import Score
 from engine.randomness import check_seed
-from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
+from engine.statespace.model import Array, MixedModel, ThetaLike
 from engine.threads import single_threaded
 from engine.ties import scaled_inverse
-from engine.views import Shown, View, sheet, tables
-from engine.words import Told, digits_of_ends, enumerated
+from engine.words import enumerated
 
 STEP_ERRORS = 0.7  # between the values of theta_k, in standard errors ...
 GROWTH = 1.25  # ... and by how much it grows from one to the next ...
@@ -80,57 +79,6 @@ EXACT_CORRECTIONS = 8  # each of which brings them nearer
 AGREED_NATS = 0.03  # between the likelihood itself and the integral of its slope over one step
 AWAY_ERRORS = 1.0  # standard errors between the estimate and the maximum are worth a warning
 STEP_PARTS = 64  # parts of each step on which the curve is searched
-
-
-@dataclass(frozen=True, eq=False)
-class LikelihoodIntervals(Shown):
-    """Intervals of the free parameters by the likelihood ratio.
-
-    Attributes
-    ----------
-    model : MixedModel
-        The model that was estimated.
-    theta : Theta
-        The estimate (n_theta,) about which the intervals are.
-    level : float
-        Confidence of each interval, such as 0.95.
-    values : array (n_theta, 2)
-        The intervals; NaN for parameters that are held fixed or at a bound, and for an end that was not found,
-        which ``warning`` tells. An end that is the parameter's bound, which may be infinite, says that the
-        likelihood does not fall enough before it.
-    errors : array (n_theta, 2)
-        Monte Carlo standard errors of the ends, NaN where there is no end but a bound.
-    maximum : array (n_theta,)
-        Value at which each profile is highest: the estimate, if it is the maximum.
-    warning : str
-        What is to be known: that a maximum is more than a standard error away from the estimate; which ends
-        were not found. Else "".
-    """
-
-    model: MixedModel
-    theta: Theta
-    level: float
-    values: Array
-    errors: Array
-    maximum: Array
-    warning: str = ""
-
-    def _view(self) -> View:
-        rows = [
-            (p.name, *(_shown(one, low, high) for one in (value, low, high)), p.unit)
-            for p, value, (low, high) in zip(
-                self.model.parameters, self.theta.tolist(), self.values.tolist(), strict=True
-            )
-            if np.isfinite(low) or np.isfinite(high)
-        ]
-        head = ("parameter", "estimate", f"{100 * self.level:g} % from", "to", "unit")
-        title = f"{self.model.name}: intervals by the likelihood ratio"
-        return sheet(title, tables().line(self.warning), tables().table(head, rows))
-
-
-def _shown(value: float, low: float, high: float) -> float | str:
-    """A value, or an end, to the digits that the interval needs."""
-    return "not found" if np.isnan(value) else Told(value, digits_of_ends(low, high))
 
 
 @single_threaded

@@ -13,9 +13,7 @@ taken as far as it is known, which takes a few smoothers in place of a hundred. 
 part, or cannot be had, the directions are found in a first round and refined in a second, and the
 differences alone count.
 
-Where parameters lie on a curved ridge, half a standard error along a straight line leaves it, and the
-differences show more information than there is at theta. Scores without noise are therefore differenced over
-far less, and from particles' differences is taken what the moment filter sees too much over their reach.
+Along a curved ridge they need care: :mod:`engine.estimation.uncertainty.score_differences`.
 """
 
 from __future__ import annotations
@@ -36,7 +34,16 @@ from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import bounded
 from engine.estimation.uncertainty.at_bounds import pressed_onto_bounds, said_of_bounds
 from engine.estimation.uncertainty.observed_result import StandardErrors
-from engine.estimation.uncertainty.score import Score, inside, shift_within
+from engine.estimation.uncertainty.roots import (
+    FLOOR,
+    floored_inverse,
+    good_guess,
+    relative_errors,
+    root_of_inverse,
+    symmetric_root,
+)
+from engine.estimation.uncertainty.score import Score, inside
+from engine.estimation.uncertainty.score_differences import bend_of, whitened_information
 from engine.estimation.uncertainty.ties import undetermined
 from engine.randomness import check_seed
 from engine.statespace.model import Array, MixedModel, Theta, ThetaLike
@@ -47,20 +54,13 @@ from engine.words import percent
 ROUNDS = 3  # of finding the directions; only the last uses all replicates ...
 MOST_ROUNDS = 15  # ... and so many where a round may not widen a direction as far as it should
 GUESS = 0.1  # share of the complete-data information that the data usually hold, to start with
-# Length of the differences in standard errors: further out the curvature differs, and nearer noise is larger.
-REACH_ERRORS = 0.5
-EXACT_REACH = 0.03  # without noise: along a curved ridge half an error already leaves it
-EVEN_NEARER = 0.01  # of differences of a log-likelihood that give a score
-# Of the information, by how much more of it is seen over REACH_ERRORS: less is left alone.
-BENT = 0.05
 REPLICATES = 8
 # Standard errors from the maximum; a 95 % interval then holds the truth in 92 % of cases.
 SETTLED_ERRORS = 0.5
 # So far from a maximum may be by the noise of a few scores: then there are more.
 DOUBTFUL_ERRORS = 3.0
 FURTHER_SCORES = 12
-FEW_REPLICATES = 4  # where the moment filter's information is a good guess,
-GOOD_GUESS = (0.4, 2.5)  # which it is where particles see so many times as much
+FEW_REPLICATES = 4  # where the moment filter's information is a good guess
 UNCHECKED = (
     "These errors are the moment filter's alone: scores by particles are too noisy here to check them (more "
     "n_particles and n_trajectories would)."
@@ -73,7 +73,6 @@ SURELY_OFF = 30.0  # ... unless they are off by so many times that
 SURELY_DROWNED = 0.5  # the same, where not all of them are made: as much as all would leave
 WELL_KNOWN = 0.25 * TRUSTED**2  # from which on further ones would hardly make it better known
 KNOWN = 0.25  # relative error of an error that is not worth a word
-FLOOR = 0.05  # a round may widen a direction by 1 / sqrt(FLOOR) at most
 
 
 @runtime_checkable
@@ -232,22 +231,22 @@ def _differences(
     """Covariance (n, n) and relative errors (n,) from differences of the score alone, and no remark."""
     L = before = root_of_inverse(complete / GUESS)
     for k in range(MOST_ROUNDS - 1):
-        G = _whitened_information(score, L, seeds[0])
+        G = whitened_information(score, L, seeds[0])
         if not np.isfinite(G).all():  # noise has widened a direction to where no filter follows
             L = before
             break
-        before, L = L, L @ _root(_inverse(G))
+        before, L = L, L @ symmetric_root(floored_inverse(G))
         if k >= ROUNDS - 2 and np.linalg.eigvalsh(G)[0] > FLOOR:
             break  # with little noise the data hold a millionth of the complete-data information
-    every = np.array([_whitened_information(score, L, which) for which in seeds])
+    every = np.array([whitened_information(score, L, which) for which in seeds])
     if not np.isfinite(every).all():
         raise ModelError(
             "the likelihood is not finite within half a standard error of this theta; start the estimation "
             "elsewhere, or use more n_particles"
         )
-    every -= _bend(score, L, every.mean(axis=0))
-    refined = L @ _root(_inverse(every.mean(axis=0)))
-    relative = _jackknife(L, every)
+    every -= bend_of(score, L, every.mean(axis=0))
+    refined = L @ symmetric_root(floored_inverse(every.mean(axis=0)))
+    relative = relative_errors(L, every)
     if len(every) > 1:  # an inverse kept above FLOOR hides how much of it is noise
         noise = float(np.sqrt(every.var(axis=0, ddof=1).mean() / len(every)))
         relative = np.maximum(relative, 0.5 * noise)
@@ -269,9 +268,9 @@ def _guessed(
     L = root_of_inverse(guess)
     expected = float((scores @ L).var(axis=0, ddof=1).mean())
     made: list[Array] = []
-    bend = _bend(score, L)
+    bend = bend_of(score, L)
     for which in seeds:
-        made.append(_whitened_information(score, L, which) - bend)
+        made.append(whitened_information(score, L, which) - bend)
         G = np.array(made)
         n = len(made)
         noise = float(G.var(axis=0, ddof=1).mean() / n) if n > 1 else expected
@@ -286,8 +285,8 @@ def _guessed(
     believed = np.eye(len(L)) + share * (G - np.eye(len(L)))
     if not good_guess(believed.mean(axis=0)):
         return None
-    refined = L @ _root(_inverse(believed.mean(axis=0)))
-    return refined @ refined.T, _jackknife(L, believed), ""
+    refined = L @ symmetric_root(floored_inverse(believed.mean(axis=0)))
+    return refined @ refined.T, relative_errors(L, believed), ""
 
 
 def score_decrement(covariance: Array, scores: Array) -> tuple[float, float]:
@@ -363,89 +362,3 @@ def _said_of_the_end(found: Estimate | None) -> str:
     if getattr(found, "outcome", None) is not Outcome.UNDECIDED or found is None:
         return ""
     return f"The estimation itself was not sure that this is a maximum. It said: {found.message}"
-
-
-def _whitened_information(score: Score, L: Array, which: np.random.SeedSequence) -> Array:
-    """L' I L from central differences of the score along the columns of L, clipped to the bounds."""
-    ends, lengths = _ends(score, L, EXACT_REACH if score.exact else REACH_ERRORS)
-    low, high = (np.array([score.at(x, which)[0] for x in side]) for side in ends)
-    G: Array = (low - high) @ L / lengths.sum(axis=0)[:, None]
-    return 0.5 * (G + G.T)
-
-
-def _ends(score: Score, L: Array, reach: float) -> tuple[Array, Array]:
-    """Points (2, n, n) to either side of theta along the columns of L, and how far they are (2, n)."""
-    x, sides = score.x, np.array([-L.T, L.T])
-    lengths = np.array(
-        [[shift_within(x, step, *score.bounds, reach) for step in side] for side in sides]
-    )
-    return x + lengths[:, :, None] * sides, lengths
-
-
-def _bend(score: Score, L: Array, held: Array | None = None) -> Array:
-    """By how much differences over the particles' reach show too much of L' I L, by the moment filter.
-
-    Zero where that sees hardly any more so far out, or is no guide: it is far from what is ``held`` (n, n) over
-    that reach, or, where that is not given, from the identity next to theta.
-    """
-    none = np.zeros_like(L)
-    if score.exact:
-        return none
-    beside = [_ends(score, L, reach) for reach in (EXACT_REACH, REACH_ERRORS)]
-    top = score.values(score.x)
-    first, second = (
-        2.0 * ((top - score.values(at)) / lengths).sum(axis=0) / lengths.sum(axis=0)
-        for at, lengths in beside
-    )
-    # second differences of a value show half of the bend that differences of its slope do
-    if not np.abs(2.0 * (second - first)).max() > BENT:  # nor where they are not finite
-        return none
-    step = EVEN_NEARER * L.T
-    seen = []
-    for at, lengths in beside:
-        points = at[:, :, None]
-        low, high = score.values(points + step) - score.values(points - step)
-        G = (low - high) / (2.0 * EVEN_NEARER * lengths.sum(axis=0)[:, None])
-        seen.append(0.5 * (G + G.T))
-    if not np.isfinite(seen).all():
-        return none
-    near, far = seen
-    root = None if held is None else _root(_inverse(held))
-    return far - near if good_guess(near if root is None else root @ far @ root) else none
-
-
-def good_guess(G: Array) -> bool:
-    """Whether information (n, n), in units of a guess, shows that to be a good one."""
-    values = np.linalg.eigvalsh(G)
-    return bool(GOOD_GUESS[0] <= values[0] and values[-1] <= GOOD_GUESS[1])
-
-
-def _root(S: Array) -> Array:
-    """The symmetric square root of S: its columns treat all parameters alike."""
-    values, vectors = np.linalg.eigh(0.5 * (S + S.T))
-    root: Array = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    return root
-
-
-def root_of_inverse(H: Array) -> Array:
-    """A root of H^{-1}, taken of the correlations: rounding must not mix parameters of units far apart."""
-    scale = np.sqrt(np.diag(H))
-    correlations = np.asarray(np.linalg.inv(H / scale[:, None] / scale), dtype=float)
-    return _root(correlations) / scale[:, None]
-
-
-def _inverse(G: Array) -> Array:
-    """G^{-1} with the eigenvalues of G kept above FLOOR, so that noise cannot make it negative."""
-    values, vectors = np.linalg.eigh(G)
-    inverse: Array = vectors / np.maximum(values, FLOOR) @ vectors.T
-    return inverse
-
-
-def _jackknife(L: Array, G: Array) -> Array:
-    """Relative standard error of each standard error, from the replicates G (R, n, n)."""
-    R = len(G)
-    if R < 2:
-        return np.zeros(len(L))
-    left_out = (G.sum(axis=0) - G) / (R - 1)
-    logs = np.array([0.5 * np.log(np.diag(L @ _inverse(g) @ L.T)) for g in left_out])
-    return np.asarray(np.sqrt((R - 1) * logs.var(axis=0)))

@@ -108,7 +108,10 @@ def make_report(document: Document, draw: Drawer = svg_element) -> Report:
         document = document["design"]
         return design_report(document, clocked(draw, document.get("time_unit")))
     if document.get("diagnosis"):
+        read = document.get("notes") or []  # how its files were
         document = document["diagnosis"]
+        if "notes" in document:  # of one that has ended
+            document = {**document, "notes": [*read, *document["notes"]]}
     if document.get("early"):
         document = document["early"]
         return early_report(document, clocked(draw, document["time_unit"]))

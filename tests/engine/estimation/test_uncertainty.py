@@ -17,6 +17,7 @@ from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_ml import quasi_ml
 from engine.estimation.uncertainty import StandardErrors, likelihood, observed, standard_errors
+from engine.estimation.uncertainty.roots import relative_errors
 from engine.estimation.uncertainty.score import Score
 
 MODEL = engine.get_model("linear-2")
@@ -355,13 +356,13 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
     """Exact for statistics that are linear in the replicates; these nearly are."""
     R = 7
     e = 1e-5 * np.random.default_rng(0).standard_normal(R)
-    found = observed._jackknife(np.eye(1), (1.0 + e)[:, None, None])
+    found = relative_errors(np.eye(1), (1.0 + e)[:, None, None])
     assert found[0] == pytest.approx(0.5 * e.std(ddof=1) / np.sqrt(R), rel=1e-3)
     at = np.linspace(-4.0, 4.0, 33)
     slopes = -(at - e[:, None])  # parabolas with their tops at e
     found = likelihood._jackknife(at, slopes, 0.0, 2.0, (-4.0, 4.0))
     np.testing.assert_allclose(found, e.std(ddof=1) / np.sqrt(R), rtol=1e-2)
-    assert observed._jackknife(np.eye(1), np.ones((1, 1, 1)))[0] == 0.0
+    assert relative_errors(np.eye(1), np.ones((1, 1, 1)))[0] == 0.0
 
 
 @pytest.mark.slow
