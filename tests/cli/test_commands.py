@@ -439,6 +439,18 @@ def test_simulate_hides_an_effect(rbps, tmp_path):
     assert levels[0, 0] != levels[1, 0]
 
 
+def test_simulate_takes_the_times_that_a_file_has_and_says_which(rbps, tmp_path):
+    """As a fit does: whatever the first column of the file is, a column of dates among them."""
+    (tmp_path / "two.csv").write_text("time,t,pump\n10,0,2\n20,1,3\n30,2,2\n")
+    (tmp_path / "dates.csv").write_text("day,t,pump\nMon,0,2\nTue,4,3\nWed,8,2\n")
+    two = rbps("simulate", "-m", "tanks", "--inputs", "two.csv", "-o", "run.csv")
+    assert "times are those of column 'time', not of 't'" in two.stderr
+    assert read_series(tmp_path / "run.csv").t.tolist() == [10.0, 20.0, 30.0]
+    dates = rbps("simulate", "-m", "tanks", "--inputs", "dates.csv", "-o", "run.csv")
+    assert dates.exit_code == 0, dates.stderr
+    assert read_series(tmp_path / "run.csv").t.tolist() == [0.0, 4.0, 8.0]
+
+
 def test_simulate_heeds_how_inputs_are_held(rbps, tmp_path):
     u = np.sin(np.arange(30.0))
     given = engine.Series(np.zeros(30), u, dt=0.1, u_names=["drive"], hold="foh")

@@ -251,6 +251,16 @@ def test_a_step_may_end_with_its_record():
     assert cause.parameters["step_flow_stays"] == 0.0
     assert "time 2060 s" in " ".join(str(found).split())
     assert "in the record of that time only" in " ".join(str(found).split())
+    assert "to the end of that record where stays = 0" in cause.equation
+    # what its effects were told goes with the result: without it the extension is another model
+    reference = as_dict(found)["extension"]["model"]
+    told = SettingIn(**reference["setting"])
+    times = {"later": tuple(told.later), "starts": tuple(told.starts)}
+    assert times == {"later": (2000.0, 3000.0), "starts": (1000.0, 2000.0, 3000.0)}
+    again = extend(
+        LEVEL, reference["with"], Setting(LEVEL, told.scale, (1000.0, 3089.0), told.dt, **times)
+    )
+    assert again.parameter_names == found.extended.parameter_names
 
 
 @pytest.mark.parametrize(("begins", "later"), [((0.0, 500.0), (500.0,)), ((500.0, 0.0), (500.0,))])
@@ -258,25 +268,8 @@ def test_only_times_that_tell_records_apart_end_a_step(begins, later):
     model, theta = LEVEL, np.asarray(LEVEL.theta())
     apart = together([levels(60, k, begin) for k, begin in enumerate(begins)])
     assert setting_for(model, apart, theta).later == later
+    whole = levels(60, 1, 0.0)  # a record that was cut in two is one
+    assert setting_for(model, together([whole.part(0, 30), whole.part(30, 60)]), theta).later == ()
     overlapping = together([levels(60, k, 0.0) for k in range(2)])
     assert setting_for(model, overlapping, theta).later == ()
     assert setting_for(model, levels(60, 1, 0.0), theta).later == ()
-
-
-def test_what_effects_were_told_of_several_records_goes_with_the_result():
-    """A step that may end with its record has one parameter more: without it the extension is another model."""
-    rng, records = np.random.default_rng(4), []
-    level = engine.get_model("local-level")
-    for begins, shift in ((0.0, 0.0), (500.0, 150.0)):
-        y = engine.simulate(level, {"q": 20.0, "r": 400.0, "level": 0.0}, 120, rng).series.y.copy()
-        y[60:] += shift
-        records.append(Series(y, t=begins + np.arange(120.0)))
-    found = engine.diagnose(level, records, effects=["step"], seed=1)
-    assert found.later == (500.0,)
-    assert found.starts == (0.0, 500.0)
-    reference = as_dict(found)["extension"]["model"]
-    told = SettingIn(**reference["setting"])
-    setting = Setting(level, told.scale, tuple(told.span), told.dt, later=tuple(told.later))
-    assert (
-        extend(level, reference["with"], setting).parameter_names == found.extended.parameter_names
-    )

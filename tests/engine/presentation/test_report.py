@@ -229,6 +229,16 @@ def test_states_and_simulations():
 # ---- what others wrote ------------------------------------------------------------------------
 
 
+def test_how_files_were_read_is_in_the_report_of_a_diagnosis(diagnosis):
+    """As a job's result has it, beside the diagnosis; the notes of this one stay as they were."""
+    before = list(diagnosis["notes"])
+    page = check_alone(
+        report_html({"diagnosis": diagnosis, "notes": ["a step of 1 s is assumed"]}, {})
+    )
+    assert "a step of 1 s is assumed" in page.text
+    assert diagnosis["notes"] == before
+
+
 def test_names_are_escaped(diagnosis):
     names = {"outputs": {EVIL: EVIL}, "linear": {f"{EVIL} of a state": "<b>"}, "reference": {}}
     evil = replace(LEVEL, description=EVIL, **names)
