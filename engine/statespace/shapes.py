@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 
 from engine.errors import ModelError
+from engine.kernels.gaussian import NEGATIVE
 from engine.statespace.rows import Array
 
-ROUNDING = 1e-9  # of a standard deviation each, what a covariance may be off
+ROUNDING = (
+    NEGATIVE  # of a standard deviation each, what a covariance may be off: one rule at every step
+)
 
 
 def as_rows(value: Any, M: int, n: int, where: str) -> Array:
