@@ -82,7 +82,7 @@ def stopped_estimate(store: Store, row: Any) -> dict[str, Any] | None:
     job = load(request)
     ks, rows = store.rows(row.seq, -max(reached)[1])
     theta = rows[-1][: len(job.model.parameters)]
-    more = f"; POST /jobs/{row.id}/resume with more run_seconds goes on"
+    more = f" (POST /jobs/{row.id}/resume with more run_seconds)"
     why = f": {json.loads(row.problem)['detail']}{more}" if row.status == "failed" else ""
     return {
         "model": model_document(job.model),

@@ -368,6 +368,16 @@ def is_lost(store, made):
     return []
 
 
+def test_a_job_whose_time_is_up_before_it_has_anything_says_why(store, estimation):
+    made = store.create("estimate", "linear-2", estimation(iterations=5), 5, run_seconds=4.0)
+    store.fail(
+        store.claim("a"), Problem(422, "run-time-exceeded", "took longer than 4 s").document()
+    )
+    with pytest.raises(Problem, match="took longer than 4 s") as told:
+        find_result(store, store.job(made))
+    assert told.value.document()["type"].endswith("run-time-exceeded")
+
+
 def test_a_job_whose_time_is_up_keeps_what_it_has_and_is_given_more(store, estimation):
     request = estimation(iterations=5)
     made = store.create("estimate", "linear-2", request, 5, run_seconds=4.0)
@@ -381,7 +391,7 @@ def test_a_job_whose_time_is_up_keeps_what_it_has_and_is_given_more(store, estim
         attempt = store.claim("a")
         assert attempt.run_seconds == 4.0
     assert (reached["outcome"], reached["estimate"]["theta"]["value"]) == ("stopped", 0.25)
-    told = f"took longer than 4 s; POST /jobs/{made}/resume with more run_seconds goes on"
+    told = f"took longer than 4 s; it can go on (POST /jobs/{made}/resume with more run_seconds)"
     assert reached["message"] == f"Stopped after 1 of at most 5 iterations: {told}."
 
     store.show(attempt, {"estimate": {}})
