@@ -89,9 +89,12 @@ class Diagnosis(Shown):
     seconds : dict
         {part: processor time, s}.
     series : Series
-        The record that the likelihood searched, the held-out part included.
+        The record that the likelihood searched, the held-out part included; of several the longest.
     records : int
         How many records were given.
+    later, starts : tuple of float
+        Of several records on one clock, times at which one ends and the next begins: a step may end with its
+        record, and a drift counts anew.
     p_bootstrap : float or None
         The first round's p-value from simulated series, where it was asked for.
     p_bootstrap_at_floor : bool
