@@ -98,7 +98,7 @@ def long(estimation: Callable[..., dict[str, Any]], data: list[list[float]]) -> 
 
     Of few samples and many particles, for the search for a start takes longer the more samples there are.
     """
-    request = estimation(particles=700, iterations=10_000)
+    request = estimation(particles=350, iterations=10_000)
     request["series"] = [{"y": 5 * data}]
     return request
 

@@ -84,7 +84,7 @@ def test_records_put_together_come_apart_again(k):
     assert part.begins == (10, 60)
 
 
-@pytest.mark.parametrize("name", ["tanks", "servo"])
+@pytest.mark.parametrize("name", [pytest.param("tanks", marks=pytest.mark.slow), "servo"])
 def test_the_footprint_of_every_effect_is_that_in_each(name):
     model, theta, each = records(name)
     whole = together(each)

@@ -32,7 +32,7 @@ def gains(first):
     return {r.effect.name: r for r in found.search.rounds[0].refits}
 
 
-@pytest.mark.parametrize("first", [1900.0, 1e6])
+@pytest.mark.parametrize("first", [pytest.param(1900.0, marks=pytest.mark.slow), 1e6])
 def test_refits_gain_the_same_whenever_time_begins(here, first):
     there = gains(first)
     assert set(there) == set(here)

@@ -15,6 +15,7 @@ def asked(seed, caught):
     return engine.diagnose(RESERVOIR, record(seed, 400, 0.02, caught), effects=KINDS, seed=1)
 
 
+@pytest.mark.slow
 def test_rain_that_is_more_than_recorded_is_a_gain_of_the_input():
     found = asked(1, CAUGHT)
     assert [cause.effect for cause in found.causes] == ["input-gain:rain"]

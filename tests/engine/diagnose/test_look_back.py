@@ -53,6 +53,7 @@ def looked_back(record, parts, monkeypatch):
     return look
 
 
+@pytest.mark.slow
 def test_refits_start_where_they_are_likely(looked_back):
     """Not where noise that is next to nothing has to explain a whole effect: that is a long climb."""
     rounds, found, fits = looked_back()
@@ -62,6 +63,7 @@ def test_refits_start_where_they_are_likely(looked_back):
     assert sum(fit.iterations for fit in fits) < 5 * len(fits)
 
 
+@pytest.mark.slow
 def test_a_spent_budget_leaves_rounds_as_they_were_found(looked_back, monkeypatch):
     monkeypatch.setattr(joint_refit, "BUDGET", 4)
     rounds, found, fits = looked_back()
@@ -71,6 +73,7 @@ def test_a_spent_budget_leaves_rounds_as_they_were_found(looked_back, monkeypatc
     assert any("Not compared" in note and names[1] in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_refit_that_was_cut_off_rules_nothing_out(looked_back, monkeypatch):
     monkeypatch.setattr(joint_refit, "ITERATIONS", 1)
     rounds, _, fits = looked_back()

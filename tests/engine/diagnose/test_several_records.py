@@ -183,6 +183,7 @@ def test_a_record_that_begins_where_the_model_does_not_is_left_to_the_free_run()
     assert any("Of 4 records the likelihood searched 3 together" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_simulations_of_many_records_begin_each_anew():
     """They say how bold p-values are; where none can be made nothing would be said."""
     whole = together(short_records({}, 6))

@@ -197,6 +197,7 @@ def test_samples_at_no_common_step_get_several_steps_too():
         make_effect("lag:y", setting_for(model, irregular.refined(2), theta))
 
 
+@pytest.mark.slow
 def test_the_page_says_what_is_wrong_with_the_steps_that_were_fitted():
     """Once the first section was made with one step a sample, and a clean record looked all wrong.
 

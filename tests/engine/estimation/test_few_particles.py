@@ -93,6 +93,7 @@ def test_a_start_is_not_left_for_what_is_far_less_likely():
     assert any("times the particles" in result.message for _, _, result in found)
 
 
+@pytest.mark.slow
 def test_where_more_particles_cannot_be_had_it_says_which_filter_says_what(monkeypatch):
     monkeypatch.setattr(e_steps, "RETRIES", ())
     fell = 0

@@ -78,6 +78,7 @@ def test_how_far_the_maximum_is_does_not_drown_with_the_scores():
     assert stated.decrement == pytest.approx(4.0, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimate", [engine.rbps_em, engine.rts_em])
 def test_em_that_stands_still_does_not_say_it_converged(estimate):
     """Its steps are shorter than any tolerance where the likelihood still rises by thousands of nats."""

@@ -92,6 +92,7 @@ def by_grid(y, mu, phi, s2, n=250):
     return total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_from_a_start_far_off_the_maximum_is_reached(seed):
     """By scores of jumping likelihoods it ended 3 to 9 nats below and said that it had converged."""

@@ -128,6 +128,7 @@ def test_a_search_that_is_left_is_given_up(series):
     assert found.log_likelihood == seen[-1]
 
 
+@pytest.mark.slow
 def test_the_higher_of_two_maxima_is_told_by_more_than_one_filter():
     """They are 4 nats apart, and the log-likelihood of one filter of 50 particles scatters by 2."""
     model = get_model("mixed-4")
@@ -153,6 +154,7 @@ def test_the_higher_of_two_maxima_is_told_by_more_than_one_filter():
         assert found.trace[1][2] > 0.0
 
 
+@pytest.mark.slow
 def test_between_maxima_that_the_data_do_not_tell_apart_the_start_decides():
     """Of eq. (34)'s likelihood, near -0.1 and 0.1; here they are 0.1 nats apart."""
     model = get_model("linear-2")

@@ -116,6 +116,7 @@ def _swings(stiffness, rows=300):
     return records.Data(model, series[0], {"test": series[1]}, options, settled=20)
 
 
+@pytest.mark.slow
 def test_the_free_run_is_asked_of_the_base_where_the_likelihood_has_named_the_cause():
     data = _swings(-1.0)
     found = diagnose(data.model, data.train, test=data.tests["test"], **data.options)

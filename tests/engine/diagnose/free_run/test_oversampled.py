@@ -66,6 +66,7 @@ def test_a_slow_plant_is_looked_at_on_fewer_samples_of_all_of_the_record():
     assert telling(SERVO, QUIET, ["M", "Fv"], [series])[0].dt == few.dt
 
 
+@pytest.mark.slow
 def test_other_zeros_of_time_and_length_keep_the_same_samples():
     series = slow()
     usual = fewer_samples(SERVO, QUIET, [series], MOST_ROWS)
@@ -74,6 +75,7 @@ def test_other_zeros_of_time_and_length_keep_the_same_samples():
     assert [len(one) for one in other] == [len(one) for one in usual]
 
 
+@pytest.mark.slow
 def test_other_units_of_every_channel_of_time_and_of_parameters_keep_them_too():
     rng = np.random.default_rng(4)
     units = Units.of(SERVO, lambda: rng.integers(-20, 20))
