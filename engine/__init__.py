@@ -4,6 +4,7 @@ Start with :func:`get_model` or your own :class:`MixedModel`, put measured data 
 :class:`Series`, and estimate with :func:`rbps_em`.
 """
 
+from engine.data.joined import in_turn
 from engine.data.series import Series
 from engine.design import Bounds, Design, InputBounds, design_experiment
 from engine.diagnose import Diagnosis, diagnose, register_effect
@@ -96,6 +97,7 @@ __all__ = [
     "free_run",
     "gaussian_case",
     "get_model",
+    "in_turn",
     "kalman_smoother",
     "likelihood_intervals",
     "load",

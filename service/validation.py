@@ -12,12 +12,13 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from engine.data.given import check_enough
+from engine.data.joined import in_turn, longest_of, overlapping
 from engine.data.series import Series
 from engine.design import Bounds
 from engine.design.candidates import before_any
 from engine.diagnose.effects.catalogue import effect_kinds, extend
 from engine.diagnose.effects.setting import Setting
-from engine.diagnose.records import check_held_out, check_searched, longest_of
+from engine.diagnose.records import check_held_out, check_searched
 from engine.errors import EngineError, OptionError, SeriesError
 from engine.models.registry import get_model, source_of
 from engine.statespace.model import Array, MixedModel, Theta
@@ -77,7 +78,7 @@ def prepare(request: Request) -> Prepared:
             theta = model.theta(parameters.start)
         with _at("parameters.free"):
             model.free_indices(free)
-    test: Sequence[Series] = ()
+    test: list[Series] = []
     if isinstance(request, EstimateRequest | DiagnoseRequest):
         test = _all_series(request.test, model, "test", numbered=len(request.test) > 1)
     if isinstance(request, DiagnoseRequest):
@@ -107,9 +108,21 @@ def prepare(request: Request) -> Prepared:
             check_searched(series[longest], [one for one in series if one is not series[longest]])
     if k > 1 and not model.continuous:
         raise invalid("options.substeps", one_step(model, k))
+    series, test = _on_one_clock(request.model, series, test)
     series = [one.refined(k) for one in series]
     test = [one.refined(k) for one in test]
     return Prepared(request, model, series, theta, free, test)
+
+
+def _on_one_clock(
+    reference: ModelReference, series: list[Series], test: list[Series]
+) -> tuple[list[Series], list[Series]]:
+    """Records in turn where the effects were made so, of records whose own clocks overlap."""
+    later = reference.setting.later if reference.effects and reference.setting else []
+    if not later or len(series) < 2 or not overlapping(series):
+        return series, test
+    every = in_turn([*series, *test], longest_of(series))
+    return every[: len(series)], every[len(series) :]
 
 
 def _substeps(request: Request) -> int:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from engine.data.series import Series
+from engine.errors import SeriesError
 
 
 def past_of(test: Series, records: Sequence[Series]) -> Series | None:
@@ -48,6 +50,54 @@ def starts_of(records: Sequence[Series]) -> tuple[float, ...]:
         longest = float(np.diff(one.t[one.samples]).max(initial=0.0))
         end = max(end, float(one.t[-1]) + 1.5 * longest)
     return tuple(starts)
+
+
+def overlapping(records: Sequence[Series]) -> bool:
+    """Whether a time is in more than one of the records, as where each clock begins at 0."""
+    spans = sorted((float(one.t[0]), float(one.t[-1])) for one in records)
+    return any(start <= end for (_, end), (start, _) in pairwise(spans))
+
+
+def longest_of(records: Sequence[Series]) -> int:
+    """Which of the records is the longest, the first of several."""
+    return max(range(len(records)), key=lambda k: (len(records[k]), -k))
+
+
+def in_turn(records: Sequence[Series], first: int | None = None) -> list[Series]:
+    """The same records on one clock, on which no two of them overlap: as :func:`engine.diagnose` takes them.
+
+    One keeps its times. The others follow it in their order, each a round number after the one before. That
+    number is 1, 2 or 5 times a power of ten.
+
+    Parameters
+    ----------
+    records : sequence of Series
+        Records whose times need not tell them apart.
+    first : int, optional
+        Which of them keeps its times, counted from 0; by default the longest.
+
+    Returns
+    -------
+    list of Series
+        The records in the order given, with other times.
+
+    Raises
+    ------
+    SeriesError
+        There is no record, or none with the number ``first``.
+    """
+    if not records or (first is not None and not 0 <= first < len(records)):
+        raise SeriesError(f"first = {first} of {len(records)} records; one of them is needed")
+    first = longest_of(records) if first is None else first
+    usual = max(float(one.steps.max(initial=0.0)) for one in records) or 1.0
+    lasting = max(float(one.t[-1] - one.t[0]) for one in records) + 2.0 * usual
+    power = 10.0 ** np.floor(np.log10(lasting))
+    apart = float(next(power * n for n in (1.0, 2.0, 5.0, 10.0) if power * n > lasting))
+    begin, out = float(records[first].t[0]), list(records)
+    for place, k in enumerate((k for k in range(len(records)) if k != first), 1):
+        one = records[k]
+        out[k] = one.replace(t=one.t - one.t[0] + (begin + place * apart))
+    return out
 
 
 def anew(t: Any, starts: Sequence[float], early: float = 0.0) -> Any:

@@ -245,6 +245,15 @@ def diagnose(  # noqa: PLR0913
             "held out and not searched: held_out=0 searches all of it, test= judges by other data."
         )
 
+    if records.in_turn and any(cause.where == "time" for cause in judged.causes):
+        others = zip(records.numbers[1:], fine.records.others, strict=True)
+        begin = [
+            f"record {k} at t = {moment(one.t[0], one.dt, one.time_unit)}" for k, one in others
+        ]
+        notes.append(
+            "The clocks of the records overlap, so times are told as if one came after the other: "
+            f"{enumerated(begin)}, counted from 0. The extended model needs them so: engine.in_turn(records)."
+        )
     if (
         model.continuous
         and judged.causes

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.data.given import as_series_list, same_clock
-from engine.data.joined import together
+from engine.data.joined import in_turn, longest_of, overlapping, together
 from engine.data.series import Series
+from engine.diagnose.effects.clock import reads_no_clock
 from engine.diagnose.effects.spare_inputs import with_inputs
 from engine.errors import OptionError, SeriesError
 from engine.statespace.model import MixedModel
@@ -25,7 +26,8 @@ class Records:
     """The ``main`` record, ``others``, and held-out ``tests``; each begins at a state of its own.
 
     ``share`` of the main record is kept back where there are no tests. ``kept_back`` are those of the records
-    given that are tests as no others were.
+    given that are tests as no others were; ``numbers`` tells which were given as the main one and the others.
+    ``in_turn``: they are on another clock than they were given on, on which no two overlap.
     """
 
     main: Series
@@ -33,6 +35,8 @@ class Records:
     tests: tuple[Series, ...] = ()
     share: float = HELD_OUT
     kept_back: tuple[int, ...] = ()
+    numbers: tuple[int, ...] = (0,)
+    in_turn: bool = False
 
     @property
     def every(self) -> tuple[Series, ...]:
@@ -110,12 +114,30 @@ def records_of(
             )
     model = with_inputs(model, names)
     _check_apart([*given, *tests], len(given))
+    given, tests, moved = on_one_clock(model, given, tests)
     back = () if tests else whole_records(given, held_out)
     tests += [given[k] for k in back]
-    left = [one for k, one in enumerate(given) if k not in back]
-    main, *others = (one.with_extra_inputs() for one in [left.pop(longest_of(left)), *left])
+    left = [k for k in range(len(given)) if k not in back]
+    numbers = (left.pop(longest_of([given[k] for k in left])), *left)
+    main, *others = (given[k].with_extra_inputs() for k in numbers)
     apart = tuple(one.with_extra_inputs().check(model) for one in tests)
-    return model, Records(main, tuple(others), apart, held_out, back)
+    return model, Records(main, tuple(others), apart, held_out, back, numbers, moved)
+
+
+def on_one_clock(
+    model: MixedModel, given: list[Series], tests: list[Series]
+) -> tuple[list[Series], list[Series], bool]:
+    """Records and tests, in turn where clocks of records overlap and the model reads none; whether they are.
+
+    What comes once, in one of them, has a time of its own then.
+    """
+    if len(given) < 2 or not overlapping(given):
+        return given, tests, False
+    every = [*given, *tests]
+    moved = in_turn(every, longest_of(given))
+    if not reads_no_clock(model, every, moved):
+        return given, tests, False
+    return moved[: len(given)], moved[len(given) :], True
 
 
 def whole_records(given: Sequence[Series], share: float) -> tuple[int, ...]:
@@ -182,11 +204,6 @@ def check_searched(series: Series, others: Sequence[Series] = ()) -> None:
                 f"output '{name}' reads {seen[0]:g} throughout: a dead channel carries no information; "
                 "give its readings as NaN, or leave the output out of the model"
             )
-
-
-def longest_of(series: Sequence[Series]) -> int:
-    """Which of the records the likelihood searches: the longest, the first of several."""
-    return max(range(len(series)), key=lambda k: (len(series[k]), -k))
 
 
 def _check_apart(every: Sequence[Series], n: int) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.data.series import Series
+from engine.diagnose.records import on_one_clock
 from engine.statespace.model import MixedModel, Theta
 from service.cli.files import Columns, series_of
 from service.cli.meter import Meter
@@ -63,11 +64,14 @@ class Experiment(Run):
             every.append(series.refined(substeps) if base.continuous else series)
         for note in self.notes:
             shown.warn(note)
-        model = with_effects(base, self.effects, every[0])
+        n = len(self.data)
+        given, test = every[:n], every[n:]
+        if self.effects:
+            given, test, _ = on_one_clock(base, given, test)
+        model = with_effects(base, self.effects, given)
         theta = theta_of(model, self.start, self.fixed)
         free = free_of(model, self.free, list(self.fixed))
-        n = len(self.data)
-        return Job(base.name, model, every[:n], every[n:], theta, free)
+        return Job(base.name, model, given, test, theta, free)
 
     def with_notes(self, document: dict[str, Any]) -> dict[str, Any]:
         """The document with what is to be known of how the data were read."""

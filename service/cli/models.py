@@ -35,7 +35,7 @@ def show_all(as_json: bool) -> None:
 
 def show_one(reference: str, effects: Sequence[str], list_effects: bool, as_json: bool) -> None:
     """One model in full, or what can be added to it."""
-    model = with_effects(model_of(reference), effects, None)
+    model = with_effects(model_of(reference), effects, [])
     if list_effects:
         found = all_effects(Setting(model))
         if as_json:

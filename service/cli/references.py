@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from engine.data.joined import starts_of
 from engine.data.series import Series
 from engine.diagnose.effects.catalogue import extend
-from engine.diagnose.effects.setting import Setting
+from engine.diagnose.effects.setting import Setting, later_of
 from engine.errors import EngineError
 from engine.models.files import in_file, model_from
 from engine.models.registry import get_model, model_names
@@ -37,14 +38,25 @@ def absolute(reference: str) -> str:
     return reference if file is None else f"{file[0].absolute()}:{file[1]}".rstrip(":")
 
 
-def with_effects(model: MixedModel, effects: Sequence[str], series: Series | None) -> MixedModel:
-    """The model with effects of the catalogue put in, made for the series' times."""
+def with_effects(
+    model: MixedModel, effects: Sequence[str], records: Sequence[Series]
+) -> MixedModel:
+    """The model with effects of the catalogue put in, made for the records' times."""
     with about("--with"):
-        return extend(model, effects, None if series is None else setting_of(model, series))
+        return extend(model, effects, setting_of(model, records) if records else None)
 
 
-def setting_of(model: MixedModel, series: Series) -> Setting:
+def setting_of(model: MixedModel, records: Sequence[Series]) -> Setting:
     """What effects need to know of the data that they are made for."""
-    t, k = series.t, series.substeps
-    span, clock = (float(t[0]), float(t[-1])), series.time_unit
-    return Setting(model, {}, span, float(t[k] - t[0]), substeps=k, time_unit=clock)
+    first = records[0]
+    t, k = first.t, first.substeps
+    return Setting(
+        model,
+        {},
+        (float(min(one.t[0] for one in records)), float(max(one.t[-1] for one in records))),
+        float(t[k] - t[0]),
+        substeps=k,
+        time_unit=first.time_unit,
+        later=later_of(records),
+        starts=starts_of(records),
+    )

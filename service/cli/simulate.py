@@ -59,7 +59,7 @@ def run(wanted: Wanted, as_json: bool) -> None:
     frame, notes = _frame(base, wanted)
     for note in notes:
         Meter().warn(note)
-    model = references.with_effects(base, list(wanted.effects), frame)
+    model = references.with_effects(base, list(wanted.effects), [frame])
     sizes = _sizes(base, wanted.effects, frame)
     with about("--set"):
         theta = model.theta(sizes | wanted.values)
@@ -154,7 +154,7 @@ def _sizes(model: MixedModel, effects: Mapping[str, float], frame: Series) -> di
     """{parameter: value} of the effects' sizes."""
     out = {}
     for name, size in effects.items():
-        effect = make_effect(name, references.setting_of(model, frame))
+        effect = make_effect(name, references.setting_of(model, [frame]))
         out[effect.size.name] = size
         model = effect.apply(model)
     return out

@@ -6,14 +6,14 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import count, pairwise
+from itertools import count
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from engine.data.joined import anew, apart, starts_of
+from engine.data.joined import anew, apart, overlapping, starts_of
 from engine.data.lattice import VISIBLE, lattice_step, sample_noise
 from engine.data.series import Series
 from engine.diagnose.effects.rates import Points, Rate, feeding, guessed_points, rates
@@ -390,10 +390,7 @@ def setting_for(model: MixedModel, series: Series, theta: Array) -> Setting:
 
 def later_of(records: Sequence[Series]) -> tuple[float, ...]:
     """The times at which a further record begins anew, as of :func:`starts_of`; none where two overlap."""
-    spans = sorted((float(one.t[0]), float(one.t[-1])) for one in records)
-    if any(start <= end for (_, end), (start, _) in pairwise(spans)):
-        return ()
-    return starts_of(records)[1:]
+    return () if overlapping(records) else starts_of(records)[1:]
 
 
 def _spelled(name: str) -> str:
