@@ -108,21 +108,16 @@ def prepare(request: Request) -> Prepared:
             check_searched(series[longest], [one for one in series if one is not series[longest]])
     if k > 1 and not model.continuous:
         raise invalid("options.substeps", one_step(model, k))
-    series, test = _on_one_clock(request.model, series, test)
+    series = _on_one_clock(request.model, series)
     series = [one.refined(k) for one in series]
     test = [one.refined(k) for one in test]
     return Prepared(request, model, series, theta, free, test)
 
 
-def _on_one_clock(
-    reference: ModelReference, series: list[Series], test: list[Series]
-) -> tuple[list[Series], list[Series]]:
+def _on_one_clock(reference: ModelReference, series: list[Series]) -> list[Series]:
     """Records in turn where the effects were made so, of records whose own clocks overlap."""
     later = reference.setting.later if reference.effects and reference.setting else []
-    if not later or len(series) < 2 or not overlapping(series):
-        return series, test
-    every = in_turn([*series, *test], longest_of(series))
-    return every[: len(series)], every[len(series) :]
+    return in_turn(series) if later and overlapping(series) else series
 
 
 def _substeps(request: Request) -> int:

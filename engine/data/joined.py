@@ -63,18 +63,16 @@ def longest_of(records: Sequence[Series]) -> int:
     return max(range(len(records)), key=lambda k: (len(records[k]), -k))
 
 
-def in_turn(records: Sequence[Series], first: int | None = None) -> list[Series]:
+def in_turn(records: Sequence[Series]) -> list[Series]:
     """The same records on one clock, on which no two of them overlap: as :func:`engine.diagnose` takes them.
 
-    One keeps its times. The others follow it in their order, each a round number after the one before. That
-    number is 1, 2 or 5 times a power of ten.
+    The longest keeps its times. The others follow it in their order, each a round number after the one before.
+    That number is 1, 2 or 5 times a power of ten.
 
     Parameters
     ----------
     records : sequence of Series
         Records whose times need not tell them apart.
-    first : int, optional
-        Which of them keeps its times, counted from 0; by default the longest.
 
     Returns
     -------
@@ -84,11 +82,11 @@ def in_turn(records: Sequence[Series], first: int | None = None) -> list[Series]
     Raises
     ------
     SeriesError
-        There is no record, or none with the number ``first``.
+        There is no record.
     """
-    if not records or (first is not None and not 0 <= first < len(records)):
-        raise SeriesError(f"first = {first} of {len(records)} records; one of them is needed")
-    first = longest_of(records) if first is None else first
+    if not records:
+        raise SeriesError("no series was given; at least one is needed")
+    first = longest_of(records)
     usual = max(float(one.steps.max(initial=0.0)) for one in records) or 1.0
     lasting = max(float(one.t[-1] - one.t[0]) for one in records) + 2.0 * usual
     power = 10.0 ** np.floor(np.log10(lasting))

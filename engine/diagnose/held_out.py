@@ -157,8 +157,7 @@ class HeldOut:
         """
         main, tests = self.records.main, self.records.tests
         span = main.t[-1] - main.t[0]
-        own = not self.records.in_turn  # else their clock says nothing of when they were recorded
-        return bool(tests) and own and all(0.0 < one.t[0] - main.t[-1] <= span for one in tests)
+        return bool(tests) and all(0.0 < one.t[0] - main.t[-1] <= span for one in tests)
 
     @property
     def _searched(self) -> list[Series]:

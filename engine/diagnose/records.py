@@ -27,7 +27,7 @@ class Records:
 
     ``share`` of the main record is kept back where there are no tests. ``kept_back`` are those of the records
     given that are tests as no others were; ``numbers`` tells which were given as the main one and the others.
-    ``in_turn``: they are on another clock than they were given on, on which no two overlap.
+    ``in_turn``: all but the tests are on another clock than they were given on, on which no two overlap.
     """
 
     main: Series
@@ -114,9 +114,9 @@ def records_of(
             )
     model = with_inputs(model, names)
     _check_apart([*given, *tests], len(given))
-    given, tests, moved = on_one_clock(model, given, tests)
     back = () if tests else whole_records(given, held_out)
     tests += [given[k] for k in back]
+    given, moved = on_one_clock(model, given)
     left = [k for k in range(len(given)) if k not in back]
     numbers = (left.pop(longest_of([given[k] for k in left])), *left)
     main, *others = (given[k].with_extra_inputs() for k in numbers)
@@ -124,20 +124,15 @@ def records_of(
     return model, Records(main, tuple(others), apart, held_out, back, numbers, moved)
 
 
-def on_one_clock(
-    model: MixedModel, given: list[Series], tests: list[Series]
-) -> tuple[list[Series], list[Series], bool]:
-    """Records and tests, in turn where clocks of records overlap and the model reads none; whether they are.
+def on_one_clock(model: MixedModel, given: list[Series]) -> tuple[list[Series], bool]:
+    """The records, in turn where their clocks overlap and the model reads none; whether they are.
 
-    What comes once, in one of them, has a time of its own then.
+    What comes once, in one of them, has a time of its own then. Tests keep theirs: a drift counts anew there.
     """
-    if len(given) < 2 or not overlapping(given):
-        return given, tests, False
-    every = [*given, *tests]
-    moved = in_turn(every, longest_of(given))
-    if not reads_no_clock(model, every, moved):
-        return given, tests, False
-    return moved[: len(given)], moved[len(given) :], True
+    moved = in_turn(given)
+    if not overlapping(given) or not reads_no_clock(model, given, moved):
+        return given, False
+    return moved, True
 
 
 def whole_records(given: Sequence[Series], share: float) -> tuple[int, ...]:

@@ -67,7 +67,7 @@ class Experiment(Run):
         n = len(self.data)
         given, test = every[:n], every[n:]
         if self.effects:
-            given, test, _ = on_one_clock(base, given, test)
+            given, _ = on_one_clock(base, given)
         model = with_effects(base, self.effects, given)
         theta = theta_of(model, self.start, self.fixed)
         free = free_of(model, self.free, list(self.fixed))
