@@ -26,6 +26,7 @@ from engine.statespace.refutation import refutations, repeated_if_refuted
 from engine.views import Shown
 
 NEAR_SHARE = 1e-4  # of a state's size: over this, slopes are taken where the state has no variance
+KNOWN_SHARE = 1e-6  # of it: what scatters by less is known but for rounding
 PATHS = 2  # of a series, the last ones, are kept: several steps of a diagnosis ask for the same
 
 
@@ -193,21 +194,23 @@ def _keep(run: FilterSteps, kept: dict[str, Array]) -> float:
 
 
 def _slopes_without_variance(run: FilterSteps, kept: dict[str, Array]) -> None:
-    """Fill in H and F where a direction of x has no variance, from which nothing can be regressed.
+    """Fill in H and F where a direction of x has next to no variance, from which nothing can be regressed.
 
-    There they are slopes over a small share of what each state is at most on the way, in its unit.
+    A state that forgets its beginning and has no noise, as a motor's lag, is known ever better, and what is
+    left of its covariances is rounding. There they are slopes over a small share of what each state is at most
+    on the way, in its unit.
     """
     predicted, P = kept["predicted"], kept["P_predicted"]
     variance = np.diagonal(P, axis1=1, axis2=2)
     sizes = np.maximum(np.abs(predicted), np.sqrt(np.maximum(variance, 0.0))).max(axis=0)
-    # 1: it never leaves zero
-    least = np.diag((NEAR_SHARE * np.where(sizes > 0.0, sizes, 1.0)) ** 2)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)  # 1: it never leaves zero
+    least = np.diag((NEAR_SHARE * sizes) ** 2)
     for name, function, means, covs in (
         ("H", run.observation, predicted, P),
         ("F", run.transition, kept["filtered"][:-1], kept["P_filtered"][:-1]),
     ):
         pivots = np.diagonal(psd_cholesky_many(np.ascontiguousarray(covs)), axis1=1, axis2=2)
-        for t in np.flatnonzero(~(pivots > 0.0).all(axis=1)):
+        for t in np.flatnonzero(~(pivots > KNOWN_SHARE * sizes).all(axis=1)):
             wide = covs[t] + least
             _, _, cross = run.through(function, int(t), means[t][None], wide[None])
             kept[name][t] = slopes(cross[0], wide)

@@ -14,7 +14,7 @@ from engine.diagnose.effects.effect import Effect
 from engine.estimation.quasi_ml import neighbours, whitening
 from engine.filters.filter_steps import first_moments
 from engine.filters.neighbours import Visited, filter_all, filter_neighbours, visited_on
-from engine.filters.sigma_point import MomentFiltered, MomentPath
+from engine.filters.sigma_point import KNOWN_SHARE, MomentFiltered, MomentPath
 from engine.kernels.moments import sigma_points, transform
 from engine.kernels.sensitivities import sensitivities
 from engine.statespace.model import Array, MixedModel
@@ -193,12 +193,14 @@ def _scatter(path: MomentPath) -> list[Array]:
     """Standard deviations and variances of what :func:`along_path` returns, 1 where there are none.
 
     Of each row, but not below the usual ones: at the first the model may know next to nothing, and a step that
-    is small there would be lost in rounding at all others.
+    is small there would be lost in rounding at all others. Nor so far below what a state does that changes of
+    that size would be rounding: of one without noise that forgets its beginning next to nothing is left.
     """
     x = np.sqrt(np.diagonal(path.P_predicted, axis1=1, axis2=2))
     y = np.sqrt(np.diagonal(path.S, axis1=1, axis2=2))
     usual, spread = np.median(x, axis=0), np.std(path.predicted, axis=0)
-    usual = np.where(usual > 0.0, usual, np.where(spread > 0.0, spread, 1.0))
+    usual = np.maximum(usual, KNOWN_SHARE * spread)
+    usual = np.where(usual > 0.0, usual, 1.0)
     x, least = np.maximum(x, usual), np.median(y, axis=0)
     y = np.maximum(y, np.where(least > 0.0, least, 1.0))
     after, first = x[1:], x[0]

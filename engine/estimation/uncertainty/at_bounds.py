@@ -27,7 +27,8 @@ def pressed_onto_bounds(
 ) -> NDArray[np.bool_]:
     """Which parameters (n,) are as good as at a bound; ``scores`` (R, n) are those at the estimate.
 
-    Exact likelihoods are compared at the bound; of particles the score is asked again half-way.
+    Likelihoods are compared at the bound. Of particles they are the moment filter's, and the score is asked,
+    too, and again half-way: it drowns in its noise, which grows as a variance falls.
     """
     (lower, upper), x, n = score.bounds, score.x, len(scores)
     mean, noise = scores.mean(axis=0), scores.std(axis=0) / np.sqrt(n)
@@ -40,21 +41,22 @@ def pressed_onto_bounds(
             continue
         drawn = mean[k] * np.sign(bound - x[k])
         with contextlib.suppress(EngineError):
-            if score.exact:  # so near a bound scores drown in rounding, and likelihoods do not
-                way = np.sign(x[k] - bound) * min(
-                    ON_ITS_SIDE * (upper[k] - lower[k]), FURTHER * room
-                )
-                here, least, far = (
-                    score.value(_moved(x, k, at)) for at in (x[k], bound, bound + way)
-                )
-                rounding = ROUNDING * (1.0 + abs(here))
-                # one that nothing depends on is at no bound
-                pressed[k] = -rounding < least - here < PRESSED_NATS and not far > here - rounding
-            elif 2.0 * noise[k] < drawn < PRESSED_NATS / room:
+            pressed[k] = _as_likely(score, k, bound)
+            if not (pressed[k] or score.exact) and 2.0 * noise[k] < drawn < PRESSED_NATS / room:
                 there = _moved(x, k, 0.5 * (x[k] + bound))
                 further = [score.at(there, which)[0][k] for which in seeds]
                 pressed[k] = np.mean(further) * np.sign(bound - x[k]) > 0.0
     return pressed
+
+
+def _as_likely(score: Score, k: int, bound: float) -> bool:
+    """Whether the bound of parameter k is as likely as its value, and what is beyond that is no likelier."""
+    x, width = score.x, score.bounds[1][k] - score.bounds[0][k]
+    way = np.sign(x[k] - bound) * min(ON_ITS_SIDE * width, FURTHER * abs(x[k] - bound))
+    here, least, far = (score.value(_moved(x, k, at)) for at in (x[k], bound, bound + way))
+    rounding = ROUNDING * (1.0 + abs(here))
+    # one that nothing depends on is at no bound
+    return bool(-rounding < least - here < PRESSED_NATS and not far > here - rounding)
 
 
 def _moved(x: Array, k: int, value: float) -> Array:

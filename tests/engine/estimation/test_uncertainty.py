@@ -73,20 +73,25 @@ def test_an_interval_ends_at_the_bounds():
     assert np.isinf(replace(errors, tied=("q",)).interval()[0]).all()
 
 
+@pytest.mark.parametrize("by", [{"exact": True}, SMALL])
 @pytest.mark.parametrize("q", [1e-9, 1e-4, 0.1])
-def test_a_variance_next_to_its_bound_leaves_the_errors_of_others_alone(q):
-    """Of the Nile with its step the likelihood rises up to q = 0, by less than half a nat from these."""
+def test_a_variance_next_to_its_bound_leaves_the_errors_of_others_alone(q, by):
+    """Of the Nile with its step the likelihood rises up to q = 0, by less than half a nat from these.
+
+    Scores by particles drown there: once an interval of q was 10,000 times too narrow, without a word.
+    """
     model = engine.get_model("local-level", effects=["step:flow"])
     told = {"q": 0.0, "r": 16000.0, "level": 1098.0, "step_flow": -248.0, "step_flow_time": 1899.0}
     free = ["q", "r", "level", "step_flow"]
     at = model.theta(quasi_ml(model, nile(), told, free).theta).asdict()
     assert at["q"] == 0.0
     exact = standard_errors(model, at, nile(), free, exact=True)
-    near = standard_errors(model, {**at, "q": q}, nile(), free, exact=True)
+    near = standard_errors(model, {**at, "q": q}, nile(), free, **by)
     assert near.names == exact.names == ("r", "level", "step_flow")
     assert "up to the bound of q" in near.warning
     assert near.settled
-    np.testing.assert_allclose(near.values[[1, 2, 3]], exact.values[[1, 2, 3]], rtol=0.02)
+    rtol = 0.02 if "exact" in by else 0.3
+    np.testing.assert_allclose(near.values[[1, 2, 3]], exact.values[[1, 2, 3]], rtol=rtol)
 
 
 def test_a_variance_that_is_small_for_good_keeps_its_error():
@@ -496,3 +501,17 @@ def test_no_more_differences_are_made_than_it_takes(noise, held, rounds, said):
     assert (said in words) if said else not words
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 1.0, rtol=0.2)
     assert (relative <= 0.2).all()
+
+
+@pytest.mark.parametrize("seed", [1, 3, 10])
+def test_scores_that_drown_next_to_a_bound_make_no_error_of_it(seed):
+    """Of noise about a level that stays: once q had the error of a floor, 1e-4 of what the data allow."""
+    level = engine.get_model("local-level")
+    series = engine.Series(1000.0 + 100.0 * np.random.default_rng(seed).standard_normal(60))
+    best = quasi_ml(level, series, {"q": 0.0, "r": 1e4, "level": 1000.0}, ["q", "r"]).theta
+    assert best["q"] == 0.0
+    at = {**best.asdict(), "q": 1e-8}
+    held = standard_errors(level, best, series, ["q", "r"], **SMALL)
+    near = standard_errors(level, at, series, ["q", "r"], **SMALL)
+    assert near.names == held.names == ("r",)
+    np.testing.assert_allclose(near.values[1], held.values[1], rtol=0.05)
