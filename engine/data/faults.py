@@ -259,7 +259,7 @@ def single_outliers(name: str, unit: str, y: Array, series: Series) -> list[str]
     if not far.size or far.size > 0.1 * len(seen):
         return []
     worst = far[int(np.argmax(np.abs(distance[far])))]
-    when = moment(float(series.t[seen[worst]]), series.dt, series.time_unit)
+    when = moment(float(series.t[seen[worst]]), series.usual_step, series.time_unit)
     return [
         f"Output {name}: {far.size} single reading{'s' if far.size > 1 else ''} "
         f"({percent(far.size / len(seen))}) more than {OUTLIER_DEVIATIONS:g} robust standard deviations "

@@ -115,7 +115,7 @@ def joined(one: Series, other: Series) -> Series:
     Where both are refined, so is the step from the last sample of the one to the first of the other.
     """
     t, k = np.asarray(other.t), one.substeps
-    step = float(np.median(one.steps))
+    step = one.usual_step
     if t[0] <= one.t[-1]:
         t = t - t[0] + one.t[-1] + step
     names = ("y", "u", "t", "extra")

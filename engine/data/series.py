@@ -198,6 +198,11 @@ class Series(Shown):
         return short if (np.abs(steps - short) <= rounding).all() else mean
 
     @cached_property
+    def usual_step(self) -> float:
+        """The common time step, or the median of those of irregular sampling, in ``time_unit``."""
+        return float(np.median(self.steps)) if self.dt is None else self.dt
+
+    @cached_property
     def observed(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """Which values are there, (T, ny)."""
         return ~np.isnan(self.y)

@@ -240,15 +240,17 @@ def diagnose(  # noqa: PLR0913
             "out and not searched: held_out=0 searches all of them, test= judges by other data."
         )
     if records.keeps_back and judged.verdict in (Verdict.NOTHING, Verdict.UNKNOWN):
+        begun = moment(records.main.t[len(plain)], plain.usual_step, plain.time_unit)
         notes.append(
-            f"The record from t = {moment(records.main.t[len(plain)], plain.dt, plain.time_unit)} on was "
-            "held out and not searched: held_out=0 searches all of it, test= judges by other data."
+            f"The record from t = {begun} on was held out and not searched: held_out=0 searches all of it, "
+            "test= judges by other data."
         )
 
     if records.in_turn and any(cause.where == "time" for cause in judged.causes):
         others = zip(records.numbers[1:], fine.records.others, strict=True)
         begin = [
-            f"record {k} at t = {moment(one.t[0], one.dt, one.time_unit)}" for k, one in others
+            f"record {k} at t = {moment(one.t[0], one.usual_step, one.time_unit)}"
+            for k, one in others
         ]
         notes.append(
             "The clocks of the records overlap, so times are told as if one came after the other: "

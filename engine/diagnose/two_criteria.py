@@ -172,7 +172,7 @@ def _searched(
     )
     return part, [
         f"The likelihood searched {len(part.samples)} of {count} samples, {which}: from "
-        f"t = {moment(part.t[0], part.dt)} to {moment(part.t[-1], part.dt, part.time_unit)}."
+        f"t = {moment(part.t[0], part.usual_step)} to {moment(part.t[-1], part.usual_step, part.time_unit)}."
     ]
 
 

@@ -32,7 +32,7 @@ def model_check(model: MixedModel) -> list[str]:
         return [f"Cannot be used: {error}"]
     said = [
         "Shapes, values and covariances are right at the default parameters, with inputs of 0 and a "
-        "step of 1 s.",
+        "step of 1, in the unit of its times.",
         _method(model),
         *_calls(model),
     ]

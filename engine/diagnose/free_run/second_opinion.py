@@ -236,9 +236,10 @@ def _of_one_record(alone: Series | None) -> str:
     """Why what holds throughout is not named, as a further sentence."""
     if alone is None:
         return ""
+    begin = moment(alone.t[0], alone.usual_step, alone.time_unit)
     return (
         f" What it found takes the error of one record alone, that of {len(alone.samples)} samples from "
-        f"t = {moment(alone.t[0], alone.dt, alone.time_unit)} on, and gains nothing one step ahead: something "
+        f"t = {begin} on, and gains nothing one step ahead: something "
         "is wrong there that the others do not have, so it is not named. Diagnose that record by itself, or "
         "give each record times of its own: what comes once is then looked for in each."
     )

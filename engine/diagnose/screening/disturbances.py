@@ -128,7 +128,7 @@ def _response(path: MomentPath, series: Series, b: Array, e: Array, frequencies:
     """|S^{-1/2} g|^2 of the mean filter for g_t = g exp(i w t) driven by (b, e), per frequency."""
     F, H, K, S = (x.mean(axis=0) for x in (path.F, path.H, path.K, path.S))
     b, e = b.mean(axis=0), e.mean(axis=0)
-    step = float(np.median(series.steps))
+    step = series.usual_step
     turn = np.exp(2j * np.pi * frequencies * step)[:, None, None] * np.eye(len(F))
     x = np.linalg.solve(turn - F @ (np.eye(len(F)) - K @ H), (b - F @ K @ e)[:, None])
     g = (H @ x)[:, :, 0] + e

@@ -71,7 +71,7 @@ def _length(model: MixedModel, T: int) -> list[str]:
 def _times(series: Series) -> list[str]:
     if series.dt is not None:
         return []
-    steps, middle = series.steps, float(np.median(series.steps))
+    steps, middle = series.steps, series.usual_step
     longest = int(np.argmax(steps))
     shortest, most = float(steps.min()), float(steps.max())
     text = (
@@ -87,10 +87,11 @@ def _gaps(name: str, seen: NDArray[np.bool_], series: Series) -> list[str]:
     if missing == 0.0:
         return []
     start, length = longest_stretch(~seen)
-    span, clock = number(length * float(np.median(series.steps))), series.time_unit
+    span, clock = number(length * series.usual_step), series.time_unit
+    begin = moment(float(series.t[start]), series.usual_step, clock)
     return [
         f"Output {name}: {percent(missing)} of the readings are missing, the longest gap is {length} "
-        f"samples ({span} {clock}) from t = {moment(float(series.t[start]), series.dt, clock)}."
+        f"sample{'s' if length > 1 else ''} ({span} {clock}) from t = {begin}."
     ]
 
 

@@ -135,7 +135,7 @@ def find_symptoms(
                 )
             free = against_run(model, series, y, states, fine)
         else:
-            when = moment(float(series.t[row]), series.dt, series.time_unit)
+            when = moment(float(series.t[row]), series.usual_step, series.time_unit)
             sentences.append(
                 f"The free run runs away: from t = {when} on it is further off than "
                 f"{AWAY_RANGES:g} times the range of the readings."
