@@ -53,7 +53,8 @@ def headline(cause: Cause, step: float | None = None, clock: str = SECOND) -> st
     name = cause.title[:1].upper() + cause.title[1:]
     return (
         f"{name} [{cause.effect}]: {sized(cause)}{late(cause, step, clock)}{when(cause, step)}, "
-        f"{cause.probability}, 2 x log-likelihood gained {gained(cause.gain)}"
+        f"{cause.probability}{' when it was found' if cause.beside else ''}, "
+        f"2 x log-likelihood gained {gained(cause.gain)}"
         f"{with_others(cause.together, cause.beside)}"
     )
 
