@@ -168,7 +168,8 @@ class Ascent:
         found = self.information(free_thetas(seen.theta, self.indices, seen.x[None])[0])
         if found is None or not np.isfinite(found).all():
             return None
-        return bounded(found, seen.complete)
+        # exact, it needs no correction; next to 0 the complete-data one of a variance is no measure of it
+        return whole(found, seen.complete) if self.exact else bounded(found, seen.complete)
 
     def _step(self, here: Memory) -> tuple[Array, Memory]:
         """A step from the base within the trust region; a short one begins the averaging."""
@@ -255,6 +256,14 @@ def bounded(information: Array, complete: Array, least: float = LEAST) -> Array 
         root = scale[:, None] * (L @ vectors)
         out[square] = (root * np.clip(values, least, MOST)) @ root.T
     return out
+
+
+def whole(information: Array, complete: Array) -> Array | None:
+    """The information (n, n) where there is a complete-data one, as it is; None where it lacks there."""
+    known = np.diag(complete) > 0.0
+    if not (np.diag(information)[known] > 0.0).all():
+        return None
+    return np.where(known[:, None] & known, information, 0.0)
 
 
 def _length(d: Array, metric: Array) -> float:
