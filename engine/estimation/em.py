@@ -26,6 +26,7 @@ from engine.estimation.particle_likelihood import likelihood_of
 from engine.estimation.quasi_ml import with_scales
 from engine.estimation.quasi_newton import Ascent
 from engine.estimation.start import WarmStart
+from engine.estimation.summit import Summit
 from engine.filters.proposals import Proposal
 from engine.statespace.base import BaseModel
 from engine.statespace.clock import about_clock
@@ -103,7 +104,8 @@ def rbps_em(  # noqa: PLR0913
     recover : bool
         Run a filter that collapsed, or fell far short of the moment filter, again with more particles.
         ``quasi-newton`` then ends at a point that the moment filter finds ahead, where the particle filter
-        finds it likelier, too. The papers do neither.
+        finds it likelier, too. Where the model is linear Gaussian it ends at the maximum of the exact
+        likelihood. The papers do none of this.
     m_step : str
         How the M step maximises Q: ``scoring`` by Fisher scoring, ``bfgs`` by quasi-Newton steps.
     tolerance : float, optional
@@ -157,7 +159,12 @@ def rbps_em(  # noqa: PLR0913
     loop = Loop(theta0, free, n_iterations, seed, callback, resume, m_step, tolerance)
     ascent = _ascent(likelihood, indices, tolerance) if newton else None
     particles = expect if recover else None
-    found = iterate(model, expect, loop, start, likelihood, ascent, particles)
+    summit = None
+    if newton and recover and type(likelihood) is LikelihoodStep:
+        worth = ascent.worth * len(indices) if ascent is not None else 0.0
+        exact = LikelihoodStep(model, all_series, exact=True, worth=1e-8)
+        summit = Summit(exact, worth, partial(_known, start, first))
+    found = iterate(model, expect, loop, start, likelihood, ascent, particles, summit)
     note = f" {start.note}" if start is not None and start.note else ""
     note += remark(given, found, all_series)
     note += _other_maxima(start, found, first, all_series)
@@ -230,7 +237,8 @@ def rts_em(
     likelihood = LikelihoodStep(model, all_series, exact=True, worth=1e-8)
     ascent = _ascent(likelihood, model.free_indices(free), tolerance, True) if newton else None
     expect = rts_step(model, all_series)
-    found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent)
+    summit = Summit(likelihood, 0.0, checked=True) if newton else None
+    found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent, summit=summit)
     said = found.message.replace(Outcome.CONVERGED.value, STANDS_STILL)
     message = said + remark(given, found, all_series)
     return replace(found, model=given, message=message)
@@ -247,14 +255,22 @@ def _start(
     return WarmStart(model, all_series, indices, around=given != UPHILL) if given else None
 
 
+def _known(start: WarmStart | None, first: Theta) -> list[Theta]:
+    """The maxima around the first theta that a search for a start has found, or would have."""
+    if start is None or not start.around:
+        return []
+    if not start.searches:  # this run went on from a checkpoint
+        start(first)
+    return [fit.theta for fit in start.apart]
+
+
 def _other_maxima(
     start: WarmStart | None, found: EmResult, first: Theta, all_series: Sequence[Series]
 ) -> str:
     """What is to be said, after a space, of maxima that the search for a start has found."""
     if start is None or not found.outcome.success:
         return ""
-    if not start.searches and start.around:  # this run went on from a checkpoint
-        start(first)
+    _known(start, first)
     said = about_other_maxima(start.model, all_series, found.theta, start.apart, start.indices)
     return f" {said}" if said else ""
 

@@ -24,6 +24,7 @@ from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.maximization import check_m_step
 from engine.estimation.outcome import Outcome
 from engine.estimation.quasi_newton import Ascent, Memory, width
+from engine.estimation.summit import Summit
 from engine.estimation.wandering import (
     kept_best,
     looked_ahead,
@@ -63,12 +64,14 @@ def iterate(
     likelihood: LikelihoodStep | None = None,
     ascent: Ascent | None = None,
     particles: ParticleStep | None = None,
+    summit: Summit | None = None,
 ) -> EmResult:
     """Algorithm 1 of the paper: E step, M step, settled?
 
     ``better_starts`` may name points; the first iteration leaves from one that is far more likely;
     ``likelihood`` moves the parameters to which the Q-function is no guide. ``ascent`` replaces the M step
     where it can. ``particles`` are ``expect`` where more of them may be taken, as few may lose the series.
+    ``summit`` ends a run whose likelihood is exact.
     """
     n = loop.n_iterations
     check_count("n_iterations", n)
@@ -104,7 +107,10 @@ def iterate(
     found = log.result(names, outcome, last, ties)
     if likelihood is None or not log.k or outcome is Outcome.DIVERGED:
         return found
-    if ascent is not None and particles is not None and log.had_a_chance(found.outcome):
+    chance = log.had_a_chance(found.outcome)
+    if summit is not None and chance and summit.serves(found.theta):
+        found = summit(found)
+    elif ascent is not None and particles is not None and chance:
         found = moved_ahead(found, likelihood, particles, loop.seed)
     elif outcome is Outcome.CONVERGED is found.outcome and log.memory[-1] is None:
         found = looked_ahead(found, likelihood, particles, loop.seed)

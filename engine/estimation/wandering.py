@@ -76,7 +76,7 @@ def looked_back(
     if there - here >= FAR_NATS:
         outcome = Outcome.WANDERED
         message = found.message.replace(found.outcome.value, outcome.value)
-        return _moved(replace(found, outcome=outcome, message=message), passed[k])
+        return moved(replace(found, outcome=outcome, message=message), passed[k])
     if there < before[k] - short:  # it has lost the series there: its word is none
         return replace(found, message=found.message + AGAINST.format(fall))
     return found
@@ -120,9 +120,9 @@ def moved_ahead(
         there, ahead = beside, likelihood.of(beside) - likelihood.of(found.theta)
     gain, error, n = _gain(found.theta, there, particles, least, seed)
     if gain > (-SURE * error if likelihood.trusted else max(least, SURE * error)):
-        return _moved(found, there, MOVED.format(ahead, whose, _nats(gain, error)))
+        return moved(found, there, MOVED.format(ahead, whose, _nats(gain, error)))
     if min(gain, ahead) > FAR_NATS:  # far off filters scatter widely
-        return _moved(found, there, MOVED.format(ahead, whose, _nats(np.inf, 0.0)))
+        return moved(found, there, MOVED.format(ahead, whose, _nats(np.inf, 0.0)))
     if ahead > LIKELIER and gain + SURE * error > ahead:
         known = whose, ahead, _values(there, found), n
         lost = error > LOST_NATS
@@ -156,17 +156,17 @@ def kept_best(found: EmResult, particles: ParticleStep, seed: int) -> EmResult:
     likelier, too.
     """
     values = np.where(np.isfinite(found.log_likelihood), found.log_likelihood, -np.inf)
-    k, moved = int(np.argmax(values)), not np.array_equal(found.theta, found.trace[-1])
-    if moved or not values[k] - values[-1] > PASSED_NATS:
+    k, elsewhere = int(np.argmax(values)), not np.array_equal(found.theta, found.trace[-1])
+    if elsewhere or not values[k] - values[-1] > PASSED_NATS:
         return found
     best = Theta(found.trace[k], found.theta.names)
     gain, error, _ = _gain(found.theta, best, particles, PASSED_NATS, seed, more=())
     if not gain > max(PASSED_NATS, SURE * error):
         return found
-    return _moved(found, best, PASSED.format(k, _nats(gain, error)))
+    return moved(found, best, PASSED.format(k, _nats(gain, error)))
 
 
-def _moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
+def moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
     """The result at another theta; ``said`` joins the message, whose end tells which bounds hold it."""
     before, now = (found.model.held_in_words(one, found.free) for one in (found.theta, theta))
     message = found.message.removesuffix(before).rstrip() + said

@@ -60,3 +60,27 @@ def test_a_model_with_one_maximum_has_no_remark():
     model = engine.get_model("local-level")
     series = engine.simulate(model, None, 200, np.random.default_rng(3)).series
     assert "another maximum" not in engine.rbps_em(model, series, n_iterations=5, seed=1).message
+
+
+def test_points_of_one_ridge_are_not_told_twice():
+    """Gain and offset of an input that acts through their product alone: the ridge was "another maximum"."""
+    model = engine.MixedModel(
+        name="product",
+        dynamics=lambda a, u, t, dt, th: ([0.0], [[0.7]], [[0.1]]),
+        measurement=lambda a, u, t, th: ([th.gain * th.share * u[0]], [[1.0]], [[th.r]]),
+        initial=lambda th: (None, [0.0], [[1.0]]),
+        linear={"x": ""},
+        inputs={"u": ""},
+        outputs={"y": ""},
+        parameters=[
+            engine.Parameter("gain", 1.0, "", (0.0, 100.0)),
+            engine.Parameter("share", 1.0, "", (0.0, 100.0)),
+            engine.Parameter("r", 0.1, "", (1e-9, 10.0)),
+        ],
+    )
+    u = np.random.default_rng(0).standard_normal(100)
+    truth = {"gain": 2.0, "share": 3.0, "r": 0.3}
+    series = engine.simulate(model, truth, 100, np.random.default_rng(3), u=u).series
+    said = engine.rbps_em(model, series, seed=0).message
+    assert "Only determined together, keep one of them fixed: gain, share." in said
+    assert "another maximum" not in said
