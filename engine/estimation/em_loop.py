@@ -20,6 +20,7 @@ from engine.estimation.e_steps import LOST_SHARE, Expect, ParticleStep
 from engine.estimation.em_result import Checkpoint, EmResult, Iteration
 from engine.estimation.em_steps import Maximized, Steps
 from engine.estimation.expectation import parameter_scale
+from engine.estimation.leaps import looked_far
 from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.maximization import check_m_step
 from engine.estimation.outcome import Outcome
@@ -88,7 +89,7 @@ def iterate(
         if settled:
             break
         started = time.perf_counter()
-        last = steps.move(k, log.theta, log.memory, steps.least(log.rows))
+        last = steps.move(k, log.trace, log.memory, steps.least(log.rows))
         seconds = time.perf_counter() - started
         it = log.add(k, last, seconds)
         if not last.finite:
@@ -101,7 +102,7 @@ def iterate(
     if settled and outcome is not Outcome.STOPPED_BY_CALLER:
         outcome = Outcome.CONVERGED
     if last is None and log.k:  # all was done before: the last iteration again, for what it said
-        last = steps.move(log.k, log.trace[-2], log.memory[:-1], steps.least(log.rows[:-1]))
+        last = steps.move(log.k, log.trace[:-1], log.memory[:-1], steps.least(log.rows[:-1]))
     names = tuple(model.parameter_names[i] for i in indices)
     ties = "" if last is None or outcome is Outcome.DIVERGED else steps.ties(last)
     found = log.result(names, outcome, last, ties)
@@ -112,6 +113,8 @@ def iterate(
         found = summit(found)
     elif ascent is not None and particles is not None and chance:
         found = moved_ahead(found, likelihood, particles, loop.seed)
+        if last is not None and log.by_em and steps.misled(last):
+            found = looked_far(found, particles, indices, loop.seed, WINDOW)
     elif outcome is Outcome.CONVERGED is found.outcome and log.memory[-1] is None:
         found = looked_ahead(found, likelihood, particles, loop.seed)
     if particles is None:
@@ -194,6 +197,11 @@ class _Log:
         theta = np.asarray(self.theta)
         scale = np.array([parameter_scale(self.model, theta, k) for k in indices])
         return has_settled(trace[:, indices], scale, tolerance)
+
+    @property
+    def by_em(self) -> bool:
+        """Whether the last iterates are EM's."""
+        return all(one is None for one in self.memory[-WINDOW:])
 
     def had_a_chance(self, outcome: Outcome) -> bool:
         """Whether the iterates have settled, or were given enough iterations for it."""

@@ -6,7 +6,7 @@ All random numbers of iteration k come from ``SeedSequence(seed, spawn_key=(k,))
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from engine.errors import ModelError
 from engine.estimation.e_steps import EStep, Expect, ParticleStep
 from engine.estimation.followable import followable
+from engine.estimation.leaps import STRIDE, leap, surely
 from engine.estimation.likelihood_step import LikelihoodStep, score_of
 from engine.estimation.maximization import Objective, maximize
 from engine.estimation.quasi_newton import Ascent, Memory, Seen
@@ -80,12 +81,17 @@ class Steps:
         return None if self.particles is None else self.particles.compared
 
     def move(
-        self, k: int, theta: Theta, memory: Sequence[Memory | None], least: float
+        self, k: int, passed: Sequence[Theta], memory: Sequence[Memory | None], least: float
     ) -> Maximized:
-        """Iteration k from theta, ``memory`` being what those before it left; ``least`` as for the E step."""
-        expected = self.e_step(k, theta, least)
+        """Iteration k from the last theta of those ``passed``; ``least`` as for the E step.
+
+        ``memory`` is what the iterations before it left.
+        """
+        expected = self.e_step(k, passed[-1], least)
         ascended = self._ascend(k, expected, memory) if self.ascent is not None else None
-        return self.m_step(expected) if ascended is None else ascended
+        return (
+            self._leapt(k, self.m_step(expected), passed, memory) if ascended is None else ascended
+        )
 
     def e_step(self, k: int, theta: Theta, least: float) -> Expected:
         """Q(., theta_{k-1}) by smoothing; in the first iteration perhaps also from a better point.
@@ -151,23 +157,14 @@ class Steps:
             if one is None:
                 break
             before.insert(0, one)
-        x, n = np.asarray(at)[self.indices], len(self.indices)
-        value, exact = expected.origin.log_likelihood, np.zeros(n, bool)
-        score, complete = np.full(n, np.nan), np.zeros((n, n))
-        if np.isfinite(value):
-            try:
-                score, complete, exact = score_of(q, at, self.indices, self.likelihood)
-            except ModelError:
-                return None
-        found = None
-        if self.ascent is not None and n:
-            wide = nats_apart(self.ascent.rows, expected.origin.ess)
-            seen = Seen(np.asarray(at), x, score, complete, value, wide)
-            found = self.ascent.next(seen, before, k)
+        seen = self._seen(at, expected.origin)
+        if seen is None or self.ascent is None:
+            return None
+        found = self.ascent.next(seen[0], before, k)
         if found is None:
             return None
-        new = self._possible(q, at, found[0])
-        silent = exact & ~(np.diag(complete) > 0.0)
+        new, exact = self._possible(q, at, found[0]), seen[1]
+        silent = exact & ~(np.diag(seen[0].complete) > 0.0)
         names = np.array(at.names)[self.indices]
         return Maximized(
             new,
@@ -180,6 +177,43 @@ class Steps:
             tuple(names[silent]),
             found[1],
         )
+
+    def _seen(self, at: Theta, step: EStep) -> tuple[Seen, NDArray[np.bool_]] | None:
+        """What the E step at a theta told, and which parameters (n,) move what has no noise; None without."""
+        x, n = np.asarray(at)[self.indices], len(self.indices)
+        if self.ascent is None or not n:
+            return None
+        value, exact = step.log_likelihood, np.zeros(n, bool)
+        score, complete = np.full(n, np.nan), np.zeros((n, n))
+        if np.isfinite(value):
+            try:
+                score, complete, exact = score_of(step.q, at, self.indices, self.likelihood)
+            except ModelError:
+                return None
+        wide = nats_apart(self.ascent.rows, step.ess)
+        return Seen(np.asarray(at), x, score, complete, value, wide), exact
+
+    def misled(self, done: Maximized) -> bool:
+        """Whether the moment filter is wrong where the M step left from, so that it guides no steps."""
+        seen = self._seen(done.at, done.seen) if self.particles is not None else None
+        if seen is None or self.ascent is None or not seen[0].finite:
+            return False
+        return self.ascent.refuted(seen[0])
+
+    def _leapt(
+        self, k: int, done: Maximized, passed: Sequence[Theta], memory: Sequence[Memory | None]
+    ) -> Maximized:
+        """The M step, or where the mean of the last ones leads, if the moment filter is no guide there."""
+        last = memory[-STRIDE:]
+        alone = len(last) == STRIDE and all(one is None for one in last)
+        if k % STRIDE or not alone or self.particles is None or not self.misled(done):
+            return done
+        points = [*passed[1 - STRIDE :], done.theta]
+        found = leap(self.model, points, self.indices, self.particles, self.seed)
+        if found is None or not surely(found):
+            return done
+        new = self._possible(done.q, done.theta, np.asarray(found[0])[self.indices])
+        return replace(done, theta=new)
 
     def _possible(self, q: Objective, at: Theta, goal: Array) -> Theta:
         """Theta with the parameters at their ``goal`` (n,), or as near to it as noise has a covariance."""

@@ -15,7 +15,8 @@ Ryden 2005, ch. 11). It has settled when the images show no trend and the noise 
 Random numbers are fresh in every iteration. Common ones do not help: at half a standard error apart the scores
 of two smoothers with the same numbers differ as much as with others, since resampling has chosen otherwise.
 Therefore B is not learnt from differences of scores. Where the moment filter cannot follow the model there is
-no metric, and the step is EM's.
+no metric, and the step is EM's. So it is where that filter's information is far more than the complete-data
+one, which proves it wrong.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.distributions import chi2_quantile
 from engine.estimation.convergence import mean_point
 from engine.estimation.expectation import parameter_scale
 from engine.estimation.maximization import scoring_step, step_within
@@ -51,6 +53,7 @@ EDGE_SHARE = 0.5  # of the way to a bound, at most, is gone in a step
 TINY = 1e-300
 RIDGE = 1e-10  # of the metric scaled to a unit diagonal
 LEAST, MOST = 1e-4, 1.2  # of the complete-data information is in the metric
+REFUTED = 3.0  # times it there cannot be: noise alone leaves less than MOST
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +167,14 @@ class Ascent:
             return here.image, here
         return self._step(here)
 
+    def refuted(self, seen: Seen) -> bool:
+        """Whether the information cannot be right, as it is far more than all states known would give."""
+        theta = free_thetas(seen.theta, self.indices, seen.x[None])[0]
+        found, known = self.information(theta), np.diag(seen.complete) > 0.0
+        if self.exact or found is None or not known.any() or not np.isfinite(found).all():
+            return False
+        return bool(_shares(found, seen.complete, known)[0][-1] > REFUTED)
+
     def _metric(self, seen: Seen) -> Array | None:
         found = self.information(free_thetas(seen.theta, self.indices, seen.x[None])[0])
         if found is None or not np.isfinite(found).all():
@@ -239,23 +250,28 @@ def bounded(information: Array, complete: Array, least: float = LEAST) -> Array 
     """The information (n, n) between ``least`` and MOST times the complete-data one; None where it has none.
 
     What the data hold of the parameters is less than they would with all states known; a metric that says
-    otherwise is wrong, and would make steps shorter than EM's.
+    otherwise is wrong, and would make steps shorter than EM's. Where it says so by far it is none.
     """
     known = np.diag(complete) > 0.0
     if not (np.diag(information)[known] > 0.0).all():
         return None
     out = np.zeros_like(complete)
     if known.any():
-        scale = np.sqrt(np.diag(complete)[known])
-        square = np.ix_(known, known)
-        L = np.linalg.cholesky(
-            complete[square] / scale[:, None] / scale + RIDGE * np.eye(known.sum())
-        )
-        half = np.linalg.solve(L, information[square] / scale[:, None] / scale)
-        values, vectors = np.linalg.eigh(np.linalg.solve(L, half.T))
-        root = scale[:, None] * (L @ vectors)
-        out[square] = (root * np.clip(values, least, MOST)) @ root.T
+        values, root = _shares(information, complete, known)
+        if values[-1] > REFUTED:
+            return None
+        out[np.ix_(known, known)] = (root * np.clip(values, least, MOST)) @ root.T
     return out
+
+
+def _shares(information: Array, complete: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Information in shares of the complete-data one (n,), ascending, and the root (n, n) they belong to."""
+    scale = np.sqrt(np.diag(complete)[known])
+    square = np.ix_(known, known)
+    L = np.linalg.cholesky(complete[square] / scale[:, None] / scale + RIDGE * np.eye(known.sum()))
+    half = np.linalg.solve(L, information[square] / scale[:, None] / scale)
+    values, vectors = np.linalg.eigh(np.linalg.solve(L, half.T))
+    return values, scale[:, None] * (L @ vectors)
 
 
 def whole(information: Array, complete: Array) -> Array | None:
@@ -308,5 +324,14 @@ def window(residuals: Array, metric: Array, worth: float) -> tuple[int, bool]:
         # a sum of squares with this mean has its largest quantiles where it is a single square
         if moved <= CHI2_95 * spread * 4.0 / used + slack:
             enough = used >= MIN_IMAGES or spread <= slack
-            return used, enough and 0.5 * spread / used <= worth * n
+            return used, enough and 0.5 * spread / used <= worth * n and _flat(w[j - used :], slack)
     return j if j < FEW_IMAGES else 0, False
+
+
+def _flat(w: Array, slack: float) -> bool:
+    """Whether none of the directions of w (k, n) alone shows a trend: noise in others hides it in their sum."""
+    used, n = w.shape
+    spread = 0.5 * (np.diff(w, axis=0) ** 2).sum(axis=0) / (used - 1)
+    moved = w[used - used // 2 :].mean(axis=0) ** 2
+    limit = chi2_quantile(1.0 - 0.05 / n, 1) * spread * 4.0 / used
+    return bool((moved <= limit + slack).all())

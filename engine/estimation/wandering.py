@@ -118,33 +118,33 @@ def moved_ahead(
     beside = followable(found.model, there, first, indices, particles, seed)
     if beside is not there:
         there, ahead = beside, likelihood.of(beside) - likelihood.of(found.theta)
-    gain, error, n = _gain(found.theta, there, particles, least, seed)
+    gain, error, n = gain_of(found.theta, there, particles, least, seed)
     if gain > (-SURE * error if likelihood.trusted else max(least, SURE * error)):
-        return moved(found, there, MOVED.format(ahead, whose, _nats(gain, error)))
+        return moved(found, there, MOVED.format(ahead, whose, nats(gain, error)))
     if min(gain, ahead) > FAR_NATS:  # far off filters scatter widely
-        return moved(found, there, MOVED.format(ahead, whose, _nats(np.inf, 0.0)))
+        return moved(found, there, MOVED.format(ahead, whose, nats(np.inf, 0.0)))
     if ahead > LIKELIER and gain + SURE * error > ahead:
-        known = whose, ahead, _values(there, found), n
+        known = whose, ahead, values_of(there, found), n
         lost = error > LOST_NATS
         said = LOST_THERE.format(*known) if lost else UNTOLD.format(*known, gain, error)
-        return _undecided(found, said)
+        return undecided(found, said)
     return found
 
 
-def _nats(gain: float, error: float) -> str:
+def nats(gain: float, error: float) -> str:
     """A gain in words."""
     finite = np.isfinite(gain)
     return f"{gain:.2g} +- {error:.1g} nats" if finite else f"more than {FAR_NATS:g} nats"
 
 
-def _undecided(found: EmResult, said: str) -> EmResult:
+def undecided(found: EmResult, said: str) -> EmResult:
     """The result where nothing can tell whether it is the maximum; other outcomes stay what they are."""
     outcome = Outcome.UNDECIDED if found.outcome is Outcome.CONVERGED else found.outcome
     message = found.message.replace(found.outcome.value, outcome.value) + said
     return replace(found, outcome=outcome, message=message)
 
 
-def _values(theta: Theta, found: EmResult) -> str:
+def values_of(theta: Theta, found: EmResult) -> str:
     """Those of the free parameters, in words."""
     return ", ".join(f"{name} = {number(theta[name], 4)}" for name in found.free)
 
@@ -160,10 +160,10 @@ def kept_best(found: EmResult, particles: ParticleStep, seed: int) -> EmResult:
     if elsewhere or not values[k] - values[-1] > PASSED_NATS:
         return found
     best = Theta(found.trace[k], found.theta.names)
-    gain, error, _ = _gain(found.theta, best, particles, PASSED_NATS, seed, more=())
+    gain, error, _ = gain_of(found.theta, best, particles, PASSED_NATS, seed, more=())
     if not gain > max(PASSED_NATS, SURE * error):
         return found
-    return moved(found, best, PASSED.format(k, _nats(gain, error)))
+    return moved(found, best, PASSED.format(k, nats(gain, error)))
 
 
 def moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
@@ -173,7 +173,7 @@ def moved(found: EmResult, theta: Theta, said: str = "") -> EmResult:
     return replace(found, theta=theta, message=f"{message} {now}".rstrip())
 
 
-def _gain(
+def gain_of(
     here: Theta,
     there: Theta,
     particles: ParticleStep,
@@ -209,7 +209,7 @@ def _gain(
 
 def clearly_likelier(here: Theta, there: Theta, particles: ParticleStep, seed: int) -> bool:
     """Whether a theta is likelier than another by more than filters of particles may be wrong."""
-    gain, error, _ = _gain(here, there, particles, LIKELIER, seed)
+    gain, error, _ = gain_of(here, there, particles, LIKELIER, seed)
     return gain > max(LIKELIER, SURE * error)
 
 

@@ -103,7 +103,8 @@ def test_what_is_remembered_is_packed_without_loss():
 def test_a_metric_above_the_complete_data_information_is_cut():
     complete = np.diag([4.0, 9.0])
     np.testing.assert_allclose(bounded(0.5 * complete, complete), 0.5 * complete, rtol=1e-6)
-    np.testing.assert_allclose(bounded(50.0 * complete, complete), 1.2 * complete, rtol=1e-6)
+    np.testing.assert_allclose(bounded(2.0 * complete, complete), 1.2 * complete, rtol=1e-6)
+    assert bounded(50.0 * complete, complete) is None  # it cannot be so, and is no metric
     assert bounded(np.diag([0.0, 1.0]), complete) is None
     idle = bounded(np.diag([2.0, 0.0]), np.diag([4.0, 0.0]))  # nothing depends on the second
     np.testing.assert_allclose(idle, np.diag([2.0, 0.0]), rtol=1e-6)
