@@ -23,7 +23,7 @@ from engine.statespace.base import Array, BaseModel, Theta
 STRIDE = 10  # iterations between leaps, whose mean step is followed
 LENGTHS = (30.0, 10.0, 3.0)  # in mean steps: gains of long leaps are told most surely
 LONGEST = 3.0  # by which the logarithm of a positive parameter changes, at most
-EDGE_SHARE = 0.5  # of the way to a bound, at most, is gone
+EDGE_SHARE = 0.5  # of the way to a bound, at most, is gone, of logarithms where they are taken
 RISES = (
     " Steps of EM went on in one direction: a point ahead, {}, is likelier by {} as {} particles tell. "
     "More iterations from there, or more particles, would tell where the maximum is."
@@ -39,7 +39,7 @@ def ahead(
     """
     first, last = (np.asarray(one)[indices] for one in (points[0], points[-1]))
     lower, upper = model.lower[indices], model.upper[indices]
-    log = (lower == 0.0) & (first > 0.0) & (last > 0.0)
+    log = (lower >= 0.0) & (first > 0.0) & (last > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         step = np.where(log, np.log(last) - np.log(first), last - first) / (len(points) - 1)
     if not (np.isfinite(step).all() and step.any()):
@@ -48,7 +48,7 @@ def ahead(
         change: Array = length * step
         factor = np.exp(np.clip(np.where(log, change, 0.0), -LONGEST, LONGEST))
         goal = np.where(log, last * factor, last + change)
-        low = np.where(log, 0.0, last - EDGE_SHARE * (last - lower))
+        low = np.where(log, np.sqrt(np.abs(last * lower)), last - EDGE_SHARE * (last - lower))
         goal = np.clip(goal, low, last + EDGE_SHARE * (upper - last))
         theta = free_thetas(np.asarray(points[-1]), indices, goal[None])[0]
         yield length, Theta(theta, points[-1].names)

@@ -122,6 +122,13 @@ def test_a_trend_shortens_the_window():
     assert window(np.full((3, 2), 9.0), np.eye(2), 1.0) == (3, False)
 
 
+def test_a_trend_in_one_direction_is_not_hidden_by_the_noise_of_others():
+    """All noise together would cover it; an estimate along that direction goes on moving."""
+    noise = np.random.default_rng(0).standard_normal((10, 6)) * [0.1, 1.0, 1.0, 1.0, 1.0, 1.0]
+    assert window(noise, np.eye(6), 1.0) == (10, True)
+    assert window(noise + 0.5 * np.eye(6)[0], np.eye(6), 1.0) == (10, False)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("start", [0.3, 0.02])
 def test_the_exact_smoother_reaches_the_maximum_of_the_exact_likelihood(start):
