@@ -237,7 +237,7 @@ def rts_em(
     likelihood = LikelihoodStep(model, all_series, exact=True, worth=1e-8)
     ascent = _ascent(likelihood, model.free_indices(free), tolerance, True) if newton else None
     expect = rts_step(model, all_series)
-    summit = Summit(likelihood, 0.0, checked=True) if newton else None
+    summit = Summit(likelihood, 0.0, checked=True)
     found = iterate(model, expect, loop, likelihood=likelihood, ascent=ascent, summit=summit)
     said = found.message.replace(Outcome.CONVERGED.value, STANDS_STILL)
     message = said + remark(given, found, all_series)

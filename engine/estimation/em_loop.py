@@ -108,15 +108,18 @@ def iterate(
     found = log.result(names, outcome, last, ties)
     if likelihood is None or not log.k or outcome is Outcome.DIVERGED:
         return found
-    chance = log.had_a_chance(found.outcome)
-    if summit is not None and chance and summit.serves(found.theta):
-        found = summit(found)
-    elif ascent is not None and particles is not None and chance:
+    chance = ascent is not None and log.had_a_chance(found.outcome)
+    exact = summit if summit is not None and summit.serves(found.theta) else None
+    if exact is not None and chance:
+        found = exact(found)
+    elif particles is not None and chance:
         found = moved_ahead(found, likelihood, particles, loop.seed)
         if last is not None and log.by_em and steps.misled(last):
             found = looked_far(found, particles, indices, loop.seed, WINDOW)
     elif outcome is Outcome.CONVERGED is found.outcome and log.memory[-1] is None:
         found = looked_ahead(found, likelihood, particles, loop.seed)
+    if exact is not None and not chance:
+        found = exact.unsaid(found)
     if particles is None:
         return found
     if ascent is not None:

@@ -9,7 +9,7 @@ to be asked for by the data only where none of some larger ones is likelier.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from engine.estimation.likelihood_step import LikelihoodStep
 from engine.estimation.wandering import moved
 from engine.filters.kalman import kalman_smoother
 from engine.filters.sigma_point import free_thetas
-from engine.statespace.base import Array, Theta
+from engine.statespace.base import Theta
 
 LEAST_NATS = 0.01  # nobody cares for less
 CLIMBS = 5  # of a few steps each, at most, from one point
@@ -78,17 +78,33 @@ class Summit:
                 break
         return theta, self.likelihood.of(theta)
 
+    def unsaid(self, found: EmResult) -> EmResult:
+        """The result of a run that was left, not saying that data ask for no noise where more is likelier."""
+        least = self.likelihood.of(found.theta) + LEAST_NATS
+        asked = {name for name, there in self._tried(found) if self.likelihood.of(there) > least}
+        if not asked:
+            return found
+        rest = [name for name in found.free if name not in asked]
+        before, now = (found.model.held_in_words(found.theta, free) for free in (found.free, rest))
+        message = f"{found.message.removesuffix(before).rstrip()} {now}".rstrip()
+        return replace(found, message=message)
+
     def _larger(self, found: EmResult) -> list[Theta]:
         """The likeliest of points with larger values of what is next to its bound 0, if there is any."""
+        tried = [there for _, there in self._tried(found)]
+        values = np.array([self.likelihood.of(one) for one in tried])
+        values = np.where(np.isfinite(values), values, -np.inf)
+        return [tried[int(np.argmax(values))]] if tried and values.max() > -np.inf else []
+
+    def _tried(self, found: EmResult) -> list[tuple[str, Theta]]:
+        """Points with a larger value of one parameter that is next to its bound 0, with its name."""
         model, theta = self.likelihood.model, np.asarray(found.theta)
-        points: list[Array] = []
+        out: list[tuple[str, Theta]] = []
         for k in model.free_indices(found.free):
             size = parameter_scale(model, theta, int(k))
             if model.lower[k] == 0.0 <= theta[k] < SMALL * size:
                 values = np.minimum(SHARES * size, model.upper[k])
-                larger = values[values > theta[k], None]
-                points += list(free_thetas(theta, np.array([k]), larger))
-        tried = [Theta(one, found.theta.names) for one in points]
-        values = np.array([self.likelihood.of(one) for one in tried])
-        values = np.where(np.isfinite(values), values, -np.inf)
-        return [tried[int(np.argmax(values))]] if tried and values.max() > -np.inf else []
+                points = free_thetas(theta, np.array([k]), values[values > theta[k], None])
+                names = found.theta.names
+                out += [(names[k], Theta(one, names)) for one in points]
+        return out
