@@ -1,11 +1,13 @@
 """Where the moment filter is proved wrong, EM's steps are followed as far as particles find it likelier."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import engine
 from engine import Gaussian, MixedModel, Outcome, Parameter
-from engine.estimation.leaps import ahead, leap, surely
+from engine.estimation.leaps import ahead, leap, looked_far, surely
 from tests.engine.models_for_tests import random_walk
 
 MODEL = random_walk().with_parameters(
@@ -99,3 +101,19 @@ def test_a_point_at_which_the_model_fails_is_no_leap():
 
     there = leap(MODEL, points, np.arange(2), Filters(fails), 0)
     assert there is None or there[0]["r"] > 0.3
+
+
+def test_an_estimate_from_which_steps_lead_on_is_not_said_to_have_converged():
+    points = np.array([np.asarray(one) for one in walked()])
+    series = engine.simulate(MODEL, None, 30, np.random.default_rng(0)).series
+    run = engine.rts_em(MODEL, series, n_iterations=1)
+    outcome = Outcome.CONVERGED
+    here = MODEL.theta(points[-1])
+    settled = replace(run, theta=here, trace=points, outcome=outcome, message=outcome.value)
+    rises = Filters(lambda theta: -200.0 * np.log(theta["r"] / 0.1) ** 2, 0.5)
+    found = looked_far(settled, rises, np.arange(2), 0, 10)
+    assert found.outcome is Outcome.UNDECIDED
+    assert found.theta["r"] == pytest.approx(0.5 * 0.95**30)
+    assert "Steps of EM went on in one direction" in found.message
+    flat = Filters(lambda theta: -200.0 * np.log(theta["r"] / 0.5) ** 2, 0.1)
+    assert looked_far(settled, flat, np.arange(2), 0, 10) is settled
