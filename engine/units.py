@@ -20,12 +20,12 @@ _CLOCKS = {
     **dict.fromkeys(("hr", "hour", "hours"), "h"),
     **{word + end: word for word in ("day", "week", "month", "year") for end in ("", "s")},
 }
-_CLOCK = re.compile(r"(?:(?:t|time)[ _]*)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
+_CLOCK = re.compile(r"(?:(?:t|time)[ _]*/?)?[\[(]?\s*([a-zµ]+)\s*[\])]?", re.IGNORECASE)
 _SPELLED = "|".join(_CLOCKS)
 # Without brackets ``t_min``, ``t_h`` and ``T`` may as well be temperatures. static/start/match.js has the same.
 TIMES = re.compile(
-    rf"(?!(?-i:T)([sS]|[ _]+\w+)?$)((t|time)(s|[ _]*[\[(]\s*({_SPELLED})\s*[\])])?|time[ _]+({_SPELLED})"
-    r"|t[ _]+([nuµm]?s|sec|seconds?))",
+    rf"(?!(?-i:T)([sS]|[ _]+\w+)?$)((t|time)(s|[ _]*([\[(]\s*({_SPELLED})\s*[\])]|/\s*({_SPELLED})))?"
+    rf"|time[ _]+({_SPELLED})|t[ _]+([nuµm]?s|sec|seconds?))",
     re.IGNORECASE,
 )
 _IN_BRACKETS = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]+(?:\([^()]*\)[^\[\]()]*)*)\s*[\])]\s*")

@@ -34,7 +34,7 @@ from service.responses import (
     Results,
     Trace,
 )
-from service.schemas import JobRequest, LabelsIn, ModelReference, Request, ResumeIn
+from service.schemas import JobRequest, LabelsIn, ModelReference, Request, ResumeIn, TimeUnit
 from service.settings import Settings
 from service.store import ENDED, Store, Which
 from service.strict_json import dumps
@@ -137,8 +137,11 @@ def router(store: Store, supervisor: Supervisor, settings: Settings, keys: Keys)
         t: Annotated[
             str | None, Form(max_length=200, description="column of time stamps; else one named so")
         ] = None,
+        time_unit: Annotated[
+            TimeUnit | None, Form(description="what times count; else what the file says")
+        ] = None,
     ) -> PreviewOut:
-        return preview(file.file.read(), file.filename or "", t, settings)
+        return preview(file.file.read(), file.filename or "", t, time_unit, settings)
 
     @api.get("/jobs", summary="Jobs, newest first or sorted")
     def jobs(caller: Caller, asked: Annotated[ListQuery, Query()]) -> JobList:

@@ -11,15 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
-import numpy as np
-
-from engine.data.clock import date_of
 from engine.data.files import is_channel
 from engine.data.series import Series
+from engine.data.stamps import candidates, column_counts, like_times
 from engine.data.tables import Table
-from engine.errors import SeriesError
 from engine.statespace.base import BaseModel
-from engine.units import alike, times_among, unknown_unit
+from engine.units import alike, unknown_unit
 
 Test = Callable[[str, str, str], bool]  # column, channel, y or u
 
@@ -38,7 +35,7 @@ def match(
     found = dict(given)
     roles = {"y": list(outputs), "u": list(inputs)}
     taken = {*found.values(), *other}
-    times = times_among(table.columns, [*roles["y"], *roles["u"]])
+    times = candidates(table, [*roles["y"], *roles["u"]])
     left = [name for name in table.columns if name not in taken and name not in times]
 
     def take(channel: str, column: str) -> None:
@@ -94,9 +91,9 @@ def noted(
     found = list(table.notes)
     asked, other = clock
     taken = {*read.values(), *other}
-    if not asked and table.dt is None and not times_among(table.groups, taken):
+    if not asked and table.dt is None and not candidates(table, taken):
+        column, why = like_times(table, taken)
         said = f"no column of times: a step of 1 {series.time_unit} is assumed; else {advice[0]}"
-        column, why = _like_times(table, taken)
         said += f", or, as '{column}' {why}, {advice[1].format(column)}" if column else ""
         found.append(f"{said}.")
     units = {**model.outputs, **model.inputs}
@@ -108,46 +105,3 @@ def noted(
     if unknown:
         found.append(f"units that are not known are compared with none: {', '.join(unknown)}.")
     return found
-
-
-def _like_times(table: Table, taken: Collection[str]) -> tuple[str, str]:
-    """A column that may well have the times, and why; "" where none does."""
-    left = [name for name in table.columns if name not in taken]
-    for test, why in (
-        (_has_dates, "holds dates"),
-        (column_counts, "counts up evenly"),
-        (_rises, "rises like times"),
-    ):
-        for name in left:
-            if test(table, name):
-                return name, why
-    return "", ""
-
-
-def _has_dates(table: Table, name: str) -> bool:
-    """Whether a column begins with a date, which may be missing there."""
-    values = table.columns[name]
-    if isinstance(values, np.ndarray):
-        return False
-    return date_of(next(filter(str.strip, values), "")) is not None
-
-
-def _rises(table: Table, name: str) -> bool:
-    try:
-        return bool((np.diff(table.column(name)) > 0.0).all())
-    except SeriesError:
-        return False
-
-
-def column_counts(table: Table, name: str) -> bool | None:
-    """Whether a column of numbers just counts, as years and sample numbers do; None of words."""
-    try:
-        return counts(table.column(name))
-    except SeriesError:
-        return None
-
-
-def counts(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
-    """Whether values go up by the same step throughout: a clock, or a number of the row."""
-    steps = np.diff(values)
-    return bool(steps.size and steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0))

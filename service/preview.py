@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from engine.data.clock import times_in, times_of
 from engine.data.files import READERS
+from engine.data.stamps import candidates, counts, holds_dates
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import Array
-from engine.units import SECOND, clock_of, times_among
-from service.columns import counts
+from engine.units import SECOND, clock_of
 from service.downsample import keep
 from service.problems import invalid
 from service.responses import ColumnOut, PreviewOut, TimeOut
@@ -25,10 +26,13 @@ COLUMN_GAPS = 200  # the longest gaps of each column
 COLUMNS_SHOWN = 200
 
 
-def preview(data: bytes, filename: str, time: str | None, settings: Settings) -> PreviewOut:
+def preview(
+    data: bytes, filename: str, time: str | None, unit: str | None, settings: Settings
+) -> PreviewOut:
     """Columns with their range, thinned values and gaps. Raises Problem 422 about ``file`` or ``t``.
 
-    ``time`` names the column of time stamps; None takes one that is called time.
+    ``time`` names the column of time stamps; None takes that which a job would. ``unit`` is what times count,
+    None for what the file says.
     """
     table, max_samples = _read(data, filename, settings.max_values), settings.max_samples
     longest = max((len(column) for column in table.columns.values()), default=0)
@@ -37,18 +41,18 @@ def preview(data: bytes, filename: str, time: str | None, settings: Settings) ->
     if not table.columns:
         raise invalid("file", f"holds no columns of numbers; there is {table.there()}")
     if time is None and table.dt is None:
-        time = next(iter(times_among(table.columns)), None)
+        time = next((name for name in candidates(table) if name in table.columns), None)
     time = table.full(time) if time else time
     if time and time not in table.columns:
         raise invalid("t", f"there is no column '{time}'; there are {table.there()}")
-    clock = _time(table, time) if time else None
+    unit = unit or table.time_unit or clock_of(time or "") or SECOND
     return PreviewOut(
         file=filename,
         rows=longest,
         dt=table.dt,
-        time_unit=table.time_unit or clock_of(time or "") or SECOND,
-        time=clock,
-        columns=[_column(table, name) for name in list(table.columns)[:COLUMNS_SHOWN]],
+        time_unit=unit,
+        time=_time(table, time, unit) if time else None,
+        columns=[_column(table, name, unit) for name in list(table.columns)[:COLUMNS_SHOWN]],
         ignored=[*table.ignored, *(f"'{name}'" for name in list(table.columns)[COLUMNS_SHOWN:])],
     )
 
@@ -65,27 +69,19 @@ def _read(data: bytes, filename: str, max_values: int) -> Table:
         raise invalid("file", str(error)) from None
 
 
-def _numbers(table: Table, name: str) -> tuple[Array, str | None]:
-    """A column, and what is wrong with it if it is not all numbers."""
+def _time(table: Table, name: str, unit: str) -> TimeOut:
+    """The times as a job has them; what it would be refused for is the problem."""
+    values, problem = np.zeros(0), None
     try:
-        return table.column(name), None
+        stamps = table.times(name)
+        values = times_of(stamps, None, len(stamps), unit)
     except SeriesError as error:
-        return np.zeros(0), str(error)
-
-
-def _time(table: Table, name: str) -> TimeOut:
-    values, problem = _numbers(table, name)
+        problem = table.with_lines(str(error).removeprefix("t "))
     steps = np.diff(values)
-    wrong = np.flatnonzero(~np.isfinite(values))
-    if problem is None and wrong.size:
-        problem = f"is not a number at row {wrong[0]}"
-    elif problem is None and (backward := np.flatnonzero(~(steps > 0.0))).size:
-        row = int(backward[0]) + 1
-        problem = f"does not increase at row {row} ({values[row]:g} after {values[row - 1]:g})"
     good = problem is None and steps.size > 0
     return TimeOut(
         column=name,
-        problem=problem and table.with_lines(problem),
+        problem=problem,
         first=float(values[0]) if good else None,
         last=float(values[-1]) if good else None,
         step=float(np.median(steps)) if good else None,
@@ -93,10 +89,11 @@ def _time(table: Table, name: str) -> TimeOut:
     )
 
 
-def _column(table: Table, name: str) -> ColumnOut:
-    values, problem = _numbers(table, name)
+def _column(table: Table, name: str, unit: str) -> ColumnOut:
+    dates = holds_dates(table, name)
+    values, problem = _dates(table, name, unit) if dates else _numbers(table, name)
     missing = np.isnan(values)
-    there = values[~missing]
+    there = values[~missing & (not dates)]
     gaps = _gaps(missing)
     rows = keep(values[:, None], COLUMN_POINTS)
     # The first row of a gap is kept, so that a line drawn through the values breaks there.
@@ -108,11 +105,28 @@ def _column(table: Table, name: str) -> ColumnOut:
         minimum=finite(float(there.min())) if there.size else None,
         maximum=finite(float(there.max())) if there.size else None,
         problem=problem,
-        counts=counts(values),
+        dates=dates,
+        counts=not dates and counts(values),
         row=rows.tolist(),
         value=[finite(x) for x in values[rows].tolist()],
         gaps=gaps,
     )
+
+
+def _numbers(table: Table, name: str) -> tuple[Array, str | None]:
+    """A column, and what is wrong with it if it is not all numbers."""
+    try:
+        return table.column(name), None
+    except SeriesError as error:
+        return np.zeros(0), str(error)
+
+
+def _dates(table: Table, name: str, unit: str) -> tuple[Array, str]:
+    """A column of dates as times, where they can be, and why it is no channel."""
+    try:
+        return times_in(table.times(name), unit), "it holds dates"
+    except SeriesError as error:
+        return np.zeros(0), str(error)
 
 
 def _gaps(missing: np.ndarray[Any, np.dtype[np.bool_]]) -> list[tuple[int, int]]:

@@ -225,7 +225,9 @@ class ColumnOut(_Out):
     minimum: float | None
     maximum: float | None
     problem: str | None
-    """why it cannot be used"""
+    """why it cannot be a channel"""
+    dates: bool
+    """holds dates, so that it may have the times, which are then its values"""
     counts: bool
     """goes up by the same step, as years and sample numbers do"""
     row: list[int]

@@ -100,7 +100,7 @@ def times_of(t: Any, dt: float | None, T: int, unit: str, begins: Sequence[int] 
         kind = "repeats" if times[row] == times[row - 1] else "decreases"
         shown = np.asarray(t).ravel()
         dated = shown.dtype.kind not in "fiub"
-        text = str(shown[row]) if dated else f"{times[row]:g}"
+        text = str(shown[row]) if dated else f"{times[row]:.12g}"
         hint = _winter(times, row, shown[row], unit) if dated else ""
         raise SeriesError(f"t {kind} at row {row} ({text}); time must increase{hint}")
     if dt is not None:

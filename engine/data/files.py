@@ -9,9 +9,11 @@ Which columns are which channels:
 - ``t`` names the column of time stamps, numbers or dates such as ``2024-03-01 13:45:00``; left out, a column
   named ``t`` or ``time`` is used, also with a unit of time behind it (``t [h]``, ``time_min``, ``t_s``), unless
   it is one of ``y`` or ``u``. ``T`` is none, which may be a temperature. Where there are several,
-  :class:`engine.ReadingWarning` says which it is;
+  :class:`engine.ReadingWarning` says which it is. Where none is called so and no step is given, the only column
+  that holds dates is used;
 - ``dt`` is the time step where no column has the times; in .mat and .npz a scalar named ``dt`` or ``Ts`` is.
-  Given beside times it must be their step, but that of a file where ``t`` is named;
+  Given beside times it must be their step, but that of a file where ``t`` is named. Where nothing tells it,
+  it is 1; a :class:`engine.ReadingWarning` names a column that looks like times, if there is one;
 - ``time_unit`` says what times count (see :class:`engine.Series`); left out, what the file says: a text
   ``time_unit`` in .mat and .npz, a line ``# time unit: min`` at the head of a CSV, or the name of the column of
   times, such as ``time [min]`` or ``year``; else seconds;
@@ -34,6 +36,7 @@ import numpy as np
 
 from engine.arrays import Array
 from engine.data.series import Series
+from engine.data.stamps import candidates, like_times
 from engine.data.tables import Table, read_csv, read_mat, read_npz
 from engine.errors import OptionError, ReadingWarning, SeriesError
 from engine.units import (
@@ -41,7 +44,6 @@ from engine.units import (
     clock_of,
     is_unit,
     named_with_unit,
-    times_among,
     unit_behind,
 )
 from engine.words import enumerated
@@ -71,6 +73,14 @@ def read_series(
         raise SeriesError(f"{path} cannot be read: {error.strerror or error}") from error
     table = read_table(data, path.name)
     series = series_from(table, y, u, t, dt, hold, time_unit)
+    if t is None and dt is None and table.dt is None:
+        taken = {*_channels(table, y, "y")[1], *_channels(table, u, "u")[1]}
+        if not candidates(table, taken):
+            column, why = like_times(table, taken)
+            said = f"no column of times: a step of 1 {series.time_unit} is assumed"
+            table.notes += [f"{said}; as '{column}' {why}, give t='{column}', or dt."] * bool(
+                column
+            )
     for note in table.notes:
         warnings.warn(f"{table.file}: {note}", ReadingWarning, stacklevel=2)
     return series
@@ -99,7 +109,7 @@ def series_from(
     u_names, u_columns = _channels(table, u, "u")
     step = dt if dt is not None or t is not None else table.dt
     if t is None:
-        t = _times_of(table, {*y_columns, *u_columns, *other})
+        t = _times_of(table, {*y_columns, *u_columns, *other}, dt is None)
     times = None
     if t is not None:
         t = _lookup(table, "t", t)[0]
@@ -121,9 +131,9 @@ def series_from(
         raise SeriesError(f"{table.file}: {table.with_lines(str(error))}") from error
 
 
-def _times_of(table: Table, channels: Collection[str]) -> str | None:
+def _times_of(table: Table, channels: Collection[str], dates: bool) -> str | None:
     """The group of columns that has the times, None where there is none; of several, it is noted."""
-    found = times_among(table.groups, channels)
+    found = candidates(table, channels, dates)
     if len(found) > 1:
         rest = enumerated([f"'{name}'" for name in found[1:]], "and")
         table.notes.append(f"times are those of column '{found[0]}', not of {rest}.")

@@ -13,10 +13,10 @@ import numpy as np
 from engine.data.channels import check_units
 from engine.data.files import read_table, series_from
 from engine.data.series import Series
+from engine.data.stamps import candidates
 from engine.data.tables import Table
 from engine.errors import SeriesError
 from engine.statespace.model import MixedModel
-from engine.units import times_among
 from service.cli.ending import wrong
 from service.columns import match, noted
 
@@ -73,7 +73,7 @@ def inputs_of(path: Path, model: MixedModel, columns: Columns) -> tuple[Series, 
     table, columns = _table(path, model, columns)
     _, u = _assigned(table, model, columns, "u")
     # A file needs no outputs here, and series_from wants one: an input, or what may not have the times.
-    times = times_among(table.groups, u.values())
+    times = candidates(table, u.values())
     some = next(iter([*u.values(), *(name for name in table.groups if name not in times), *times]))
     try:
         found = series_from(table, [some], u, *columns.clock)

@@ -211,7 +211,7 @@ export function number(x, digits = 5) {
   if (x === null || x === undefined || !Number.isFinite(x)) return "-";
   const size = Math.abs(x);
   if (size !== 0 && (size < 1e-3 || size >= 1e6)) {
-    return x.toExponential(Math.max(0, digits - 2)).replace(/\.?0+e/, "e").replace("e+", "e");
+    return x.toExponential(digits - 1).replace(/\.?0+e/, "e").replace("e+", "e");
   }
   return String(Number(x.toPrecision(digits)));
 }

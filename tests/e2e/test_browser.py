@@ -9,11 +9,12 @@ import pytest
 import engine
 from engine.data import nile
 from engine.data.files import write_series
+from engine.data.stamps import counts
 from engine.data.tables import read_csv
 from engine.diagnose import hide
 from service.auth import digest_of
 from service.cli.new import write as write_model
-from service.columns import counts, match
+from service.columns import match
 from tests.e2e.browser import Watched, eventually, ready, service
 from tests.service.test_columns import CASES, text
 
@@ -390,6 +391,56 @@ def test_wrong_input_is_said_beside_its_field(visit, tmp_path):
     assert "is empty" in page.inner_text('[data-field~="file"] .field-error')
     assert page.is_hidden("#data-card")  # nothing of the file before it is left
     visit.expect("422")
+
+
+def test_dates_are_times_and_what_is_wrong_with_times_stays_in_sight(visit, tmp_path):
+    page = visit("/?model=local-level")
+    ready(page)
+    stamps = [f"2024-05-01 00:{k // 6:02}:{k % 6}0" for k in range(30)]
+    for name in ("time", "Zeitstempel"):
+        dated = write(tmp_path / f"{name}.csv", **{name: stamps, "flow": list(range(30))})
+        page.set_input_files("#file", dated)
+        page.wait_for_selector(f'#data-facts:has-text("{name}.csv")')
+        assert page.input_value("#time") == name
+        assert "0 to 290 s, step 10 s" in page.inner_text("#time-facts")
+        assert not page.locator("#data-facts .notice").count()
+    page.fill("#time-unit", "min")
+    page.press("#time-unit", "Tab")
+    eventually(page, lambda: "step 0.16667 min" in page.inner_text("#time-facts"))
+    page.set_input_files("#file", write(tmp_path / "back.csv", time=[0, 1, 0.5], flow=[1, 2, 3]))
+    page.wait_for_selector('#data-facts:has-text("back.csv")')
+    assert page.input_value("#time") == "time"
+    assert "Column 'time': decreases at line 4 (0.5)" in page.inner_text("#time-facts")
+    page.click("#go")
+    page.wait_for_selector('[data-field~="t"] .field-error')
+    long = [1711846800.0, 1711846800.1, 1711846800.2]
+    page.set_input_files("#file", write(tmp_path / "long.csv", time=long, flow=[1, 2, 3]))
+    page.wait_for_selector('#data-facts:has-text("long.csv")')
+    assert "1711846800 to 1711846800.2 s, step 0.1 s" in page.inner_text("#time-facts")
+
+
+def test_no_step_is_sent_that_nobody_typed(visit, tmp_path):
+    page = visit("/?model=local-level")
+    ready(page)
+    page.set_input_files("#file", write(tmp_path / "a.csv", station=[3, 3, 3], flow=[1, 2, 3]))
+    page.wait_for_selector('#data-facts:has-text("a.csv")')
+    assert "a step of 1 s is assumed" in page.inner_text("#time-facts")
+    page.click("#as-request summary")
+    eventually(page, lambda: '"series"' in page.inner_text("#request-text"))
+    assert '"dt"' not in page.inner_text("#request-text")
+    page.fill("#dt", "0.5")
+    eventually(page, lambda: '"dt": 0.5' in page.inner_text("#request-text"))
+
+
+def test_numbers_keep_their_digits(visit):
+    page = visit("/")
+    shown = page.evaluate(
+        """async () => {
+            const { number } = await import("/static/api.js");
+            return [1234567, 0.00012345, 0.012345, 1e-5].map((x) => number(x));
+        }"""
+    )
+    assert shown == ["1.2346e6", "1.2345e-4", "0.012345", "1e-5"]
 
 
 def test_light_and_dark(visit):

@@ -179,8 +179,9 @@ def test_an_upload_takes_no_temperature_for_times(client):
 
 
 def test_what_an_upload_assumes_is_told(client, ended):
-    rows = "".join(f"2024-03-01 00:00:0{k}.5,{k % 3},1\n" for k in range(9))
-    files = {"file": ("a.csv", f"Timestamp,y [furlong],drive [V]\n{rows}".encode())}
+    stamps = [f"2024-03-01 00:00:0{k}.5" for k in range(9)]
+    rows = "".join(f"{one},{k % 3},1,{one}\n" for k, one in enumerate(stamps))
+    files = {"file": ("a.csv", f"Timestamp,y [furlong],drive [V],Sent\n{rows}".encode())}
     request = {"kind": "smooth", "model": "servo", "options": {"particles": 5}}
     answer = client.post("/jobs/upload", data={"request": json.dumps(request)}, files=files)
     assert answer.status_code == 201, answer.text

@@ -87,6 +87,31 @@ def test_preview_of_a_csv(client):
     assert "line 2, column 'what': 'a' is not a number" in what["problem"]
 
 
+def test_preview_reads_times_as_a_job_does(client):
+    rows = "".join(f"2024-05-01 00:0{k // 6}:{k % 6}0,{k % 3}\n" for k in range(30))
+    for name in ("time", "Zeitstempel"):  # called so, or the only one of dates
+        found = look(client, "a.csv", f"{name},level\n{rows}").json()
+        time = found["time"]
+        assert (time["column"], time["problem"], time["regular"]) == (name, None, True)
+        assert (time["first"], time["last"], time["step"]) == (0.0, 290.0, 10.0)
+        dates, level = found["columns"]
+        assert (dates["dates"], dates["problem"]) == (True, "it holds dates")
+        assert (dates["value"][:3], dates["minimum"]) == ([0.0, 10.0, 20.0], None)
+        assert not level["dates"]
+    found = look(client, "a.csv", f"time,level\n{rows}", time_unit="min").json()
+    assert (found["time"]["step"], found["time_unit"]) == (pytest.approx(1.0 / 6.0), "min")
+    found = look(client, "a.csv", f"time,level\n{rows}", t="time", time_unit="year").json()
+    assert "of which it is not known how many seconds" in found["time"]["problem"]
+
+
+def test_preview_says_what_is_wrong_with_dates(client):
+    text = "day,level\n2024-05-01 00:00:00,1\n2024-05-01 00:00:10,2\n2024-05-01 00:00:05,1\n"
+    found = look(client, "a.csv", text, t="day").json()
+    assert found["time"]["problem"].startswith("decreases at line 4 (2024-05-01 00:00:05)")
+    found = look(client, "a.csv", text.replace("00:05", "x"), t="day").json()
+    assert "line 4, column 'day': '2024-05-01 00:x' is not a date" in found["time"]["problem"]
+
+
 def test_preview_is_thin_and_keeps_extremes_and_gaps(client):
     y = np.sin(np.arange(100_000) / 500.0)
     y[[31_111, 67_890]] = 5.0, -5.0
@@ -131,7 +156,7 @@ def test_preview_of_what_cannot_be_read(client, name, text, t, field, words):
 
 @pytest.mark.parametrize(
     ("times", "words"),
-    [("0 1 1", "does not increase at line 4 (1 after 1)"), ("0 x 2", "'x' is not a number")],
+    [("0 1 1", "repeats at line 4 (1); time must increase"), ("0 x 2", "'x' is not a number")],
 )
 def test_preview_of_bad_times(client, times, words):
     rows = "".join(f"{t},{i}\n" for i, t in enumerate(times.split()))

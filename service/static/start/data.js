@@ -19,8 +19,11 @@ export class DataCard {
     this.units = []; // of the model: [name, unit]
     by("file").addEventListener("change", () => this.take([...by("file").files]));
     by("time").addEventListener("change", () => this.look());
-    by("dt").addEventListener("input", () => this.draw());
-    by("time-unit").addEventListener("change", () => this.showChannels());
+    by("dt").addEventListener("input", () => {
+      this.showFacts();
+      this.draw();
+    });
+    by("time-unit").addEventListener("change", () => (this.dated() ? this.look(by("time-unit").value.trim()) : this.showChannels()));
     this.watchDrop(by("drop"));
   }
 
@@ -80,15 +83,17 @@ export class DataCard {
   async leaveChannels() {
     const called = (column) => this.channels.some(({ name }) => name === column);
     if (!this.files.length || !called(by("time").value)) return;
-    await this.useTime(this.columns().map(({ name }) => name).find((name) => isTime(name) && !called(name)) ?? "");
+    const left = this.columns().filter(({ name }) => !called(name));
+    const dated = left.filter(({ dates }) => dates);
+    await this.useTime((left.find(({ name }) => isTime(name)) ?? (dated.length === 1 ? dated[0] : null))?.name ?? "");
   }
 
-  // Look at the first file again, with the chosen column as time.
-  async look() {
+  // Look at the first file again, with the chosen column as time, which may count another unit.
+  async look(unit) {
     const [first] = this.files;
     this.complainAt('[data-field~="t"]', "");
     try {
-      if (by("time").value) first.preview = await preview(first.file, first.name, by("time").value);
+      if (by("time").value) first.preview = await preview(first.file, first.name, by("time").value, unit);
       by("time-unit").value = first.preview.time_unit;
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
@@ -99,11 +104,25 @@ export class DataCard {
 
   offerTimes() {
     const { time, dt, columns } = this.files[0].preview;
-    const names = columns.filter((one) => !one.problem).map((one) => element("option", { value: one.name }, `column ${one.name}`));
+    const offered = columns.filter((one) => !one.problem || one.dates || one.name === time?.column);
+    const names = offered.map((one) => element("option", { value: one.name }, `column ${one.name}`));
     by("time").replaceChildren(element("option", { value: "" }, "samples at a fixed step"), ...names);
-    by("time").value = time && !time.problem ? time.column : "";
-    if (dt !== null) by("dt").value = String(dt);
+    by("time").value = time ? time.column : ""; // a bad one too: what is wrong with it is told
+    this.found = by("time").value;
+    if (dt !== null) by("dt").value = "";
+    by("dt").placeholder = String(dt ?? 1);
     by("time-unit").value = this.files[0].preview.time_unit;
+  }
+
+  // Whether the times are dates, which are counted in the unit.
+  dated() {
+    const name = by("time").value;
+    return Boolean(name && this.files.length && this.columns().find((one) => one.name === name)?.dates);
+  }
+
+  // The time step: as typed, else as the file has it, else 1.
+  step() {
+    return Number(by("dt").value.trim() || by("dt").placeholder);
   }
 
   setModel(model) {
@@ -166,7 +185,7 @@ export class DataCard {
   row(channel, key, columns) {
     const id = `column-${key}`;
     const options = columns.map((one) => element("option", { value: one.name, disabled: one.problem !== null },
-      one.problem ? `${one.name} (not numbers)` : one.name));
+      one.problem ? `${one.name} (${one.dates ? "dates" : "not numbers"})` : one.name));
     const select = element("select", { id }, element("option", { value: "" }, "choose a column ..."), ...options);
     select.value = this.mapping.get(key);
     select.addEventListener("change", () => {
@@ -197,14 +216,20 @@ export class DataCard {
       ...problems(this.columns()).map((text) => element("span", { class: "notice warn small" }, text)),
       ...(ignored.length ? [element("span", { class: "muted" }, `not read: ${ignored.join(", ")}`)] : []),
     );
-    const time = this.files[0]?.preview.time;
+    const time = by("time").value ? this.files[0]?.preview.time : null;
     const clock = by("time-unit").value.trim() || "s";
     const other = clock === "s" ? undefined : this.units.find(([, text]) => /(^|[^\p{L}])(s|Hz)(?!\p{L})/u.test(text));
-    by("time-facts").className = (time?.problem && by("time").value) || other ? "field-error" : "hint";
-    by("time-facts").textContent = time?.problem && by("time").value ? `Column '${time.column}': ${time.problem}`
+    by("time-facts").className = time?.problem || other ? "field-error" : "hint";
+    by("time-facts").textContent = time?.problem ? `Column '${time.column}': ${time.problem}`
       : other ? `Times are in ${clock}, and the model has ${other[0]} in ${other[1]}: its numbers are right only if its equations convert. Else convert the times to s.`
-      : !time ? "The file names no column of times: give the step, or choose a column."
-      : by("time").value && `${number(time.first)} to ${number(time.last)} ${clock}, step ${number(time.step)} ${clock}${time.regular ? "" : " (median; not regular)"}`;
+      : !time ? this.aboutStep(clock)
+      : `${stamp(time.first, time)} to ${stamp(time.last, time)} ${clock}, step ${number(time.step)} ${clock}${time.regular ? "" : " (median; not regular)"}`;
+  }
+
+  aboutStep(clock) {
+    const dt = this.files[0]?.preview.dt ?? null;
+    if (!this.files.length || by("dt").value.trim() || dt !== null) return "";
+    return `No column of times: a step of 1 ${clock} is assumed unless you give one, or choose a column.`;
   }
 
   // Columns of the first experiment: {name, rows, missing, minimum, maximum, problem, row, value, gaps}.
@@ -246,8 +271,8 @@ export class DataCard {
       return (row) => (t ? t[Math.min(Math.max(Math.round(row), 0), t.length - 1)] : row * (dt ?? 1));
     }
     const time = columns.get(by("time").value);
-    const step = Number(by("dt").value) || 1;
-    if (!time) return (row) => row * step;
+    const step = this.step() || 1;
+    if (!time?.row.length || this.files[0].preview.time?.problem) return (row) => row * step;
     const { row: rows, value } = time;
     return (at) => {
       let i = 0;
@@ -274,7 +299,7 @@ export class DataCard {
     }
     const { time, rows } = this.files[0].preview;
     if (by("time").value) return time.problem ? null : { span: [time.first, time.last], dt: time.step };
-    const step = Number(by("dt").value);
+    const step = this.step();
     return step > 0 && rows > 1 ? { span: [0, (rows - 1) * step], dt: step } : null;
   }
 
@@ -293,8 +318,13 @@ export class DataCard {
     const how = { ...columns, time_unit: by("time-unit").value.trim() || "s" };
     if (by("hold").value) how.hold = by("hold").value;
     if (this.extra.size) how.extra = [...this.extra];
-    if (by("time").value) how.t = by("time").value;
-    else {
+    const { time } = this.files[0].preview;
+    const spared = by("time").value !== this.found && !this.channels.some(({ member, name }) => columns[member][name] === this.found);
+    if (by("time").value) {
+      how.t = by("time").value;
+      if (time?.problem) errors.push({ field: "series[0].t", message: `column '${time.column}': ${time.problem}` });
+    } else if (by("dt").value.trim() || spared) {
+      // No step is sent that nobody typed, so that the job notes what it assumed.
       how.dt = Number(by("dt").value);
       if (!(how.dt > 0)) errors.push({ field: "series[0].dt", message: "a positive time step is needed" });
     }
@@ -318,11 +348,18 @@ export class DataCard {
   }
 }
 
-function preview(file, name, time) {
+function preview(file, name, time, unit) {
   const form = new FormData();
   form.append("file", file, name);
   if (time) form.append("t", time);
+  if (unit) form.append("time_unit", unit);
   return post("/preview", form);
+}
+
+// A time with as many digits as tell it from the next.
+function stamp(x, { first, last, step }) {
+  const largest = Math.max(Math.abs(first), Math.abs(last));
+  return String(Number(x.toPrecision(Math.min(Math.max(5, Math.ceil(Math.log10(largest / step)) + 2), 15))));
 }
 
 function length(series) {
@@ -349,7 +386,7 @@ function jobColumns(series, channels) {
 
 // What is wrong with columns that cannot be used. A second line of units spoils them all.
 function problems(columns) {
-  const bad = columns.filter((one) => one.problem);
+  const bad = columns.filter((one) => one.problem && !one.dates);
   if (bad.length === columns.length && bad.every((one) => /\bline 2\b/.test(one.problem))) {
     return [`No column can be used: line 2 holds no numbers. If it is a line of units, delete it; the model says which units it needs. (${bad[0].problem})`];
   }

@@ -522,3 +522,36 @@ def test_errors_name_the_file_once():
         SeriesError, match=r"a\.csv: t and dt .*: from line 3 to line 4 t goes on by"
     ):
         read_series_bytes(b"t,y\n0,1\n1,2\n3,2\n", "a.csv", dt=1.0)
+
+
+def of(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text)
+    return tmp_path / "a.csv"
+
+
+def test_the_only_column_of_dates_has_the_times(tmp_path):
+    rows = "".join(f"2024-05-01 00:00:{k}0,{k % 2}\n" for k in range(5))
+    path = of(tmp_path, f"Zeitstempel,y\n{rows}")
+    assert read_series(path).t.tolist() == [0.0, 10.0, 20.0, 30.0, 40.0]
+    assert read_series(path, dt=0.5).dt == 0.5  # who gives a step wants no other
+    same = "".join(f"2024-05-01,{k % 2}\n" for k in range(5))  # that of a delivery, say
+    with pytest.warns(ReadingWarning, match="as 'made' holds dates, give t='made', or dt"):
+        assert read_series(of(tmp_path, f"made,y\n{same}")).dt == 1.0
+    two = "".join(f"2024-05-01 00:00:{k}0,2024-05-01 00:00:{k}1,0\n" for k in range(5))
+    with pytest.warns(ReadingWarning, match="a step of 1 s is assumed; as 'from' holds dates"):
+        read_series(of(tmp_path, f"from,to,y\n{two}"))
+
+
+def test_times_over_their_unit(tmp_path):
+    for name in ("time/ms", "t/ms", "Time / ms"):
+        series = read_series(of(tmp_path, f"{name},y\n0,1\n20,2\n40,1\n"))
+        assert (series.dt, series.time_unit) == (20.0, "ms")
+
+
+def test_a_step_that_is_assumed_beside_what_looks_like_times_is_told(tmp_path):
+    with pytest.warns(
+        ReadingWarning, match="a step of 1 s is assumed; as 'hours' counts up evenly"
+    ):
+        read_series(of(tmp_path, "hours,y\n0,1\n2,2\n4,1\n"))
+    assert read_series(of(tmp_path, "hours,y\n0,1\n2,2\n4,1\n"), dt=2.0).dt == 2.0
+    assert read_series(of(tmp_path, "u,y\n0,1\n1,2\n2,1\n")).dt == 1.0  # plain, and silent

@@ -1,0 +1,83 @@
+"""Which column of a table has the times: one called so, or the only one that holds dates."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from engine.arrays import Array
+from engine.data.clock import date_of, times_in
+from engine.data.tables import Table
+from engine.errors import SeriesError
+from engine.units import SECOND, times_among
+
+
+def candidates(table: Table, channels: Collection[str] = (), dates: bool = True) -> list[str]:
+    """The columns that are read as times where none is asked for, the first of them is; ``channels`` are none.
+
+    They are those called so, else, with ``dates``, the only one that holds dates.
+    """
+    named = times_among(table.groups, channels)
+    if named or table.dt is not None or not dates:
+        return named
+    dated = [name for name in table.columns if name not in channels and holds_dates(table, name)]
+    return dated if len(dated) == 1 and _goes_on(table, dated[0]) else []
+
+
+def holds_dates(table: Table, name: str) -> bool:
+    """Whether each cell of a column is a date."""
+    values = table.columns[name]
+    return begins_with_date(table, name) and all(date_of(cell) is not None for cell in values)
+
+
+def begins_with_date(table: Table, name: str) -> bool:
+    """Whether the first cell of a column that is not empty is a date."""
+    values = table.columns[name]
+    if isinstance(values, np.ndarray):
+        return False
+    return date_of(next(filter(str.strip, values), "")) is not None
+
+
+def _goes_on(table: Table, name: str) -> bool:
+    """Whether dates mostly increase; a day of delivery, or one without the time of day, does not."""
+    try:
+        steps = np.diff(times_in(table.times(name), SECOND))
+    except SeriesError:  # is told where they are read
+        return True
+    return bool(steps.size and np.mean(steps > 0.0) > 0.5)
+
+
+def like_times(table: Table, taken: Collection[str]) -> tuple[str, str]:
+    """A column that may well have the times, and why; "" where none does."""
+    left = [name for name in table.columns if name not in taken]
+    for test, why in (
+        (begins_with_date, "holds dates"),
+        (column_counts, "counts up evenly"),
+        (_rises, "rises like times"),
+    ):
+        for name in left:
+            if test(table, name):
+                return name, why
+    return "", ""
+
+
+def _rises(table: Table, name: str) -> bool:
+    try:
+        return bool((np.diff(table.column(name)) > 0.0).all())
+    except SeriesError:
+        return False
+
+
+def column_counts(table: Table, name: str) -> bool | None:
+    """Whether a column of numbers just counts, as years and sample numbers do; None of words."""
+    try:
+        return counts(table.column(name))
+    except SeriesError:
+        return None
+
+
+def counts(values: Array) -> bool:
+    """Whether values go up by the same step throughout: a clock, or a number of the row."""
+    steps = np.diff(values)
+    return bool(steps.size and steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0))
